@@ -1,0 +1,71 @@
+"""`Dataset`: one run on a uniform time grid, the only thing the estimator knows of the outside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """One run, aligned to a uniform grid. Columns carry the names and SI units of the CSV contract.
+
+    A sample that was not measured is NaN in its column: a gap stays a gap.
+    """
+
+    name: str
+    """What a person calls the run: the file's name."""
+    rate_hz: float
+    """Samples per second of the grid."""
+    time_s: FloatArray
+    """(n,) grid times [s], uniform, on the recorder's clock."""
+    columns: Mapping[str, FloatArray]
+    """Column name (`q2_rad`, `tau2_nm`, ...) to values, each (n,)."""
+    sources: Mapping[str, str] = field(default_factory=dict)
+    """Provenance a report may print: file, recording date, firmware; free text."""
+
+    def __post_init__(self) -> None:
+        n = self.time_s.shape[0]
+        for name, values in self.columns.items():
+            if values.shape != (n,):
+                raise ValueError(f"column {name} has shape {values.shape}, the grid has {n} samples")
+
+    def __len__(self) -> int:
+        return int(self.time_s.shape[0])
+
+    def __contains__(self, column: str) -> bool:
+        return column in self.columns
+
+    def __getitem__(self, column: str) -> FloatArray:
+        return self.columns[column]
+
+    @property
+    def dt_s(self) -> float:
+        """Grid step [s]."""
+        return 1.0 / self.rate_hz
+
+    def gap(self, names: list[str] | None = None) -> BoolArray:
+        """(n,) True where any of the columns `names` (default: all) has no sample."""
+        wanted = list(self.columns) if names is None else names
+        missing = np.zeros(len(self), dtype=bool)
+        for name in wanted:
+            missing |= ~np.isfinite(self.columns[name])
+        return missing
+
+    def segments(self, names: list[str] | None = None, min_samples: int = 20) -> list[slice]:
+        """Stretches of at least `min_samples` samples without a gap in `names`, in order of time."""
+        present = np.concatenate(([False], ~self.gap(names), [False])).astype(np.int8)
+        edges = np.diff(present)
+        starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+        return [slice(int(a), int(b)) for a, b in zip(starts, stops) if b - a >= min_samples]
+
+    def part(self, where: slice) -> Dataset:
+        """The samples of `where` as a data set of their own."""
+        columns = {name: values[where] for name, values in self.columns.items()}
+        return Dataset(self.name, self.rate_hz, self.time_s[where], columns, self.sources)

@@ -1,0 +1,1 @@
+"""What a simulation of the leg can get wrong: one small class an effect."""
