@@ -23,7 +23,7 @@ class _Table(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     pass
 
 
-class Mechanism(_Table):
+class Mechanism(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which mechanism hangs there, and which of its joints a motor drives."""
 
     model: Literal["leg2", "biped3", "joint1", "chain"]
@@ -34,7 +34,7 @@ class Mechanism(_Table):
     input: Literal["torque", "voltage"] = "torque"
 
 
-class Terms(_Table):
+class Terms(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Declared extra terms of the nominal model, by joint (1-based)."""
 
     rotor_inertia: tuple[Joint, ...] = ()
@@ -45,15 +45,15 @@ class Terms(_Table):
     """Velocity over which sign(qd) is rounded off [rad/s]."""
 
 
-class Imu(_Table):
+class Imu(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     lever_arm_m: NonNegative = 0.0
 
 
-class Motor(_Table):
+class Motor(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     gear_ratio: Positive = 1.0
 
 
-class Noise(_Table):
+class Noise(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Known standard deviations; what is absent is estimated from the data."""
 
     gyro_radps: Positive | None = None
@@ -62,12 +62,12 @@ class Noise(_Table):
     encoder_rad: Positive | None = None
 
 
-class Sampling(_Table):
+class Sampling(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     rate_hz: Positive = 100.0
     hold: Literal["zero", "linear", "average"] = "linear"
 
 
-class Filter(_Table):
+class Filter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Zero-phase Butterworth low pass of `wls` and of every starting value."""
 
     cutoff_hz: Positive | None = None
@@ -75,7 +75,7 @@ class Filter(_Table):
     order: Annotated[int, Meta(ge=1, le=8)] = 4
 
 
-class ImuDevice(_Table):
+class ImuDevice(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     bus: str = "/dev/i2c-1"
     address: int = 0x6B
     rate_hz: float = 238.0
@@ -84,19 +84,19 @@ class ImuDevice(_Table):
     bus_khz: Positive = 400.0
 
 
-class ControllerDevice(_Table):
+class ControllerDevice(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     port: str = "/dev/ttyACM0"
     baud: int = 1_000_000
     rate_hz: Positive = 500.0
     watchdog_ms: Annotated[int, Meta(ge=5, le=1000)] = 100
 
 
-class Devices(_Table):
+class Devices(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     imu: ImuDevice | None = None
     controller: ControllerDevice | None = None
 
 
-class Limits(_Table):
+class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Beyond any of these the torque goes to zero and the run stops, naming the limit."""
 
     torque_nm: Positive = 2.0
@@ -108,7 +108,7 @@ class Limits(_Table):
     clock_bound_s: Positive = 0.005
 
 
-class Calibration(_Table):
+class Calibration(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Measured once on the rig; raw readings stay raw in the run file."""
 
     knee_zero_rad: float = 0.0
@@ -121,7 +121,7 @@ class Calibration(_Table):
     accel_bias_mps2: Vector3 = (0.0, 0.0, 0.0)
 
 
-class Rig(_Table):
+class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One rig.toml."""
 
     mechanism: Mechanism
