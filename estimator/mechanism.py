@@ -164,8 +164,8 @@ class Mechanism:
     def forward_dynamics(self, q: FloatArray, qd: FloatArray, tau: FloatArray, beta: FloatArray) -> FloatArray:
         """qdd (..., n) [rad/s2] under joint torques tau (..., n) [N m]."""
         excess = tau - self.bias_torque(q, qd, beta)
-        solution: FloatArray = np.linalg.solve(self.inertia_matrix(q, beta), excess[..., None])[..., 0]
-        return solution
+        solution = np.linalg.solve(self.inertia_matrix(q, beta), excess[..., None])[..., 0]
+        return np.asarray(solution, dtype=np.float64)
 
 
 def tree_parameters(pairs: list[tuple[int, int]], gravity: list[int], meanings: list[str],

@@ -1,0 +1,201 @@
+"""The equation of motion on every sampling interval at once: two-point Gauss collocation.
+
+Between two samples each joint's angle is the cubic through the angles and rates at both ends, and
+tau = Z(q, qd, qdd) beta holds at the two Gauss points (fourth order for smooth motion). Angle, rate and
+acceleration are one function, so they cannot contradict each other; a torque that jumps or kinks at a
+sample is represented exactly, because nothing is asked of the acceleration across samples. The Coulomb
+sign at a Gauss point is its exact mean over that half of the interval for a rate linear in time.
+
+Everything is vectorised over intervals; the last array axis is the interval.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.mechanism import Mechanism
+
+FloatArray = NDArray[np.float64]
+GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
+ANGLE, RATE, ACCEL, RATE_FROM, RATE_TO = range(5)
+"""Features of the motion at a Gauss point; the last two are the rates at the ends of its half interval."""
+
+
+def hermite(s: float, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weights of (q0, v0, q1, v1) in angle, rate and acceleration at fraction s of an interval dt; each (4,)."""
+    angle = np.array([2 * s**3 - 3 * s**2 + 1, (s**3 - 2 * s**2 + s) * dt, -2 * s**3 + 3 * s**2, (s**3 - s**2) * dt])
+    rate = np.array([(6 * s**2 - 6 * s) / dt, 3 * s**2 - 4 * s + 1, (-6 * s**2 + 6 * s) / dt, 3 * s**2 - 2 * s])
+    accel = np.array([(12 * s - 6) / dt**2, (6 * s - 4) / dt, (-12 * s + 6) / dt**2, (6 * s - 2) / dt])
+    return angle, rate, accel
+
+
+def hold_weights(hold: str) -> FloatArray:
+    """(2, 2) torque at each Gauss point as weights of the samples at the interval's ends.
+
+    zero: the sample before. linear: a ramp. average: a sample is the mean over a window centred on its
+    stamp, so it acts until half-way.
+    """
+    if hold == "zero":
+        return np.array([[1.0, 0.0], [1.0, 0.0]])
+    if hold == "average":
+        return np.array([[1.0, 0.0], [0.0, 1.0]])
+    return np.array([[1.0 - GAUSS[0], GAUSS[0]], [1.0 - GAUSS[1], GAUSS[1]]])
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Features at the Gauss points of K intervals; each array (n, 2, K)."""
+
+    angle: FloatArray
+    rate: FloatArray
+    accel: FloatArray
+    rate_from: FloatArray
+    rate_to: FloatArray
+
+
+@dataclass(frozen=True)
+class Slope:
+    """One non-zero derivative of one parameter's term."""
+
+    row: int
+    feature: int
+    joint: int
+    value: FloatArray | float
+    """(2, K)"""
+
+
+class Collocation:
+    """Regressor and derivatives at the Gauss points for one mechanism, step and hold."""
+
+    def __init__(self, mechanism: Mechanism, dt_s: float, hold: str) -> None:
+        self.mechanism, self.dt, self.hold = mechanism, dt_s, hold
+
+    @cached_property
+    def basis(self) -> FloatArray:
+        """(2, 5, 4) weights of (q0, v0, q1, v1) in each feature at each Gauss point."""
+        basis = np.empty((2, 5, 4))
+        for g, s in enumerate(GAUSS):
+            basis[g, ANGLE], basis[g, RATE], basis[g, ACCEL] = hermite(s, self.dt)
+            basis[g, RATE_FROM] = hermite(0.5 * g, self.dt)[1]
+            basis[g, RATE_TO] = hermite(0.5 * (g + 1), self.dt)[1]
+        return basis
+
+    @cached_property
+    def torque_weights(self) -> FloatArray:
+        """(2, 2) of `hold_weights`."""
+        return hold_weights(self.hold)
+
+    def motion(self, q: FloatArray, v: FloatArray, left: NDArray[np.intp]) -> Motion:
+        """Features on the intervals from node left[k] to left[k] + 1; q, v (N, n)."""
+        ends = np.stack([q[left].T, v[left].T, q[left + 1].T, v[left + 1].T])  # (4, n, K)
+        features = np.einsum("gfc,cjk->fjgk", self.basis, ends)
+        return Motion(*features)
+
+    def torque(self, u: FloatArray, left: NDArray[np.intp]) -> FloatArray:
+        """Torque at the Gauss points (n, 2, K) from samples u (N, n)."""
+        w = self.torque_weights
+        return w[:, 0, None] * u[left].T[:, None, :] + w[:, 1, None] * u[left + 1].T[:, None, :]
+
+    def terms(self, motion: Motion) -> tuple[FloatArray, list[list[Slope]]]:
+        """Z (p, n, 2, K) in link rows for rigid terms, joint rows for the others, and each term's slopes.
+
+        Rigid terms live in absolute link angles; `to_joint` turns rows, and features, to joint ones.
+        """
+        m = self.mechanism
+        t = m.transform
+        theta, thetad, thetadd = (np.tensordot(t, x, axes=1) for x in (motion.angle, motion.rate, motion.accel))
+        z = np.zeros((m.p, m.n, *motion.angle.shape[1:]))
+        slopes: list[list[Slope]] = []
+        for k, (_, _, _, term, at) in enumerate(m.parameters):
+            if term == "inertia":
+                i, j = at
+                if i == j:
+                    z[k, i] = thetadd[i]
+                    slopes.append([Slope(i, ACCEL, i, 1.0)])
+                    continue
+                c, s = np.cos(theta[i] - theta[j]), np.sin(theta[i] - theta[j])
+                si, sj = s * thetad[i], s * thetad[j]
+                z[k, i] = c * thetadd[j] + sj * thetad[j]
+                z[k, j] = c * thetadd[i] - si * thetad[i]
+                di = c * thetad[j] ** 2 - s * thetadd[j]
+                dj = -c * thetad[i] ** 2 - s * thetadd[i]
+                slopes.append([
+                    Slope(i, ANGLE, i, di), Slope(i, ANGLE, j, -di), Slope(i, RATE, j, 2 * sj), Slope(i, ACCEL, j, c),
+                    Slope(j, ANGLE, i, dj), Slope(j, ANGLE, j, -dj), Slope(j, RATE, i, -2 * si), Slope(j, ACCEL, i, c)])
+            elif term == "gravity":
+                i = at[0]
+                z[k, i] = m.gravity * np.sin(theta[i])
+                slopes.append([Slope(i, ANGLE, i, m.gravity * np.cos(theta[i]))])
+            else:
+                j = at[0]
+                z[k, j], found = self._joint_term(term, j, motion)
+                slopes.append(found)
+        return z, slopes
+
+    def _joint_term(self, term: str, j: int, motion: Motion) -> tuple[FloatArray, list[Slope]]:
+        if term == "viscous":
+            return motion.rate[j], [Slope(j, RATE, j, 1.0)]
+        if term == "rotor":
+            return motion.accel[j], [Slope(j, ACCEL, j, 1.0)]
+        if term == "offset":
+            return np.ones_like(motion.rate[j]), []
+        # mean of v / sqrt(v^2 + eps^2) for v running linearly from a to b: (a + b) / (|a|_eps + |b|_eps)
+        a, b = motion.rate_from[j], motion.rate_to[j]
+        eps2 = self.mechanism.velocity_scale**2
+        ra, rb = np.sqrt(a * a + eps2), np.sqrt(b * b + eps2)
+        total = ra + rb
+        mean = (a + b) / total
+        return mean, [Slope(j, RATE_FROM, j, (1.0 - mean * a / ra) / total),
+                      Slope(j, RATE_TO, j, (1.0 - mean * b / rb) / total)]
+
+    @cached_property
+    def _rigid(self) -> NDArray[np.bool_]:
+        return np.array([a.term in ("inertia", "gravity") for a in self.mechanism.parameters])
+
+    def to_joint(self, z: FloatArray) -> FloatArray:
+        """Z (p, n, 2, K) with every row a joint's."""
+        out = z.copy()
+        rigid = self._rigid
+        out[rigid] = np.einsum("ij,pigk->pjgk", self.mechanism.transform, z[rigid])
+        return out
+
+    def jacobian(self, slopes: list[list[Slope]], beta: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+        """d(Z beta)/d(q0, v0, q1, v1): (n, 2, 4, n, K), row joint, Gauss point, end variable, its joint."""
+        own = self.feature_slopes(slopes, beta, shape)
+        return np.stack([np.tensordot(self.basis[g].T, own[:, :, :, g], axes=(1, 1)) for g in range(2)]
+                        ).transpose(2, 0, 1, 3, 4)
+
+    def feature_slopes(self, slopes: list[list[Slope]], beta: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+        """d(Z beta)/d(features): (n, 5, n, *shape), row joint, feature, its joint."""
+        m = self.mechanism
+        rigid = np.zeros((m.n, 3, m.n, *shape))
+        own = np.zeros((m.n, 5, m.n, *shape))
+        for k, found in enumerate(slopes):
+            target = rigid if self._rigid[k] else own
+            for slope in found:
+                target[slope.row, slope.feature, slope.joint] += beta[k] * slope.value
+        t = m.transform
+        own[:, :3] += np.einsum("ia,ifjgk,jb->afbgk", t, rigid, t, optimize=True)
+        return own
+
+    def at_samples(self, q: FloatArray, v: FloatArray, u: FloatArray, beta: FloatArray
+                   ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Acceleration at the samples themselves, from the equation of motion, with its derivatives.
+
+        q, v, u (N, n). Returns qdd (N, n) and d(qdd)/dq, /dv (N, n, n), d(qdd)/du = D^-1 (N, n, n) stacked as
+        (3, N, n, n), Z (N, n, p) there, and D^-1. From Z(q, v, qdd) beta = u by implicit differentiation.
+        """
+        m = self.mechanism
+        qdd = m.forward_dynamics(q, v, u, beta)
+        at = (x.T[:, None, :] for x in (q, v, qdd, v, v))
+        z_raw, slopes = self.terms(Motion(*at))
+        own = self.feature_slopes(slopes, beta, (1, q.shape[0]))[:, :, :, 0]  # (n, 5, n, N)
+        inverse = np.linalg.inv(own[:, ACCEL].transpose(2, 0, 1))
+        by_angle = -inverse @ own[:, ANGLE].transpose(2, 0, 1)
+        by_rate = -inverse @ (own[:, RATE] + own[:, RATE_FROM] + own[:, RATE_TO]).transpose(2, 0, 1)
+        z = self.to_joint(z_raw)[:, :, 0].transpose(2, 1, 0)
+        return qdd, np.stack([by_angle, by_rate, inverse]), z, inverse

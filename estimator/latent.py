@@ -1,0 +1,213 @@
+"""`LatentProblem`: the joint likelihood of one latent motion and the parameters, linearised.
+
+Unknown at each sample: angle q, rate v and true torque u of every joint (block size b = 3 joints); common:
+beta. Residuals, each over its standard deviation:
+
+    equation of motion at two Gauss points an interval   Z(q, v) beta - hold(u)        sigma_u * TIGHT
+    torque sample (zero on a passive joint)              u - y_u                       sigma_u
+    encoder, gyro                                        q - y_q, v1 - y_g             sigma_q, sigma_g
+    accelerometer                                        a(q1, v1, q1dd) - y_a         sigma_a
+
+The passive joint's torque is exactly zero, so B Sigma_u B^T of (17) is singular; its sigma_u stands for what
+the model gets wrong there. Normal equations are block tridiagonal in the latents with a dense border for
+beta; cost grows linearly with samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.collocation import Collocation
+from estimator.mechanism import Mechanism
+from estimator.sensors import accelerometer
+from estimator.signalset import IMU_COLUMNS, SignalSet
+
+FloatArray = NDArray[np.float64]
+TIGHT = 0.1
+"""Standard deviation of the equation of motion at a Gauss point, as a share of the joint's torque noise: an
+interval's two points then add half a per cent to the variance of its torque."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations in force."""
+
+    torque: FloatArray
+    """(n,) [N m]; on a passive joint what the model gets wrong."""
+    encoder: FloatArray
+    """(n,) [rad]; inf for a joint without an encoder."""
+    gyro: float = np.inf
+    accel: float = np.inf
+
+
+@dataclass(frozen=True)
+class Latents:
+    """Values at all N samples, each (N, n)."""
+
+    q: FloatArray
+    v: FloatArray
+    u: FloatArray
+
+    def moved(self, step: FloatArray) -> Latents:
+        """Shifted by step (N, 3 n) in the order q, v, u."""
+        n = self.q.shape[1]
+        return Latents(self.q + step[:, :n], self.v + step[:, n:2 * n], self.u + step[:, 2 * n:])
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Gauss-Newton normal equations at one point."""
+
+    objective: float
+    diagonal: FloatArray
+    """(N, b, b)"""
+    lower: FloatArray
+    """(N-1, b, b)"""
+    gradient: FloatArray
+    """(N b,)"""
+    border: FloatArray
+    """(N b, p)"""
+    corner: FloatArray
+    """(p, p)"""
+    gradient_beta: FloatArray
+    """(p,)"""
+    accel_rows: FloatArray
+    """(N, 2, b) unscaled accelerometer rows, none without an IMU."""
+    residuals: dict[str, FloatArray]
+    """Unscaled residuals by channel."""
+
+
+class LatentProblem:
+    """All stretches of all runs on one stack of samples; see the module's text."""
+
+    def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str) -> None:
+        self.mechanism = mechanism
+        self.n = mechanism.n
+        self.block = 3 * mechanism.n
+        lengths = [len(s.time_s) for s in signals]
+        self.ends = np.cumsum(lengths)
+        self.total = int(self.ends[-1])
+        self.left = np.setdiff1d(np.arange(self.total - 1), self.ends[:-1] - 1)
+        """Samples that begin an interval."""
+        self.dt = 1.0 / signals[0].rate_hz
+        self.collocation = Collocation(mechanism, self.dt, hold)
+        self.torque = np.concatenate([s.torque for s in signals])
+        self.angles = np.concatenate([s.angles for s in signals])
+        self.has_encoder = np.isfinite(self.angles).all(axis=0)
+        self.has_imu = bool(signals[0].imu)
+        if self.has_imu:
+            self.gyro, self.ax, self.ay = (np.concatenate([s.imu[c] for s in signals]) for c in IMU_COLUMNS)
+
+    def linearise(self, x: Latents, beta: FloatArray, noise: Noise) -> Linearised:
+        """Residuals, Gauss-Newton blocks and border at (x, beta)."""
+        n, b, left = self.n, self.block, self.left
+        count = left.size
+        c = self.collocation
+        motion = c.motion(x.q, x.v, left)
+        z_raw, slopes = c.terms(motion)
+        z = c.to_joint(z_raw)  # (p, n, 2, K)
+        defect = np.tensordot(beta, z, axes=1) - c.torque(x.u, left)  # (n, 2, K)
+        jac = c.jacobian(slopes, beta, motion.angle.shape[1:])  # (n, 2, 4, n, K)
+        rows = np.zeros((count, 2 * n, 2, 3, n))  # row, end of interval, variable, joint
+        rows[:, :, :, :2, :] = jac.transpose(4, 1, 0, 2, 3).reshape(count, 2 * n, 2, 2, n)
+        for i in range(n):
+            rows[:, i::n, :, 2, i] = -c.torque_weights
+        rows = rows.reshape(count, 2 * n, 2 * b)
+        scale = np.tile(1.0 / (TIGHT * noise.torque), 2)
+        scaled = rows * scale[:, None]
+        r = defect.transpose(2, 1, 0).reshape(count, 2 * n) * scale
+        zr = z.transpose(3, 2, 1, 0).reshape(count, 2 * n, -1) * scale[:, None]  # (K, 2n, p)
+        residuals: dict[str, FloatArray] = {"defect": defect}
+        objective = float(np.sum(r * r))
+        transposed = np.swapaxes(scaled, -1, -2)
+        local = transposed @ scaled
+        local_gradient = (transposed @ r[..., None])[..., 0]
+        local_border = transposed @ zr
+
+        diagonal = np.zeros((self.total, b, b))
+        lower = np.zeros((self.total - 1, b, b))
+        gradient = np.zeros((self.total, b))
+        border = np.zeros((self.total, b, zr.shape[-1]))
+        diagonal[left] += local[:, :b, :b]
+        diagonal[left + 1] += local[:, b:, b:]
+        lower[left] = local[:, b:, :b]
+        gradient[left] += local_gradient[:, :b]
+        gradient[left + 1] += local_gradient[:, b:]
+        border[left] += local_border[:, :b]
+        border[left + 1] += local_border[:, b:]
+        flat = zr.reshape(-1, zr.shape[-1])
+        corner, gradient_beta = flat.T @ flat, flat.T @ r.ravel()
+        accel_rows = np.empty((0, 2, b))
+        if self.has_imu:
+            accel_rows, ra, za = self._accelerometer(x, beta)
+            residuals["accel"] = ra
+            objective += float(np.sum(ra * ra)) / noise.accel**2
+            transposed = np.swapaxes(accel_rows, -1, -2) / noise.accel**2
+            diagonal += transposed @ accel_rows
+            gradient += (transposed @ ra[..., None])[..., 0]
+            border += transposed @ za
+            corner += np.tensordot(za, za, axes=((0, 1), (0, 1))) / noise.accel**2
+            gradient_beta += np.tensordot(za, ra, axes=((0, 1), (0, 1))) / noise.accel**2
+        objective += self._node_rows(x, noise, diagonal, gradient, residuals)
+        return Linearised(objective, diagonal, lower, gradient.ravel(), border.reshape(self.total * b, -1),
+                          corner, gradient_beta, accel_rows, residuals)
+
+    def _node_rows(self, x: Latents, noise: Noise, diagonal: FloatArray, gradient: FloatArray,
+                   residuals: dict[str, FloatArray]) -> float:
+        """Add torque, encoder and gyro samples; returns their part of the objective."""
+        n = self.n
+        residuals["torque"] = x.u - self.torque
+        parts = [(2 * n + i, residuals["torque"][:, i], noise.torque[i]) for i in range(n)]
+        residuals["encoder"] = x.q - self.angles
+        parts += [(i, residuals["encoder"][:, i], noise.encoder[i]) for i in np.flatnonzero(self.has_encoder)]
+        if self.has_imu:
+            residuals["gyro"] = x.v[:, 0] - self.gyro
+            parts.append((n, residuals["gyro"], noise.gyro))
+        total = 0.0
+        for column, r, sigma in parts:
+            diagonal[:, column, column] += 1.0 / sigma**2
+            gradient[:, column] += r / sigma**2
+            total += float(r @ r) / sigma**2
+        return total
+
+    def _accelerometer(self, x: Latents, beta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Rows (N, 2, b), residuals (N, 2) and border (N, 2, p) of the accelerometer's two axes.
+
+        q1dd comes from the equation of motion at the sample, not from the cubic: friction that changes sign
+        inside an interval makes the acceleration jump there, and the cubic's value at its end would carry
+        that jump to the wrong side (measured: 5 % on the knee's Coulomb level).
+        """
+        m, n = self.mechanism, self.n
+        q1, v1 = x.q[:, 0], x.v[:, 0]
+        qdd, slopes, z, inverse = self.collocation.at_samples(x.q, x.v, x.u, beta)
+        ax, ay = accelerometer(q1, v1, qdd[:, 0], m.lever_arm, m.gravity_mps2)
+        rows = np.zeros((self.total, 2, 3, n))
+        rows[:, 0] = m.lever_arm * slopes[:, :, 0].transpose(1, 0, 2)
+        rows = rows.reshape(self.total, 2, self.block)
+        rows[:, 0, 0] += m.gravity_mps2 * np.cos(q1)
+        rows[:, 1, 0] = m.gravity_mps2 * np.sin(q1)
+        rows[:, 1, n] = -2.0 * m.lever_arm * v1
+        border = np.zeros((self.total, 2, m.p))
+        border[:, 0] = -m.lever_arm * (inverse[:, :1] @ z)[:, 0]
+        return rows, np.stack([ax - self.ax, ay - self.ay], axis=-1), border
+
+    def effective_samples(self, point: Linearised, p_diagonal: FloatArray, noise: Noise) -> dict[str, FloatArray]:
+        """Degrees of freedom that the latents took from each channel, gamma = sum J P J^T / sigma^2."""
+        n = self.n
+        variance = np.einsum("kii->i", p_diagonal)
+        taken = {"torque": variance[2 * n:] / noise.torque**2,
+                 "encoder": variance[:n] / noise.encoder**2}
+        if self.has_imu:
+            taken["gyro"] = np.array([variance[n] / noise.gyro**2])
+            a = point.accel_rows
+            taken["accel"] = np.array([np.sum((a @ p_diagonal) * a) / noise.accel**2])
+        return taken
+
+
+def with_torque(noise: Noise, torque: FloatArray) -> Noise:
+    """`noise` with other torque levels (n,)."""
+    return replace(noise, torque=torque)

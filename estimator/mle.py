@@ -1,0 +1,218 @@
+"""Maximum likelihood with one consistent latent motion: the default estimator.
+
+Section IV of the paper with three changes: the latents are one trajectory whose rate and acceleration are
+its derivatives (`estimator.collocation`), they are integrated out instead of maximised over
+(`LatentProblem.bias_score`), and noise levels are estimated instead of tuned by hand.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dataset import Dataset
+from estimator import blocktri
+from estimator.errors import FitError
+from estimator.identifiability import undetermined
+from estimator.latent import Latents, LatentProblem, Linearised, Noise
+from estimator.mechanism import Mechanism
+from estimator.options import FitOptions
+from estimator.result import FitResult, Trajectory
+from estimator.sensors import accelerometer
+from estimator.signals import quantum, white_noise_level
+from estimator.signalset import SignalSet, angle_column, differentiate, split_signals
+from estimator.wls import free_mask, stack_regressors, weighted_least_squares
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[str], None]
+MAX_ITERATIONS = 60
+TOLERANCE = 0.02
+"""Converged when a step moves no parameter by more than this share of its standard deviation."""
+
+
+@dataclass
+class _State:
+    x: Latents
+    beta: FloatArray
+    noise: Noise
+    covariance: FloatArray
+    converged: bool = False
+    iterations: int = 0
+
+
+def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:
+    """Identify by marginal maximum likelihood; see the module's text. Raises `FitError`."""
+    start = time.perf_counter()
+    signals = split_signals(datasets, mechanism, options)
+    free, beta = free_mask(mechanism, options)
+    if not any(np.any(s.torque) for s in signals) and bool(free.all()):
+        raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
+                       "--fix NAME=VALUE")
+    problem = LatentProblem(signals, mechanism, options.hold)
+    state = _start(problem, signals, mechanism, options, free, beta)
+    floors = _noise_floors(problem, mechanism, state.beta)
+    _iterate(problem, state, free, options, floors)
+    return _result(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
+
+
+def _start(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
+           free: NDArray[np.bool_], beta: FloatArray) -> _State:
+    """Filtered motion, its least squares fit and rough noise levels."""
+    rate = signals[0].rate_hz
+    cutoff = options.cutoff(rate)
+    motions = [differentiate(s, mechanism, min(2.0 * cutoff, 0.4 * rate), options.filter_order, fused=True)
+               for s in signals]
+    z, tau = stack_regressors(signals, motions, mechanism, cutoff, options.filter_order)
+    beta, covariance, sigma = weighted_least_squares(z, tau, free, beta, 1.0)
+    x = Latents(np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions]),
+                problem.torque.copy())
+    known = options.noise
+    torque = np.maximum(sigma, [white_noise_level(problem.torque[:, j]) for j in range(mechanism.n)])
+    if "torque_nm" in known:
+        torque[list(mechanism.actuated)] = known["torque_nm"]
+    encoder = np.full(mechanism.n, np.inf)
+    for j in np.flatnonzero(problem.has_encoder):
+        level = max(white_noise_level(problem.angles[:, j]), quantum(problem.angles[:, j]) / np.sqrt(12.0))
+        encoder[j] = known.get("encoder_rad", max(level, 1e-7))
+    gyro = accel = np.inf
+    if problem.has_imu:
+        gyro = known.get("gyro_radps", max(white_noise_level(problem.gyro), 1e-6))
+        accel = known.get("accel_mps2", max(white_noise_level(problem.ax), white_noise_level(problem.ay), 1e-5))
+    return _State(x, beta, Noise(torque, encoder, gyro, accel), covariance)
+
+
+def _noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray) -> Noise:
+    """Levels below which no estimate may fall: they only keep the equations solvable."""
+    scale = max(float(np.std(problem.torque)), 1e-3 * float(np.max(np.abs(beta), initial=0.0)) * mechanism.gravity_mps2,
+                1e-6)
+    encoder = np.full(mechanism.n, np.inf)
+    for j in np.flatnonzero(problem.has_encoder):
+        encoder[j] = max(0.5 * quantum(problem.angles[:, j]) / np.sqrt(12.0), 1e-8)
+    return Noise(np.full(mechanism.n, 1e-3 * scale), encoder, 1e-6, 1e-5)
+
+
+def _iterate(problem: LatentProblem, state: _State, free: NDArray[np.bool_], options: FitOptions,
+             floors: Noise) -> None:
+    """Gauss-Newton on latents and beta together, with the marginal score and noise levels renewed each step."""
+    index = np.flatnonzero(free)
+    settled = 0
+    for iteration in range(MAX_ITERATIONS):
+        state.iterations = iteration + 1
+        point = problem.linearise(state.x, state.beta, state.noise)
+        try:
+            factored = blocktri.factor(point.diagonal, point.lower)
+            p_diagonal, _ = blocktri.inverse_band(point.diagonal, point.lower)
+        except np.linalg.LinAlgError:
+            raise FitError("the equations of the fit became singular; the motion is not excited enough") from None
+        border = point.border[:, index]
+        solved = blocktri.solve(factored, np.column_stack([point.gradient, border]))
+        direction, eliminated = solved[:, 0], solved[:, 1:]
+        schur = point.corner[np.ix_(index, index)] - border.T @ eliminated
+        score = point.gradient_beta[index] - border.T @ direction
+        information = 0.5 * (schur + schur.T)
+        covariance = _pseudo_inverse(information)
+        step_beta = -covariance @ score
+        step = (-direction - eliminated @ step_beta).reshape(problem.total, problem.block)
+        damping = _step_length(problem, state, step, step_beta, index)
+        state.x = state.x.moved(damping * step)
+        state.beta = state.beta.copy()
+        state.beta[index] += damping * step_beta
+        state.covariance = np.zeros((state.beta.size, state.beta.size))
+        state.covariance[np.ix_(index, index)] = covariance
+        if not np.isfinite(state.beta).all():
+            raise FitError("the fit ran away; the starting values are too far from the data")
+        change = _update_noise(problem, state, point, p_diagonal, options, floors)
+        std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        moved = float(np.max(np.abs(step_beta) / std, initial=0.0))
+        settled = settled + 1 if moved < TOLERANCE and change < 0.01 and damping == 1.0 else 0
+        if settled >= 2:
+            state.converged = True
+            break
+
+
+def _pseudo_inverse(information: FloatArray) -> FloatArray:
+    """Inverse of a positive semidefinite matrix with unscaled columns; near-null directions get a huge variance."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    values = np.maximum(values, 1e-13)
+    return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
+
+
+def _step_length(problem: LatentProblem, state: _State, step: FloatArray, step_beta: FloatArray,
+                 index: NDArray[np.intp]) -> float:
+    """Shorten steps that move an angle by more than 0.5 rad, where a linearisation means little."""
+    biggest = float(np.max(np.abs(step[:, : problem.n])))
+    return 1.0 if biggest < 0.5 else 0.5 / biggest
+
+
+def _update_noise(problem: LatentProblem, state: _State, point: Linearised, p_diagonal: FloatArray,
+                  options: FitOptions, floors: Noise) -> float:
+    """sigma^2 = sum r^2 / (samples - those taken by the latents); returns the largest relative change."""
+    taken = problem.effective_samples(point, p_diagonal, state.noise)
+    total, known, old = problem.total, options.noise, state.noise
+    actuated = problem.mechanism.actuated
+
+    def level(r: FloatArray, gamma: float, floor: float, previous: float) -> float:
+        freedom = max(r.size - gamma, 0.01 * r.size)
+        value = float(np.sqrt(np.sum(r * r) / freedom))
+        return float(np.clip(value, max(floor, previous / 3.0), previous * 3.0))
+
+    torque, encoder = old.torque.copy(), old.encoder.copy()
+    for j in range(problem.n):
+        if not (j in actuated and "torque_nm" in known):
+            r = point.residuals["torque"][:, j]
+            torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j])
+        if problem.has_encoder[j] and "encoder_rad" not in known:
+            r = point.residuals["encoder"][:, j]
+            encoder[j] = level(r, float(taken["encoder"][j]), floors.encoder[j], old.encoder[j])
+    gyro, accel = old.gyro, old.accel
+    if problem.has_imu and "gyro_radps" not in known:
+        gyro = level(point.residuals["gyro"], float(taken["gyro"][0]), floors.gyro, old.gyro)
+    if problem.has_imu and "accel_mps2" not in known:
+        accel = level(point.residuals["accel"], float(taken["accel"][0]), floors.accel, old.accel)
+    state.noise = Noise(torque, encoder, gyro, accel)
+    pairs = [(torque, old.torque), (encoder, old.encoder), (np.array([gyro, accel]), np.array([old.gyro, old.accel]))]
+    assert total > 0
+    return max(float(np.max(np.abs(np.log(a[np.isfinite(a)] / b[np.isfinite(a)])), initial=0.0)) for a, b in pairs)
+
+
+def _result(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
+            state: _State, free: NDArray[np.bool_], wall_s: float) -> FitResult:
+    x, beta = state.x, state.beta
+    qdd = np.concatenate([mechanism.forward_dynamics(x.q[s], x.v[s], x.u[s], beta)
+                          for s in np.split(np.arange(problem.total), problem.ends[:-1])])
+    tau = mechanism.inverse_dynamics(x.q, x.v, qdd, beta)
+    residual = problem.torque - tau
+    noise = {"torque_nm": float(np.max(state.noise.torque[list(mechanism.actuated)], initial=0.0))}
+    passive = [j for j in range(mechanism.n) if j not in mechanism.actuated]
+    if passive:
+        noise["passive_joint_nm"] = float(np.max(state.noise.torque[passive]))
+    if problem.has_encoder.any():
+        noise["encoder_rad"] = float(np.max(state.noise.encoder[problem.has_encoder]))
+    if problem.has_imu:
+        noise |= {"gyro_radps": state.noise.gyro, "accel_mps2": state.noise.accel}
+    trajectories = []
+    for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):
+        measured, predicted = dict(s.imu), {}
+        for j in np.flatnonzero(problem.has_encoder):
+            column = angle_column(mechanism, j)
+            measured[column], predicted[column] = s.angles[:, j], x.q[where, j]
+        if s.imu:
+            ax, ay = accelerometer(x.q[where, 0], x.v[where, 0], qdd[where, 0], mechanism.lever_arm,
+                                   mechanism.gravity_mps2)
+            predicted |= {"gyro_radps": x.v[where, 0], "accel_x_mps2": ax, "accel_y_mps2": ay}
+        trajectories.append(Trajectory(s.run, s.time_s, x.q[where], x.v[where], qdd[where], tau[where], s.torque,
+                                       measured, predicted))
+    assumptions = (
+        f"torque acts between samples by the '{options.hold}' hold",
+        "all noise is white, Gaussian and independent between channels; levels "
+        + ("as given" if set(options.noise) >= {"torque_nm"} else "estimated from the data"),
+        "the model's form is right: what it leaves out is counted as torque noise")
+    return FitResult(mechanism, "mle", options.sensors, beta, state.covariance, noise,
+                     np.sqrt(np.mean(residual**2, axis=0)), state.converged, state.iterations, problem.total, wall_s,
+                     undetermined(mechanism, beta, state.covariance, free), assumptions, (), tuple(trajectories),
+                     dict(options.fixed))

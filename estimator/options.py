@@ -1,0 +1,44 @@
+"""`FitOptions`: what a person may decide about a fit; everything else is estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from estimator.simulation import HOLDS
+
+NOISE_CHANNELS = ("gyro_radps", "accel_mps2", "torque_nm", "encoder_rad")
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Checked when made; raises ValueError naming the option."""
+
+    sensors: str = "imu"
+    """imu: gyro and accelerometer give the pivot's angle. encoder: `q1_rad` does."""
+    hold: str = "linear"
+    """How a torque sample acts until the next: zero | linear | average."""
+    noise: Mapping[str, float] = field(default_factory=dict)
+    """Known standard deviations by channel; the others are estimated."""
+    cutoff_hz: float | None = None
+    """Low pass of `wls` and of starting values; None: a tenth of the rate, at most 10 Hz."""
+    filter_order: int = 4
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    """Parameters that are given by name, not estimated."""
+    latent: str = "trajectory"
+    """mle only. trajectory: one consistent motion. free: the paper's free samples of sin, cos and rate."""
+
+    def __post_init__(self) -> None:
+        if self.sensors not in ("imu", "encoder"):
+            raise ValueError(f"sensors {self.sensors!r} is neither imu nor encoder")
+        if self.hold not in HOLDS:
+            raise ValueError(f"hold {self.hold!r} is none of {HOLDS}")
+        if self.latent not in ("trajectory", "free"):
+            raise ValueError(f"latent {self.latent!r} is neither trajectory nor free")
+        unknown = set(self.noise) - set(NOISE_CHANNELS)
+        if unknown:
+            raise ValueError(f"noise channel {sorted(unknown)[0]!r} is none of {NOISE_CHANNELS}")
+
+    def cutoff(self, rate_hz: float) -> float:
+        """The low pass in force [Hz]."""
+        return self.cutoff_hz if self.cutoff_hz is not None else min(10.0, 0.1 * rate_hz)

@@ -1,0 +1,123 @@
+"""Weighted least squares on filtered central differences, section III of the paper.
+
+The weight is the inverse of the torque covariance; (29) prints the covariance itself.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dataset import Dataset
+from estimator.errors import FitError
+from estimator.identifiability import undetermined
+from estimator.mechanism import Mechanism
+from estimator.options import FitOptions
+from estimator.result import FitResult, Trajectory
+from estimator.sensors import accelerometer
+from estimator.signals import lowpass
+from estimator.signalset import Kinematics, SignalSet, angle_column, differentiate, split_signals
+
+FloatArray = NDArray[np.float64]
+
+
+def weighted_least_squares(z: FloatArray, tau: FloatArray, free: NDArray[np.bool_], beta: FloatArray,
+                           samples_per_dof: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """beta (p,), covariance (p, p), sigma (joints,) from z (m, n, p) and tau (m, n), eq. (28).
+
+    Joints are weighted by their own residual's variance, found in three passes. Entries of `beta` where
+    `free` is False are kept. `samples_per_dof` is how many samples carry one independent value.
+    """
+    n = z.shape[1]
+    beta = beta.copy()
+    known = z[:, :, ~free] @ beta[~free]
+    sigma = np.ones(n)
+    covariance = np.zeros((beta.size, beta.size))
+    for _ in range(3):
+        a = (z[:, :, free] / sigma[:, None]).reshape(-1, int(free.sum()))
+        y = ((tau - known) / sigma).ravel()
+        scale = np.linalg.norm(a, axis=0)
+        scale[scale == 0.0] = 1.0
+        u, s, vt = np.linalg.svd(a / scale, full_matrices=False)
+        keep = s > 1e-12 * s[0]
+        inverse = (vt[keep].T / s[keep]) @ u[:, keep].T
+        beta[free] = (inverse @ y) / scale
+        residual = tau - z @ beta
+        sigma = np.maximum(np.sqrt(np.mean(residual**2, axis=0)), 1e-9 * (1.0 + np.max(np.abs(tau))))
+        spread = (vt[keep].T / s[keep] ** 2) @ vt[keep] / np.outer(scale, scale)
+        covariance[np.ix_(free, free)] = samples_per_dof * spread
+    return beta, covariance, sigma
+
+
+def stack_regressors(signals: Sequence[SignalSet], motions: Sequence[Kinematics], mechanism: Mechanism,
+                     cutoff_hz: float | None, order: int) -> tuple[FloatArray, FloatArray]:
+    """Z (m, n, p) and torque (m, n) of all stretches, both through the same low pass.
+
+    The common filter keeps tau = Z beta true for the filtered values: torque carries the steps of Coulomb
+    friction that the filtered angles cannot show.
+    """
+    zs, taus = [], []
+    for s, k in zip(signals, motions):
+        z = mechanism.regressor(k.q, k.qd, k.qdd)
+        edge = min(len(z) // 10, int(0.5 * s.rate_hz / (cutoff_hz or s.rate_hz)))
+        inner = slice(edge, len(z) - edge)
+        zs.append(lowpass(z, cutoff_hz, s.rate_hz, order)[inner])
+        taus.append(lowpass(s.torque, cutoff_hz, s.rate_hz, order)[inner])
+    return np.concatenate(zs), np.concatenate(taus)
+
+
+def free_mask(mechanism: Mechanism, options: FitOptions) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Which parameters are estimated, and beta with the fixed values put in. Raises `FitError` on a wrong name."""
+    beta = np.zeros(mechanism.p)
+    free = np.ones(mechanism.p, dtype=bool)
+    for name, value in options.fixed.items():
+        if name not in mechanism.names:
+            raise FitError(f"{name} is no parameter of {mechanism.name}; it has {', '.join(mechanism.names)}")
+        beta[mechanism.column(name)] = value
+        free[mechanism.column(name)] = False
+    return free, beta
+
+
+def fit_wls(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:
+    """Identify by (28) from low-passed, differenced measurements; see `FitOptions.cutoff_hz`.
+
+    Errors in the angles bias this estimate towards zero: use `mle` where its intervals matter.
+    """
+    start = time.perf_counter()
+    signals = split_signals(datasets, mechanism, options)
+    rate = signals[0].rate_hz
+    cutoff = options.cutoff(rate)
+    motions = [differentiate(s, mechanism, min(4.0 * cutoff, 0.4 * rate), options.filter_order) for s in signals]
+    z, tau = stack_regressors(signals, motions, mechanism, cutoff, options.filter_order)
+    free, beta = free_mask(mechanism, options)
+    if not np.any(tau) and bool(free.all()):
+        raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
+                       "--fix NAME=VALUE")
+    beta, covariance, sigma = weighted_least_squares(z, tau, free, beta, max(1.0, 0.5 * rate / cutoff))
+    trajectories = tuple(_trajectory(s, k, mechanism, beta) for s, k in zip(signals, motions))
+    return FitResult(
+        mechanism, "wls", options.sensors, beta, covariance,
+        {"torque_nm": float(np.max(sigma[list(mechanism.actuated)], initial=0.0))}, sigma, True, 1,
+        sum(len(s.time_s) for s in signals), time.perf_counter() - start,
+        undetermined(mechanism, beta, covariance, free),
+        (f"angles low-passed at {min(4.0 * cutoff, 0.4 * rate):g} Hz, both sides of the equation at {cutoff:g} Hz",
+         "the filtered motion is taken as exact: errors in it bias the estimate and are not in the intervals",
+         "torque errors are white within the filter's band"),
+        (), trajectories, dict(options.fixed))
+
+
+def _trajectory(s: SignalSet, k: Kinematics, mechanism: Mechanism, beta: FloatArray) -> Trajectory:
+    measured = dict(s.imu)
+    predicted: dict[str, FloatArray] = {}
+    for j in range(mechanism.n):
+        if np.isfinite(s.angles[:, j]).all():
+            measured[angle_column(mechanism, j)] = s.angles[:, j]
+            predicted[angle_column(mechanism, j)] = k.q[:, j]
+    if s.imu:
+        ax, ay = accelerometer(k.q[:, 0], k.qd[:, 0], k.qdd[:, 0], mechanism.lever_arm, mechanism.gravity_mps2)
+        predicted |= {"gyro_radps": k.qd[:, 0], "accel_x_mps2": ax, "accel_y_mps2": ay}
+    return Trajectory(s.run, s.time_s, k.q, k.qd, k.qdd, mechanism.inverse_dynamics(k.q, k.qd, k.qdd, beta),
+                      s.torque, measured, predicted)

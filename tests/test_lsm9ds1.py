@@ -1,0 +1,250 @@
+"""The driver: its bytes against the datasheet, and what it does when the bus or the chip misbehaves."""
+
+import math
+
+import numpy as np
+import pytest
+
+from drivers.errors import DeviceAbsent, DeviceBusy, DeviceFault
+from drivers.i2c_bus import open_bus
+from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
+from drivers.mock.clock import VirtualClock
+from drivers.mock.lsm9ds1 import MockLsm9ds1
+
+
+class Bench:
+    """A chip whose k-th sample is [k, ...], so that every lost or doubled one shows."""
+
+    def __init__(self, config: ImuConfig | None = None, bus_khz: float = 400.0) -> None:
+        self.clock = VirtualClock()
+        self.chip = MockLsm9ds1(self.clock, self.advance, bus_khz=bus_khz)
+        self.writes: list[bytes] = []
+        transfer = self.chip.i2c_rdwr
+
+        def spy(*messages) -> None:
+            if len(messages) == 1:
+                self.writes.append(bytes(messages[0]))
+            transfer(*messages)
+
+        self.chip.i2c_rdwr = spy  # type: ignore[method-assign]
+        self.made = 0
+        self.next_ns = 0.0
+        self.driver = Lsm9ds1(self.chip, config=config, now_ns=self.clock.now_ns, sleep=self.clock.sleep,
+                              bus_khz=bus_khz)
+
+    def advance(self, t_ns: int) -> None:
+        rate = self.chip.rate_hz
+        if not rate:
+            return
+        self.next_ns = self.next_ns or t_ns
+        while self.next_ns <= t_ns:
+            self.chip.push([self.made % 30000, 1, 2, 3, 4, 5])
+            self.made += 1
+            self.next_ns += 1e9 / rate
+
+    def drain_for(self, seconds: float, every_s: float = 0.01) -> list:
+        end, batches = self.clock.now_ns() + seconds * 1e9, []
+        while self.clock.now_ns() < end:
+            self.clock.sleep(every_s)
+            batches.append(self.driver.drain())
+        return batches
+
+
+@pytest.fixture
+def bench() -> Bench:
+    bench = Bench()
+    bench.driver.open()
+    return bench
+
+
+def test_configuration_bytes_of_the_datasheet() -> None:
+    bench = Bench(ImuConfig(rate_hz=952.0, accel_range_g=16, gyro_range_dps=2000))
+    bench.driver.open()
+    written = {w[0]: w[1] for w in bench.writes}
+    assert bench.writes[0] == b"\x22\x05"  # SW_RESET with the increment kept
+    assert written[0x22] == 0x44  # BDU, IF_ADD_INC
+    assert written[0x10] == 0b110_11_000  # 952 Hz, 2000 dps
+    assert written[0x20] == 0b110_01_000  # 952 Hz, 16 g
+    assert written[0x23] == 0x02  # FIFO_EN
+    assert written[0x2E] == 0xC0  # continuous
+    assert bench.writes[-1][0] == 0x2E
+
+
+@pytest.mark.parametrize(("gyro", "accel", "mdps", "mg"), [
+    (245, 2, 8.75, 0.061), (500, 4, 17.5, 0.122), (2000, 8, 70.0, 0.244), (500, 16, 17.5, 0.732)])
+def test_scales_are_the_datasheets(gyro: int, accel: int, mdps: float, mg: float) -> None:
+    scale = ImuConfig(gyro_range_dps=gyro, accel_range_g=accel).scale
+    assert scale == pytest.approx((mdps * 1e-3 * math.pi / 180, mg * 1e-3 * 9.80665), rel=1e-12)
+
+
+@pytest.mark.parametrize("settings", [{"rate_hz": 200.0}, {"accel_range_g": 3}, {"gyro_range_dps": 1000}])
+def test_settings_that_the_chip_lacks_are_refused(settings: dict) -> None:
+    with pytest.raises(ValueError, match="LSM9DS1 has no"):
+        ImuConfig(**settings)
+
+
+def test_slow_bus_is_refused_before_anything_is_sent() -> None:
+    bench = Bench(ImuConfig(rate_hz=952.0), bus_khz=100.0)
+    with pytest.raises(ValueError, match=r"952 Hz needs 103 kbit/s.*100 kHz bus"):
+        bench.driver.open()
+    assert not bench.writes
+
+
+@pytest.mark.parametrize("rate", [119.0, 238.0, 952.0])
+def test_nothing_is_lost_or_doubled(rate: float) -> None:
+    bench = Bench(ImuConfig(rate_hz=rate))
+    bench.driver.open()
+    batches = bench.drain_for(2.0)
+    numbers = np.concatenate([b.raw[:, 0] for b in batches])
+    assert len(numbers) == pytest.approx(2.0 * rate, rel=0.03)
+    assert (np.diff(numbers) == 1).all()
+    assert not any(b.gap_before for b in batches)
+    assert [b.first_index for b in batches] == np.cumsum([0, *[len(b.raw) for b in batches[:-1]]]).tolist()
+    assert numbers[0] >= 20  # settling samples are gone
+
+
+def test_times_bound_the_newest_sample(bench: Bench) -> None:
+    period, start = 1e9 / 238, bench.next_ns - bench.made * 1e9 / 238
+    for batch in bench.drain_for(1.0):
+        if len(batch.raw):
+            latched = start + batch.raw[-1, 0] * period
+            assert latched <= batch.t_after_ns
+            assert latched + period >= batch.t_before_ns - 1000
+
+
+def test_overrun_is_a_gap(bench: Bench) -> None:
+    bench.drain_for(0.1)
+    bench.clock.sleep(0.3)
+    late = bench.driver.drain()
+    assert len(late.raw) == 32
+    assert late.gap_before
+    assert "overrun" in late.reason
+    assert not bench.drain_for(0.1)[-1].gap_before
+
+
+def test_a_stall_between_level_and_burst_is_a_gap(bench: Bench) -> None:
+    bench.drain_for(0.1)
+    bench.clock.sleep(0.1)
+    transfer, calls = bench.chip.i2c_rdwr, []
+
+    def stall(*messages) -> None:
+        calls.append(messages)
+        if len(messages) == 2 and messages[1].len > 12:
+            bench.clock.sleep(0.06)  # the thread sleeps between the two transfers
+        transfer(*messages)
+
+    bench.chip.i2c_rdwr = stall  # type: ignore[method-assign]
+    batch = bench.driver.drain()
+    assert batch.gap_before
+    assert "stalled" in batch.reason
+
+
+@pytest.mark.parametrize("after_bytes", [1, 12, 30])
+def test_a_broken_burst_is_a_gap_and_is_never_read_twice(bench: Bench, after_bytes: int) -> None:
+    before = np.concatenate([b.raw[:, 0] for b in bench.drain_for(0.1)])
+    bench.clock.sleep(0.03)
+    source = bench.chip.i2c_rdwr
+
+    def break_the_burst(*messages) -> None:
+        if len(messages) == 2 and messages[1].len > 24:
+            bench.chip.fail(5, after_bytes=after_bytes)
+            bench.chip.i2c_rdwr = source  # type: ignore[method-assign]
+        source(*messages)
+
+    bench.chip.i2c_rdwr = break_the_burst  # type: ignore[method-assign]
+    batches = bench.drain_for(0.1, 0.02)
+    numbers = np.concatenate([b.raw[:, 0] for b in batches])
+    assert [b.reason for b in batches if b.gap_before] == ["burst broke off [errno 5]"]
+    assert numbers[0] > before[-1]
+    assert (np.diff(numbers) > 0).all()
+    assert all(b.raw[:, 1:].tolist() == [[1, 2, 3, 4, 5]] * len(b.raw) for b in batches)
+
+
+@pytest.mark.parametrize("errno", [121, 6, 5, 110, 11])
+def test_passing_bus_errors_cost_nothing(bench: Bench, errno: int) -> None:
+    bench.drain_for(0.05)
+    bench.chip.fail(errno, times=3)  # the read of the fill level, three times
+    batches = bench.drain_for(0.1)
+    assert not any(b.gap_before for b in batches)
+
+
+def test_longer_trouble_restarts_the_fifo_and_is_a_gap(bench: Bench) -> None:
+    bench.drain_for(0.05)
+    bench.chip.fail(121, times=6)
+    batches = bench.drain_for(0.2)
+    gaps = [b for b in batches if b.gap_before]
+    assert len(gaps) == 1
+    assert "FIFO restarted" in gaps[0].reason
+    assert len(gaps[0].raw)
+
+
+def test_a_browned_out_chip_is_noticed_and_configured_anew(bench: Bench) -> None:
+    bench.drain_for(0.05)
+    bench.chip.brown_out()
+    batches = bench.drain_for(2.0)
+    gaps = [b for b in batches if b.gap_before]
+    assert len(gaps) == 1
+    assert "configured anew" in gaps[0].reason
+    assert bench.chip.ranges == (500, 4)
+    assert len(batches[-1].raw)
+
+
+@pytest.mark.parametrize(("errno", "kind", "words"), [
+    (19, DeviceAbsent, "no device"), (121, DeviceAbsent, "no acknowledge"), (6, DeviceAbsent, "no device"),
+    (5, DeviceAbsent, "bus error"), (110, DeviceAbsent, "held low"), (11, DeviceAbsent, "arbitration lost"),
+    (16, DeviceBusy, "kernel driver")])
+def test_errnos_are_said_in_words(errno: int, kind: type, words: str) -> None:
+    bench = Bench()
+    bench.chip.fail(errno, times=99)
+    with pytest.raises(kind, match=words) as error:
+        bench.driver.open()
+    assert "LSM9DS1 at 0x6B" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_chip_that_stays_away_raises(bench: Bench) -> None:
+    bench.chip.fail(121, times=99)
+    with pytest.raises(DeviceAbsent, match="no acknowledge"):
+        bench.drain_for(0.2)
+
+
+def test_a_busy_chip_is_not_tried_again() -> None:
+    bench = Bench()
+    bench.chip.fail(16, times=1)
+    with pytest.raises(DeviceBusy):
+        bench.driver.open()
+
+
+def test_another_chip_is_named_by_its_identity() -> None:
+    bench = Bench()
+    bench.chip._registers[0x0F] = 0x3D
+    with pytest.raises(DeviceAbsent, match="WHO_AM_I reads 0x3D"):
+        bench.driver.open()
+
+
+def test_a_register_that_does_not_hold_is_a_fault() -> None:
+    bench = Bench()
+    store = bench.chip._store
+    bench.chip._store = lambda register, value: store(register, value & 0x0F if register == 0x20 else value)
+    with pytest.raises(DeviceFault, match="register 0x20"):
+        bench.driver.open()
+
+
+def test_a_chip_that_never_samples_is_a_fault() -> None:
+    bench = Bench()
+    bench.chip._advance = lambda t_ns: None
+    with pytest.raises(DeviceFault, match="FIFO stays empty"):
+        bench.driver.open()
+
+
+def test_temperature_is_signed(bench: Bench) -> None:
+    bench.chip.temperature_degc = 19.25
+    assert bench.driver.temperature() == 19.25
+
+
+def test_a_bus_that_is_not_there_is_said_in_words(tmp_path) -> None:
+    with pytest.raises(DeviceAbsent, match="enable I2C"):
+        open_bus(str(tmp_path / "i2c-9"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DeviceAbsent, match="cannot be opened as an I2C bus"):
+        open_bus(str(tmp_path / "file"))
