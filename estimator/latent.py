@@ -77,6 +77,8 @@ class Linearised:
     """(p,)"""
     accel_rows: FloatArray
     """(N, 2, b) unscaled accelerometer rows, none without an IMU."""
+    accel_border: FloatArray
+    """(N, 2, p) their derivative by beta."""
     residuals: dict[str, FloatArray]
     """Unscaled residuals by channel."""
 
@@ -141,7 +143,7 @@ class LatentProblem:
         border[left + 1] += local_border[:, b:]
         flat = zr.reshape(-1, zr.shape[-1])
         corner, gradient_beta = flat.T @ flat, flat.T @ r.ravel()
-        accel_rows = np.empty((0, 2, b))
+        accel_rows, za = np.empty((0, 2, b)), np.empty((0, 2, len(beta)))
         if self.has_imu:
             accel_rows, ra, za = self._accelerometer(x, beta)
             residuals["accel"] = ra
@@ -154,7 +156,7 @@ class LatentProblem:
             gradient_beta += np.tensordot(za, ra, axes=((0, 1), (0, 1))) / noise.accel**2
         objective += self._node_rows(x, noise, diagonal, gradient, residuals)
         return Linearised(objective, diagonal, lower, gradient.ravel(), border.reshape(self.total * b, -1),
-                          corner, gradient_beta, accel_rows, residuals)
+                          corner, gradient_beta, accel_rows, za, residuals)
 
     def _node_rows(self, x: Latents, noise: Noise, diagonal: FloatArray, gradient: FloatArray,
                    residuals: dict[str, FloatArray]) -> float:
@@ -194,6 +196,19 @@ class LatentProblem:
         border = np.zeros((self.total, 2, m.p))
         border[:, 0] = -m.lever_arm * (inverse[:, :1] @ z)[:, 0]
         return rows, np.stack([ax - self.ax, ay - self.ay], axis=-1), border
+
+    def residuals_after(self, point: Linearised, x: Latents, step: FloatArray, step_beta: FloatArray,
+                        index: NDArray[np.intp]) -> dict[str, FloatArray]:
+        """Sensor residuals at `x`, reached from `point` by `step` (N, b) and `step_beta` on columns `index`.
+
+        Exact where the sensor is linear, to first order for the accelerometer.
+        """
+        out = {"torque": x.u - self.torque, "encoder": x.q - self.angles}
+        if self.has_imu:
+            out["gyro"] = x.v[:, 0] - self.gyro
+            out["accel"] = (point.residuals["accel"] + np.einsum("kab,kb->ka", point.accel_rows, step)
+                            + point.accel_border[:, :, index] @ step_beta)
+        return out
 
     def effective_samples(self, point: Linearised, p_diagonal: FloatArray, noise: Noise) -> dict[str, FloatArray]:
         """Degrees of freedom that the latents took from each channel, gamma = sum J P J^T / sigma^2."""

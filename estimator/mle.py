@@ -8,7 +8,7 @@ its derivatives (`estimator.collocation`), they are integrated out instead of ma
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,10 +28,13 @@ from estimator.signalset import SignalSet, angle_column, differentiate, split_si
 from estimator.wls import free_mask, stack_regressors, weighted_least_squares
 
 FloatArray = NDArray[np.float64]
-Progress = Callable[[str], None]
 MAX_ITERATIONS = 60
 TOLERANCE = 0.02
 """Converged when a step moves no parameter by more than this share of its standard deviation."""
+PATIENCE = 10
+"""Steps before they are halved, and halved again."""
+PASSIVE_HASTE = 4.0
+"""The fixed point falls by a constant factor a step where a passive joint's model error is nil: take four."""
 
 
 @dataclass
@@ -92,7 +95,7 @@ def _noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray
     encoder = np.full(mechanism.n, np.inf)
     for j in np.flatnonzero(problem.has_encoder):
         encoder[j] = max(0.5 * quantum(problem.angles[:, j]) / np.sqrt(12.0), 1e-8)
-    return Noise(np.full(mechanism.n, 1e-3 * scale), encoder, 1e-6, 1e-5)
+    return Noise(np.full(mechanism.n, 2e-3 * scale), encoder, 1e-6, 1e-5)
 
 
 def _iterate(problem: LatentProblem, state: _State, free: NDArray[np.bool_], options: FitOptions,
@@ -117,7 +120,7 @@ def _iterate(problem: LatentProblem, state: _State, free: NDArray[np.bool_], opt
         covariance = _pseudo_inverse(information)
         step_beta = -covariance @ score
         step = (-direction - eliminated @ step_beta).reshape(problem.total, problem.block)
-        damping = _step_length(problem, state, step, step_beta, index)
+        damping = _step_length(step[:, : problem.n], iteration)
         state.x = state.x.moved(damping * step)
         state.beta = state.beta.copy()
         state.beta[index] += damping * step_beta
@@ -125,10 +128,11 @@ def _iterate(problem: LatentProblem, state: _State, free: NDArray[np.bool_], opt
         state.covariance[np.ix_(index, index)] = covariance
         if not np.isfinite(state.beta).all():
             raise FitError("the fit ran away; the starting values are too far from the data")
-        change = _update_noise(problem, state, point, p_diagonal, options, floors)
+        residuals = problem.residuals_after(point, state.x, damping * step, damping * step_beta, index)
+        change = _update_noise(problem, state, point, p_diagonal, residuals, options, floors)
         std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         moved = float(np.max(np.abs(step_beta) / std, initial=0.0))
-        settled = settled + 1 if moved < TOLERANCE and change < 0.01 and damping == 1.0 else 0
+        settled = settled + 1 if moved < TOLERANCE and change < 0.01 else 0
         if settled >= 2:
             state.converged = True
             break
@@ -142,41 +146,49 @@ def _pseudo_inverse(information: FloatArray) -> FloatArray:
     return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
 
 
-def _step_length(problem: LatentProblem, state: _State, step: FloatArray, step_beta: FloatArray,
-                 index: NDArray[np.intp]) -> float:
-    """Shorten steps that move an angle by more than 0.5 rad, where a linearisation means little."""
-    biggest = float(np.max(np.abs(step[:, : problem.n])))
-    return 1.0 if biggest < 0.5 else 0.5 / biggest
+def _step_length(angles: FloatArray, iteration: int) -> float:
+    """Share of a step that is taken.
+
+    Shortened where an angle moves by more than 0.5 rad, because a linearisation means little there, and after
+    PATIENCE steps: a knee that reverses close to a sample makes full steps swing about the minimum.
+    """
+    biggest = float(np.max(np.abs(angles)))
+    length = 1.0 if biggest < 0.5 else 0.5 / biggest
+    return length * 0.5 ** min(iteration // PATIENCE, 3)
 
 
 def _update_noise(problem: LatentProblem, state: _State, point: Linearised, p_diagonal: FloatArray,
-                  options: FitOptions, floors: Noise) -> float:
-    """sigma^2 = sum r^2 / (samples - those taken by the latents); returns the largest relative change."""
+                  residuals: Mapping[str, FloatArray], options: FitOptions, floors: Noise) -> float:
+    """sigma^2 = sum r^2 / (samples - those taken by the latents); returns the largest relative change.
+
+    `residuals` are those after the step: they belong to the same noise levels as the degrees of freedom do.
+    Mixing them with the residuals before it makes the levels swing with period two.
+    """
     taken = problem.effective_samples(point, p_diagonal, state.noise)
-    total, known, old = problem.total, options.noise, state.noise
+    known, old = options.noise, state.noise
     actuated = problem.mechanism.actuated
 
-    def level(r: FloatArray, gamma: float, floor: float, previous: float) -> float:
-        freedom = max(r.size - gamma, 0.01 * r.size)
-        value = float(np.sqrt(np.sum(r * r) / freedom))
-        return float(np.clip(value, max(floor, previous / 3.0), previous * 3.0))
+    def level(r: FloatArray, gamma: float, floor: float, previous: float, haste: float = 1.0) -> float:
+        freedom = max(r.size - gamma, 0.002 * r.size)
+        value = previous * (float(np.sqrt(np.sum(r * r) / freedom)) / previous) ** haste
+        return max(floor, float(np.clip(value, previous / 4.0, previous * 3.0)))
 
     torque, encoder = old.torque.copy(), old.encoder.copy()
     for j in range(problem.n):
         if not (j in actuated and "torque_nm" in known):
-            r = point.residuals["torque"][:, j]
-            torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j])
+            r = residuals["torque"][:, j]
+            haste = 1.0 if j in actuated else PASSIVE_HASTE
+            torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j], haste)
         if problem.has_encoder[j] and "encoder_rad" not in known:
-            r = point.residuals["encoder"][:, j]
+            r = residuals["encoder"][:, j]
             encoder[j] = level(r, float(taken["encoder"][j]), floors.encoder[j], old.encoder[j])
     gyro, accel = old.gyro, old.accel
     if problem.has_imu and "gyro_radps" not in known:
-        gyro = level(point.residuals["gyro"], float(taken["gyro"][0]), floors.gyro, old.gyro)
+        gyro = level(residuals["gyro"], float(taken["gyro"][0]), floors.gyro, old.gyro)
     if problem.has_imu and "accel_mps2" not in known:
-        accel = level(point.residuals["accel"], float(taken["accel"][0]), floors.accel, old.accel)
+        accel = level(residuals["accel"], float(taken["accel"][0]), floors.accel, old.accel)
     state.noise = Noise(torque, encoder, gyro, accel)
     pairs = [(torque, old.torque), (encoder, old.encoder), (np.array([gyro, accel]), np.array([old.gyro, old.accel]))]
-    assert total > 0
     return max(float(np.max(np.abs(np.log(a[np.isfinite(a)] / b[np.isfinite(a)])), initial=0.0)) for a, b in pairs)
 
 
