@@ -21,6 +21,7 @@ from estimator.mechanism import Mechanism
 
 FloatArray = NDArray[np.float64]
 GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
+HOLDS = ("zero", "linear", "average")
 ANGLE, RATE, ACCEL, RATE_FROM, RATE_TO = range(5)
 """Features of the motion at a Gauss point; the last two are the rates at the ends of its half interval."""
 

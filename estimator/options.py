@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from estimator.simulation import HOLDS
+from estimator.collocation import HOLDS
 
 NOISE_CHANNELS = ("gyro_radps", "accel_mps2", "torque_nm", "encoder_rad")
 

@@ -1,86 +1,127 @@
-"""Free-run simulation: forward dynamics driven by sampled torque, vectorised over leading axes."""
+"""Free-run simulation: the whole motion at once from the first state and the sampled torque.
+
+The equation of motion is collocated as in `estimator.collocation`, so a simulation and a fit mean the same by
+"the torque acts between samples". Newton's method on all samples together costs a few banded solves, linear in
+samples, and is implicit: the stiff rounded Coulomb sign needs no small step. Without a guess near the solution
+the motion is marched in windows.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_banded
 
+from estimator.collocation import Collocation, Slope
 from estimator.mechanism import Mechanism
 
 FloatArray = NDArray[np.float64]
-HOLDS = ("zero", "linear", "average")
-
-
-def substeps_for(mechanism: Mechanism, beta: FloatArray, dt_s: float) -> int:
-    """Steps a sample that keep fourth-order Runge-Kutta stable on the rounded Coulomb sign (rate F/(eps I)).
-
-    Stability needs rate * step < 2.7; half of that is used for accuracy. At least 2, at most 50.
-    """
-    friction = [b for b, a in zip(np.abs(beta), mechanism.parameters) if a.term == "coulomb"]
-    if not friction:
-        return 2
-    probe = np.zeros((16, mechanism.n))
-    probe[:, 1:] = np.linspace(-np.pi, np.pi, 16)[:, None]
-    inverse = np.linalg.inv(mechanism.inertia_matrix(probe, beta))
-    softest = float(np.max(np.abs(np.linalg.eigvalsh(0.5 * (inverse + np.swapaxes(inverse, -1, -2))))))
-    rate = max(friction) * softest / mechanism.velocity_scale
-    return int(np.clip(np.ceil(rate * dt_s / 1.3), 2, 50))
-
-
-def torque_between(tau: FloatArray, k: int, hold: str, fraction: float) -> FloatArray:
-    """Torque (..., n) at `fraction` of the step from sample k to k+1; tau (..., N, n).
-
-    zero: sample k until the next. linear: a ramp. average: each sample is the mean of a window centred
-    on its stamp, so it acts until half-way.
-    """
-    if hold == "zero":
-        return tau[..., k, :]
-    if hold == "average":
-        return tau[..., k if fraction < 0.5 else k + 1, :]
-    return (1.0 - fraction) * tau[..., k, :] + fraction * tau[..., k + 1, :]
+WINDOW = 20
+"""Samples a window when marching."""
+MAX_NEWTON = 40
 
 
 def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatArray, tau: FloatArray, dt_s: float,
-             hold: str = "linear", substeps: int | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(q, qd, qdd), each (..., N, n), from the state q0, qd0 (..., n) under torque samples tau (..., N, n).
+             hold: str = "linear", guess: tuple[FloatArray, FloatArray] | None = None
+             ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(q, qd, qdd), each (N, n), from the state q0, qd0 (n,) under torque samples tau (N, n).
 
-    Classical Runge-Kutta with `substeps` steps a sample (default: `substeps_for`; even for the average
-    hold, so that its switch falls on a step). A motion that leaves the range of floats is NaN from there on.
+    `guess` is a motion (q, qd) near the solution, such as the measured one. From the sample on where no
+    solution is found (the parameters are not those of a mechanism, or the motion leaves all bounds) it is NaN.
     """
-    if hold not in HOLDS:
-        raise ValueError(f"hold {hold!r} is none of {HOLDS}")
-    m = substeps if substeps is not None else substeps_for(mechanism, beta, dt_s)
-    m += m % 2 if hold == "average" else 0
-    h = dt_s / m
-    lead = np.broadcast_shapes(q0.shape[:-1], tau.shape[:-2], beta.shape[:-1])
-    samples = tau.shape[-2]
-    q = np.empty((*lead, samples, mechanism.n))
-    qd = np.empty_like(q)
-    qdd = np.empty_like(q)
-    x, v = np.broadcast_to(q0, (*lead, mechanism.n)), np.broadcast_to(qd0, (*lead, mechanism.n))
+    collocation = Collocation(mechanism, dt_s, hold)
+    n = tau.shape[0]
+    q, v = np.full((n, mechanism.n), np.nan), np.full((n, mechanism.n), np.nan)
+    q[0], v[0] = q0, qd0
+    if guess is not None and n > 1:
+        found = _newton(collocation, beta, *_pinned(guess, q0, qd0), tau)
+        if found is not None:
+            q, v = found
+    if not np.isfinite(q).all():
+        _march(collocation, beta, q, v, tau)
+    with np.errstate(invalid="ignore"):
+        good = np.isfinite(q).all(axis=1)
+        qdd = np.full_like(q, np.nan)
+        qdd[good] = mechanism.forward_dynamics(q[good], v[good], tau[good], beta)
+    return q, v, qdd
 
-    def acceleration(position: FloatArray, velocity: FloatArray, torque: FloatArray) -> FloatArray:
-        return mechanism.forward_dynamics(position, velocity, torque, beta)
 
-    with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(samples):
-            q[..., k, :], qd[..., k, :] = x, v
-            qdd[..., k, :] = acceleration(x, v, tau[..., k, :])
-            if k == samples - 1:
-                break
-            for i in range(m):
-                u1 = torque_between(tau, k, hold, i / m)
-                u2 = torque_between(tau, k, hold, (i + 0.5) / m)
-                u3 = torque_between(tau, k, hold, (i + 1) / m - 1e-12)
-                a1 = acceleration(x, v, u1)
-                v2 = v + 0.5 * h * a1
-                a2 = acceleration(x + 0.5 * h * v, v2, u2)
-                v3 = v + 0.5 * h * a2
-                a3 = acceleration(x + 0.5 * h * v2, v3, u2)
-                v4 = v + h * a3
-                a4 = acceleration(x + h * v3, v4, u3)
-                x = x + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
-                v = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-                lost = ~np.isfinite(v).all(axis=-1, keepdims=True) | (np.abs(v) > 1e6).any(axis=-1, keepdims=True)
-                x, v = np.where(lost, np.nan, x), np.where(lost, np.nan, v)
-    return q, qd, qdd
+def _pinned(guess: tuple[FloatArray, FloatArray], q0: FloatArray, qd0: FloatArray) -> tuple[FloatArray, FloatArray]:
+    q, v = guess[0].copy(), guess[1].copy()
+    q[0], v[0] = q0, qd0
+    return q, v
+
+
+def _march(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatArray, tau: FloatArray) -> None:
+    """Fill q, v (N, n) from their first sample on, window by window; stops where no solution is found."""
+    n, window, start = len(q), WINDOW, 0
+    m, dt = collocation.mechanism, collocation.dt
+    while start < n - 1:
+        stop = min(start + window, n - 1)
+        k = np.arange(stop - start + 1)[:, None]
+        with np.errstate(all="ignore"):
+            a = m.forward_dynamics(q[start], v[start], tau[start], beta) if window == 1 else 0.0
+        gq, gv = q[start] + v[start] * dt * k + 0.5 * a * (dt * k) ** 2, v[start] + a * dt * k
+        found = _newton(collocation, beta, gq, gv, tau[start : stop + 1])
+        if found is None:
+            if window == 1:
+                return
+            window = max(1, window // 4)
+            continue
+        q[start : stop + 1], v[start : stop + 1] = found
+        start, window = stop, min(WINDOW, 2 * window)
+
+
+def _newton(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatArray,
+            tau: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Solve the collocation equations with the first sample held; None where Newton does not settle."""
+    left = np.arange(len(q) - 1)
+    torque = collocation.torque(tau, left)
+    scale = 1e-9 * (1.0 + float(np.max(np.abs(torque))))
+    with np.errstate(all="ignore"):
+        defect, slopes, shape = _defect(collocation, beta, q, v, left, torque)
+        size = float(np.max(np.abs(defect)))
+        for _ in range(MAX_NEWTON):
+            if not np.isfinite(size):
+                return None
+            try:
+                step = _newton_step(collocation.jacobian(slopes, beta, shape), defect)
+            except (np.linalg.LinAlgError, ValueError):
+                return None
+            share, n = 1.0, q.shape[1]
+            for _ in range(6):
+                trial_q, trial_v = q.copy(), v.copy()
+                trial_q[1:] += share * step[:, :n]
+                trial_v[1:] += share * step[:, n:]
+                trial, trial_slopes, _ = _defect(collocation, beta, trial_q, trial_v, left, torque)
+                norm = float(np.linalg.norm(trial))
+                if np.isfinite(norm) and norm < (1.0 - 0.1 * share) * float(np.linalg.norm(defect)):
+                    break
+                share *= 0.5
+            q, v, defect, slopes = trial_q, trial_v, trial, trial_slopes
+            size = float(np.max(np.abs(defect)))
+            if size < scale or (size < 1e4 * scale and share < 1.0):
+                return q, v
+    return None
+
+
+def _defect(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatArray, left: NDArray[np.intp],
+            torque: FloatArray) -> tuple[FloatArray, list[list[Slope]], tuple[int, ...]]:
+    motion = collocation.motion(q, v, left)
+    z, slopes = collocation.terms(motion)
+    return np.tensordot(beta, collocation.to_joint(z), axes=1) - torque, slopes, motion.angle.shape[1:]
+
+
+def _newton_step(jacobian: FloatArray, defect: FloatArray) -> FloatArray:
+    """(K, 2 n) change of (q, v) at samples 1..K; jacobian (n, 2, 4, n, K), defect (n, 2, K)."""
+    n, _, _, _, count = jacobian.shape
+    b = 2 * n
+    rows = jacobian.transpose(4, 1, 0, 2, 3).reshape(count, b, 2, b)
+    band = np.zeros((3 * b - 1, count * b))  # upper width b - 1, lower width 2 b - 1
+    for i in range(b):
+        for j in range(b):
+            band[b - 1 + i - j, j::b] = rows[:, i, 1, j]
+            band[b - 1 + b + i - j, j : (count - 1) * b : b] = rows[1:, i, 0, j]
+    rhs = -defect.transpose(2, 1, 0).ravel()
+    step = solve_banded((2 * b - 1, b - 1), band, rhs, overwrite_ab=True, overwrite_b=True, check_finite=True)
+    return np.asarray(step).reshape(count, b)

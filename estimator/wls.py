@@ -36,6 +36,8 @@ def weighted_least_squares(z: FloatArray, tau: FloatArray, free: NDArray[np.bool
     known = z[:, :, ~free] @ beta[~free]
     sigma = np.ones(n)
     covariance = np.zeros((beta.size, beta.size))
+    if not free.any():
+        return beta, covariance, np.maximum(np.std(tau - known, axis=0), 1e-9 * (1.0 + np.max(np.abs(tau))))
     for _ in range(3):
         a = (z[:, :, free] / sigma[:, None]).reshape(-1, int(free.sum()))
         y = ((tau - known) / sigma).ravel()
