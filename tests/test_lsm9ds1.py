@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from drivers.errors import DeviceAbsent, DeviceBusy, DeviceFault
+from drivers.errors import DeviceAbsent, DeviceBusy, DeviceFault, DriverError
 from drivers.i2c_bus import open_bus
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
 from drivers.mock.clock import VirtualClock
@@ -118,7 +118,7 @@ def test_overrun_is_a_gap(bench: Bench) -> None:
     late = bench.driver.drain()
     assert len(late.raw) == 32
     assert late.gap_before
-    assert "overrun" in late.reason
+    assert late.reason == "FIFO overrun: drained too late"
     assert not bench.drain_for(0.1)[-1].gap_before
 
 
@@ -192,7 +192,8 @@ def test_a_browned_out_chip_is_noticed_and_configured_anew(bench: Bench) -> None
 @pytest.mark.parametrize(("errno", "kind", "words"), [
     (19, DeviceAbsent, "no device"), (121, DeviceAbsent, "no acknowledge"), (6, DeviceAbsent, "no device"),
     (5, DeviceAbsent, "bus error"), (110, DeviceAbsent, "held low"), (11, DeviceAbsent, "arbitration lost"),
-    (16, DeviceBusy, "kernel driver")])
+    (16, DeviceBusy, "kernel driver"), (107, DeviceAbsent, "adapter is gone"),
+    (95, DriverError, "no combined transfers"), (22, DriverError, "Errno 22")])
 def test_errnos_are_said_in_words(errno: int, kind: type, words: str) -> None:
     bench = Bench()
     bench.chip.fail(errno, times=99)

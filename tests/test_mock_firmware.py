@@ -269,7 +269,7 @@ def test_hello_once_a_second(bench: Bench) -> None:
 
 
 def test_reboot_starts_everything_anew(armed: Bench) -> None:
-    before = next(m for m in armed.run(5) + [armed.firmware._hello()] if isinstance(m, Hello))
+    before = next(m for m in [*armed.run(5), armed.firmware._hello()] if isinstance(m, Hello))
     armed.firmware.reboot()
     hello, telemetry, *_ = armed.run(10)
     assert hello.boot_id != before.boot_id

@@ -135,7 +135,8 @@ def test_time_on_the_wire(wire: Wire, clock: VirtualClock) -> None:
     assert clock.now_ns() - before == pytest.approx(387 * 9 / 400e3 * 1e9, abs=1e3)
 
 
-def rig_samples(state: StillState, settings: ImuSettings, seconds: float, xl: int = 0x90, gyro: int = 0x88) -> np.ndarray:
+def rig_samples(state: StillState, settings: ImuSettings, seconds: float, xl: int = 0x90,
+                gyro: int = 0x88) -> np.ndarray:
     clock = VirtualClock()
     rig = MockRig(StillPlant(state), clock, imu=settings)
     wire = Wire(rig.imu)

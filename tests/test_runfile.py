@@ -1,5 +1,6 @@
 """Run files: their bytes, what a viewer sees, what is left after a kill."""
 
+import errno
 import os
 import signal
 import struct
@@ -11,13 +12,14 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from daq.errors import InputError
+from daq.errors import InputError, WorkError
 from daq.runfile import FLUSH_MESSAGES, RunWriter, read_run
 from daq.streams import CLOCK, COMMAND, IMU, STREAMS, TELEMETRY, Note, pack_note, unpack_note
 
 
 def write(path: Path, count: int = 300) -> None:
-    writer = RunWriter(path, {"rig.toml": "[mechanism]\n", "plan.csv": "time_s,tau2_cmd_nm\n"}, {"started_unix_ns": "7"})
+    files = {"rig.toml": "[mechanism]\n", "plan.csv": "time_s,tau2_cmd_nm\n"}
+    writer = RunWriter(path, files, {"started_unix_ns": "7"})
     writer.config(90, "firmware", '{"boot_id": 5}')
     for i in range(count):
         t = 100 + i * 1_000_000
@@ -40,7 +42,8 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     telemetry = raw.streams["/leg/telemetry"]
     np.testing.assert_allclose(telemetry["knee_rad"], 0.1 * np.arange(300))
     assert np.isnan(telemetry["pivot_hall_rad"]).all()
-    assert raw.streams["/imu"][-1].tolist()[1:] == (100 + 299_000_000, 109 + 299_000_000, 299, 1, -2, 3, -4, 5, -32768, 0)
+    last = raw.streams["/imu"][-1].tolist()[1:]
+    assert last == (299_000_100, 299_000_109, 299, 1, -2, 3, -4, 5, -32768, 0)
     assert raw.streams["/leg/clock"].size == 0
 
 
@@ -111,6 +114,19 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path: Path) -> None:
     raw = read_run(tmp_path / "d.mcap")
     assert raw.damaged_chunks == 1
     assert 602 - FLUSH_MESSAGES <= raw.messages < 602
+
+
+def test_a_full_disk_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(number: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    writer = RunWriter(tmp_path / "r.mcap", {})
+    monkeypatch.setattr(os, "fdatasync", full)
+    writer.event(0, "start", "")
+    with pytest.raises(WorkError, match=r"r\.mcap: cannot be written \(No space left on device\)"):
+        writer.close()
+    writer.close()
+    assert read_run(tmp_path / "r.mcap").events[0].kind == "start"
 
 
 KILLED = """

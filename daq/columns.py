@@ -1,0 +1,82 @@
+"""Which columns a run must have for a mechanism: the contract of the CSV, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+from daq.rig import Rig, joint_count
+
+IMU = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
+OPTIONAL = ("tau2_cmd_nm", "temperature_degc", "q2_motor_rad")
+"""Columns with a meaning that no mechanism requires; their cells are checked like required ones."""
+
+
+class Missing(NamedTuple):
+    """A column that the mechanism needs and the run has not."""
+
+    column: str
+    remedy: str
+
+
+def missing(rig: Rig, present: Collection[str]) -> Missing | None:
+    """First column that `rig` requires and `present` lacks; None when the run is complete."""
+    if "time_s" not in present:
+        return Missing("time_s", "add the sample time in seconds")
+    if rig.mechanism.model == "joint1":
+        return _missing_joint1(rig, present)
+    lacking = _missing_angle(rig, present)
+    if lacking is not None:
+        return lacking
+    for joint in _torque_joints(rig):
+        if f"tau{joint}_nm" not in present:
+            return Missing(f"tau{joint}_nm", f"add the torque of joint {joint} in N m, "
+                                             f"or take {joint} out of actuated in the rig file")
+    return None
+
+
+def known(rig: Rig | None, present: Collection[str]) -> set[str]:
+    """Columns of `present` that carry a meaning in the contract; the others are the user's own."""
+    joints = 20 if rig is None else joint_count(rig.mechanism)
+    names = {"time_s", "q1_m", "tau1_n", "duty", "volts", *IMU, *OPTIONAL}
+    for joint in range(1, joints + 1):
+        names |= {f"q{joint}_rad", f"tau{joint}_nm"}
+    return names & set(present)
+
+
+def _torque_joints(rig: Rig) -> list[int]:
+    # The knee's torque is required on every leg, driven or not: the contract names it so.
+    joints = set(rig.mechanism.actuated)
+    return sorted(joints | {2} if rig.mechanism.model == "leg2" else joints)
+
+
+def _missing_angle(rig: Rig, present: Collection[str]) -> Missing | None:
+    if rig.mechanism.model != "leg2":
+        names = [f"q{joint}_rad" for joint in range(1, joint_count(rig.mechanism) + 1)]
+        absent = [name for name in names if name not in present]
+        return Missing(absent[0], "add the joint's angle in rad") if absent else None
+    if "q2_rad" not in present:
+        return Missing("q2_rad", "add the knee's angle in rad")
+    absent = [name for name in IMU if name not in present]
+    if not absent or "q1_rad" in present:
+        return None
+    if len(absent) < len(IMU):
+        return Missing(absent[0], "the IMU path needs all of " + ", ".join(IMU) + " (or give q1_rad)")
+    return Missing("q1_rad", "add the pivot's angle, or the IMU columns " + ", ".join(IMU))
+
+
+def _missing_joint1(rig: Rig, present: Collection[str]) -> Missing | None:
+    prismatic = "q1_m" in present and "q1_rad" not in present
+    if not prismatic and "q1_rad" not in present:
+        return Missing("q1_rad", "add the joint's position: q1_rad, or q1_m for a prismatic joint")
+    if 1 not in rig.mechanism.actuated:
+        return None
+    if rig.mechanism.input == "voltage":
+        absent = [name for name in ("duty", "volts") if name not in present]
+        return Missing(absent[0], 'input = "voltage" needs duty and volts') if absent else None
+    torque = "tau1_n" if prismatic else "tau1_nm"
+    if torque in present:
+        return None
+    if {"duty", "volts"} <= set(present):
+        return Missing(torque, 'a servo driven by voltage needs input = "voltage" under [mechanism]')
+    return Missing(torque, "joint 1 is listed as actuated: add its measured torque or force")

@@ -1,0 +1,333 @@
+"""`Recorder`: runs a plan on the rig, records everything, and stops the motor on every way out."""
+
+from __future__ import annotations
+
+import platform
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from daq.errors import InputError, WorkError
+from daq.intake import ControllerIntake, ImuIntake, Sink
+from daq.plan import Plan
+from daq.rig import ControllerDevice, Rig
+from daq.runfile import RunWriter
+from daq.supervisor import Sample, Supervisor
+from daq.workers import QueuedSink, Workers
+from drivers.errors import DriverError
+from drivers.leg_controller import LegController
+from drivers.lsm9ds1 import Lsm9ds1
+from drivers.protocol import State, describe_faults
+
+LEAD_IN_S = 1.0
+LEAD_OUT_S = 0.3
+RAMP_S = 0.1
+ARM_TIMEOUT_S = 0.5
+PING_EVERY_S = 0.25
+LEAD_PING_EVERY_S = 0.05
+"""Probes come faster before the start: the clock must be known by then."""
+FIFO_DEPTH = 32
+DRAIN_EVERY_S = 0.010
+_TURN_S = 0.002
+"""Longest sleep of the commanding thread: supervision is at least this dense."""
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class RecordReport:
+    """What a finished recording did."""
+
+    duration_s: float
+    commands: int
+    late_commands: int
+    """Commands left out because the next was due already."""
+    imu_samples: int
+    messages: int
+    clock_bound_s: float
+
+
+class Recorder:
+    """One recording over open devices. With `threaded` every device has a thread, on the real clock; without,
+    one loop drives everything in turn, for a virtual clock that moves while the link is read.
+    """
+
+    def __init__(self, rig: Rig, imu: Lsm9ds1 | None, controller: LegController, writer: RunWriter,
+                 supervisor: Supervisor | None = None, now_ns: Callable[[], int] = time.monotonic_ns,
+                 threaded: bool = True, progress: Progress | None = None) -> None:
+        self.supervisor = supervisor or Supervisor(rig.limits)
+        self._rig, self._controller, self._writer = rig, controller, writer
+        self._now_ns, self._threaded, self._progress = now_ns, threaded, progress
+        self._workers = Workers()
+        self._queue = QueuedSink(writer)
+        self._sink: Sink = self._queue if threaded else writer
+        self._leg = ControllerIntake(controller, self._sink, rig.calibration, now_ns)
+        self._imu = None if imu is None else ImuIntake(imu, self._sink, rig.calibration, now_ns)
+        rate = imu.config.rate_hz if imu else 238.0
+        self._drain_every_s = min(DRAIN_EVERY_S, FIFO_DEPTH / rate / 3)
+        self._watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms
+        self._driving = False
+        self._supervising = True
+        self._torque_nm = 0.0
+        self._commanded_ns = self._ping_due_ns = self._drain_due_ns = 0
+        self._ping_every_s = LEAD_PING_EVERY_S
+        self._commands = self._late = 0
+        self._interrupt = ""
+        self._describe_devices(imu)
+
+    def record(self, plan: Plan) -> RecordReport:
+        """Lead in, arm, command the plan, stop, close the file.
+
+        Raises `InputError` when the plan is beyond the limits, `WorkError` naming what ended the run early;
+        what was recorded until then is in the file, closed and whole.
+        """
+        check_plan(plan, self._rig, self._controller)
+        try:
+            with self._signals():
+                self._start_threads()
+                self._run(plan)
+        except (WorkError, DriverError, KeyboardInterrupt) as error:
+            why = "stopped by Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
+            self._finish(why)
+            raise WorkError(f"{why}; what was recorded until then is kept in {self._writer.path}") from None
+        except BaseException as error:
+            self._finish(f"internal error: {error!r}")
+            raise
+        self._finish("")
+        return RecordReport(plan.duration_s, self._commands, self._late, self._imu.samples if self._imu else 0,
+                            self._writer.messages, self._leg.clock_bound_s() or 0.0)
+
+    # -- the phases ----------------------------------------------------------------------------------------
+
+    def _run(self, plan: Plan) -> None:
+        try:
+            self._keep(self._now_ns() + _ns(LEAD_IN_S))
+            self._check_heard()
+            self._ping_every_s = PING_EVERY_S
+            self._arm()
+            self._follow(plan)
+            self._driving = False
+            self._controller.stop()
+            self._sink.event(self._now_ns(), "stop", "plan done")
+            self._keep(self._now_ns() + _ns(LEAD_OUT_S))
+        except (_Tripped, _Interrupted) as error:
+            self._ramp_down()
+            raise WorkError(str(error)) from None
+
+    def _check_heard(self) -> None:
+        if self._leg.telemetry is None:
+            raise WorkError("leg controller: shook hands but sends no telemetry; restart it")
+        if self._leg.clock_bound_s() is None:
+            raise WorkError("leg controller: answers no clock probe; restart it")
+        if self._imu is not None and not self._imu.samples:
+            raise WorkError("IMU: no sample within a second; power-cycle it")
+
+    def _arm(self) -> None:
+        self._controller.arm(self._watchdog_ms)
+        deadline = self._now_ns() + _ns(ARM_TIMEOUT_S)
+        self._command(0.0)
+        while not self._armed():
+            if self._now_ns() > deadline:
+                raise WorkError("leg controller: did not arm; clear its faults, then start again")
+            self._keep(self._now_ns() + _ns(_TURN_S))
+            self._command(0.0)
+        self._driving = True
+        self._sink.event(self._now_ns(), "start", f"armed, watchdog {self._watchdog_ms} ms")
+
+    def _follow(self, plan: Plan) -> None:
+        start_ns = self._now_ns()
+        due = [start_ns + offset for offset in plan.offset_ns]
+        end_ns = start_ns + _ns(plan.duration_s)
+        for k, torque in enumerate(plan.torque_nm.tolist()):
+            if k + 1 < len(due) and due[k + 1] <= self._now_ns():
+                self._late += 1
+                continue
+            self._keep(due[k])
+            self._command(torque)
+            if self._progress is not None:
+                self._progress((due[k] - start_ns) * 1e-9, plan.duration_s)
+        self._keep(end_ns)
+        self._command(0.0)
+
+    def _ramp_down(self) -> None:
+        """Torque to zero in a straight line: a step would shake the leg. Limits are past caring here."""
+        self._supervising = False
+        first_nm, start_ns = self._torque_nm, self._now_ns()
+        while self._driving and self._armed() and first_nm:
+            left = 1.0 - (self._now_ns() - start_ns) * 1e-9 / RAMP_S
+            self._command(first_nm * max(left, 0.0))
+            if left <= 0:
+                break
+            self._keep(self._now_ns() + _ns(_TURN_S))
+        self._driving = False
+
+    def _finish(self, why: str) -> None:
+        """Motor stopped, threads ended, event written, file closed; runs on every way out."""
+        self._driving = False
+        try:
+            self._controller.stop()
+            stopped = "stop sent"
+        except DriverError as error:
+            stopped = f"stop not sent ({error}): the firmware's watchdog stops the motor"
+        self._workers.stop()
+        try:
+            self._queue.drain()
+            if why:
+                trip = self.supervisor.trip
+                self._writer.event(self._now_ns(), f"limit {trip.limit}" if trip else "abort", f"{why}; {stopped}")
+        finally:
+            self._writer.close()
+
+    # -- what goes on all the time -------------------------------------------------------------------------
+
+    def _keep(self, until_ns: int) -> None:
+        """Keep devices, clock probes, watchdog and supervision going until `until_ns`, at least once."""
+        while True:
+            self._serve()
+            now = self._now_ns()
+            if now >= until_ns:
+                return
+            if self._threaded:
+                time.sleep(min(_TURN_S, (until_ns - now) * 1e-9))
+
+    def _serve(self) -> None:
+        now = self._now_ns()
+        if not self._threaded:
+            self._leg.poll()
+            if self._imu is not None and now >= self._drain_due_ns:
+                self._drain_due_ns = now + _ns(self._drain_every_s)
+                self._imu.drain()
+        self._workers.check()
+        if now >= self._ping_due_ns:
+            self._ping_due_ns = now + _ns(self._ping_every_s)
+            self._leg.ping()
+        if self._supervising:
+            self._supervise()
+        if self._driving and now - self._commanded_ns > self._watchdog_ms * 250_000:
+            self._command(self._torque_nm)  # held: a quarter of the watchdog's time without a new one
+
+    def _supervise(self) -> None:
+        if self._interrupt:
+            raise _Interrupted(f"stopped by {self._interrupt}")
+        trip = self.supervisor.check(self._sample())
+        if trip is not None:
+            raise _Tripped(str(trip))
+        if self._leg.boot_id != self._leg.first_boot_id:
+            raise WorkError("leg controller: restarted during the run; check its supply")
+        telemetry = self._leg.telemetry
+        if telemetry is not None and telemetry.faults and (self._driving or telemetry.state == State.FAULT):
+            raise WorkError(f"leg controller: fault latched: {describe_faults(telemetry.faults)}; remove the cause")
+        if self._driving and not self._armed():
+            raise WorkError("leg controller: disarmed itself during the run")
+
+    def _sample(self) -> Sample:
+        now = self._now_ns()
+        telemetry, knee = self._leg.telemetry, self._leg.knee()
+        return Sample(
+            torque_nm=self._leg.torque_nm(), torque_cmd_nm=self._torque_nm,
+            q1_speed_radps=self._imu.gyro_radps if self._imu and self._imu.samples else None,
+            q2_speed_radps=knee[1] if knee else None, q2_rad=knee[0] if knee else None,
+            q1_rad=_or_none(telemetry.pivot_hall_rad) if telemetry else None,
+            temperature_degc=_or_none(telemetry.motor_degc) if telemetry else None,
+            controller_age_s=(now - self._leg.heard_ns) * 1e-9,
+            imu_age_s=(now - self._imu.heard_ns) * 1e-9 if self._imu else None,
+            clock_bound_s=self._leg.clock_bound_s())
+
+    def _armed(self) -> bool:
+        return self._leg.telemetry is not None and self._leg.telemetry.state == State.ARMED
+
+    def _command(self, torque_nm: float) -> None:
+        now = self._now_ns()
+        seq = self._controller.command(torque_nm)
+        self._torque_nm, self._commanded_ns = torque_nm, now
+        self._commands += 1
+        self._sink.add("/leg/command", now, now, torque_nm, seq, sequence=seq)
+
+    def _start_threads(self) -> None:
+        if not self._threaded:
+            return
+        self._workers.start("leg", self._leg.poll)
+        if self._imu is not None:
+            self._workers.start("imu", self._imu.drain, self._drain_every_s)
+        self._workers.start("writer", self._queue.turn)
+
+    @contextmanager
+    def _signals(self) -> Iterator[None]:
+        """SIGINT, SIGTERM and SIGHUP become a controlled stop; signals belong to the main thread only."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "SIGHUP"}
+
+        def note(number: int, _frame: object) -> None:
+            self._interrupt = names[signal.Signals(number)]
+
+        before = {number: signal.signal(number, note) for number in names}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _describe_devices(self, imu: Lsm9ds1 | None) -> None:
+        now = self._now_ns()
+        self._writer.config(now, "firmware", msgspec.json.encode(self._controller.hello).decode())
+        if imu is not None:
+            gyro, accel = imu.scale
+            facts = {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel, "rate_hz": imu.config.rate_hz,
+                     "accel_range_g": imu.config.accel_range_g, "gyro_range_dps": imu.config.gyro_range_dps}
+            self._writer.config(now, "imu", msgspec.json.encode(facts).decode())
+
+
+def check_plan(plan: Plan, rig: Rig, controller: LegController) -> None:
+    """Raises `InputError` when the plan or rig.toml asks for more than rig and firmware allow."""
+    hello = controller.hello
+    if hello is None:
+        raise ValueError("open the leg controller first")
+    limits = {"limits.torque_nm of the rig": rig.limits.torque_nm, "the firmware's limit": hello.torque_limit_nm}
+    for name, bound in limits.items():
+        if plan.peak_nm > bound:
+            what = f"asks for {plan.peak_nm:g} N m, {name} is {bound:g} N m"
+            raise InputError("plan", what, "scale the plan down")
+    watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms
+    if watchdog_ms > hello.watchdog_ms:
+        raise InputError("rig", f"devices.controller.watchdog_ms is {watchdog_ms}, the firmware allows "
+                                f"{hello.watchdog_ms}", "lower it")
+
+
+def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9ds1 | None, controller: LegController,
+               now_ns: Callable[[], int] = time.monotonic_ns, threaded: bool = True,
+               progress: Progress | None = None) -> RecordReport:
+    """Record `plan` over open devices into a new run file that holds all that a later refit needs."""
+    facts = {"started_unix_ns": str(time.time_ns()), "started_monotonic_ns": str(now_ns()),
+             "calibration": msgspec.json.encode(rig.calibration).decode(), "python": platform.python_version(),
+             "numpy": np.__version__, "system": platform.platform()}
+    check_plan(plan, rig, controller)
+    writer = RunWriter(path, {"rig.toml": rig_text, "plan.csv": plan.text()}, facts)
+    try:
+        recorder = Recorder(rig, imu, controller, writer, None, now_ns, threaded, progress)
+        return recorder.record(plan)
+    finally:
+        writer.close()
+
+
+class _Tripped(Exception):
+    """A limit of the supervisor."""
+
+
+class _Interrupted(Exception):
+    """A signal."""
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)
+
+
+def _or_none(value: float) -> float | None:
+    return None if np.isnan(value) else value

@@ -1,0 +1,69 @@
+"""The I2C bus as smbus2 offers it, and what its errors mean to a person."""
+
+from __future__ import annotations
+
+import errno
+from typing import Any, Protocol
+
+from smbus2 import SMBus, i2c_msg
+
+from drivers.errors import DeviceAbsent, DeviceBusy, DriverError
+
+
+class I2CBus(Protocol):
+    """What a driver needs of a bus: combined transfers. `smbus2.SMBus` is one, the mock another."""
+
+    def i2c_rdwr(self, *i2c_msgs: Any) -> None:
+        """Transfer the `smbus2.i2c_msg`s in one transaction; read messages are filled. Raises OSError."""
+
+    def close(self) -> None:
+        """Let go of the bus."""
+
+
+_MEANING: dict[int, tuple[type[DriverError], str]] = {
+    errno.ENODEV: (DeviceAbsent, "no device answers; check wiring, power and address"),
+    errno.EREMOTEIO: (DeviceAbsent, "no acknowledge; check wiring, power, address and pull-ups"),
+    errno.ENXIO: (DeviceAbsent, "no device answers; check wiring, power and address"),
+    errno.EIO: (DeviceAbsent, "bus error; check wiring, pull-ups and the bus clock"),
+    errno.ETIMEDOUT: (DeviceAbsent, "the bus hangs, its clock or data line is held low; power-cycle the chip"),
+    errno.EAGAIN: (DeviceAbsent, "arbitration lost; another master or noise on the bus, check wiring"),
+    errno.ECONNABORTED: (DeviceAbsent, "the bus adapter is gone; plug it in again"),
+    errno.ENOTCONN: (DeviceAbsent, "the bus adapter is gone; plug it in again"),
+    errno.EOPNOTSUPP: (DriverError, "this adapter makes no combined transfers (I2C_RDWR); use another bus"),
+    errno.EBUSY: (DeviceBusy, "a kernel driver holds the chip; unbind it or drop its device-tree overlay "
+                              "(it is never taken by force)"),
+}
+
+
+def explain(error: OSError, where: str) -> DriverError:
+    """The bus error as an exception with a line for a person; `where` names chip, address and bus."""
+    kind, why = _MEANING.get(error.errno or 0, (DriverError, f"bus error ({error})"))
+    return kind(f"{where}: {why} [errno {error.errno}]")
+
+
+def open_bus(path: str) -> I2CBus:
+    """The bus at `path` (`/dev/i2c-1`). Raises `DeviceAbsent` naming the remedy."""
+    bus = SMBus()
+    try:
+        bus.open(path)
+    except FileNotFoundError as error:
+        raise DeviceAbsent(f"I2C bus {path}: no such bus; enable I2C (raspi-config, dtparam=i2c_arm=on) or correct "
+                           "[devices.imu] bus") from error
+    except PermissionError as error:
+        raise DeviceAbsent(f"I2C bus {path}: permission denied; add the user to group i2c") from error
+    except OSError as error:
+        bus.close()
+        raise DeviceAbsent(f"I2C bus {path}: cannot be opened as an I2C bus ({error.strerror})") from error
+    return bus
+
+
+def read_registers(bus: I2CBus, address: int, register: int, count: int) -> bytes:
+    """`count` bytes from `register` on: one write and one read message, the only shape every adapter takes."""
+    reply = i2c_msg.read(address, count)
+    bus.i2c_rdwr(i2c_msg.write(address, [register]), reply)
+    return bytes(reply)
+
+
+def write_register(bus: I2CBus, address: int, register: int, value: int) -> None:
+    """One byte into one register."""
+    bus.i2c_rdwr(i2c_msg.write(address, [register, value]))

@@ -1,0 +1,204 @@
+"""The leg controller over any link: handshake, telemetry up, torque and safety down.
+
+Every way out stops the motor: `close`, leaving a `with` block, a failed handshake, a command refused here.
+Should the link itself be gone, the firmware's watchdog does it.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from types import TracebackType
+from typing import NamedTuple, Self
+
+from drivers.errors import DeviceAbsent, DeviceFault, DriverError, LinkLost, ProtocolMismatch
+from drivers.protocol import (
+    DELIMITER,
+    VERSION,
+    WATCHDOG_MS_MAX,
+    WATCHDOG_MS_MIN,
+    Arm,
+    ClearFaults,
+    Decoder,
+    Down,
+    Hello,
+    HelloRequest,
+    Message,
+    Ping,
+    State,
+    Stop,
+    Telemetry,
+    TorqueCommand,
+    describe_faults,
+    encode,
+)
+from drivers.serial_link import Link
+
+HELLO_EVERY_NS = 100_000_000
+
+
+class Received(NamedTuple):
+    """A message and the host time at which the read that brought it returned [ns]."""
+
+    message: Message
+    host_ns: int
+
+
+@dataclass(frozen=True)
+class LinkStats:
+    """Counts since the controller object was made."""
+
+    bad_crc: int
+    bad_length: int
+    unknown: int
+    lost: int
+    bytes_in: int
+    bytes_out: int
+    reboots: int
+
+
+class LegController:
+    """One leg controller. `poll` belongs to one reader thread; the commands may come from any thread."""
+
+    def __init__(self, link: Link, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self.hello: Hello | None = None
+        """What the firmware said of itself last."""
+        self.telemetry: Telemetry | None = None
+        """The newest telemetry seen."""
+        self._link = link
+        self._now_ns = now_ns
+        self._decoder = Decoder()
+        self._write_lock = threading.Lock()
+        self._bytes_in = self._bytes_out = self._reboots = 0
+        self._command_seq = self._ping_id = 0
+        self._closed = False
+
+    def open(self, timeout_s: float = 2.0) -> Hello:
+        """Stop the motor, shake hands. Raises `DeviceAbsent` (no answer) or `ProtocolMismatch`; both close."""
+        try:
+            return self._shake_hands(timeout_s)
+        except BaseException:
+            self.close()
+            raise
+
+    def _shake_hands(self, timeout_s: float) -> Hello:
+        self.stop()
+        deadline, ask_at = self._now_ns() + round(timeout_s * 1e9), 0
+        while (now := self._now_ns()) < deadline:
+            if now >= ask_at:
+                self._send(HelloRequest())
+                ask_at = now + HELLO_EVERY_NS
+            for message, _ in self.poll():
+                if isinstance(message, Hello):
+                    if message.version != VERSION:
+                        raise ProtocolMismatch(f"leg controller speaks protocol version {message.version}, this "
+                                               f"program version {VERSION}; flash matching firmware")
+                    return message
+        raise DeviceAbsent(f"leg controller: no answer within {timeout_s:g} s ({self._bytes_in} bytes came, "
+                           "none a Hello); check port, baud rate and that the firmware runs")
+
+    def poll(self) -> list[Received]:
+        """One read of the link: what it brought, stamped with the time of its return. Raises `LinkLost`."""
+        chunk = self._link.read()
+        host_ns = self._now_ns()
+        self._bytes_in += len(chunk)
+        received = [Received(message, host_ns) for message in self._decoder.feed(chunk)]
+        for message, _ in received:
+            if isinstance(message, Telemetry):
+                self.telemetry = message
+            elif isinstance(message, Hello):
+                self._reboots += self.hello is not None and message.boot_id != self.hello.boot_id
+                self.hello = message
+        return received
+
+    def arm(self, watchdog_ms: int) -> None:
+        """Ask for ARMED; the state in the telemetry that follows says whether it was granted.
+
+        Raises `DeviceFault` when faults are latched, ValueError when the time is outside the protocol's range.
+        """
+        longest = self.hello.watchdog_ms if self.hello else WATCHDOG_MS_MAX
+        if not WATCHDOG_MS_MIN <= watchdog_ms <= longest:
+            raise ValueError(f"watchdog of {watchdog_ms} ms is outside {WATCHDOG_MS_MIN} to {longest} ms")
+        if self.telemetry is not None and self.telemetry.faults:
+            self.stop()
+            raise DeviceFault(f"leg controller has latched: {describe_faults(self.telemetry.faults)}; "
+                              "remove the cause, then clear the faults")
+        self._send(Arm(watchdog_ms))
+
+    def command(self, torque_nm: float) -> int:
+        """Ask for a joint torque [N m] and feed the watchdog; returns the command's sequence number.
+
+        A torque that is not a number or above the firmware's limit stops the motor and raises `DriverError`.
+        """
+        limit = self.hello.torque_limit_nm if self.hello else 0.0
+        if not math.isfinite(torque_nm) or abs(torque_nm) > limit:
+            self.stop()
+            raise DriverError(f"leg controller: torque of {torque_nm:g} N m is beyond the firmware's limit of "
+                              f"{limit:g} N m; motor stopped")
+        seq = self._command_seq
+        self._command_seq = (seq + 1) % 65536
+        self._send(TorqueCommand(seq, torque_nm))
+        return seq
+
+    def ping(self) -> tuple[int, int]:
+        """Send a clock probe; returns its id and the host time just before it was written [ns]."""
+        ping_id = self._ping_id
+        self._ping_id = (ping_id + 1) % 65536
+        frame = encode(Ping(ping_id))
+        with self._write_lock:
+            host_tx_ns = self._now_ns()
+            self._write(frame)
+        return ping_id, host_tx_ns
+
+    def stop(self) -> None:
+        """Torque zero and disarm. The delimiter before it ends a frame that may have been cut short."""
+        with self._write_lock:
+            self._write(DELIMITER + encode(Stop()))
+
+    def clear_faults(self) -> None:
+        """Stop, then ask for the latched faults to be cleared; the telemetry that follows says if they were."""
+        self.stop()
+        self._send(ClearFaults())
+        self.telemetry = None  # its faults are out of date from here on
+
+    def close(self) -> None:
+        """Stop the motor, then let go of the link; may be called twice."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            with suppress(LinkLost):  # nothing hears a Stop any more: the firmware's watchdog has the motor
+                self.stop()
+        finally:
+            self._link.close()
+
+    @property
+    def armed(self) -> bool:
+        """The newest telemetry says ARMED."""
+        return self.telemetry is not None and self.telemetry.state == State.ARMED
+
+    @property
+    def stats(self) -> LinkStats:
+        """Counts so far."""
+        d = self._decoder
+        return LinkStats(d.bad_crc, d.bad_length, d.unknown, d.lost, self._bytes_in, self._bytes_out, self._reboots)
+
+    def _send(self, message: Down) -> None:
+        frame = encode(message)
+        with self._write_lock:
+            self._write(frame)
+
+    def _write(self, data: bytes) -> None:
+        self._link.write(data)
+        self._bytes_out += len(data)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()

@@ -1,0 +1,226 @@
+"""The leg controller's firmware, emulated: the bytes of firmware_protocol.md in, the bytes out, time in between.
+
+Nothing in here knows a port or the driver's objects; `PtyServer` and `EmulatorLink` carry the bytes.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.mock.drive_state import DriveState
+from drivers.mock.motor import Motor
+from drivers.mock.plant import Segment, Snapshot, StillState, snapshot
+from drivers.mock.settings import FirmwareSettings
+from drivers.protocol import (
+    Arm,
+    ClearFaults,
+    Decoder,
+    Fault,
+    FaultReport,
+    Hello,
+    HelloRequest,
+    Message,
+    Ping,
+    Pong,
+    Stop,
+    Telemetry,
+    TorqueCommand,
+    encode,
+)
+
+TURNAROUND_US = 20
+HELLO_EVERY_US = 1_000_000
+
+
+class FirmwareEmulator:
+    """One controller. `advance(t_ns)` brings the world up to a time before bytes go out."""
+
+    def __init__(self, settings: FirmwareSettings | None = None, seed: int = 0, t_ns: int = 0,
+                 advance: Callable[[int], None] = lambda t_ns: None, lock: threading.RLock | None = None) -> None:
+        self.settings = settings or FirmwareSettings()
+        self.motor = Motor(self.settings.current_loop_s)
+        self.knee_encoder_ok = self.pivot_hall_ok = self.knee_hall_ok = True
+        """Set to False: the reading carries the invalid sentinel (and the knee's faults latch)."""
+        self.bus_v = self.settings.bus_v
+        self.motor_degc = self.settings.ambient_degc
+        self._rng = np.random.default_rng(seed)
+        self._advance, self._lock = advance, lock or threading.RLock()
+        self._inbox: deque[tuple[int, bytes]] = deque()
+        self._outbox: deque[tuple[int, bytes]] = deque()
+        self._t_ns = t_ns
+        self._state = snapshot(StillState())
+        self._boot(t_ns)
+
+    def _boot(self, t_ns: int) -> None:
+        s = self.settings
+        self.boot_id = int(self._rng.integers(1, 2**32))
+        self.drive = DriveState(s.torque_limit_nm, s.watchdog_limit_ms, self._report)
+        self._decoder = Decoder()
+        self._boot_ns = t_ns
+        self._frames = 0
+        self._mean_from = (float(t_ns), self.motor.impulse_nms)
+        self._period_us = round(1e6 / s.telemetry_hz)
+        self._due_ns = self._host_ns(self._period_us)
+        self._hello_us = HELLO_EVERY_US
+        self._send(self._hello())
+
+    # -- bytes ---------------------------------------------------------------------------------------------
+
+    def receive(self, data: bytes, t_ns: int) -> None:
+        """Bytes that are there now; their last one came in at `t_ns`."""
+        with self._lock:
+            for message in self._decoder.feed(data):
+                self._obey(message, t_ns)
+
+    def post(self, data: bytes, t_ns: int) -> None:
+        """Bytes under way that will be there at `t_ns`; to be posted in the order in which they arrive."""
+        with self._lock:
+            self._inbox.append((t_ns, data))
+
+    def _take_in(self, until_ns: int) -> None:
+        while self._inbox and self._inbox[0][0] <= until_ns:
+            t_ns, data = self._inbox.popleft()
+            self.receive(data, t_ns)
+
+    def transmit(self, until_ns: int) -> list[tuple[int, bytes]]:
+        """(time, frame) of what left the controller up to `until_ns`, in order; each is handed out once."""
+        with self._lock:
+            self._advance(until_ns)
+            self._take_in(until_ns)
+            frames = []
+            while self._outbox and self._outbox[0][0] <= until_ns:
+                frames.append(self._outbox.popleft())
+        return frames
+
+    def _obey(self, message: Message, t_ns: int) -> None:
+        if isinstance(message, TorqueCommand):
+            self.drive.command(message.seq, message.torque_nm, t_ns)
+        elif isinstance(message, Arm):
+            self.drive.arm(message.watchdog_ms, t_ns)
+        elif isinstance(message, Stop):
+            self.drive.stop()
+        elif isinstance(message, ClearFaults):
+            self.drive.clear(self._present())
+        elif isinstance(message, HelloRequest):
+            self._send(self._hello())
+        elif isinstance(message, Ping):
+            rx = self.tick_us(t_ns)
+            self._outbox.append((t_ns + TURNAROUND_US * 1000,
+                                 encode(Pong(message.ping_id, rx, (rx + TURNAROUND_US) % 2**32))))
+
+    def _send(self, message: Message, t_ns: int | None = None) -> None:
+        self._outbox.append((self._t_ns if t_ns is None else t_ns, encode(message)))
+
+    def _hello(self) -> Hello:
+        s = self.settings
+        return Hello(s.version, self.boot_id, s.telemetry_hz, s.gear_ratio, s.torque_limit_nm, s.watchdog_limit_ms)
+
+    def _report(self, fault: Fault, value: float) -> None:
+        self._send(FaultReport(self.tick_us(self._t_ns), int(fault), int(self.drive.latched), value))
+
+    # -- time ----------------------------------------------------------------------------------------------
+
+    def tick_us(self, t_ns: float) -> int:
+        """MCU clock at a host time."""
+        return int(self.settings.first_tick_us + self._local_us(t_ns)) % 2**32
+
+    def _local_us(self, t_ns: float) -> float:
+        """MCU time since boot [us]."""
+        return (t_ns - self._boot_ns) * 1e-3 * (1 + self.settings.clock_error_ppm * 1e-6)
+
+    def _host_ns(self, local_us: float) -> float:
+        return self._boot_ns + local_us * 1e3 / (1 + self.settings.clock_error_ppm * 1e-6)
+
+    def torque_over(self, t0_ns: int, t1_ns: int) -> float:
+        """Mean joint torque [N m] in the physics step that follows."""
+        self._t_ns = t0_ns
+        self._take_in(t0_ns)
+        self.drive.check_watchdog(t0_ns)
+        return self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, self.drive.torque_nm)
+
+    def observe(self, segment: Segment) -> None:
+        """Watch the limits and send the telemetry due within the segment; both run at the telemetry's rate."""
+        self._t_ns = segment.t1_ns
+        while self._due_ns <= segment.t1_ns:
+            self._watch(segment.after)
+            self._send(self._telemetry(segment, self._due_ns), round(self._due_ns))
+            self._frames += 1
+            self._due_ns = self._host_ns((self._frames + 1) * self._period_us)
+        if self._local_us(segment.t1_ns) >= self._hello_us:
+            self._hello_us += HELLO_EVERY_US
+            self._send(self._hello())
+
+    def reboot(self) -> None:
+        """As after a brown-out: new boot id, tick and sequence from the start, torque off, nothing latched."""
+        self._boot(self._t_ns)
+
+    # -- sensors -------------------------------------------------------------------------------------------
+
+    @property
+    def record(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """(t_ns, torque commanded, torque acting) of every physics step, for tests of safety."""
+        return self.motor.record
+
+    def _telemetry(self, segment: Segment, due_ns: float) -> Telemetry:
+        s = self.settings
+        state = segment.at(due_ns)
+        span_s = (segment.t1_ns - due_ns) * 1e-9
+        impulse = self.motor.impulse_nms - span_s * self.motor.last_mean_nm
+        from_ns, from_impulse = self._mean_from
+        mean_nm = (impulse - from_impulse) / ((due_ns - from_ns) * 1e-9)
+        self._mean_from = (due_ns, impulse)
+        current = mean_nm / s.torque_constant_nm_per_a
+        noise = self._rng.standard_normal(3)
+        hall_step = 2 * math.pi / s.hall_counts
+        return Telemetry(
+            seq=self._frames % 65536,
+            tick_us=(s.first_tick_us + (self._frames + 1) * self._period_us) % 2**32,
+            state=int(self.drive.state), faults=int(self.drive.latched),
+            knee_rad=_quantise(state.q2_motor + s.knee_zero_rad, 2 * math.pi / s.encoder_counts)
+            if self.knee_encoder_ok else math.nan,
+            pivot_hall_rad=_quantise(state.q1 + s.hall_noise_rad * noise[0], hall_step)
+            if self.pivot_hall_ok else math.nan,
+            knee_hall_rad=_quantise(state.q2_motor + s.hall_noise_rad * noise[1], hall_step)
+            if self.knee_hall_ok else math.nan,
+            current_a=current + s.shunt_offset_a + s.current_noise_a * noise[2],
+            bus_v=self.bus_v - s.bus_resistance_ohm * abs(current), motor_degc=self.motor_degc,
+            torque_cmd_nm=self.drive.torque_nm)
+
+    def _watch(self, state: Snapshot) -> None:
+        """Warm the motor by one period and latch what is beyond its limit."""
+        s = self.settings
+        current = self.motor.last_mean_nm / s.torque_constant_nm_per_a
+        final = s.ambient_degc + s.heating_degc_per_a2 * current**2
+        self.motor_degc += (final - self.motor_degc) * self._period_us * 1e-6 / s.heating_time_s
+        self._state = state
+        for fault, value in self._causes():
+            self.drive.trip(fault, value)
+
+    def _causes(self) -> list[tuple[Fault, float]]:
+        s = self.settings
+        current = abs(self.motor.last_mean_nm) / s.torque_constant_nm_per_a
+        checks = [
+            (current > s.current_limit_a, Fault.OVERCURRENT, current),
+            (self.motor_degc > s.temperature_limit_degc, Fault.OVERTEMPERATURE, self.motor_degc),
+            (self.bus_v < s.undervoltage_v, Fault.UNDERVOLTAGE, self.bus_v),
+            (not self.knee_encoder_ok, Fault.KNEE_ENCODER, math.nan),
+            (not self.knee_hall_ok, Fault.KNEE_HALL, math.nan),
+            (abs(self._state.q2d) > s.speed_limit_radps, Fault.OVERSPEED, self._state.q2d),
+        ]
+        return [(fault, value) for wrong, fault, value in checks if wrong]
+
+    def _present(self) -> Fault:
+        causes = Fault(0)
+        for fault, _ in self._causes():
+            causes |= fault
+        return causes
+
+
+def _quantise(value: float, step: float) -> float:
+    return math.floor(value / step + 0.5) * step

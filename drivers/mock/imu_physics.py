@@ -1,0 +1,53 @@
+"""From the leg's motion to the raw numbers of an IMU on link 1: geometry, errors, noise, quantiser, clipping."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers import lsm9ds1_registers as reg
+from drivers.mock.lsm9ds1 import MockLsm9ds1
+from drivers.mock.plant import Segment, Snapshot
+from drivers.mock.settings import ImuSettings
+
+INT16 = (-32768, 32767)
+
+
+class ImuPhysics:
+    """Feeds the chip a sample at each tick of the chip's own oscillator."""
+
+    def __init__(self, chip: MockLsm9ds1, settings: ImuSettings, rng: np.random.Generator) -> None:
+        self._chip, self._settings, self._rng = chip, settings, rng
+        self._to_chip = np.asarray(settings.mount, float).T
+        self._noise = np.repeat([settings.gyro_noise_radps, settings.accel_noise_mps2], 3)
+        self._bias = np.array([*settings.gyro_bias_radps, *settings.accel_bias_mps2])
+        self._rate_hz = 0.0
+        self._due_ns = 0.0
+
+    def observe(self, segment: Segment) -> None:
+        """Push the samples due within the segment."""
+        rate = self._chip.rate_hz
+        if not rate:
+            self._rate_hz = 0.0
+            return
+        period_ns = 1e9 / (rate * (1 + self._settings.rate_error))
+        if rate != self._rate_hz:  # switched on: the oscillator's phase is its own
+            self._rate_hz = rate
+            self._due_ns = segment.t0_ns + period_ns * self._rng.random()
+        while self._due_ns <= segment.t1_ns:
+            self._chip.push(self.raw(segment.at(self._due_ns)))
+            self._due_ns += period_ns
+
+    def raw(self, state: Snapshot) -> list[int]:
+        """Six readings [LSB] for this state: a_x = l*q1dd + g*sin(q1), a_y = -l*q1d^2 - g*cos(q1), gyro z = q1d."""
+        s = self._settings
+        accel = (s.lever_arm_m * state.q1dd + s.gravity_mps2 * math.sin(state.q1),
+                 -s.lever_arm_m * state.q1d**2 - s.gravity_mps2 * math.cos(state.q1), 0.0)
+        physical = np.concatenate([self._to_chip @ (0.0, 0.0, state.q1d), self._to_chip @ accel])
+        physical += self._bias + self._noise * self._rng.standard_normal(6)
+        gyro_range, accel_range = self._chip.ranges
+        per_lsb = np.repeat([math.radians(reg.GYRO_MDPS_PER_LSB[gyro_range] * 1e-3),
+                             reg.ACCEL_MG_PER_LSB[accel_range] * 1e-3 * reg.STANDARD_GRAVITY], 3)
+        lsb: list[int] = np.clip(np.rint(physical / per_lsb), *INT16).astype(int).tolist()
+        return lsb

@@ -1,0 +1,72 @@
+"""An emulated controller on a real pseudo-terminal, which pyserial opens by path like any port."""
+
+from __future__ import annotations
+
+import os
+import select
+import threading
+import tty
+from types import TracebackType
+from typing import Self
+
+from drivers.mock.clock import Clock, RealClock
+from drivers.mock.link import SerialDevice
+
+WAKE_S = 0.001
+SEND_AHEAD_NS = 50_000
+"""What is due this soon is handed to the kernel now: an answer must not wait for the next turn."""
+
+
+class PtyServer:
+    """Serves a device in real time from a thread of its own until `close`, which is also how one unplugs it."""
+
+    def __init__(self, device: SerialDevice, clock: Clock | None = None) -> None:
+        self._device, self._clock = device, clock or RealClock()
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        """Path of the port."""
+        self.failure: BaseException | None = None
+        """What ended the serving thread early; `close` raises it."""
+        self._running = True
+        self._thread = threading.Thread(target=self._serve, name="pty-server", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Unplug: readers of the port see it vanish. May be called twice."""
+        if not self._running:
+            return
+        self._running = False
+        self._thread.join()
+        os.close(self._master)
+        os.close(self._slave)
+        if self.failure is not None:
+            raise self.failure
+
+    def _serve(self) -> None:
+        try:
+            while self._running:
+                self._turn()
+        except BaseException as error:
+            self.failure = error
+
+    def _turn(self) -> None:
+        """Bytes that came in go to the device before its time moves on: a late thread must not starve it."""
+        readable, _, _ = select.select([self._master], [], [], WAKE_S)
+        now = self._clock.now_ns()
+        if readable:
+            self._device.receive(os.read(self._master, 65536), now)
+        data = b"".join(frame for _, frame in self._device.transmit(now + SEND_AHEAD_NS))
+        try:
+            while data:
+                data = data[os.write(self._master, data):]
+        except BlockingIOError:
+            return  # nobody reads the port: the bytes are lost, as on a real UART
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()

@@ -1,0 +1,64 @@
+"""What an emulated rig is made of: errors, noise, clocks, limits. The noise figures are assumptions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Vector3 = tuple[float, float, float]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+
+
+@dataclass(frozen=True)
+class ImuSettings:
+    """The chip's place, errors and noise. The datasheet gives no noise density: these are made up."""
+
+    lever_arm_m: float = 0.20
+    gravity_mps2: float = 9.81
+    mount: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    """Rows: contract x, y, z axes in the chip's frame."""
+    gyro_noise_radps: float = 0.005
+    accel_noise_mps2: float = 0.05
+    gyro_bias_radps: Vector3 = (0.0, 0.0, 0.0)
+    accel_bias_mps2: Vector3 = (0.0, 0.0, 0.0)
+    """Biases, in the chip's axes."""
+    rate_error: float = 0.012
+    """The chip's oscillator is fast by this share of the nominal rate."""
+    temperature_degc: float = 31.0
+
+
+@dataclass(frozen=True)
+class FirmwareSettings:
+    """The controller's sensors, motor, clock and limits."""
+
+    telemetry_hz: int = 500
+    gear_ratio: float = 50.0
+    torque_limit_nm: float = 2.0
+    watchdog_limit_ms: int = 1000
+    torque_constant_nm_per_a: float = 1.0
+    """Joint torque per ampere, gear included."""
+    current_noise_a: float = 0.02
+    """Of one telemetry frame's mean [A]."""
+    shunt_offset_a: float = 0.0
+    current_loop_s: float = 0.001
+    """Time constant with which the torque follows the command; 0 is at once."""
+    encoder_counts: int = 8192
+    """Knee encoder, counts per turn of the joint."""
+    knee_zero_rad: float = 0.0
+    """What the knee encoder reads when the knee is straight."""
+    hall_counts: int = 1024
+    hall_noise_rad: float = 0.002
+    bus_v: float = 24.0
+    bus_resistance_ohm: float = 0.1
+    ambient_degc: float = 25.0
+    heating_degc_per_a2: float = 2.0
+    """Final temperature rise of the motor per ampere squared."""
+    heating_time_s: float = 300.0
+    current_limit_a: float = 30.0
+    temperature_limit_degc: float = 90.0
+    undervoltage_v: float = 18.0
+    speed_limit_radps: float = 40.0
+    clock_error_ppm: float = 40.0
+    """The MCU's clock is fast by this."""
+    first_tick_us: int = 0
+    """Tick at boot; near 2^32 to see it wrap."""
+    version: int = 1

@@ -1,0 +1,124 @@
+"""The emulated controller on a real pseudo-terminal: pyserial, threads and the machine's own clock."""
+
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+
+import pytest
+
+from drivers.errors import DeviceBusy, LinkLost
+from drivers.leg_controller import LegController
+from drivers.lsm9ds1 import Lsm9ds1
+from drivers.mock.plant import StillPlant
+from drivers.mock.pty_server import PtyServer
+from drivers.mock.rig import MockRig
+from drivers.protocol import Pong, State, Telemetry
+from drivers.serial_link import SerialLink
+
+PATIENCE_S = 10.0
+
+
+@pytest.fixture
+def rig() -> MockRig:
+    return MockRig(StillPlant())
+
+
+@pytest.fixture
+def server(rig: MockRig) -> Iterator[PtyServer]:
+    with PtyServer(rig.firmware, rig.clock) as server:
+        yield server
+
+
+def poll_until(controller: LegController, wanted) -> list:
+    """Received messages up to the first that is wanted."""
+    received, deadline = [], time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        received += controller.poll()
+        if received and wanted(received):
+            return received
+    raise AssertionError("it did not come")
+
+
+def test_handshake_telemetry_and_torque_through_pyserial(rig: MockRig, server: PtyServer) -> None:
+    with LegController(SerialLink(server.path)) as controller:
+        assert controller.open().boot_id == rig.firmware.boot_id
+        controller.arm(1000)
+        controller.command(0.5)
+        poll_until(controller, lambda r: controller.armed and controller.telemetry.current_a > 0.3)
+        controller.command(0.5)
+        frames = [m for m, _ in poll_until(controller, lambda r: len(r) >= 100) if isinstance(m, Telemetry)]
+        assert all((b.seq - a.seq) % 65536 == 1 for a, b in pairwise(frames))
+        assert controller.stats.bad_crc == controller.stats.bad_length == controller.stats.lost == 0
+    deadline = time.monotonic() + PATIENCE_S
+    while rig.firmware.drive.state == State.ARMED and time.monotonic() < deadline:
+        time.sleep(0.005)
+    assert rig.firmware.drive.state in (State.DISARMED, State.FAULT)
+    assert rig.firmware.drive.torque_nm == 0.0
+
+
+def test_a_pty_has_no_low_latency_mode_and_says_so(server: PtyServer) -> None:
+    link = SerialLink(server.path)
+    assert link.low_latency is False
+    assert link.latency_timer_ms is None
+    link.close()
+    link.close()
+
+
+def test_ping_over_the_pty_brackets_the_tick(rig: MockRig, server: PtyServer) -> None:
+    with LegController(SerialLink(server.path), rig.clock.now_ns) as controller:
+        controller.open()
+        _, tx_ns = controller.ping()
+        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, _ in r))
+        pong, rx_ns = next(r for r in received if isinstance(r.message, Pong))
+        middle = rig.firmware.tick_us((tx_ns + rx_ns) / 2)
+        half_trip_us = (rx_ns - tx_ns) / 2000
+        assert abs((pong.rx_tick_us + pong.tx_tick_us) / 2 - middle) <= half_trip_us + 60
+
+
+def test_a_port_in_use_is_busy(server: PtyServer) -> None:
+    link = SerialLink(server.path)
+    with pytest.raises(DeviceBusy, match="another program holds the port"):
+        SerialLink(server.path)
+    link.close()
+
+
+def test_a_port_can_be_opened_again_and_old_bytes_are_gone(server: PtyServer) -> None:
+    for _ in range(2):
+        with LegController(SerialLink(server.path)) as controller:
+            controller.open()
+            time.sleep(0.05)
+            assert controller.stats.bad_length == 0
+
+
+def test_unplugged_mid_run_is_link_lost(rig: MockRig) -> None:
+    server = PtyServer(rig.firmware, rig.clock)
+    controller = LegController(SerialLink(server.path))
+    controller.open()
+    server.close()
+    with pytest.raises(LinkLost, match=r"connection is gone.*check cable"):
+        poll_until(controller, lambda r: False)
+    with pytest.raises(LinkLost):
+        controller.command(0.1)
+    controller.close()
+
+
+def test_closed_by_another_thread_is_link_lost(server: PtyServer) -> None:
+    link = SerialLink(server.path)
+    link.close()
+    with pytest.raises(LinkLost):
+        link.read()
+    with pytest.raises(LinkLost):
+        link.write(b"\0")
+
+
+def test_both_devices_share_one_time_line(rig: MockRig, server: PtyServer) -> None:
+    imu = Lsm9ds1(rig.imu, now_ns=rig.clock.now_ns, sleep=rig.clock.sleep)
+    with LegController(SerialLink(server.path)) as controller:
+        controller.open()
+        imu.open()
+        samples, start = 0, time.monotonic()
+        while time.monotonic() - start < 0.3:
+            samples += len(imu.drain().raw)
+            controller.poll()
+        assert samples > 10
+        assert rig.t_ns <= rig.clock.now_ns() + 1_000_000

@@ -1,0 +1,156 @@
+"""The report page: complete, self-contained, escaped, and readable at a phone's width as far as text can tell."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from estimator.mechanism import leg2
+from estimator.result import FitResult, Trajectory
+from experiments.figures import BLUE, Line, plot_lines, window
+from experiments.fit_report import fit_sections, fit_summary, truth_section
+from experiments.fit_text import fit_text, number
+from experiments.plant import LegBody
+from experiments.report import Picture, Section, Table, render_page
+
+
+def synthetic_fit() -> FitResult:
+    """A fit as an estimator would return it, its motion made of sines."""
+    mechanism = leg2(lever_arm=0.2)
+    rng = np.random.default_rng(3)
+    t = np.arange(1500) / 100.0
+    q = np.stack([0.3 * np.sin(2 * t), 0.8 * np.sin(3 * t + 1)], axis=1)
+    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
+    beta = np.array(LegBody().beta())
+    tau = mechanism.inverse_dynamics(q, qd, qdd, beta)
+    tau[:, 0] = 0.02 * rng.standard_normal(t.size)
+    predicted = {"gyro_radps": qd[:, 0], "accel_x_mps2": 0.2 * qdd[:, 0] + 9.81 * np.sin(q[:, 0]),
+                 "accel_y_mps2": -0.2 * qd[:, 0] ** 2 - 9.81 * np.cos(q[:, 0])}
+    measured = {k: v + 0.05 * rng.standard_normal(t.size) for k, v in predicted.items()}
+    shown = np.stack([np.zeros(t.size), tau[:, 1] + 0.02 * rng.standard_normal(t.size)], axis=1)
+    path = Trajectory("run1.mcap", t, q, qd, qdd, tau, shown, measured, predicted)
+    covariance = np.diag((0.01 * beta + 1e-4) ** 2)
+    return FitResult(mechanism, "mle", "imu", beta, covariance, {"gyro_radps": 0.005, "accel_mps2": 0.05},
+                     np.array([0.02, 0.021]), True, 7, 1500, 0.4, (), ("noise is white",), (), (path,))
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    result = synthetic_fit()
+    truth = dict(zip(result.mechanism.names, LegBody().beta()))
+    return render_page("Leg <A> & co", fit_summary(result, "leg2"),
+                       [*fit_sections(result), truth_section(result, truth)])
+
+
+class Outside(HTMLParser):
+    """Collects what would make a browser fetch or run something."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag in ("script", "link", "iframe", "img", "object", "embed", "base", "form"):
+            self.found.append(tag)
+        for name, value in attrs:
+            if name.startswith("on"):
+                self.found.append(name)
+            if name in ("src", "href", "xlink:href", "action", "data") and not (value or "").startswith("#"):
+                self.found.append(f"{name}={value}")
+
+
+def test_page_fetches_and_runs_nothing(page: str) -> None:
+    parser = Outside()
+    parser.feed(page)
+    assert parser.found == []
+    assert not re.search(r"url\((?!#)", page) and "@import" not in page
+    assert "default-src 'none'" in page
+
+
+def test_text_from_files_is_escaped() -> None:
+    hostile = "<script>alert(1)</script>"
+    page = render_page(hostile, hostile, [Section(hostile, [hostile], [Table([hostile], [[hostile]], hostile)],
+                                                  notes=[hostile])])
+    assert "<script" not in page and page.count("&lt;script&gt;") == 9
+
+
+def test_hostile_name_in_a_figure_stays_text() -> None:
+    svg = plot_lines(np.arange(3.0), [Line("<script>x</script>", np.arange(3.0), BLUE)], "y [m]")
+    assert "<script" not in svg
+    ElementTree.fromstring(svg)
+
+
+def test_every_parameter_stands_with_interval_and_unit(page: str) -> None:
+    result = synthetic_fit()
+    for p, (low, high), std in zip(result.mechanism.parameters, result.ci95(), result.std):
+        assert p.name in page and p.meaning in page and p.unit in page
+        assert f"{number(low, std)} .. {number(high, std)}" in page
+
+
+def test_figures_of_the_paper_are_there_with_units(page: str) -> None:
+    for label in ("gyro [rad/s]", "accelerometer x [m/s²]", "accelerometer y [m/s²]", "torque, joint 1 [N m]",
+                  "torque, joint 2 [N m]"):
+        assert label in page
+    assert page.count("time [s]") == 5
+    assert page.count(">zero<") == 1  # the pivot's line only
+    for svg in re.findall(r"<svg.*?</svg>", page, re.DOTALL):
+        root = ElementTree.fromstring(svg)
+        assert "viewBox" in root.attrib and "width" not in root.attrib  # scales with the column
+        assert len(svg) < 200_000
+
+
+def test_figures_follow_the_colour_scheme(page: str) -> None:
+    assert "currentColor" in page and "prefers-color-scheme: dark" in page
+    assert "#010203" not in page and "#000000" not in page
+
+
+def test_unconverged_and_undetermined_fits_say_so() -> None:
+    result = replace(synthetic_fit(), converged=False, undetermined=("beta8 -0.5*beta6",), warnings=("few samples",))
+    covariance = result.covariance.copy()
+    covariance[7, 7] = np.inf
+    result = replace(result, covariance=covariance, trajectories=())
+    page = render_page("x", fit_summary(result, "leg2"), fit_sections(result))
+    assert "DID NOT CONVERGE" in page and "beta8 -0.5*beta6" in page and "Warning: few samples" in page
+    text = fit_text(result, "leg2")
+    assert "NOT CONVERGED" in text and "not determined by this data: beta8" in text
+    assert "nan" not in text.lower() and "inf" not in text.lower().replace("infinite", "")
+
+
+def test_a_truth_outside_its_interval_is_counted_as_such() -> None:
+    result = synthetic_fit()
+    truth = dict(zip(result.mechanism.names, LegBody().beta()))
+    truth["beta1"] *= 1.2
+    section = truth_section(result, truth)
+    assert "8 of 9" in section.paragraphs[0]
+    assert section.tables[0].rows[0][4] == "no"
+
+
+def test_numbers_carry_the_digits_that_mean_something() -> None:
+    assert number(0.123456, 0.0012) == "0.1235"
+    assert number(12.3456, 1.2) == "12.3"
+    assert number(1234.5, 200.0) == "1234"
+    assert number(0.5) == "0.5"
+    assert number(float("nan"), 1.0) == "not determined"
+
+
+def test_window_takes_the_beginning() -> None:
+    t = np.arange(100) / 10.0 + 5.0
+    assert window(t, 2.0) == slice(0, 21)
+    assert window(t, 1e9) == slice(0, 100)
+
+
+def test_a_gap_leaves_a_hole_in_the_curve() -> None:
+    values = np.sin(np.arange(50.0))
+    whole = plot_lines(np.arange(50.0), [Line("a", values, BLUE)], "y [m]")
+    values[20:25] = np.nan
+    holed = plot_lines(np.arange(50.0), [Line("a", values, BLUE)], "y [m]")
+    moves = [len(re.findall(r"M ", max(re.findall(r' d="([^"]*)"', svg), key=len))) for svg in (whole, holed)]
+    assert moves == [1, 2]
+
+
+def test_picture_goes_in_unescaped() -> None:
+    page = render_page("x", "y", [Section("s", pictures=[Picture('<svg viewBox="0 0 1 1"></svg>', "c <i>")])])
+    assert '<svg viewBox="0 0 1 1"></svg>' in page and "c &lt;i&gt;" in page
