@@ -33,6 +33,8 @@ TOLERANCE = 0.02
 """Converged when a step moves no parameter by more than this share of its standard deviation."""
 PATIENCE = 10
 """Steps before they are halved, and halved again."""
+EXACT_ENCODER = 1e-8
+"""Standard deviation that stands for an encoder without noise [rad]: the collocation's own error over 10 ms."""
 PASSIVE_HASTE = 4.0
 """The fixed point falls by a constant factor a step where a passive joint's model error is nil: take four."""
 
@@ -59,6 +61,7 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     state = _start(problem, signals, mechanism, options, free, beta)
     floors = _noise_floors(problem, mechanism, state.beta)
     _iterate(problem, state, free, options, floors)
+    _refuse_collapse(problem, state, mechanism)
     return _result(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
 
 
@@ -77,15 +80,28 @@ def _start(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanis
     torque = np.maximum(sigma, [white_noise_level(problem.torque[:, j]) for j in range(mechanism.n)])
     if "torque_nm" in known:
         torque[list(mechanism.actuated)] = known["torque_nm"]
+    if "passive_nm" in known:
+        torque[passive_joints(mechanism)] = known["passive_nm"]
     encoder = np.full(mechanism.n, np.inf)
     for j in np.flatnonzero(problem.has_encoder):
         level = max(white_noise_level(problem.angles[:, j]), quantum(problem.angles[:, j]) / np.sqrt(12.0))
-        encoder[j] = known.get("encoder_rad", max(level, 1e-7))
+        given = options.encoder_noise(j)
+        encoder[j] = max(level, 1e-7) if given is None else max(given, EXACT_ENCODER)
     gyro = accel = np.inf
     if problem.has_imu:
         gyro = known.get("gyro_radps", max(white_noise_level(problem.gyro), 1e-6))
         accel = known.get("accel_mps2", max(white_noise_level(problem.ax), white_noise_level(problem.ay), 1e-5))
     return _State(x, beta, Noise(torque, encoder, gyro, accel), covariance)
+
+
+def passive_joints(mechanism: Mechanism) -> list[int]:
+    """Joints without a motor, 0-based."""
+    return [j for j in range(mechanism.n) if j not in mechanism.actuated]
+
+
+def _encoder_level(angle: FloatArray) -> float:
+    """What differences between neighbours show of an encoder's error: its quantum, or white noise."""
+    return max(white_noise_level(angle), quantum(angle) / np.sqrt(12.0))
 
 
 def _noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray) -> Noise:
@@ -94,7 +110,7 @@ def _noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray
                 1e-6)
     encoder = np.full(mechanism.n, np.inf)
     for j in np.flatnonzero(problem.has_encoder):
-        encoder[j] = max(0.5 * quantum(problem.angles[:, j]) / np.sqrt(12.0), 1e-8)
+        encoder[j] = max(0.7 * _encoder_level(problem.angles[:, j]), 1e-8)
     return Noise(np.full(mechanism.n, 2e-3 * scale), encoder, 1e-6, 1e-5)
 
 
@@ -138,6 +154,22 @@ def _iterate(problem: LatentProblem, state: _State, free: NDArray[np.bool_], opt
             break
 
 
+def _refuse_collapse(problem: LatentProblem, state: _State, mechanism: Mechanism) -> None:
+    """Raise where nearly all measured torque was put down to noise: then beta shrinks to nothing.
+
+    With angles taken as exact and a large torque noise this is a maximum of the likelihood, and never the one
+    that is meant (a drive with play, or time stamps that jitter, has larger angle errors than its encoder).
+    """
+    for j in mechanism.actuated:
+        rms = float(np.std(problem.torque[:, j]))
+        share = float(np.std(state.x.u[:, j] - problem.torque[:, j])) / max(rms, 1e-300)
+        if rms > 0.0 and state.noise.torque[j] > 0.6 * rms and share > 0.5 and np.isfinite(state.noise.encoder).any():
+            raise FitError(
+                f"the fit puts the torque of joint {j + 1} down to noise; the angles carry more error than their "
+                f"encoder shows ({np.min(state.noise.encoder):.2g} rad): declare it, play included, as encoder_rad "
+                "under [noise], or lower rate_hz")
+
+
 def _pseudo_inverse(information: FloatArray) -> FloatArray:
     """Inverse of a positive semidefinite matrix with unscaled columns; near-null directions get a huge variance."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
@@ -175,11 +207,11 @@ def _update_noise(problem: LatentProblem, state: _State, point: Linearised, p_di
 
     torque, encoder = old.torque.copy(), old.encoder.copy()
     for j in range(problem.n):
-        if not (j in actuated and "torque_nm" in known):
+        if ("torque_nm" if j in actuated else "passive_nm") not in known:
             r = residuals["torque"][:, j]
             haste = 1.0 if j in actuated else PASSIVE_HASTE
             torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j], haste)
-        if problem.has_encoder[j] and "encoder_rad" not in known:
+        if problem.has_encoder[j] and options.encoder_noise(j) is None:
             r = residuals["encoder"][:, j]
             encoder[j] = level(r, float(taken["encoder"][j]), floors.encoder[j], old.encoder[j])
     gyro, accel = old.gyro, old.accel
@@ -200,7 +232,7 @@ def _result(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechani
     tau = mechanism.inverse_dynamics(x.q, x.v, qdd, beta)
     residual = problem.torque - tau
     noise = {"torque_nm": float(np.max(state.noise.torque[list(mechanism.actuated)], initial=0.0))}
-    passive = [j for j in range(mechanism.n) if j not in mechanism.actuated]
+    passive = passive_joints(mechanism)
     if passive:
         noise["passive_joint_nm"] = float(np.max(state.noise.torque[passive]))
     if problem.has_encoder.any():

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from estimator.collocation import HOLDS
 
-NOISE_CHANNELS = ("gyro_radps", "accel_mps2", "torque_nm", "encoder_rad")
+NOISE_CHANNELS = ("gyro_radps", "accel_mps2", "torque_nm", "encoder_rad", "passive_nm")
+OWN_ENCODER = re.compile(r"encoder[1-9][0-9]*_rad")
+"""One joint's encoder, counted from 1: it goes before `encoder_rad`, which stands for all."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +38,13 @@ class FitOptions:
             raise ValueError(f"hold {self.hold!r} is none of {HOLDS}")
         if self.latent not in ("trajectory", "free"):
             raise ValueError(f"latent {self.latent!r} is neither trajectory nor free")
-        unknown = set(self.noise) - set(NOISE_CHANNELS)
+        unknown = {name for name in self.noise if name not in NOISE_CHANNELS and not OWN_ENCODER.fullmatch(name)}
         if unknown:
             raise ValueError(f"noise channel {sorted(unknown)[0]!r} is none of {NOISE_CHANNELS}")
+
+    def encoder_noise(self, joint: int) -> float | None:
+        """Known standard deviation of one joint's encoder [rad], joint 0-based; None where it is to be estimated."""
+        return self.noise.get(f"encoder{joint + 1}_rad", self.noise.get("encoder_rad"))
 
     def cutoff(self, rate_hz: float) -> float:
         """The low pass in force [Hz]."""
