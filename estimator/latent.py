@@ -15,8 +15,8 @@ beta; cost grows linearly with samples.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,24 @@ class Latents:
 
 
 @dataclass(frozen=True)
+class Extra:
+    """What effects add to the model at one point, and its derivative by their k sizes."""
+
+    torque: FloatArray
+    """(n, 2, K) torque that the motion needs beyond Z beta, at the Gauss points [N m]."""
+    torque_at_samples: FloatArray
+    """(n, N)"""
+    readings: Mapping[str, FloatArray]
+    """Channel (torque1, encoder2, gyro, accel_x, accel_y, ...) to what is added to its reading, (N,)."""
+    torque_columns: FloatArray
+    """(k, n, 2, K)"""
+    sample_columns: FloatArray
+    """(k, n, N)"""
+    reading_columns: Mapping[str, FloatArray]
+    """Channel to (k, N)."""
+
+
+@dataclass(frozen=True)
 class Linearised:
     """Gauss-Newton normal equations at one point."""
 
@@ -81,6 +99,7 @@ class Linearised:
     """(N, 2, p) their derivative by beta."""
     residuals: dict[str, FloatArray]
     """Unscaled residuals by channel."""
+    extra: Extra | None = None
 
 
 class LatentProblem:
@@ -104,8 +123,8 @@ class LatentProblem:
         if self.has_imu:
             self.gyro, self.ax, self.ay = (np.concatenate([s.imu[c] for s in signals]) for c in IMU_COLUMNS)
 
-    def linearise(self, x: Latents, beta: FloatArray, noise: Noise) -> Linearised:
-        """Residuals, Gauss-Newton blocks and border at (x, beta)."""
+    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
+        """Residuals, Gauss-Newton blocks and border at (x, beta); columns of `extra` follow those of beta."""
         n, b, left = self.n, self.block, self.left
         count = left.size
         c = self.collocation
@@ -113,6 +132,8 @@ class LatentProblem:
         z_raw, slopes = c.terms(motion)
         z = c.to_joint(z_raw)  # (p, n, 2, K)
         defect = np.tensordot(beta, z, axes=1) - c.torque(x.u, left)  # (n, 2, K)
+        if extra is not None:
+            defect = defect + extra.torque
         jac = c.jacobian(slopes, beta, motion.angle.shape[1:])  # (n, 2, 4, n, K)
         rows = np.zeros((count, 2 * n, 2, 3, n))  # row, end of interval, variable, joint
         rows[:, :, :, :2, :] = jac.transpose(4, 1, 0, 2, 3).reshape(count, 2 * n, 2, 2, n)
@@ -122,7 +143,9 @@ class LatentProblem:
         scale = np.tile(1.0 / (TIGHT * noise.torque), 2)
         scaled = rows * scale[:, None]
         r = defect.transpose(2, 1, 0).reshape(count, 2 * n) * scale
-        zr = z.transpose(3, 2, 1, 0).reshape(count, 2 * n, -1) * scale[:, None]  # (K, 2n, p)
+        if extra is not None:
+            z = np.concatenate([z, extra.torque_columns])
+        zr = z.transpose(3, 2, 1, 0).reshape(count, 2 * n, -1) * scale[:, None]  # (K, 2n, p + k)
         residuals: dict[str, FloatArray] = {"defect": defect}
         objective = float(np.sum(r * r))
         transposed = np.swapaxes(scaled, -1, -2)
@@ -143,9 +166,9 @@ class LatentProblem:
         border[left + 1] += local_border[:, b:]
         flat = zr.reshape(-1, zr.shape[-1])
         corner, gradient_beta = flat.T @ flat, flat.T @ r.ravel()
-        accel_rows, za = np.empty((0, 2, b)), np.empty((0, 2, len(beta)))
+        accel_rows, za = np.empty((0, 2, b)), np.empty((0, 2, zr.shape[-1]))
         if self.has_imu:
-            accel_rows, ra, za = self._accelerometer(x, beta)
+            accel_rows, ra, za = self._accelerometer(x, beta, extra)
             residuals["accel"] = ra
             objective += float(np.sum(ra * ra)) / noise.accel**2
             transposed = np.swapaxes(accel_rows, -1, -2) / noise.accel**2
@@ -154,29 +177,55 @@ class LatentProblem:
             border += transposed @ za
             corner += np.tensordot(za, za, axes=((0, 1), (0, 1))) / noise.accel**2
             gradient_beta += np.tensordot(za, ra, axes=((0, 1), (0, 1))) / noise.accel**2
-        objective += self._node_rows(x, noise, diagonal, gradient, residuals)
+        objective += self._node_rows(x, noise, diagonal, gradient, residuals, extra)
+        if extra is not None:
+            self._node_columns(extra, noise, residuals, border, corner, gradient_beta)
         return Linearised(objective, diagonal, lower, gradient.ravel(), border.reshape(self.total * b, -1),
-                          corner, gradient_beta, accel_rows, za, residuals)
+                          corner, gradient_beta, accel_rows, za, residuals, extra)
+
+    def _channels(self, noise: Noise) -> list[tuple[str, int, float]]:
+        """(channel, column of its latent, sigma) of every sensor that reads one latent directly."""
+        n = self.n
+        found = [(f"torque{i + 1}", 2 * n + i, float(noise.torque[i])) for i in range(n)]
+        found += [(f"encoder{i + 1}", i, float(noise.encoder[i])) for i in range(n) if self.has_encoder[i]]
+        return [*found, ("gyro", n, noise.gyro)] if self.has_imu else found
 
     def _node_rows(self, x: Latents, noise: Noise, diagonal: FloatArray, gradient: FloatArray,
-                   residuals: dict[str, FloatArray]) -> float:
+                   residuals: dict[str, FloatArray], extra: Extra | None) -> float:
         """Add torque, encoder and gyro samples; returns their part of the objective."""
         n = self.n
         residuals["torque"] = x.u - self.torque
-        parts = [(2 * n + i, residuals["torque"][:, i], noise.torque[i]) for i in range(n)]
         residuals["encoder"] = x.q - self.angles
-        parts += [(i, residuals["encoder"][:, i], noise.encoder[i]) for i in np.flatnonzero(self.has_encoder)]
+        values = {f"torque{i + 1}": residuals["torque"][:, i] for i in range(n)}
+        values |= {f"encoder{i + 1}": residuals["encoder"][:, i] for i in range(n)}
         if self.has_imu:
-            residuals["gyro"] = x.v[:, 0] - self.gyro
-            parts.append((n, residuals["gyro"], noise.gyro))
+            values["gyro"] = residuals["gyro"] = x.v[:, 0] - self.gyro
         total = 0.0
-        for column, r, sigma in parts:
+        for channel, column, sigma in self._channels(noise):
+            r = values[channel]
+            if extra is not None and channel in extra.readings:
+                r += extra.readings[channel]  # a view: the residual of record moves with it
             diagonal[:, column, column] += 1.0 / sigma**2
             gradient[:, column] += r / sigma**2
             total += float(r @ r) / sigma**2
         return total
 
-    def _accelerometer(self, x: Latents, beta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _node_columns(self, extra: Extra, noise: Noise, residuals: dict[str, FloatArray], border: FloatArray,
+                      corner: FloatArray, gradient_beta: FloatArray) -> None:
+        """Border and corner of the sizes through the sensors that read one latent directly."""
+        p = self.mechanism.p
+        for channel, column, sigma in self._channels(noise):
+            if channel not in extra.reading_columns:
+                continue
+            c = extra.reading_columns[channel] / sigma**2
+            kind, joint = channel.rstrip("0123456789"), channel.lstrip("abcdefghijklmnopqrstuvwxyz")
+            r = residuals[kind][:, int(joint) - 1] if joint else residuals[kind]
+            border[:, column, p:] += c.T
+            corner[p:, p:] += c @ extra.reading_columns[channel].T
+            gradient_beta[p:] += c @ r
+
+    def _accelerometer(self, x: Latents, beta: FloatArray, extra: Extra | None
+                       ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Rows (N, 2, b), residuals (N, 2) and border (N, 2, p) of the accelerometer's two axes.
 
         q1dd comes from the equation of motion at the sample, not from the cubic: friction that changes sign
@@ -185,7 +234,8 @@ class LatentProblem:
         """
         m, n = self.mechanism, self.n
         q1, v1 = x.q[:, 0], x.v[:, 0]
-        qdd, slopes, z, inverse = self.collocation.at_samples(x.q, x.v, x.u, beta)
+        u = x.u if extra is None else x.u - extra.torque_at_samples.T
+        qdd, slopes, z, inverse = self.collocation.at_samples(x.q, x.v, u, beta)
         ax, ay = accelerometer(q1, v1, qdd[:, 0], m.lever_arm, m.gravity_mps2)
         rows = np.zeros((self.total, 2, 3, n))
         rows[:, 0] = m.lever_arm * slopes[:, :, 0].transpose(1, 0, 2)
@@ -195,19 +245,38 @@ class LatentProblem:
         rows[:, 1, n] = -2.0 * m.lever_arm * v1
         border = np.zeros((self.total, 2, m.p))
         border[:, 0] = -m.lever_arm * (inverse[:, :1] @ z)[:, 0]
-        return rows, np.stack([ax - self.ax, ay - self.ay], axis=-1), border
+        residual = np.stack([ax - self.ax, ay - self.ay], axis=-1)
+        if extra is None:
+            return rows, residual, border
+        added = np.zeros((self.total, 2, extra.sample_columns.shape[0]))
+        added[:, 0] = -m.lever_arm * np.einsum("Nj,kjN->Nk", inverse[:, 0], extra.sample_columns)
+        for axis, channel in enumerate(("accel_x", "accel_y")):
+            if channel in extra.readings:
+                residual[:, axis] += extra.readings[channel]
+            if channel in extra.reading_columns:
+                added[:, axis] += extra.reading_columns[channel].T
+        return rows, residual, np.concatenate([border, added], axis=-1)
 
-    def residuals_after(self, point: Linearised, x: Latents, step: FloatArray, step_beta: FloatArray,
+    def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,
                         index: NDArray[np.intp]) -> dict[str, FloatArray]:
-        """Sensor residuals at `x`, reached from `point` by `step` (N, b) and `step_beta` on columns `index`.
-
-        Exact where the sensor is linear, to first order for the accelerometer.
+        """Sensor residuals `step` (N, b) and `step_beta` (on columns `index`) away from `point`, to first order.
         """
-        out = {"torque": x.u - self.torque, "encoder": x.q - self.angles}
+        n, p = self.n, self.mechanism.p
+        out = {"torque": point.residuals["torque"] + step[:, 2 * n:],
+               "encoder": point.residuals["encoder"] + step[:, :n]}
         if self.has_imu:
-            out["gyro"] = x.v[:, 0] - self.gyro
+            out["gyro"] = point.residuals["gyro"] + step[:, n]
             out["accel"] = (point.residuals["accel"] + np.einsum("kab,kb->ka", point.accel_rows, step)
                             + point.accel_border[:, :, index] @ step_beta)
+        if point.extra is not None:
+            size = np.zeros(len(point.gradient_beta))
+            size[index] = step_beta
+            for channel, columns in point.extra.reading_columns.items():
+                moved = size[p:] @ columns
+                if channel.startswith(("torque", "encoder")):
+                    out[channel[:-1]][:, int(channel[-1]) - 1] += moved
+                elif channel == "gyro":
+                    out["gyro"] += moved
         return out
 
     def effective_samples(self, point: Linearised, p_diagonal: FloatArray, noise: Noise) -> dict[str, FloatArray]:
@@ -222,7 +291,3 @@ class LatentProblem:
             taken["accel"] = np.array([np.sum((a @ p_diagonal) * a) / noise.accel**2])
         return taken
 
-
-def with_torque(noise: Noise, torque: FloatArray) -> Noise:
-    """`noise` with other torque levels (n,)."""
-    return replace(noise, torque=torque)

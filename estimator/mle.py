@@ -18,7 +18,7 @@ from daq.dataset import Dataset
 from estimator import blocktri
 from estimator.errors import FitError
 from estimator.identifiability import undetermined
-from estimator.latent import Latents, LatentProblem, Linearised, Noise
+from estimator.latent import LatentProblem, Latents, Linearised, Noise
 from estimator.mechanism import Mechanism
 from estimator.options import FitOptions
 from estimator.result import FitResult, Trajectory
@@ -31,6 +31,8 @@ FloatArray = NDArray[np.float64]
 MAX_ITERATIONS = 60
 TOLERANCE = 0.02
 """Converged when a step moves no parameter by more than this share of its standard deviation."""
+ANGLE_TOLERANCE = 1e-6
+"""Converged, where no parameter is free, when no angle moves by more than this [rad]."""
 PATIENCE = 10
 """Steps before they are halved, and halved again."""
 EXACT_ENCODER = 1e-8
@@ -40,7 +42,9 @@ PASSIVE_HASTE = 4.0
 
 
 @dataclass
-class _State:
+class State:
+    """Where a fit stands."""
+
     x: Latents
     beta: FloatArray
     noise: Noise
@@ -58,15 +62,15 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
                        "--fix NAME=VALUE")
     problem = LatentProblem(signals, mechanism, options.hold)
-    state = _start(problem, signals, mechanism, options, free, beta)
-    floors = _noise_floors(problem, mechanism, state.beta)
-    _iterate(problem, state, free, options, floors)
+    state = start_state(problem, signals, mechanism, options, free, beta)
+    floors = noise_floors(problem, mechanism, state.beta)
+    iterate(problem, state, free, options, floors)
     _refuse_collapse(problem, state, mechanism)
     return _result(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
 
 
-def _start(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
-           free: NDArray[np.bool_], beta: FloatArray) -> _State:
+def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
+           free: NDArray[np.bool_], beta: FloatArray) -> State:
     """Filtered motion, its least squares fit and rough noise levels."""
     rate = signals[0].rate_hz
     cutoff = options.cutoff(rate)
@@ -91,7 +95,7 @@ def _start(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanis
     if problem.has_imu:
         gyro = known.get("gyro_radps", max(white_noise_level(problem.gyro), 1e-6))
         accel = known.get("accel_mps2", max(white_noise_level(problem.ax), white_noise_level(problem.ay), 1e-5))
-    return _State(x, beta, Noise(torque, encoder, gyro, accel), covariance)
+    return State(x, beta, Noise(torque, encoder, gyro, accel), covariance)
 
 
 def passive_joints(mechanism: Mechanism) -> list[int]:
@@ -104,7 +108,7 @@ def _encoder_level(angle: FloatArray) -> float:
     return max(white_noise_level(angle), quantum(angle) / np.sqrt(12.0))
 
 
-def _noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray) -> Noise:
+def noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray) -> Noise:
     """Levels below which no estimate may fall: they only keep the equations solvable."""
     scale = max(float(np.std(problem.torque)), 1e-3 * float(np.max(np.abs(beta), initial=0.0)) * mechanism.gravity_mps2,
                 1e-6)
@@ -114,17 +118,19 @@ def _noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray
     return Noise(np.full(mechanism.n, 2e-3 * scale), encoder, 1e-6, 1e-5)
 
 
-def _iterate(problem: LatentProblem, state: _State, free: NDArray[np.bool_], options: FitOptions,
-             floors: Noise) -> None:
-    """Gauss-Newton on latents and beta together, with the marginal score and noise levels renewed each step."""
+def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions,
+            floors: Noise | None, limit: int = MAX_ITERATIONS) -> None:
+    """Gauss-Newton on latents and the `free` parameters together, noise levels renewed each step.
+
+    `floors` None keeps the noise levels. Sets `state.converged`; raises `FitError`.
+    """
     index = np.flatnonzero(free)
     settled = 0
-    for iteration in range(MAX_ITERATIONS):
+    for iteration in range(limit):
         state.iterations = iteration + 1
         point = problem.linearise(state.x, state.beta, state.noise)
         try:
             factored = blocktri.factor(point.diagonal, point.lower)
-            p_diagonal, _ = blocktri.inverse_band(point.diagonal, point.lower)
         except np.linalg.LinAlgError:
             raise FitError("the equations of the fit became singular; the motion is not excited enough") from None
         border = point.border[:, index]
@@ -144,17 +150,22 @@ def _iterate(problem: LatentProblem, state: _State, free: NDArray[np.bool_], opt
         state.covariance[np.ix_(index, index)] = covariance
         if not np.isfinite(state.beta).all():
             raise FitError("the fit ran away; the starting values are too far from the data")
-        residuals = problem.residuals_after(point, state.x, damping * step, damping * step_beta, index)
-        change = _update_noise(problem, state, point, p_diagonal, residuals, options, floors)
+        change = 0.0
+        if floors is not None:
+            p_diagonal, _ = blocktri.inverse_band(point.diagonal, point.lower)
+            residuals = problem.residuals_after(point, damping * step, damping * step_beta, index)
+            change = _update_noise(problem, state, point, p_diagonal, residuals, options, floors)
         std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         moved = float(np.max(np.abs(step_beta) / std, initial=0.0))
+        if not index.size:
+            moved = float(np.max(np.abs(step[:, : problem.n]))) / ANGLE_TOLERANCE * TOLERANCE
         settled = settled + 1 if moved < TOLERANCE and change < 0.01 else 0
         if settled >= 2:
             state.converged = True
             break
 
 
-def _refuse_collapse(problem: LatentProblem, state: _State, mechanism: Mechanism) -> None:
+def _refuse_collapse(problem: LatentProblem, state: State, mechanism: Mechanism) -> None:
     """Raise where nearly all measured torque was put down to noise: then beta shrinks to nothing.
 
     With angles taken as exact and a large torque noise this is a maximum of the likelihood, and never the one
@@ -189,7 +200,7 @@ def _step_length(angles: FloatArray, iteration: int) -> float:
     return length * 0.5 ** min(iteration // PATIENCE, 3)
 
 
-def _update_noise(problem: LatentProblem, state: _State, point: Linearised, p_diagonal: FloatArray,
+def _update_noise(problem: LatentProblem, state: State, point: Linearised, p_diagonal: FloatArray,
                   residuals: Mapping[str, FloatArray], options: FitOptions, floors: Noise) -> float:
     """sigma^2 = sum r^2 / (samples - those taken by the latents); returns the largest relative change.
 
@@ -225,7 +236,7 @@ def _update_noise(problem: LatentProblem, state: _State, point: Linearised, p_di
 
 
 def _result(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
-            state: _State, free: NDArray[np.bool_], wall_s: float) -> FitResult:
+            state: State, free: NDArray[np.bool_], wall_s: float) -> FitResult:
     x, beta = state.x, state.beta
     qdd = np.concatenate([mechanism.forward_dynamics(x.q[s], x.v[s], x.u[s], beta)
                           for s in np.split(np.arange(problem.total), problem.ends[:-1])])

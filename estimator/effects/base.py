@@ -1,0 +1,169 @@
+"""`Effect`: one thing a simulation of the rig can get wrong, with its physics, sizes and plain sentence.
+
+An effect says what it adds to the model at a motion: a torque that the motion needs beyond Z beta, or an
+amount added to a sensor's reading. Scoring (derivative at zero size), re-fit (derivative at its size) and
+simulation all call the same `perturb`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.mechanism import Mechanism
+
+FloatArray = NDArray[np.float64]
+
+
+class Size(NamedTuple):
+    """One parameter of an effect."""
+
+    name: str
+    unit: str
+    scale: float
+    """A small size of the effect: the step of its derivative at zero."""
+
+
+class Shape(NamedTuple):
+    """A parameter that only means something once the size is not zero; scored on a grid."""
+
+    name: str
+    unit: str
+    grid: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Points:
+    """Motion at a set of instants; arrays (n, ...) by joint, or (...) by instant."""
+
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+    u: FloatArray
+    """True motor torque [N m]."""
+    sign: FloatArray
+    """Rounded sign of v (n, ...), averaged over the half interval at Gauss points."""
+    time_s: FloatArray
+    """Since the start of the run."""
+    session_s: FloatArray
+    """Since the start of the first run, pauses left out."""
+    run: FloatArray
+    """Number of the run, 0, 1, ..."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What an effect may look at: the motion, the parameters, the rig."""
+
+    mechanism: Mechanism
+    beta: FloatArray
+    gauss: Points
+    samples: Points
+    left: NDArray[np.intp]
+    weights: tuple[float, float]
+    """Fractions of an interval at which its Gauss points lie."""
+    starts: NDArray[np.intp]
+    """First sample of each gap-free stretch."""
+    dt_s: float
+    reach: FloatArray
+    """(n, 2) smallest and largest angle over all runs."""
+    gear_ratio: float = 1.0
+
+    def to_gauss(self, x: FloatArray) -> FloatArray:
+        """Values (..., N) at samples to (..., 2, K), linear between samples."""
+        a, b = x[..., self.left], x[..., self.left + 1]
+        return np.stack([(1.0 - w) * a + w * b for w in self.weights], axis=-2)
+
+    def stretches(self) -> list[slice]:
+        """Gap-free stretches of samples."""
+        stops = np.append(self.starts[1:], self.samples.q.shape[-1])
+        return [slice(int(a), int(b)) for a, b in zip(self.starts, stops)]
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """What one effect adds; None where it adds nothing there."""
+
+    torque: FloatArray | None = None
+    """(n, 2, K) [N m]"""
+    torque_at_samples: FloatArray | None = None
+    """(n, N)"""
+    readings: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Channel (torque1, encoder2, gyro, accel_x, accel_y) to (N,)."""
+
+
+class Effect(ABC):
+    """Base of all effects; `size` vectors hold the sizes first, then the shapes."""
+
+    name: ClassVar[str]
+    sizes: ClassVar[tuple[Size, ...]]
+    shapes: ClassVar[tuple[Shape, ...]] = ()
+    sentence: ClassVar[str]
+    """What it means, for a person."""
+    reference: ClassVar[str]
+    experiment: ClassVar[str]
+    """What run would show it best."""
+    per_joint: ClassVar[bool] = False
+
+    def __init__(self, joint: int | None = None) -> None:
+        self.joint = joint
+        """0-based; None for effects of the whole rig."""
+
+    @property
+    def key(self) -> str:
+        """Name, and the joint (1-based) where there is one."""
+        return self.name if self.joint is None else f"{self.name}@{self.joint + 1}"
+
+    @property
+    def count(self) -> int:
+        """Number of sizes and shapes."""
+        return len(self.sizes) + len(self.shapes)
+
+    def grid(self) -> list[tuple[float, ...]]:
+        """All combinations of shapes that scoring tries."""
+        combinations: list[tuple[float, ...]] = [()]
+        for shape in self.shapes:
+            combinations = [(*c, value) for c in combinations for value in shape.grid]
+        return combinations
+
+    @abstractmethod
+    def perturb(self, view: View, size: FloatArray) -> Perturbation:
+        """What it adds at `size` (count,) to the motion in `view`."""
+
+    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        """Why it cannot be tested on this rig; empty where it can."""
+        return ""
+
+
+class TorqueEffect(Effect):
+    """A torque that depends on the motion at the same instant."""
+
+    per_joint = True
+
+    @abstractmethod
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        """(...) torque on its own joint [N m]."""
+
+    def perturb(self, view: View, size: FloatArray) -> Perturbation:
+        return Perturbation(self._placed(view.gauss, size, view), self._placed(view.samples, size, view))
+
+    def _placed(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        out = np.zeros_like(at.q)
+        out[self.joint or 0] = self.law(at, size, view)
+        return out
+
+
+class SensorEffect(Effect):
+    """An amount added to what a sensor reads."""
+
+    @abstractmethod
+    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        """Channel to (N,)."""
+
+    def perturb(self, view: View, size: FloatArray) -> Perturbation:
+        return Perturbation(readings=self.readings(view, size))

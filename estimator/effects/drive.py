@@ -1,0 +1,89 @@
+"""The drive and its torque measurement."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.base import Points, SensorEffect, Shape, Size, TorqueEffect, View
+from estimator.effects.timing import shifted
+from estimator.mechanism import Mechanism
+
+FloatArray = NDArray[np.float64]
+
+
+class TorqueRipple(TorqueEffect):
+    """A sin(n phi) + B cos(n phi), phi the motor's angle: gear ratio times the joint's."""
+
+    name = "torque_ripple"
+    sizes = (Size("sine_amplitude", "N m", 0.01), Size("cosine_amplitude", "N m", 0.01))
+    shapes = (Shape("order", "1", (1.0, 2.0, 3.0, 4.0, 6.0, 7.0, 8.0, 12.0, 14.0)),)
+    sentence = "the motor's torque ripples with its angle (cogging, commutation)"
+    reference = "whole orders of the motor's angle"
+    experiment = "slow constant speed over several turns of the motor"
+
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        phase = size[2] * view.gear_ratio * at.q[self.joint or 0]
+        return -(size[0] * np.sin(phase) + size[1] * np.cos(phase))
+
+    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        return "" if self.joint in actuated else "no motor at this joint"
+
+
+class TorqueSensorEffect(SensorEffect):
+    """Base of what is wrong with the measured torque; acts on every driven joint alike."""
+
+    per_joint = False
+
+    def _driven(self, view: View) -> list[int]:
+        return list(view.mechanism.actuated)
+
+    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        return "" if actuated else "no joint carries a measured torque"
+
+
+class TorqueSaturation(TorqueSensorEffect):
+    """The torque that acts falls short of the measured one at high level: reading = u + c u^3."""
+
+    name = "torque_saturation"
+    sizes = (Size("cubic_shortfall", "1/(N m)^2", 0.01),)
+    sentence = "at high current the motor gives less torque than the current says (saturation)"
+    reference = "magnetic saturation, leading odd term"
+    experiment = "the same motion at two amplitudes"
+
+    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        return {f"torque{j + 1}": size[0] * view.samples.u[j] ** 3 for j in self._driven(view)}
+
+
+class TorqueOffset(TorqueSensorEffect):
+    """reading = u + c."""
+
+    name = "torque_offset"
+    sizes = (Size("offset", "N m", 0.01),)
+    sentence = "the measured torque has an offset (shunt zero)"
+    reference = "contracts: torque from the current shunt"
+    experiment = "rest with the motor off"
+
+    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        return {f"torque{j + 1}": np.full(view.samples.q.shape[1], size[0]) for j in self._driven(view)}
+
+    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        if any(p.term == "offset" for p in mechanism.parameters):
+            return "declared in the rig: it is a parameter of the nominal model"
+        return super().testable(mechanism, has_imu, actuated)
+
+
+class TorqueDelay(TorqueSensorEffect):
+    """reading(t) = u(t - d)."""
+
+    name = "torque_delay"
+    sizes = (Size("delay", "s", 0.001),)
+    sentence = "the measured torque is late against the torque that acted"
+    reference = "contracts: torque_delay > 0"
+    experiment = "motion at high frequency: phase grows with it"
+
+    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        return {f"torque{j + 1}": shifted(view.samples.u[j], size[0], view) - view.samples.u[j]
+                for j in self._driven(view)}
+
+

@@ -1,0 +1,128 @@
+"""Friction beyond viscous and Coulomb."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_banded
+
+from estimator.effects.base import Effect, Perturbation, Points, Shape, Size, TorqueEffect, View
+from estimator.mechanism import Mechanism
+
+FloatArray = NDArray[np.float64]
+
+
+class StribeckFriction(TorqueEffect):
+    """F exp(-(v/vs)^2) sign(v)."""
+
+    name = "stribeck_friction"
+    sizes = (Size("excess_torque", "N m", 0.01),)
+    shapes = (Shape("stribeck_velocity", "rad/s", (0.05, 0.1, 0.2, 0.4, 0.8)),)
+    sentence = "friction is higher near standstill than in motion (Stribeck)"
+    reference = "Stribeck 1902; Armstrong-Helouvry 1991"
+    experiment = "slow reversals: a multisine below 0.3 Hz at small amplitude"
+
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        j = self.joint or 0
+        return size[0] * np.exp(-((at.v[j] / size[1]) ** 2)) * at.sign[j]
+
+
+class AsymmetricFriction(TorqueEffect):
+    """Extra Coulomb and viscous friction while v > 0: F max(s, 0) + B max(v, 0)."""
+
+    name = "asymmetric_friction"
+    sizes = (Size("coulomb_difference", "N m", 0.01), Size("viscous_difference", "N m s/rad", 0.01))
+    sentence = "friction differs between the two directions of motion"
+    reference = "Janot, Gautier, Brunot 2019 (EMPS)"
+    experiment = "constant speed in both directions at several speeds, with rests between"
+
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        j = self.joint or 0
+        forward = 0.5 * (1.0 + at.sign[j])
+        return size[0] * forward + size[1] * forward * at.v[j]
+
+
+class LoadDependentFriction(TorqueEffect):
+    """mu |tau| sign(v), tau the torque that the joint transmits."""
+
+    name = "load_dependent_friction"
+    sizes = (Size("load_coefficient", "1", 0.01),)
+    sentence = "friction grows with the torque that the joint transmits"
+    reference = "Duclusaud, Passault, Padois, Ly 2025"
+    experiment = "the same slow motion with two payloads, or under gravity at several angles"
+
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        j = self.joint or 0
+        return size[0] * np.sqrt(at.u[j] ** 2 + 1e-6) * at.sign[j]
+
+    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        return "" if self.joint in actuated else "the joint carries no measured torque"
+
+
+class QuadraticDrag(TorqueEffect):
+    """c v |v|."""
+
+    name = "quadratic_drag"
+    sizes = (Size("drag", "N m s^2/rad^2", 0.001),)
+    sentence = "drag grows with the square of the speed"
+    reference = "effects of air and churning; quadratic drag law"
+    experiment = "a free swing from a large angle, or fast motion at two amplitudes"
+
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        v = at.v[self.joint or 0]
+        return size[0] * v * np.abs(v)
+
+
+class FrictionDrift(TorqueEffect):
+    """Coulomb level that changes in the course of the session and of each run."""
+
+    name = "friction_drift"
+    sizes = (Size("change_per_minute_of_session", "N m", 0.005), Size("change_per_minute_within_runs", "N m", 0.01))
+    sentence = "the friction level drifts with time (warming up, running in)"
+    reference = "Simoni, Beschi, Legnani, Visioli 2015"
+    experiment = "the same run repeated cold and warm, temperature recorded"
+
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        return (size[0] * at.session_s + size[1] * at.time_s) / 60.0 * at.sign[self.joint or 0]
+
+
+class PreslidingFriction(Effect):
+    """Dahl friction in place of part of the sign: A (z - sign v), dz/ds = (sign v - z) / s0 along the path s.
+
+    The bristle state z lags the sign of the velocity over a displacement s0 after a reversal.
+    """
+
+    name = "presliding_friction"
+    sizes = (Size("level", "N m", 0.01),)
+    shapes = (Shape("displacement", "rad", (0.003, 0.01, 0.03, 0.1)),)
+    sentence = "after a reversal friction builds up over a displacement, like a spring (presliding)"
+    reference = "Dahl 1968; Canudas de Wit et al. 1995 (LuGre)"
+    experiment = "micro-motions: sines of a few milliradians about several angles"
+    per_joint = True
+
+    def perturb(self, view: View, size: FloatArray) -> Perturbation:
+        j = self.joint or 0
+        z = relaxed_sign(view.samples.v[j], view.samples.sign[j], view.starts, view.dt_s, size[1])
+        gauss, samples = np.zeros_like(view.gauss.q), np.zeros_like(view.samples.q)
+        gauss[j] = size[0] * (view.to_gauss(z) - view.gauss.sign[j])
+        samples[j] = size[0] * (z - view.samples.sign[j])
+        return Perturbation(gauss, samples)
+
+
+def relaxed_sign(v: FloatArray, sign: FloatArray, starts: NDArray[np.intp], dt_s: float, distance: float) -> FloatArray:
+    """z (N,) of dz/ds = (sign - z) / distance along the path, from z = sign at each start.
+
+    Exact over an interval of constant sign: z[k+1] = z[k] e + sign (1 - e), e = exp(-|dq| / distance); the
+    recurrence is one bidiagonal solve.
+    """
+    path = 0.5 * np.abs(v[1:] + v[:-1]) * dt_s
+    decay = np.exp(-path / distance)
+    target = 0.5 * (sign[1:] + sign[:-1])
+    decay[starts[1:] - 1] = 0.0
+    rhs = np.empty_like(v)
+    rhs[0] = sign[0]
+    rhs[1:] = (1.0 - decay) * target
+    rhs[starts] = sign[starts]
+    band = np.ones((2, v.shape[0]))
+    band[1, :-1] = -decay
+    return np.asarray(solve_banded((1, 0), band, rhs, check_finite=False))

@@ -1,0 +1,150 @@
+"""IMU and encoder errors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.base import SensorEffect, Size, View
+from estimator.mechanism import Mechanism
+from estimator.sensors import accelerometer
+
+FloatArray = NDArray[np.float64]
+
+
+class ImuEffect(SensorEffect):
+    """Base: needs the IMU path."""
+
+    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        return "" if has_imu else "no IMU on this path"
+
+
+class GyroBias(ImuEffect):
+    """reading = q1d + b."""
+
+    name = "gyro_bias"
+    sizes = (Size("bias", "rad/s", 0.001),)
+    sentence = "the gyro has a bias"
+    reference = "LSM9DS1 datasheet: zero-rate level"
+    experiment = "rest for a minute"
+
+    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        return {"gyro": np.full(view.samples.q.shape[1], size[0])}
+
+
+class GyroScale(ImuEffect):
+    """reading = (1 + s) q1d."""
+
+    name = "gyro_scale"
+    sizes = (Size("scale_error", "1", 0.01),)
+    sentence = "the gyro's scale is wrong"
+    reference = "LSM9DS1 datasheet: sensitivity"
+    experiment = "large swings between two known rests"
+
+    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        return {"gyro": size[0] * view.samples.v[0]}
+
+
+class AccelerometerBias(ImuEffect):
+    """A constant on each axis."""
+
+    name = "accelerometer_bias"
+    sizes = (Size("bias_x", "m/s2", 0.01), Size("bias_y", "m/s2", 0.01))
+    sentence = "the accelerometer has a bias"
+    reference = "LSM9DS1 datasheet: zero-g level"
+    experiment = "six positions at rest"
+
+    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        ones = np.ones(view.samples.q.shape[1])
+        return {"accel_x": size[0] * ones, "accel_y": size[1] * ones}
+
+
+def true_acceleration(view: View) -> tuple[FloatArray, FloatArray]:
+    """(a_x, a_y) at the samples by the nominal sensor model."""
+    s, m = view.samples, view.mechanism
+    return accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2)
+
+
+class ImuMisalignment(ImuEffect):
+    """The IMU is turned by phi in the sense of q1: a_x' = a_x cos phi - a_y sin phi."""
+
+    name = "imu_misalignment"
+    sizes = (Size("angle", "rad", 0.005),)
+    sentence = "the IMU is mounted at an angle to the link"
+    reference = "plane rotation"
+    experiment = "rest hanging, and rest at a known angle"
+
+    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        ax, ay = true_acceleration(view)
+        c, s = np.cos(size[0]), np.sin(size[0])
+        return {"accel_x": (c - 1.0) * ax - s * ay, "accel_y": (c - 1.0) * ay + s * ax}
+
+
+class ImuLeverArm(ImuEffect):
+    """The IMU sits d further from the pivot than declared: d q1dd, -d q1d^2."""
+
+    name = "imu_lever_arm"
+    sizes = (Size("excess", "m", 0.002),)
+    sentence = "the IMU's distance from the pivot is not the declared one"
+    reference = "contracts: accelerometer equations"
+    experiment = "fast swings of the pivot"
+
+    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        s = view.samples
+        return {"accel_x": size[0] * s.a[0], "accel_y": -size[0] * s.v[0] ** 2}
+
+
+class EncoderEffect(SensorEffect):
+    """Base: the joint's own encoder reads wrong."""
+
+    per_joint = True
+
+    def error(self, q: FloatArray, size: FloatArray) -> FloatArray:
+        """Error (N,) at angle q (N,) [rad]."""
+        raise NotImplementedError
+
+    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        j = self.joint or 0
+        return {f"encoder{j + 1}": self.error(view.samples.q[j], size)}
+
+    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        return "this joint has no encoder on this path" if has_imu and self.joint == 0 else ""
+
+
+class EncoderOffset(EncoderEffect):
+    """reading = q + o."""
+
+    name = "encoder_offset"
+    sizes = (Size("offset", "rad", 0.005),)
+    sentence = "the encoder's zero is wrong"
+    reference = "contracts: q2 = 0 straight"
+    experiment = "rest hanging straight"
+
+    def error(self, q: FloatArray, size: FloatArray) -> FloatArray:
+        return np.full_like(q, size[0])
+
+
+class EncoderScale(EncoderEffect):
+    """reading = (1 + s) q."""
+
+    name = "encoder_scale"
+    sizes = (Size("scale_error", "1", 0.01),)
+    sentence = "the encoder's scale is wrong (counts or gear ratio)"
+    reference = "counts per turn"
+    experiment = "a full turn between two known stops"
+
+    def error(self, q: FloatArray, size: FloatArray) -> FloatArray:
+        return size[0] * q
+
+
+class EncoderEccentricity(EncoderEffect):
+    """Once a turn of the angle measured: a sin q + b cos q, less its value at q = 0."""
+
+    name = "encoder_eccentricity"
+    sizes = (Size("sine_amplitude", "rad", 0.005), Size("cosine_amplitude", "rad", 0.005))
+    sentence = "the encoder's disc is off centre: an error once a turn"
+    reference = "contracts: once a turn of the angle measured"
+    experiment = "a full slow turn"
+
+    def error(self, q: FloatArray, size: FloatArray) -> FloatArray:
+        return size[0] * np.sin(q) + size[1] * np.cos(q)

@@ -1,0 +1,40 @@
+"""Clocks that disagree."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import shift
+
+from estimator.effects.base import SensorEffect, Size, View
+from estimator.mechanism import Mechanism
+from estimator.sensors import accelerometer
+
+FloatArray = NDArray[np.float64]
+
+
+def shifted(x: FloatArray, delay_s: float, view: View) -> FloatArray:
+    """x(t - delay) at the samples (N,), cubic spline within each stretch, its ends held."""
+    out = np.empty_like(x)
+    for where in view.stretches():
+        out[where] = shift(x[where], delay_s / view.dt_s, order=3, mode="nearest")
+    return out
+
+
+class SensorTimeSkew(SensorEffect):
+    """The IMU reads what was true a time d ago."""
+
+    name = "sensor_time_skew"
+    sizes = (Size("skew", "s", 0.001),)
+    sentence = "the IMU is late against encoder and torque"
+    reference = "contracts: sensor_time_skew > 0"
+    experiment = "fast reversals of the pivot; a tap seen by both"
+
+    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        s, m = view.samples, view.mechanism
+        ax, ay = accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2)
+        true = {"gyro": s.v[0], "accel_x": ax, "accel_y": ay}
+        return {name: shifted(x, size[0], view) - x for name, x in true.items()}
+
+    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        return "" if has_imu else "no IMU on this path"

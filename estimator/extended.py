@@ -1,0 +1,166 @@
+"""`ExtendedProblem`: the latent likelihood of a mechanism with effects, and the derivative of more of them.
+
+Parameters are beta, then the sizes and shapes of each effect in turn. Effects are evaluated on the current
+motion; their own dependence on it is left out of the Gauss-Newton matrix (not of the residual), which costs
+iterations, not accuracy of the fit to first order in the noise of the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.collocation import GAUSS, Motion
+from estimator.effects.base import Effect, Perturbation, Points, View
+from estimator.latent import Extra, LatentProblem, Latents, Linearised, Noise
+from estimator.mechanism import Mechanism, smooth_sign
+from estimator.signalset import SignalSet
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at one point of its shape grid, to be scored at zero size."""
+
+    effect: Effect
+    shape: tuple[float, ...] = ()
+
+    @property
+    def width(self) -> int:
+        """Number of columns: one a size."""
+        return len(self.effect.sizes)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Where and when stretches of a record stand: what a `View` needs beyond the motion."""
+
+    run: tuple[int, ...]
+    """Number of the run of each stretch."""
+    session_s: tuple[float, ...]
+    """Session time of each stretch's first sample."""
+    time_s: tuple[float, ...]
+    """Time since the start of its run of each stretch's first sample."""
+    reach: FloatArray
+    """(n, 2)"""
+    gear_ratio: float = 1.0
+
+
+class ExtendedProblem(LatentProblem):
+    """`LatentProblem` whose parameter vector goes on after beta; see the module's text."""
+
+    def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, stage: Stage,
+                 effects: Sequence[Effect] = (), candidates: Sequence[Candidate] = ()) -> None:
+        super().__init__(signals, mechanism, hold)
+        self.stage, self.effects, self.candidates = stage, tuple(effects), tuple(candidates)
+        lengths = np.diff(np.concatenate([[0], self.ends]))
+        index = np.concatenate([np.arange(k) for k in lengths]) * self.dt
+        which = np.repeat(np.arange(len(lengths)), lengths)
+        self._run = np.asarray(stage.run, dtype=np.float64)[which]
+        self._time = np.asarray(stage.time_s)[which] + index
+        self._session = np.asarray(stage.session_s)[which] + index
+        self._starts = np.concatenate([[0], self.ends[:-1]])
+
+    @property
+    def parameter_count(self) -> int:
+        """Length of the parameter vector: beta, then the effects."""
+        return self.mechanism.p + sum(e.count for e in self.effects)
+
+    def view(self, x: Latents, beta: FloatArray, torque: FloatArray | None = None) -> View:
+        """What effects see at (x, beta); `torque` (n, N) is what effects already take at the samples."""
+        m, c, left = self.mechanism, self.collocation, self.left
+        motion = c.motion(x.q, x.v, left)
+        taken = x.u if torque is None else x.u - torque.T
+        qdd = m.forward_dynamics(x.q, x.v, taken, beta)
+
+        def spread(values: FloatArray) -> FloatArray:
+            return np.stack([values[left] + w * (values[left + 1] - values[left]) for w in GAUSS])
+
+        gauss = Points(motion.angle, motion.rate, motion.accel, c.torque(x.u, left), self._gauss_sign(motion),
+                       spread(self._time), spread(self._session), np.broadcast_to(self._run[left], (2, left.size)))
+        samples = Points(x.q.T, x.v.T, qdd.T, x.u.T, smooth_sign(x.v.T, m.velocity_scale), self._time, self._session,
+                         self._run)
+        return View(m, beta, gauss, samples, left, (GAUSS[0], GAUSS[1]), self._starts, self.dt, self.stage.reach,
+                    self.stage.gear_ratio)
+
+    def _gauss_sign(self, motion: Motion) -> FloatArray:
+        eps2 = self.mechanism.velocity_scale**2
+        a, b = motion.rate_from, motion.rate_to
+        return (a + b) / (np.sqrt(a * a + eps2) + np.sqrt(b * b + eps2))
+
+    def split(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
+        """beta (p,) and one size vector an effect."""
+        p = self.mechanism.p
+        stops = p + np.cumsum([e.count for e in self.effects])
+        return parameters[:p], [parameters[b - e.count : b] for e, b in zip(self.effects, stops)]
+
+    def extra(self, x: Latents, parameters: FloatArray) -> Extra:
+        """What the effects add at (x, parameters), with columns of effects, then of candidates."""
+        beta, sizes = self.split(parameters)
+        n, count, total = self.n, self.left.size, self.total
+        torque, at_samples = np.zeros((n, 2, count)), np.zeros((n, total))
+        readings: dict[str, FloatArray] = {}
+        view = self.view(x, beta)
+        for effect, size in zip(self.effects, sizes):
+            got = effect.perturb(view, size)
+            if got.torque is not None and got.torque_at_samples is not None:
+                torque += got.torque
+                at_samples += got.torque_at_samples
+            for channel, values in got.readings.items():
+                readings[channel] = readings.get(channel, 0.0) + values
+        if self.effects:
+            view = self.view(x, beta, at_samples)
+        derivatives: list[Perturbation] = []
+        for effect, size in zip(self.effects, sizes):
+            derivatives += slopes(effect, view, size)
+        for candidate in self.candidates:
+            derivatives += slopes_at_zero(candidate, view)
+        k = len(derivatives)
+        columns, sample_columns = np.zeros((k, n, 2, count)), np.zeros((k, n, total))
+        reading_columns: dict[str, FloatArray] = {}
+        for i, d in enumerate(derivatives):
+            if d.torque is not None and d.torque_at_samples is not None:
+                columns[i], sample_columns[i] = d.torque, d.torque_at_samples
+            for channel, values in d.readings.items():
+                reading_columns.setdefault(channel, np.zeros((k, total)))[i] = values
+        return Extra(torque, at_samples, readings, columns, sample_columns, reading_columns)
+
+    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
+        """`beta` is the whole parameter vector here."""
+        return super().linearise(x, beta[: self.mechanism.p], noise, self.extra(x, beta))
+
+
+def slopes(effect: Effect, view: View, size: FloatArray) -> list[Perturbation]:
+    """Derivative by each size and shape, central differences."""
+    steps = [s.scale * 0.1 for s in effect.sizes] + [1e-3 * abs(v) + 1e-9 for v in size[len(effect.sizes):]]
+    out = []
+    for i, h in enumerate(steps):
+        up, down = size.copy(), size.copy()
+        up[i] += h
+        down[i] -= h
+        out.append(_difference(effect.perturb(view, up), effect.perturb(view, down), 2.0 * h))
+    return out
+
+
+def slopes_at_zero(candidate: Candidate, view: View) -> list[Perturbation]:
+    """Derivative by each size at zero, at the candidate's shape."""
+    effect = candidate.effect
+    out = []
+    for i, s in enumerate(effect.sizes):
+        size = np.array([0.0] * len(effect.sizes) + list(candidate.shape))
+        size[i] = s.scale
+        out.append(_difference(effect.perturb(view, size), None, s.scale))
+    return out
+
+
+def _difference(a: Perturbation, b: Perturbation | None, by: float) -> Perturbation:
+    def part(x: FloatArray | None, y: FloatArray | None) -> FloatArray | None:
+        return None if x is None else (x - y if y is not None else x) / by
+
+    readings = {k: (v - (b.readings[k] if b is not None else 0.0)) / by for k, v in a.readings.items()}
+    return Perturbation(part(a.torque, b.torque if b else None),
+                        part(a.torque_at_samples, b.torque_at_samples if b else None), readings)

@@ -1,0 +1,135 @@
+"""Score tests: what a small effect of each kind would gain, nominal parameters and motion projected out.
+
+At a fit, the derivative of the log likelihood by an effect's size (its score) has mean zero unless the effect
+is there. The latents are eliminated exactly (Schur complement); the nominal parameters are projected out over
+the pooled runs. Runs are independent, samples are not: the scatter of scores between runs sets how much the
+white-noise variance is too small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, f as fisher
+
+from estimator import blocktri
+from estimator.extended import Candidate, ExtendedProblem
+from estimator.mle import State
+
+FloatArray = NDArray[np.float64]
+PRIOR_RUNS = 8
+"""Runs that the pooled scatter counts for beside a candidate's own."""
+
+
+@dataclass(frozen=True)
+class RunScore:
+    """Score and information of one run for nuisance parameters, then candidate columns."""
+
+    score: FloatArray
+    """(m,)"""
+    information: FloatArray
+    """(m, m)"""
+
+
+def score_run(problem: ExtendedProblem, state: State) -> RunScore:
+    """Score and information of the problem's candidates at the smoothed motion in `state`."""
+    point = problem.linearise(state.x, state.beta, state.noise)
+    factored = blocktri.factor(point.diagonal, point.lower)
+    solved = blocktri.solve(factored, np.column_stack([point.gradient, point.border]))
+    information = point.corner - point.border.T @ solved[:, 1:]
+    score = -(point.gradient_beta - point.border.T @ solved[:, 0])
+    return RunScore(score, 0.5 * (information + information.T))
+
+
+@dataclass(frozen=True)
+class Tests:
+    """Efficient scores of all candidate columns, by run and pooled."""
+
+    by_run: FloatArray
+    """(R, c)"""
+    run_information: FloatArray
+    """(R, c, c)"""
+    score: FloatArray
+    """(c,)"""
+    information: FloatArray
+    """(c, c)"""
+    inflation: FloatArray
+    """(c,) how much the scores scatter between runs over what white noise would make them."""
+    freedom: float
+    """Degrees of freedom of `inflation`."""
+
+    def gain(self, columns: NDArray[np.intp]) -> float:
+        """Twice the log likelihood that these columns would gain, over the scatter's inflation."""
+        size = self.size(columns)
+        return float(size @ self.score[columns]) / float(np.mean(self.inflation[columns]))
+
+    def size(self, columns: NDArray[np.intp]) -> FloatArray:
+        """One-step estimate of the sizes of these columns."""
+        information = self.information[np.ix_(columns, columns)]
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+        good = values > 1e-8
+        projected = vectors[:, good].T @ (self.score[columns] / scale)
+        return np.asarray((vectors[:, good] / values[good]) @ projected / scale)
+
+    def p_value(self, columns: NDArray[np.intp]) -> float:
+        """Of the gain under no effect: F with the scatter's degrees of freedom."""
+        k = len(columns)
+        return float(fisher.sf(self.gain(columns) / k, k, self.freedom))
+
+    def detectable(self, column: int, p: float) -> float:
+        """Size of one column that would give this p-value on average."""
+        needed = float(fisher.isf(p, 1, self.freedom)) * float(self.inflation[column])
+        return float(np.sqrt(needed / max(self.information[column, column], 1e-300)))
+
+
+def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | None = None,
+            scatter: Tests | None = None) -> Tests:
+    """Efficient scores with the first `nuisance` parameters projected out over all `runs`.
+
+    `bias`, if given, holds for each run the mean score of rehearsals of the fitted model, which is subtracted.
+    `scatter` lends its inflation to a set with few runs.
+    """
+    total = np.sum([r.information for r in runs], axis=0)
+    scale = np.sqrt(np.maximum(np.diag(total)[:nuisance], 1e-300))
+    scaled = total[:nuisance, :nuisance] / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(scaled)
+    inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T / np.outer(scale, scale)
+    carry = inverse @ total[:nuisance, nuisance:]
+    by_run, informations = [], []
+    for i, r in enumerate(runs):
+        s = r.score - bias[i].score if bias is not None else r.score
+        by_run.append(s[nuisance:] - carry.T @ s[:nuisance])
+        cross = r.information[nuisance:, :nuisance] @ carry
+        informations.append(r.information[nuisance:, nuisance:] - cross - cross.T
+                            + carry.T @ r.information[:nuisance, :nuisance] @ carry)
+    scores, information = np.array(by_run), np.array(informations)
+    pooled = information.sum(axis=0)
+    if scatter is not None:
+        inflation, freedom = scatter.inflation, scatter.freedom
+    else:
+        inflation, freedom = _inflation(scores, information)
+    return Tests(scores, information, scores.sum(axis=0), pooled, inflation, freedom)
+
+
+def _inflation(scores: FloatArray, information: FloatArray) -> tuple[FloatArray, float]:
+    """Scatter of the scores about their share of the pooled score, shrunk towards the candidates' median."""
+    runs = scores.shape[0]
+    own = np.maximum(np.einsum("rcc->rc", information), 1e-300)
+    share = own / own.sum(axis=0)
+    excess = scores - share * scores.sum(axis=0)
+    if runs < 2:
+        return np.ones(scores.shape[1]), float(PRIOR_RUNS)
+    variance = np.sum(excess**2 / own, axis=0) / (runs - 1)
+    common = max(1.0, float(np.median(variance)) / float(chi2.median(runs - 1) / (runs - 1)))
+    inflation = (PRIOR_RUNS * common + (runs - 1) * variance) / (PRIOR_RUNS + runs - 1)
+    return np.maximum(inflation, 1.0), float(PRIOR_RUNS + runs - 1)
+
+
+def columns_of(candidates: Sequence[Candidate]) -> list[NDArray[np.intp]]:
+    """Column numbers of each candidate."""
+    stops = np.cumsum([c.width for c in candidates])
+    return [np.arange(b - c.width, b) for c, b in zip(candidates, stops)]
