@@ -15,13 +15,13 @@ def undetermined(mechanism: Mechanism, beta: FloatArray, covariance: FloatArray,
     """Names of parameters or combinations whose uncertainty exceeds what the rest of the model makes plausible.
 
     The covariance (p, p) is turned to scaled units: inertias against the largest inertia, gravity terms
-    against the largest gravity term; a friction or extra term counts only where it is not finite or tied to
-    others. A direction with a standard deviation above one half of its scale is undetermined.
+    against the largest gravity term, friction against ten times its largest level. A direction with a standard
+    deviation above one half of its scale is undetermined.
     """
     index = np.flatnonzero(free)
     if index.size == 0:
         return ()
-    scale = _scales(mechanism, beta, covariance)[index]
+    scale = _scales(mechanism, beta)[index]
     scaled = covariance[np.ix_(index, index)] / np.outer(scale, scale)
     if not np.isfinite(scaled).all():
         return tuple(mechanism.names[k] for k in index if not np.isfinite(covariance[k]).all())
@@ -40,7 +40,7 @@ def undetermined(mechanism: Mechanism, beta: FloatArray, covariance: FloatArray,
     return tuple(dict.fromkeys(found))
 
 
-def _scales(mechanism: Mechanism, beta: FloatArray, covariance: FloatArray) -> FloatArray:
+def _scales(mechanism: Mechanism, beta: FloatArray) -> FloatArray:
     """(p,) the size against which each parameter's uncertainty is judged."""
     scale = np.ones(mechanism.p)
     terms = np.array([a.term for a in mechanism.parameters])
@@ -49,7 +49,9 @@ def _scales(mechanism: Mechanism, beta: FloatArray, covariance: FloatArray) -> F
     for group in (inertia, gravity):
         if group.any():
             scale[group] = max(float(np.max(np.abs(beta[group]))), 1e-12)
-    rest = ~(inertia | gravity)
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    scale[rest] = np.maximum(2.5 * std[rest], 1e-12)  # a friction level may be zero: alone it never counts
+    torque = 0.02 * mechanism.gravity_mps2 * float(np.max(scale[gravity], initial=0.0))
+    for term in ("viscous", "coulomb", "offset"):
+        group = terms == term
+        if group.any():  # a friction level may be zero: it counts when its error dwarfs every level of its kind
+            scale[group] = 10.0 * max(float(np.max(np.abs(beta[group]))), torque, 1e-12)
     return scale

@@ -37,8 +37,11 @@ PATIENCE = 10
 """Steps before they are halved, and halved again."""
 EXACT_ENCODER = 1e-8
 """Standard deviation that stands for an encoder without noise [rad]: the collocation's own error over 10 ms."""
-PASSIVE_HASTE = 4.0
-"""The fixed point falls by a constant factor a step where a passive joint's model error is nil: take four."""
+PASSIVE_WAIT = 4
+STEEP = 0.95
+PASSIVE_HASTE = 2.5
+"""Where a passive joint's model error is nil its level falls by a constant factor a step; after PASSIVE_WAIT
+steps a fall steeper than STEEP is taken to this power."""
 
 
 @dataclass
@@ -213,14 +216,15 @@ def _update_noise(problem: LatentProblem, state: State, point: Linearised, p_dia
 
     def level(r: FloatArray, gamma: float, floor: float, previous: float, haste: float = 1.0) -> float:
         freedom = max(r.size - gamma, 0.002 * r.size)
-        value = previous * (float(np.sqrt(np.sum(r * r) / freedom)) / previous) ** haste
-        return max(floor, float(np.clip(value, previous / 4.0, previous * 3.0)))
+        ratio = float(np.sqrt(np.sum(r * r) / freedom)) / previous
+        value = previous * ratio ** (haste if ratio < STEEP else 1.0)
+        return max(floor, float(np.clip(value, previous / 2.0, previous * 3.0)))
 
     torque, encoder = old.torque.copy(), old.encoder.copy()
     for j in range(problem.n):
         if ("torque_nm" if j in actuated else "passive_nm") not in known:
             r = residuals["torque"][:, j]
-            haste = 1.0 if j in actuated else PASSIVE_HASTE
+            haste = 1.0 if j in actuated or state.iterations <= PASSIVE_WAIT else PASSIVE_HASTE
             torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j], haste)
         if problem.has_encoder[j] and options.encoder_noise(j) is None:
             r = residuals["encoder"][:, j]

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, f as fisher
+from scipy.stats import chi2
+from scipy.stats import f as fisher
 
 from estimator import blocktri
 from estimator.extended import Candidate, ExtendedProblem

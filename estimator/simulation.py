@@ -22,11 +22,12 @@ MAX_NEWTON = 40
 
 
 def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatArray, tau: FloatArray, dt_s: float,
-             hold: str = "linear", guess: tuple[FloatArray, FloatArray] | None = None
-             ) -> tuple[FloatArray, FloatArray, FloatArray]:
+             hold: str = "linear", guess: tuple[FloatArray, FloatArray] | None = None,
+             taken: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(q, qd, qdd), each (N, n), from the state q0, qd0 (n,) under torque samples tau (N, n).
 
-    `guess` is a motion (q, qd) near the solution, such as the measured one. From the sample on where no
+    `guess` is a motion (q, qd) near the solution, such as the measured one. `taken` (n, 2, N - 1) is torque
+    that something outside the mechanism takes at the Gauss points of each interval. From the sample on where no
     solution is found (the parameters are not those of a mechanism, or the motion leaves all bounds) it is NaN.
     """
     collocation = Collocation(mechanism, dt_s, hold)
@@ -34,11 +35,11 @@ def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatA
     q, v = np.full((n, mechanism.n), np.nan), np.full((n, mechanism.n), np.nan)
     q[0], v[0] = q0, qd0
     if guess is not None and n > 1:
-        found = _newton(collocation, beta, *_pinned(guess, q0, qd0), tau)
+        found = _newton(collocation, beta, *_pinned(guess, q0, qd0), tau, taken)
         if found is not None:
             q, v = found
     if not np.isfinite(q).all():
-        _march(collocation, beta, q, v, tau)
+        _march(collocation, beta, q, v, tau, taken)
     with np.errstate(invalid="ignore"):
         good = np.isfinite(q).all(axis=1)
         qdd = np.full_like(q, np.nan)
@@ -52,7 +53,8 @@ def _pinned(guess: tuple[FloatArray, FloatArray], q0: FloatArray, qd0: FloatArra
     return q, v
 
 
-def _march(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatArray, tau: FloatArray) -> None:
+def _march(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatArray, tau: FloatArray,
+           taken: FloatArray | None) -> None:
     """Fill q, v (N, n) from their first sample on, window by window; stops where no solution is found."""
     n, window, start = len(q), WINDOW, 0
     m, dt = collocation.mechanism, collocation.dt
@@ -62,7 +64,8 @@ def _march(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatAr
         with np.errstate(all="ignore"):
             a = m.forward_dynamics(q[start], v[start], tau[start], beta) if window == 1 else 0.0
         gq, gv = q[start] + v[start] * dt * k + 0.5 * a * (dt * k) ** 2, v[start] + a * dt * k
-        found = _newton(collocation, beta, gq, gv, tau[start : stop + 1])
+        found = _newton(collocation, beta, gq, gv, tau[start : stop + 1],
+                        None if taken is None else taken[:, :, start:stop])
         if found is None:
             if window == 1:
                 return
@@ -73,10 +76,12 @@ def _march(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatAr
 
 
 def _newton(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatArray,
-            tau: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+            tau: FloatArray, taken: FloatArray | None) -> tuple[FloatArray, FloatArray] | None:
     """Solve the collocation equations with the first sample held; None where Newton does not settle."""
     left = np.arange(len(q) - 1)
     torque = collocation.torque(tau, left)
+    if taken is not None:
+        torque = torque - taken
     scale = 1e-9 * (1.0 + float(np.max(np.abs(torque))))
     with np.errstate(all="ignore"):
         defect, slopes, shape = _defect(collocation, beta, q, v, left, torque)

@@ -22,6 +22,9 @@ from estimator.signals import lowpass
 from estimator.signalset import Kinematics, SignalSet, angle_column, differentiate, split_signals
 
 FloatArray = NDArray[np.float64]
+WEIGHT_SHARE = 0.3
+"""Least residual level of a joint as a share of the largest: a passive joint's equation is homogeneous in beta,
+so weighting it by its own residual alone ends at beta = 0."""
 
 
 def weighted_least_squares(z: FloatArray, tau: FloatArray, free: NDArray[np.bool_], beta: FloatArray,
@@ -49,6 +52,7 @@ def weighted_least_squares(z: FloatArray, tau: FloatArray, free: NDArray[np.bool
         beta[free] = (inverse @ y) / scale
         residual = tau - z @ beta
         sigma = np.maximum(np.sqrt(np.mean(residual**2, axis=0)), 1e-9 * (1.0 + np.max(np.abs(tau))))
+        sigma = np.maximum(sigma, WEIGHT_SHARE * np.max(sigma))
         spread = (vt[keep].T / s[keep] ** 2) @ vt[keep] / np.outer(scale, scale)
         covariance[np.ix_(free, free)] = samples_per_dof * spread
     return beta, covariance, sigma

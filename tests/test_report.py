@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from estimator.mechanism import leg2
+from estimator.mechanism import Mechanism, joint1, leg2
 from estimator.result import FitResult, Trajectory
 from experiments.figures import BLUE, Line, plot_lines, window
 from experiments.fit_report import fit_sections, fit_summary, truth_section
@@ -126,6 +126,18 @@ def test_a_truth_outside_its_interval_is_counted_as_such() -> None:
     section = truth_section(result, truth)
     assert "8 of 9" in section.paragraphs[0]
     assert section.tables[0].rows[0][4] == "no"
+
+
+def test_units_follow_the_joint_and_its_input() -> None:
+    def text(mechanism: Mechanism) -> str:
+        p = mechanism.p
+        result = FitResult(mechanism, "wls", "encoder", np.ones(p), np.eye(p), {"torque_nm": 0.1, "encoder_rad": 0.2},
+                           np.array([0.1]), True, 1, 100, 0.0)
+        return fit_text(result, "joint1") + fit_summary(result, "joint1")
+
+    slide, servo = text(joint1(prismatic=True, gravity_mps2=0.0)), text(joint1(voltage=True))
+    assert "torque 0.1 N," in slide and "encoder 0.2 m" in slide and "volt" not in slide
+    assert "torque 0.1 V," in servo and "encoder 0.2 rad" in servo and servo.count("every parameter is in volt") == 2
 
 
 def test_numbers_carry_the_digits_that_mean_something() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -24,20 +25,27 @@ class ImuPhysics:
         self._bias = np.array([*settings.gyro_bias_radps, *settings.accel_bias_mps2])
         self._rate_hz = 0.0
         self._due_ns = 0.0
+        self._ahead: deque[tuple[float, list[int]]] = deque()
 
     def observe(self, segment: Segment) -> None:
-        """Push the samples due within the segment."""
+        """Take the samples due within the segment; the chip gets them when their time has come."""
         rate = self._chip.rate_hz
         if not rate:
             self._rate_hz = 0.0
+            self._ahead.clear()
             return
         period_ns = 1e9 / (rate * (1 + self._settings.rate_error))
         if rate != self._rate_hz:  # switched on: the oscillator's phase is its own
             self._rate_hz = rate
             self._due_ns = segment.t0_ns + period_ns * self._rng.random()
         while self._due_ns <= segment.t1_ns:
-            self._chip.push(self.raw(segment.at(self._due_ns)))
+            self._ahead.append((self._due_ns, self.raw(segment.at(self._due_ns))))
             self._due_ns += period_ns
+
+    def release(self, t_ns: int) -> None:
+        """Push the samples due up to `t_ns` into the chip."""
+        while self._ahead and self._ahead[0][0] <= t_ns:
+            self._chip.push(self._ahead.popleft()[1])
 
     def raw(self, state: Snapshot) -> list[int]:
         """Six readings [LSB] for this state: a_x = l*q1dd + g*sin(q1), a_y = -l*q1d^2 - g*cos(q1), gyro z = q1d."""

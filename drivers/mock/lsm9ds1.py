@@ -98,10 +98,13 @@ class MockLsm9ds1:
 
     def i2c_rdwr(self, *i2c_msgs: Any) -> None:
         """One transaction of smbus2 messages. Raises OSError 121 for another address, or what `fail` asked for."""
+        # A register is latched when its turn comes on the wire: after the addresses and what is written.
+        lead = sum(1 + message.len for message in i2c_msgs) - (i2c_msgs[-1].len if i2c_msgs else 0)
+        self._clock.sleep(lead * 9 / (self._bus_khz * 1e3))
         with self._lock:
             self._advance(self._clock.now_ns())
             moved = self._transact(i2c_msgs)
-        self._clock.sleep(moved * 9 / (self._bus_khz * 1e3))
+        self._clock.sleep((moved - lead) * 9 / (self._bus_khz * 1e3))
 
     def _transact(self, messages: Sequence[Any]) -> int:
         """Bytes that went over the wire, addresses included."""

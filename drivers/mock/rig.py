@@ -43,10 +43,14 @@ class MockRig:
         return self._t_ns
 
     def advance_to(self, t_ns: int) -> None:
-        """Run the physics up to `t_ns`, in whole steps."""
+        """Run the physics past `t_ns`, in whole steps; the devices then show what happened up to `t_ns`.
+
+        Physics that lagged behind would make every sample appear late by up to a step.
+        """
         with self.lock:
-            while self._t_ns + STEP_NS <= t_ns:
+            while self._t_ns < t_ns:
                 self._step()
+            self._imu_physics.release(t_ns)
 
     def _step(self) -> None:
         t0_ns, t1_ns = self._t_ns, self._t_ns + STEP_NS

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import lfilter
 
-from tests.blind.physics import GRAVITY, Array, Motion
+from tests.blind.leg import GRAVITY, Array
+from tests.blind.physics import Motion
 
 RATE_HZ = 100.0
 COLUMNS = ("time_s", "q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2")
@@ -38,8 +40,6 @@ class Sensors:
 
 def coloured(rng: np.random.Generator, count: int, rms: float, time: float, dt: float = 1.0 / RATE_HZ) -> Array:
     """AR(1) sequence of the given rms and correlation time, (count,)."""
-    from scipy.signal import lfilter
-
     pole = np.exp(-dt / time)
     white = rng.normal(size=count) * rms * np.sqrt(1.0 - pole**2)
     white[0] = rng.normal() * rms
@@ -60,12 +60,12 @@ def read(motion: Motion, lane: int, torque: Array, faults: Mapping[str, float], 
     time = np.arange(n) / RATE_HZ
     lever = sensors.lever + faults.get("lever", 0.0)
     tilt = motion.tilt[:, lane]
-    state = (motion.q1[:, lane], motion.w1[:, lane], motion.a1[:, lane], motion.base_acceleration[:, lane], tilt)
+    state = [motion.q1[:, lane], motion.w1[:, lane], motion.a1[:, lane], motion.base_acceleration[:, lane], tilt]
     skew = faults.get("skew", 0.0)
     if skew:
         slot = int(np.flatnonzero(motion.fast_lanes == lane)[0])
-        state = tuple(np.interp(time - skew, motion.fast_time, motion.fast[:, i, slot]) for i in range(5))
-    gyro, ax, ay = imu(*state, lever)
+        state = [np.interp(time - skew, motion.fast_time, motion.fast[:, i, slot]) for i in range(5)]
+    gyro, ax, ay = imu(state[0], state[1], state[2], state[3], state[4], lever)
     angle = faults.get("misalignment", 0.0)
     if angle:
         ax, ay = np.cos(angle) * ax + np.sin(angle) * ay, np.cos(angle) * ay - np.sin(angle) * ax

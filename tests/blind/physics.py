@@ -13,69 +13,13 @@ spring, a sloshing inertia, a hysteretic cable. Coefficients of a lane that does
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-GRAVITY = 9.81
-
-
-@dataclass(frozen=True)
-class Leg:
-    """Physical parameters [SI]; every field is a scalar or an array over lanes (L,)."""
-
-    m1: Array | float = 1.3
-    l1: Array | float = 0.30
-    c1: Array | float = 0.16
-    i1: Array | float = 0.012
-    m2: Array | float = 0.8
-    c2: Array | float = 0.15
-    i2: Array | float = 0.007
-    viscous1: Array | float = 0.02
-    viscous2: Array | float = 0.03
-    coulomb1: Array | float = 0.03
-    coulomb2: Array | float = 0.05
-
-    def lanes(self, count: int) -> Leg:
-        """The same leg with every field an array of `count` lanes."""
-        return Leg(**{f.name: np.broadcast_to(np.asarray(getattr(self, f.name), float), (count,)).copy()
-                      for f in fields(self)})
-
-    def beta(self) -> Array:
-        """The contract's nine parameters, shape (9,) or (9, L)."""
-        return np.array([
-            self.i1 + self.m1 * self.c1**2 + self.m2 * self.l1**2, self.i2 + self.m2 * self.c2**2,
-            self.m2 * self.l1 * self.c2, self.m1 * self.c1 + self.m2 * self.l1, self.m2 * self.c2,
-            self.viscous1, self.viscous2, self.coulomb1, self.coulomb2])
-
-
-def stack(legs: list[Leg]) -> Leg:
-    """Join scalar legs into one with a lane each."""
-    return Leg(**{f.name: np.array([getattr(leg, f.name) for leg in legs], float) for f in fields(Leg)})
-
-
-# Coefficients a lane may carry, zero when absent. Numbers at the end of a name are the joint.
-COEFFICIENTS = (
-    "stribeck1", "stribeck_velocity1", "stribeck2", "stribeck_velocity2",  # N m, rad/s
-    "asymmetry1", "asymmetry2",  # N m more in the positive direction
-    "load2",  # N m of dry friction per N m transmitted
-    "bristle1", "bristle2",  # rad of LuGre deflection at full slip; replaces the dry friction
-    "drag1", "drag2",  # N m s^2/rad^2
-    "spring1", "spring2", "spring_rest1", "spring_rest2",  # N m/rad, rad
-    "rotor", "gear",  # kg m^2 at the joint; ratio
-    "ripple", "ripple_order", "ripple_phase",  # N m, per motor turn, rad
-    "warmup", "warmup_time",  # N m of dry knee friction that dies out, s
-    "stop_angle", "stop_stiffness", "stop_damping", "stop_side",  # rad, N m/rad^1.5, s/rad, +-1
-    "shaft", "shaft_damping", "gap", "motor_inertia",  # N m/rad, N m s/rad, rad (whole play), kg m^2
-    "base_mass", "base_stiffness", "base_damping",  # kg, N/m, N s/m
-    "tilt", "tilt_rate", "tilt_phase",  # rad, rad/s, rad
-    "slosh", "slosh_stiffness", "slosh_damping",  # kg m^2, N m/rad, N m s/rad
-    "cable", "cable_yield",  # N m, rad
-    "angle_friction", "angle_order", "angle_phase",  # N m of dry knee friction, per joint turn, rad
-    "cross_damping",  # N m s/rad on the pivot by the knee's rate
-)
+from tests.blind.friction import DryFriction
+from tests.blind.leg import COEFFICIENTS, GRAVITY, Array, Leg, Rows
 
 
 @dataclass(frozen=True)
@@ -99,28 +43,11 @@ class Motion:
     fast: Array
     """(q1, w1, a1, base, tilt) of the fast lanes at every step, (T, 5, F)."""
 
-
-@dataclass
-class _Rows:
-    """Where each state sits in the state array."""
-
-    motor: int = 0
-    bristle1: int = 0
-    bristle2: int = 0
-    base: int = 0
-    slosh: int = 0
-    cable: int = 0
-    count: int = 4
-
-    @classmethod
-    def plan(cls, c: Mapping[str, Array]) -> _Rows:
-        rows = cls()
-        for name, key, width in (("motor", "shaft", 2), ("bristle1", "bristle1", 1), ("bristle2", "bristle2", 1),
-                                 ("base", "base_mass", 2), ("slosh", "slosh", 2), ("cable", "cable", 1)):
-            if c[key].any():
-                setattr(rows, name, rows.count)
-                rows.count += width
-        return rows
+    def pick(self, lanes: NDArray[np.intp]) -> Motion:
+        """Motion of some lanes, without the fast record."""
+        names = ("q1", "q2", "w1", "w2", "a1", "a2", "base_acceleration", "tilt", "encoder")
+        return replace(self, **{name: getattr(self, name)[:, lanes] for name in names},
+                       fast_lanes=self.fast_lanes[:0], fast_time=self.fast_time[:0], fast=self.fast[:0])
 
 
 def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array] | None = None, pivot: Array | None = None,
@@ -142,8 +69,8 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array] | None = No
         c[name] = np.broadcast_to(np.asarray(value, float), (lanes,)).copy()
     substeps = round(dt / step)
     h = dt / substeps
-    rows = _Rows.plan(c)
-    field = _Field(leg, c, rows, gravity)
+    rows = Rows.plan(c)
+    field = Field(leg, c, rows, gravity)
     y = np.zeros((rows.count, lanes))
     if start is not None:
         y[:4] = start
@@ -152,7 +79,7 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array] | None = No
     slope = np.diff(torque, axis=0, append=torque[-1:]) / substeps
     pivot_slope = None if pivot is None else np.diff(pivot, axis=0, append=pivot[-1:]) / substeps
     begin = np.zeros(lanes) if session is None else np.asarray(session, float)
-    friction = _DryFriction(leg, c, rows, h, creep, begin)
+    friction = DryFriction(leg, c, rows, h, creep, begin)
     fast = np.zeros(0, np.intp) if fast is None else np.asarray(fast)
     out = np.empty((9, count, lanes))
     trace = np.empty((count * substeps, 5, fast.size))
@@ -190,14 +117,15 @@ def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array] | None = No
             k2 += k4
             y += (h / 6.0) * k2
             t += h
-            f = friction(y, t, u2, f, field)
-    return Motion(*out, fast_lanes=fast, fast_time=np.arange(count * substeps) * h, fast=trace)
+            f = friction(y, t, u2, f, field.inverse)
+    q1, q2, w1, w2, a1, a2, base, tilt, encoder = out
+    return Motion(q1, q2, w1, w2, a1, a2, base, tilt, encoder, fast, np.arange(count * substeps) * h, trace)
 
 
-class _Field:
+class Field:
     """The smooth part of the equations of motion; keeps the inverse inertia of its last call."""
 
-    def __init__(self, leg: Leg, c: dict[str, Array], rows: _Rows, gravity: float) -> None:
+    def __init__(self, leg: Leg, c: dict[str, Array], rows: Rows, gravity: float) -> None:
         self.leg, self.c, self.rows = leg, c, rows
         self.b1, self.b2, self.b3, b4, b5 = leg.beta()[:5]
         self.g4, self.g5 = gravity * b4, gravity * b5
@@ -276,20 +204,18 @@ class _Field:
         """State rates (rows, L); `f` (2, L) are the dry friction torques held over the step."""
         c, rows = self.c, self.rows
         q1, q2, w1, w2 = y[0], y[1], y[2], y[3]
-        angle = q1 + q2
         up = q1
         if self.on["tilt"]:
             self.tilt = c["tilt"] * (np.sin(c["tilt_rate"] * t + c["tilt_phase"]) - np.sin(c["tilt_phase"]))
             up = q1 + self.tilt
-            lower = self.g5 * np.sin(angle + self.tilt)
-        else:
-            lower = self.g5 * np.sin(angle)
-        b3c = self.b3 * np.cos(q2)
-        b3s = self.b3 * np.sin(q2)
+        s1, c1, s2, c2 = np.sin(up), np.cos(up), np.sin(q2), np.cos(q2)
+        lower = self.g5 * (s1 * c2 + c1 * s2)
+        b3c = self.b3 * c2
+        b3s = self.b3 * s2
         m11 = self.m11 + 2.0 * b3c
         m12 = self.m12 + b3c
         m22 = self.m22
-        r1 = pivot + f[0] - self.leg.viscous1 * w1 - self.g4 * np.sin(up) - lower + b3s * w2 * (2.0 * w1 + w2)
+        r1 = pivot + f[0] - self.leg.viscous1 * w1 - self.g4 * s1 - lower + b3s * w2 * (2.0 * w1 + w2)
         knee = torque + f[1]
         if self.on["ripple"]:
             shaft_angle = q2 if not rows.motor else np.where(self.two_mass, y[rows.motor], q2)
@@ -310,9 +236,10 @@ class _Field:
         r2 = knee - lower - b3s * w1 * w1
         for law in self.forces:
             e1, e2 = law(y)
-            r1 = r1 + e1
-            r2 = r2 + e2
+            r1 += e1
+            r2 += e2
         if rows.base:
+            angle = q1 + q2
             c12 = self.b5 * np.cos(angle)
             u1 = self.b4 * np.cos(q1) + c12
             w12 = w1 + w2
@@ -356,76 +283,3 @@ class _Field:
         wound = twist - np.clip(twist, -half, half)
         touching = (wound != 0.0) | (half == 0.0)
         return self.c["shaft"] * wound + np.where(touching, self.c["shaft_damping"] * rate, 0.0)
-
-
-class _DryFriction:
-    """Set-valued friction at both joints: the torque over the step that makes its end obey the law."""
-
-    def __init__(self, leg: Leg, c: dict[str, Array], rows: _Rows, h: float, creep: float, begin: Array) -> None:
-        self.leg, self.c, self.rows, self.h, self.creep, self.begin = leg, c, rows, h, creep, begin
-        self.level1 = np.where(c["bristle1"] > 0, 0.0, leg.coulomb1)
-        self.level2 = np.where(c["bristle2"] > 0, 0.0, leg.coulomb2)
-        self.on = {name: bool(value.any()) for name, value in c.items()}
-        self.two_mass = c["shaft"] > 0
-        self.plain = not any(self.on[name] for name in (
-            "stribeck1", "stribeck2", "asymmetry1", "asymmetry2", "load2", "warmup", "angle_friction"))
-        self.none = self.plain and not self.level1.any() and not self.level2.any()
-
-    def _levels(self, y: Array, t: float, torque: Array, f: Array) -> tuple[Array, Array]:
-        c, on = self.c, self.on
-        level1, level2 = self.level1, self.level2
-        speed2 = y[3] if not self.rows.motor else np.where(self.two_mass, y[self.rows.motor + 1], y[3])
-        if on["stribeck1"]:
-            scale = np.where(c["stribeck1"] != 0, c["stribeck_velocity1"], 1.0)
-            level1 = level1 + c["stribeck1"] / (1.0 + (y[2] / scale) ** 2)
-        if on["stribeck2"]:
-            scale = np.where(c["stribeck2"] != 0, c["stribeck_velocity2"], 1.0)
-            level2 = level2 + c["stribeck2"] / (1.0 + (speed2 / scale) ** 2)
-        if on["load2"]:
-            # what the gear passes on: the motor's torque less what friction took
-            level2 = level2 + c["load2"] * np.sqrt((torque + f[1]) ** 2 + 1e-4)
-        if on["warmup"]:
-            span = np.where(c["warmup"] != 0, c["warmup_time"], 1.0)
-            level2 = level2 + c["warmup"] * np.exp(-(self.begin + t) / span)
-        if on["angle_friction"]:
-            level2 = level2 + c["angle_friction"] * np.cos(c["angle_order"] * y[1] + c["angle_phase"])
-        return level1, np.maximum(level2, 0.0)
-
-    def __call__(self, y: Array, t: float, torque: Array, f: Array, field: _Field) -> Array:
-        """Correct the velocities of `y` in place and give the torques (2, L) that acted."""
-        if self.none:
-            return f
-        h = self.h
-        level1, level2 = (self.level1, self.level2) if self.plain else self._levels(y, t, torque, f)
-        a11, a12, a22 = field.inverse
-        motor = self.rows.motor
-        v2 = y[3]
-        coupling = a12
-        if motor:
-            v2 = np.where(self.two_mass, y[motor + 1], v2)
-            coupling = np.where(self.two_mass, 0.0, a12)
-            a22 = np.where(self.two_mass, 1.0 / np.where(self.two_mass, self.c["motor_inertia"], 1.0), a22)
-        free1 = y[2] - h * (a11 * f[0] + coupling * f[1])
-        free2 = v2 - h * (coupling * f[0] + a22 * f[1])
-        low1, high1 = -(level1 + self.c["asymmetry1"]) if self.on["asymmetry1"] else -level1, level1
-        low2, high2 = -(level2 + self.c["asymmetry2"]) if self.on["asymmetry2"] else -level2, level2
-        ha11, ha12, ha22 = h * a11, h * coupling, h * a22
-        stiff1 = -1.0 / (ha11 + self.creep / (level1 + 1e-9))
-        stiff2 = -1.0 / (ha22 + self.creep / (level2 + 1e-9))
-        f1, f2 = f[0], f[1]
-        for _ in range(3):
-            f1 = np.minimum(np.maximum((free1 + ha12 * f2) * stiff1, low1), high1)
-            f2 = np.minimum(np.maximum((free2 + ha12 * f1) * stiff2, low2), high2)
-        d1, d2 = f1 - f[0], f2 - f[1]
-        dv1 = ha11 * d1 + ha12 * d2
-        dv2 = ha12 * d1 + ha22 * d2
-        y[2] += dv1
-        y[0] += (0.5 * h) * dv1
-        if motor:
-            step = np.where(self.two_mass, dv2, 0.0)
-            y[motor + 1] += step
-            y[motor] += (0.5 * h) * step
-            dv2 = np.where(self.two_mass, h * a12 * d1, dv2)
-        y[3] += dv2
-        y[1] += (0.5 * h) * dv2
-        return np.array([f1, f2])

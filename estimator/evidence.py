@@ -1,0 +1,141 @@
+"""Fits of the runs of a session with any set of effects, and the scores of all others beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.base import Effect
+from estimator.errors import FitError
+from estimator.extended import Candidate, ExtendedProblem
+from estimator.latent import Latents, Noise
+from estimator.mle import State, iterate, noise_floors, start_state
+from estimator.rehearsal import rehearse
+from estimator.scores import RunScore, Tests, project, score_run
+from estimator.session import Session
+from estimator.wls import free_mask
+
+FloatArray = NDArray[np.float64]
+REHEARSALS = 2
+
+
+@dataclass(frozen=True)
+class Model:
+    """A fitted set of effects (none: the nominal model) on the discover runs."""
+
+    effects: tuple[Effect, ...]
+    state: State
+    problem: ExtendedProblem
+
+    def sizes(self) -> list[FloatArray]:
+        """One size vector an effect."""
+        return self.problem.split(self.state.beta)[1]
+
+    def std(self) -> FloatArray:
+        """Standard deviations of the whole parameter vector, white noise taken for granted."""
+        return np.sqrt(np.maximum(np.diag(self.state.covariance), 0.0))
+
+
+def fit_nominal(session: Session) -> tuple[Model, FloatArray]:
+    """Nominal fit of the discover runs and the reach (n, 2) of each joint. Raises `FitError`."""
+    signals = session.signals(session.discover)
+    n = session.mechanism.n
+    blank = session.problem(session.discover, np.zeros((n, 2)))
+    free, beta = free_mask(session.mechanism, session.options)
+    state = start_state(blank, signals, session.mechanism, session.options, free, beta)
+    iterate(blank, state, free, session.options, noise_floors(blank, session.mechanism, state.beta))
+    if not state.converged:
+        raise FitError("the nominal fit did not converge, so nothing can be said about what it leaves over")
+    reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
+    return Model((), state, session.problem(session.discover, reach)), reach
+
+
+def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30,
+          noise: Noise | None = None) -> Model:
+    """Full non-linear fit of the discover runs with `effects` at their starting sizes; keeps `noise` if given."""
+    problem = session.problem(session.discover, start.problem.stage.reach, [e for e, _ in effects])
+    p = session.mechanism.p
+    parameters = np.concatenate([start.state.beta[:p], *[s for _, s in effects]])
+    x = start.state.x
+    state = State(Latents(x.q.copy(), x.v.copy(), x.u.copy()), parameters, noise or start.state.noise,
+                  np.zeros((parameters.size, parameters.size)))
+    free = np.ones(parameters.size, dtype=bool)
+    free[:p] = free_mask(session.mechanism, session.options)[0]
+    floors = None if noise is not None else noise_floors(problem, session.mechanism, state.beta[:p])
+    iterate(problem, state, free, session.options, floors, limit)
+    return Model(tuple(e for e, _ in effects), state, problem)
+
+
+def misfit(model: Model) -> float:
+    """Objective at the model's state: -2 log likelihood at its noise, up to a constant."""
+    return model.problem.linearise(model.state.x, model.state.beta, model.state.noise).objective
+
+
+def run_states(session: Session, model: Model) -> list[State]:
+    """The discover fit's state cut into runs."""
+    out, begin = [], 0
+    for i in session.discover:
+        length = sum(len(s.time_s) for s in session.runs[i])
+        where = slice(begin, begin + length)
+        x = model.state.x
+        out.append(replace(model.state, x=Latents(x.q[where], x.v[where], x.u[where])))
+        begin += length
+    return out
+
+
+def smooth(session: Session, model: Model, run: int, start: Latents | None = None,
+           signals: Sequence | None = None) -> tuple[ExtendedProblem, State]:  # type: ignore[type-arg]
+    """Motion of a run that the fit has not seen (or of a rehearsal of it), parameters and noise held."""
+    own = list(session.runs[run]) if signals is None else list(signals)
+    problem = session.problem([run], model.problem.stage.reach, model.effects, signals=own)
+    if start is None:
+        begin = start_state(problem, own, session.mechanism, session.options,
+                            np.zeros(session.mechanism.p, dtype=bool), model.state.beta[: session.mechanism.p])
+        start = begin.x
+    state = State(start, model.state.beta.copy(), model.state.noise, model.state.covariance)
+    iterate(problem, state, np.zeros(state.beta.size, dtype=bool), session.options, None, 25)
+    return problem, state
+
+
+def score_discover(session: Session, model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
+    """Scores of `candidates` at `model`, one a discover run."""
+    out = []
+    for i, state in zip(session.discover, run_states(session, model)):
+        problem = session.problem([i], model.problem.stage.reach, model.effects, candidates)
+        out.append(score_run(problem, state))
+    return out
+
+
+def score_confirm(session: Session, model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
+    """The same on the confirm runs, which the fit has not seen."""
+    out = []
+    for i in session.confirm:
+        _, state = smooth(session, model, i)
+        problem = session.problem([i], model.problem.stage.reach, model.effects, candidates)
+        out.append(score_run(problem, state))
+    return out
+
+
+def rehearsal_scores(session: Session, model: Model, candidates: Sequence[Candidate],
+                     rng: np.random.Generator) -> list[RunScore]:
+    """Mean score of rehearsals of the model, one a discover run: the scores' bias when nothing is wrong."""
+    out = []
+    for i, state in zip(session.discover, run_states(session, model)):
+        problem = session.problem([i], model.problem.stage.reach, model.effects)
+        found = []
+        for _ in range(REHEARSALS):
+            signals = rehearse(problem, state, session.runs[i], rng)
+            _, again = smooth(session, model, i, state.x, signals)
+            scored = session.problem([i], model.problem.stage.reach, model.effects, candidates, signals)
+            found.append(score_run(scored, again))
+        out.append(RunScore(np.mean([f.score for f in found], axis=0), found[0].information))
+    return out
+
+
+def tests_of(session: Session, model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None,
+             scatter: Tests | None = None) -> Tests:
+    """Efficient tests with the model's own parameters projected out."""
+    return project(runs, model.problem.parameter_count, bias, scatter)

@@ -1,0 +1,93 @@
+"""`Session`: the runs of a diagnosis, split once into fit, screen and confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dataset import Dataset
+from estimator.effects.base import Effect
+from estimator.errors import FitError
+from estimator.extended import Candidate, ExtendedProblem, Stage
+from estimator.mechanism import Mechanism
+from estimator.options import FitOptions
+from estimator.signalset import SignalSet, split_signals
+
+FloatArray = NDArray[np.float64]
+PARTS = 8
+"""Stretches into which a single run is cut."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """Runs in the order of recording, each a list of gap-free stretches."""
+
+    mechanism: Mechanism
+    options: FitOptions
+    names: tuple[str, ...]
+    runs: tuple[tuple[SignalSet, ...], ...]
+    starts_s: tuple[float, ...]
+    """Session time at which each run starts, pauses left out."""
+    fit: tuple[int, ...]
+    screen: tuple[int, ...]
+    confirm: tuple[int, ...]
+    gear_ratio: float
+    single: bool
+    """One run only, cut by time: weaker evidence, for its parts are not independent."""
+
+    @property
+    def discover(self) -> tuple[int, ...]:
+        """Runs on which anything may be looked at more than once."""
+        return tuple(sorted(self.fit + self.screen))
+
+    @property
+    def has_imu(self) -> bool:
+        return bool(self.runs[0][0].imu)
+
+    def signals(self, which: Sequence[int]) -> list[SignalSet]:
+        """All stretches of these runs."""
+        return [s for i in which for s in self.runs[i]]
+
+    def problem(self, which: Sequence[int], reach: FloatArray, effects: Sequence[Effect] = (),
+                candidates: Sequence[Candidate] = (), signals: Sequence[SignalSet] | None = None) -> ExtendedProblem:
+        """Likelihood of these runs; `signals` stand in for their own (a rehearsal of them)."""
+        run = [i for i in which for _ in self.runs[i]]
+        begin = [s.time_s[0] - self.runs[i][0].time_s[0] for i in which for s in self.runs[i]]
+        stage = Stage(tuple(run), tuple(self.starts_s[i] + b for i, b in zip(run, begin)), tuple(map(float, begin)),
+                      reach, self.gear_ratio)
+        return ExtendedProblem(self.signals(which) if signals is None else signals, self.mechanism,
+                               self.options.hold, stage, effects, candidates)
+
+
+def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
+                 gear_ratio: float = 1.0) -> Session:
+    """Split runs: of four in turn two fit, one screens, one confirms. Raises `FitError` where there is too little."""
+    single = len(datasets) == 1
+    if single:
+        datasets = _parts(datasets[0])
+    runs = [tuple(split_signals([d], mechanism, options)) for d in datasets]
+    rates = {s.rate_hz for run in runs for s in run}
+    if len(rates) > 1:
+        raise FitError("the runs are on grids of different rates; give one rate_hz under [sampling]")
+    lengths = [sum(len(s.time_s) for s in run) / run[0].rate_hz for run in runs]
+    if sum(lengths) < 8.0:
+        raise FitError(f"{sum(lengths):.1f} s of data cannot support a diagnosis; record at least 8 s, better eight "
+                       "runs of 20 s")
+    starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
+    count = len(runs)
+    confirm = [i for i in range(count) if i % 4 == 3] or [count - 1]
+    screen = [i for i in range(count) if i % 4 == 1 and i not in confirm]
+    fit = [i for i in range(count) if i not in confirm and i not in screen]
+    return Session(mechanism, options, tuple(d.name for d in datasets), tuple(runs), tuple(map(float, starts)),
+                   tuple(fit), tuple(screen), tuple(confirm), gear_ratio, single)
+
+
+def _parts(data: Dataset) -> list[Dataset]:
+    edges = np.linspace(0, len(data), PARTS + 1).astype(int)
+    cuts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+    return [replace(data.part(cut), name=f"{data.name}[{data.time_s[cut.start]:.1f}-{data.time_s[cut.stop - 1]:.1f} s]")
+            for cut in cuts]

@@ -1,0 +1,7 @@
+"""The commands of `legid`, one module each: `add_parser(subparsers)` describes it, `run(args)` does it.
+
+A module imports nothing heavy before `run`: `legid --help` answers at once.
+"""
+
+COMMANDS = ("demo", "record", "info", "recover", "export", "fit", "validate", "simulate")
+"""Module names, in the order in which `legid --help` lists them."""

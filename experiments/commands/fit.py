@@ -1,0 +1,70 @@
+"""`legid fit`: identify the mechanism's parameters from runs."""
+
+from __future__ import annotations
+
+import argparse
+
+METHODS = ("mle", "wls", "rls", "hekf")
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "fit", help="identify parameters from runs",
+        description="Identify the parameters of the rig's mechanism from one or more runs and print them with "
+                    "their 95 % intervals. Exit status 1 when the fit did not converge (JSON is written all the same).")
+    parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
+    parser.add_argument("--rig", required=True, help="the rig's TOML file")
+    parser.add_argument("--method", choices=METHODS, default="mle",
+                        help="mle: maximum likelihood (default); wls: weighted least squares; rls, hekf: recursive")
+    parser.add_argument("--sensors", choices=("imu", "encoder"),
+                        help="what gives the pivot's angle; default: imu where all runs have its columns")
+    parser.add_argument("--latent", choices=("trajectory", "free"), default="trajectory",
+                        help="mle only: one consistent motion (default), or the paper's free samples")
+    parser.add_argument("--fix", metavar="NAME=VALUE", action="append", default=[], type=_assignment,
+                        help="give a parameter instead of estimating it, e.g. --fix beta8=0; may be repeated")
+    parser.add_argument("--json", metavar="FILE", help="write the result as JSON (schema legid.fit/1)")
+    parser.add_argument("--html", metavar="FILE", help="write a report page")
+    parser.add_argument("--model-out", metavar="MODEL.json", help="write the model for validate and simulate")
+    parser.set_defaults(run=run)
+
+
+def _assignment(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE") from None
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit, print, write what was asked for. Raises `WorkError` when the fit did not converge."""
+    from daq.errors import WorkError
+    from daq.rig import load_rig
+    from estimator.fit import fit
+    from experiments.fit_json import fit_document, model_of
+    from experiments.fit_text import fit_text
+    from experiments.output import busy, write_json
+    from experiments.rigs import load_setup
+
+    setup = load_setup(args.runs, load_rig(args.rig), args.sensors, dict(args.fix), args.latent)
+    with busy(f"fitting {len(setup.datasets)} runs by {args.method}"):
+        result = fit(setup.datasets, setup.mechanism, setup.options, args.method)
+    print(fit_text(result, setup.settings.model))
+    if args.json:
+        write_json(args.json, fit_document(result, setup.settings))
+    if args.html:
+        from experiments.fit_report import fit_sections, fit_summary
+        from experiments.report import write_page
+
+        title = f"Fit of {setup.settings.model}: {', '.join(d.name for d in setup.datasets)}"
+        write_page(args.html, title, fit_summary(result, setup.settings.model), fit_sections(result))
+    if not result.converged:
+        raise WorkError(f"did not converge after {result.iterations} iterations; the values above are not to be used, "
+                        + ("no model was written" if args.model_out else "record more, or richer, motion"))
+    if args.model_out:
+        from experiments.model_file import save_model
+
+        save_model(model_of(result, setup.settings, setup.options.hold, [d.name for d in setup.datasets]),
+                   args.model_out)
+    return 0

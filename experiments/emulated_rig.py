@@ -1,0 +1,47 @@
+"""A rig that exists in bytes only: the plant of `experiments.plant` behind emulated chips, on virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from daq.plan import Plan
+from daq.recorder import RecordReport, record_run
+from daq.rig import ControllerDevice, ImuDevice, Rig
+from drivers.leg_controller import LegController
+from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
+from drivers.mock.clock import VirtualClock
+from drivers.mock.link import EmulatorLink
+from drivers.mock.rig import MockRig
+from drivers.mock.settings import FirmwareSettings, ImuSettings
+from experiments.plant import HiddenTorque, LegBody, LegPlant
+
+
+def emulate(rig: Rig, seed: int, clock: VirtualClock, body: LegBody | None = None,
+            hidden: Sequence[HiddenTorque] = ()) -> MockRig:
+    """The rig that `rig` describes, hanging at rest, with the errors that its calibration takes out."""
+    c = rig.calibration
+    imu = ImuSettings(lever_arm_m=rig.imu.lever_arm_m, gravity_mps2=rig.mechanism.gravity_mps2, mount=c.imu_mount,
+                      gyro_bias_radps=c.gyro_bias_radps, accel_bias_mps2=c.accel_bias_mps2)
+    controller = rig.devices.controller or ControllerDevice()
+    firmware = FirmwareSettings(
+        telemetry_hz=round(controller.rate_hz), gear_ratio=rig.motor.gear_ratio, torque_limit_nm=rig.limits.torque_nm,
+        torque_constant_nm_per_a=c.torque_constant_nm_per_a, shunt_offset_a=c.shunt_offset_a,
+        knee_zero_rad=c.knee_zero_rad)
+    return MockRig(LegPlant(body, hidden=hidden), clock, imu, firmware, seed)
+
+
+def record_emulated(path: Path, rig: Rig, rig_text: str, plan: Plan, seed: int, body: LegBody | None = None,
+                    hidden: Sequence[HiddenTorque] = (),
+                    progress: Callable[[float, float], None] | None = None) -> RecordReport:
+    """One run on the emulated rig, through the drivers and the recorder that a real one uses."""
+    clock = VirtualClock()
+    mock = emulate(rig, seed, clock, body, hidden)
+    device = rig.devices.imu or ImuDevice()
+    config = ImuConfig(device.rate_hz, device.accel_range_g, device.gyro_range_dps)
+    link = EmulatorLink(mock.firmware, clock, seed=seed)
+    with LegController(link, clock.now_ns) as controller:
+        controller.open()
+        imu = Lsm9ds1(mock.imu, device.address, config, clock.now_ns, device.bus_khz, clock.sleep)
+        imu.open()
+        return record_run(path, rig, rig_text, plan, imu, controller, clock.now_ns, threaded=False, progress=progress)

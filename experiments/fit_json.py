@@ -1,0 +1,47 @@
+"""The result of a fit as the documents that leave the program: fit JSON and MODEL.json."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from estimator.result import FitResult
+from experiments.model_file import MechanismSettings, Model, ParameterValue, Provenance
+from experiments.output import program_version
+
+FIT_SCHEMA = "legid.fit/1"
+
+
+def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, Any]:
+    """`legid.fit/1` of contracts.md, with what is undetermined, warned of and assumed added to it."""
+    rows = zip(result.mechanism.parameters, result.beta, result.std, result.ci95())
+    return {
+        "schema": FIT_SCHEMA, "model": settings.model, "method": result.method, "sensors": result.sensors,
+        "parameters": [{"name": p.name, "meaning": p.meaning, "unit": p.unit, "value": float(value),
+                        "std": float(std), "ci95": [float(low), float(high)], "fixed": p.name in result.fixed}
+                       for p, value, std, (low, high) in rows],
+        "noise": {name: float(level) for name, level in result.noise.items()},
+        "torque_residual_rms_nm": [float(rms) for rms in result.torque_residual_rms],
+        "converged": bool(result.converged), "iterations": int(result.iterations), "samples": int(result.samples),
+        "wall_s": float(result.wall_s), "undetermined": list(result.undetermined),
+        "warnings": list(result.warnings), "assumptions": list(result.assumptions),
+    }
+
+
+def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Sequence[str],
+             date: datetime | None = None) -> Model:
+    """The identified model, ready to be saved."""
+    covariance = tuple(tuple(float(c) if np.isfinite(c) else None for c in row) for row in result.covariance)
+    return Model(
+        schema="legid.model/1", mechanism=settings,
+        parameters=tuple(ParameterValue(name=p.name, meaning=p.meaning, unit=p.unit, value=float(value))
+                         for p, value in zip(result.mechanism.parameters, result.beta)),
+        covariance=covariance, noise={name: float(level) for name, level in result.noise.items()},
+        hold=hold,  # type: ignore[arg-type]
+        provenance=Provenance(runs=tuple(runs), method=result.method,
+                              sensors=result.sensors,  # type: ignore[arg-type]
+                              date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
+                              version=program_version()))

@@ -1,0 +1,30 @@
+"""A saved model put to runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from daq.dataset import FloatArray
+from daq.errors import InputError
+from estimator.validation import Validation, validate
+from experiments.model_file import Model, require_nominal
+from experiments.output import progress
+from experiments.rigs import Setup, build_mechanism
+
+
+def validate_runs(model: Model, setup: Setup, where: str) -> list[Validation]:
+    """Free-run simulation of `model` against the runs of `setup`; `where` names the model in errors."""
+    require_nominal(model, where)
+    if (setup.settings.model, setup.mechanism.n) != (model.mechanism.model, build_mechanism(model.mechanism).n):
+        raise InputError(where, f"is a {model.mechanism.model}, the rig file says {setup.settings.model}",
+                         "give the rig that the model was fitted on")
+    return validate_setup(replace(setup, mechanism=build_mechanism(model.mechanism),
+                                  options=replace(setup.options, hold=model.hold)), np.array(model.beta))
+
+
+def validate_setup(setup: Setup, beta: FloatArray) -> list[Validation]:
+    """Free-run simulation with parameters `beta` (p,) against every gap-free stretch of every run of `setup`."""
+    return [found for data in progress(setup.datasets, "simulating", unit="run")
+            for found in validate(data, setup.mechanism, beta, setup.options)]
