@@ -54,8 +54,11 @@ def fit_nominal(session: Session) -> tuple[Model, FloatArray]:
 
 
 def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30,
-          noise: Noise | None = None) -> Model:
-    """Full non-linear fit of the discover runs with `effects` at their starting sizes; keeps `noise` if given."""
+          noise: Noise | None = None, hold_shapes: bool = False) -> Model:
+    """Full non-linear fit of the discover runs with `effects` at their starting sizes; keeps `noise` if given.
+
+    `hold_shapes` estimates the sizes alone. Raises `FitError`.
+    """
     problem = session.problem(session.discover, start.problem.stage.reach, [e for e, _ in effects])
     p = session.mechanism.p
     parameters = np.concatenate([start.state.beta[:p], *[s for _, s in effects]])
@@ -64,6 +67,9 @@ def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatA
                   np.zeros((parameters.size, parameters.size)))
     free = np.ones(parameters.size, dtype=bool)
     free[:p] = free_mask(session.mechanism, session.options)[0]
+    for (effect, _), stop in zip(effects, p + np.cumsum([e.count for e, _ in effects])):
+        if hold_shapes or effect.whole_shapes:
+            free[stop - len(effect.shapes) : stop] = False
     floors = None if noise is not None else noise_floors(problem, session.mechanism, state.beta[:p])
     iterate(problem, state, free, session.options, floors, limit)
     return Model(tuple(e for e, _ in effects), state, problem)

@@ -93,10 +93,10 @@ class ExtendedProblem(LatentProblem):
         return (a + b) / (np.sqrt(a * a + eps2) + np.sqrt(b * b + eps2))
 
     def split(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
-        """beta (p,) and one size vector an effect."""
+        """beta (p,) and one size vector an effect, its shapes kept within range."""
         p = self.mechanism.p
         stops = p + np.cumsum([e.count for e in self.effects])
-        return parameters[:p], [parameters[b - e.count : b] for e, b in zip(self.effects, stops)]
+        return parameters[:p], [e.clipped(parameters[b - e.count : b]) for e, b in zip(self.effects, stops)]
 
     def extra(self, x: Latents, parameters: FloatArray) -> Extra:
         """What the effects add at (x, parameters), with columns of effects, then of candidates."""

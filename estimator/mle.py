@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from daq.dataset import Dataset
 from estimator import blocktri
+from estimator.batch import BatchProblem, Records
 from estimator.errors import FitError
 from estimator.identifiability import undetermined
 from estimator.latent import LatentProblem, Latents, Linearised, Noise
 from estimator.mechanism import Mechanism
 from estimator.options import FitOptions
 from estimator.result import FitResult, Trajectory
+from estimator.search import EXACT_ENCODER, Searched, known_noise, search, suits
 from estimator.sensors import accelerometer
 from estimator.signals import quantum, white_noise_level
 from estimator.signalset import SignalSet, angle_column, differentiate, split_signals
@@ -35,8 +37,6 @@ ANGLE_TOLERANCE = 1e-6
 """Converged, where no parameter is free, when no angle moves by more than this [rad]."""
 PATIENCE = 10
 """Steps before they are halved, and halved again."""
-EXACT_ENCODER = 1e-8
-"""Standard deviation that stands for an encoder without noise [rad]: the collocation's own error over 10 ms."""
 PASSIVE_WAIT = 4
 STEEP = 0.95
 PASSIVE_HASTE = 2.5
@@ -65,11 +65,25 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
                        "--fix NAME=VALUE")
     problem = LatentProblem(signals, mechanism, options.hold)
+    if suits(signals, mechanism, options):
+        noise = known_noise(mechanism, options)
+        state = state_of(search(BatchProblem(mechanism, signals[0].rate_hz, options.hold, noise),
+                                Records(problem.angles[None], problem.torque[None])), 0, noise)
+        return result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
     state = start_state(problem, signals, mechanism, options, free, beta)
     floors = noise_floors(problem, mechanism, state.beta)
     iterate(problem, state, free, options, floors)
     _refuse_collapse(problem, state, mechanism)
-    return _result(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
+    return result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
+
+
+def state_of(found: Searched, record: int, noise: Noise) -> State:
+    """What a search found for one of its records. Raises `FitError` where no start led anywhere."""
+    if not np.isfinite(found.objective[record]):
+        raise FitError("no start of the search led anywhere; the record is too short or too noisy")
+    q, v, u = np.split(found.x[record], 3, axis=-1)
+    return State(Latents(q, v, u), found.beta[record], noise, found.covariance[record],
+                 bool(found.converged[record]), int(found.steps[record]))
 
 
 def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
@@ -239,8 +253,9 @@ def _update_noise(problem: LatentProblem, state: State, point: Linearised, p_dia
     return max(float(np.max(np.abs(np.log(a[np.isfinite(a)] / b[np.isfinite(a)])), initial=0.0)) for a, b in pairs)
 
 
-def _result(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
-            state: State, free: NDArray[np.bool_], wall_s: float) -> FitResult:
+def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
+              state: State, free: NDArray[np.bool_], wall_s: float) -> FitResult:
+    """The fit as others see it."""
     x, beta = state.x, state.beta
     qdd = np.concatenate([mechanism.forward_dynamics(x.q[s], x.v[s], x.u[s], beta)
                           for s in np.split(np.arange(problem.total), problem.ends[:-1])])

@@ -26,6 +26,11 @@ class FitOptions:
     cutoff_hz: float | None = None
     """Low pass of `wls` and of starting values; None: a tenth of the rate, at most 10 Hz."""
     filter_order: int = 4
+    half_power: float | None = None
+    """wls, rls and hekf: the paper's recipe of section V instead: noisy angles low-passed at this share of the
+    Nyquist rate (1: not at all), differences over `spacing` samples by (60), (61), nothing else filtered."""
+    spacing: int = 1
+    """n_cd of (60), (61), with `half_power`."""
     fixed: Mapping[str, float] = field(default_factory=dict)
     """Parameters that are given by name, not estimated."""
     latent: str = "trajectory"
@@ -38,6 +43,10 @@ class FitOptions:
             raise ValueError(f"hold {self.hold!r} is none of {HOLDS}")
         if self.latent not in ("trajectory", "free"):
             raise ValueError(f"latent {self.latent!r} is neither trajectory nor free")
+        if self.half_power is not None and not 0.0 < self.half_power <= 1.0:
+            raise ValueError(f"half_power {self.half_power} is not in (0, 1]")
+        if self.spacing < 1:
+            raise ValueError(f"spacing {self.spacing} is below 1")
         unknown = {name for name in self.noise if name not in NOISE_CHANNELS and not OWN_ENCODER.fullmatch(name)}
         if unknown:
             raise ValueError(f"noise channel {sorted(unknown)[0]!r} is none of {NOISE_CHANNELS}")

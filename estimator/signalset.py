@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,8 +80,7 @@ def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
     return found
 
 
-@dataclass(frozen=True)
-class Kinematics:
+class Kinematics(NamedTuple):
     """Filtered angles and their differences, each (n, joints)."""
 
     q: FloatArray
@@ -106,4 +106,25 @@ def differentiate(signals: SignalSet, mechanism: Mechanism, cutoff_hz: float | N
         if fused:
             q1 = fuse_tilt(ax, ay, gyro, signals.rate_hz, mechanism.lever_arm, cutoff_hz)
         q[:, 0], qd[:, 0], qdd[:, 0] = q1, lowpass(gyro, cutoff_hz, signals.rate_hz, order), q1dd
+    return Kinematics(q, qd, qdd)
+
+
+def paper_differences(signals: SignalSet, mechanism: Mechanism, options: FitOptions) -> Kinematics:
+    """Angles and differences of section V, (60) and (61): `options.half_power` and `options.spacing` of Table II.
+
+    A joint whose encoder is declared free of noise is not filtered. On the IMU path the pivot comes from (63).
+    """
+    dt = 1.0 / signals.rate_hz
+    cutoff = 0.5 * float(options.half_power or 1.0) * signals.rate_hz
+    q = signals.angles.copy()
+    for j in range(mechanism.n):
+        if options.encoder_noise(j) != 0.0:
+            q[:, j] = lowpass(q[:, j], cutoff, signals.rate_hz, options.filter_order)
+    qd = central_difference(q, dt, options.spacing)
+    qdd = central_difference(qd, dt, options.spacing)
+    if signals.imu:
+        gyro, ax, ay = (signals.imu[name] for name in IMU_COLUMNS)
+        s, c, q1dd = tilt(ax, ay, gyro, signals.rate_hz, mechanism.lever_arm, cutoff, options.filter_order)
+        q[:, 0] = np.unwrap(np.arctan2(s, c))
+        qd[:, 0], qdd[:, 0] = lowpass(gyro, cutoff, signals.rate_hz, options.filter_order), q1dd
     return Kinematics(q, qd, qdd)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,14 @@ from estimator.options import FitOptions
 from estimator.result import FitResult, Trajectory
 from estimator.sensors import accelerometer
 from estimator.signals import lowpass
-from estimator.signalset import Kinematics, SignalSet, angle_column, differentiate, split_signals
+from estimator.signalset import (
+    Kinematics,
+    SignalSet,
+    angle_column,
+    differentiate,
+    paper_differences,
+    split_signals,
+)
 
 FloatArray = NDArray[np.float64]
 WEIGHT_SHARE = 0.3
@@ -87,6 +95,40 @@ def free_mask(mechanism: Mechanism, options: FitOptions) -> tuple[NDArray[np.boo
     return free, beta
 
 
+class Design(NamedTuple):
+    """The equations that least squares solves, and how they were made."""
+
+    motions: list[Kinematics]
+    z: FloatArray
+    """(m, n, p)"""
+    torque: FloatArray
+    """(m, n)"""
+    samples_per_dof: float
+    """Samples that carry one independent value."""
+    filtering: str
+
+
+def design_rows(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> Design:
+    """Z and torque from filtered, differenced measurements, by the way that `options` names."""
+    rate = signals[0].rate_hz
+    if options.half_power is not None:
+        motions = [paper_differences(s, mechanism, options) for s in signals]
+        edge = 2 * options.spacing  # (61) needs that many samples on both sides
+        z = [mechanism.regressor(*k)[edge : len(k.q) - edge] for k in motions]
+        tau = [s.torque[edge : len(s.torque) - edge] for s in signals]
+        if min(len(part) for part in z) < mechanism.p:
+            raise FitError(f"differences over {options.spacing} samples leave too little of {signals[0].run}")
+        return Design(motions, np.concatenate(z), np.concatenate(tau), 1.0,
+                      f"noisy angles low-passed at {options.half_power:g} of the Nyquist rate, differences over "
+                      f"{options.spacing} samples")
+    cutoff = options.cutoff(rate)
+    first = min(4.0 * cutoff, 0.4 * rate)
+    motions = [differentiate(s, mechanism, first, options.filter_order) for s in signals]
+    return Design(motions, *stack_regressors(signals, motions, mechanism, cutoff, options.filter_order),
+                  max(1.0, 0.5 * rate / cutoff),
+                  f"angles low-passed at {first:g} Hz, both sides of the equation at {cutoff:g} Hz")
+
+
 def fit_wls(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:
     """Identify by (28) from low-passed, differenced measurements; see `FitOptions.cutoff_hz`.
 
@@ -94,28 +136,26 @@ def fit_wls(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     """
     start = time.perf_counter()
     signals = split_signals(datasets, mechanism, options)
-    rate = signals[0].rate_hz
-    cutoff = options.cutoff(rate)
-    motions = [differentiate(s, mechanism, min(4.0 * cutoff, 0.4 * rate), options.filter_order) for s in signals]
-    z, tau = stack_regressors(signals, motions, mechanism, cutoff, options.filter_order)
+    design = design_rows(signals, mechanism, options)
+    motions, z, tau = design.motions, design.z, design.torque
     free, beta = free_mask(mechanism, options)
     if not np.any(tau) and bool(free.all()):
         raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
                        "--fix NAME=VALUE")
-    beta, covariance, sigma = weighted_least_squares(z, tau, free, beta, max(1.0, 0.5 * rate / cutoff))
-    trajectories = tuple(_trajectory(s, k, mechanism, beta) for s, k in zip(signals, motions))
+    beta, covariance, sigma = weighted_least_squares(z, tau, free, beta, design.samples_per_dof)
+    trajectories = tuple(trajectory(s, k, mechanism, beta) for s, k in zip(signals, motions))
     return FitResult(
         mechanism, "wls", options.sensors, beta, covariance,
         {"torque_nm": float(np.max(sigma[list(mechanism.actuated)], initial=0.0))}, sigma, True, 1,
         sum(len(s.time_s) for s in signals), time.perf_counter() - start,
         undetermined(mechanism, beta, covariance, free),
-        (f"angles low-passed at {min(4.0 * cutoff, 0.4 * rate):g} Hz, both sides of the equation at {cutoff:g} Hz",
+        (design.filtering,
          "the filtered motion is taken as exact: errors in it bias the estimate and are not in the intervals",
          "torque errors are white within the filter's band"),
         (), trajectories, dict(options.fixed))
 
 
-def _trajectory(s: SignalSet, k: Kinematics, mechanism: Mechanism, beta: FloatArray) -> Trajectory:
+def trajectory(s: SignalSet, k: Kinematics, mechanism: Mechanism, beta: FloatArray) -> Trajectory:
     measured = dict(s.imu)
     predicted: dict[str, FloatArray] = {}
     for j in range(mechanism.n):

@@ -45,19 +45,21 @@ def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label:
         for line in lines:
             axes.plot(time_s, line.values, label=line.label, color=line.colour, linewidth=line.width,
                       linestyle="--" if line.dashed else "-", zorder=3 if line.dashed else 2)
-        _finish(axes, lines, x_label, y_label)
+        finish(axes, len(lines), x_label, y_label)
         axes.set_xlim(float(time_s[0]), float(time_s[-1]))
-        return _svg(figure)
+        return to_svg(figure)
 
 
-def _finish(axes: mpl.axes.Axes, lines: Sequence[Line], x_label: str, y_label: str) -> None:
+def finish(axes: mpl.axes.Axes, entries: int, x_label: str, y_label: str) -> None:
+    """Labels, and a legend of so many entries above the axes."""
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(lines) if len(lines) < 4 else 2, frameon=False,
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=entries if entries < 4 else 2, frameon=False,
                 borderaxespad=0.2, handlelength=1.6, columnspacing=1.4)
 
 
-def _svg(figure: Figure) -> str:
+def to_svg(figure: Figure) -> str:
+    """The figure as an `<svg>` element in the page's colours."""
     out = io.StringIO()
     figure.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     text = out.getvalue()

@@ -50,8 +50,11 @@ class EffectValue(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     name: str
     joint: Joint | None
-    size: dict[str, float]
-    """Size parameter -> value, in the units that the effect states."""
+    """From 1; null for an effect of the whole rig."""
+    sizes: dict[str, float]
+    """Size -> value, in the units that the effect states."""
+    shapes: dict[str, float] = {}
+    """Shape -> value, likewise."""
 
 
 class Provenance(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -73,18 +76,31 @@ class Model(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     mechanism: MechanismSettings
     parameters: tuple[ParameterValue, ...]
     covariance: tuple[tuple[float | None, ...], ...]
-    """In the order of `parameters`; null where a parameter is not determined."""
+    """In the order of `parameters`, then sizes and shapes of each of `effects`; null where not determined."""
     noise: dict[str, float]
     """1 sigma by channel."""
     hold: Literal["zero", "linear", "average"]
     """How a torque sample acts until the next."""
     effects: tuple[EffectValue, ...] = ()
+    gear_ratio: Positive = 1.0
+    """Of the motor; effects may depend on it."""
+    reach: tuple[tuple[float, float], ...] = ()
+    """Smallest and largest angle of each joint in the runs fitted [rad]; effects may depend on it."""
     provenance: Provenance
 
     @property
     def beta(self) -> list[float]:
         """Values in the order of `parameters`."""
         return [parameter.value for parameter in self.parameters]
+
+
+def values_of(model: Model) -> dict[str, tuple[float, float]]:
+    """Parameter -> (value, standard deviation), infinite where it is not determined."""
+    found = {}
+    for k, parameter in enumerate(model.parameters):
+        variance = model.covariance[k][k]
+        found[parameter.name] = (parameter.value, math.inf if variance is None else math.sqrt(max(variance, 0.0)))
+    return found
 
 
 def save_model(model: Model, path: Path | str) -> None:
@@ -114,15 +130,9 @@ def load_model(path: Path | str) -> Model:
     return model
 
 
-def require_nominal(model: Model, where: str) -> None:
-    """Raises `InputError` for a model with effects: simulating it without them would be another model."""
-    if model.effects:
-        raise InputError(where, f"is extended by {model.effects[0].name}, which this version cannot simulate",
-                         "use the version that wrote it")
-
-
 def _fault(model: Model) -> str:
     """What the types cannot say; empty when all is well."""
+    from experiments.extended_model import effects_fault
     from experiments.rigs import build_mechanism
 
     try:
@@ -135,8 +145,12 @@ def _fault(model: Model) -> str:
     for parameter in model.parameters:
         if not math.isfinite(parameter.value):
             return f"`parameters` gives {parameter.name} no finite value"
-    if len(model.covariance) != len(names) or any(len(row) != len(names) for row in model.covariance):
-        return f"`covariance` is not {len(names)} by {len(names)}"
+    fault = effects_fault(model)
+    if fault:
+        return fault
+    count = len(names) + sum(len(e.sizes) + len(e.shapes) for e in model.effects)
+    if len(model.covariance) != count or any(len(row) != count for row in model.covariance):
+        return f"`covariance` is not {count} by {count}"
     if any(not (math.isfinite(level) and level >= 0) for level in model.noise.values()):
         return "`noise` holds a level that is not a positive number"
     return ""

@@ -68,6 +68,20 @@ def progress_to(label: str) -> Iterator[Callable[[float, float], None]]:
 
 
 @contextmanager
+def stages(label: str) -> Iterator[Callable[[str, float], None]]:
+    """A function (stage, fraction done) that names the stage and moves a progress bar on a terminal."""
+    from tqdm import tqdm
+
+    with tqdm(desc=label, total=1.0, leave=False, disable=None,
+              bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}") as bar:
+        def show(stage: str, fraction: float) -> None:
+            bar.set_description_str(f"{label}: {stage}")
+            bar.update(fraction - bar.n)
+
+        yield show
+
+
+@contextmanager
 def busy(label: str) -> Iterator[None]:
     """`label` with the seconds counting up on a terminal, for work that cannot tell how far it is."""
     if not sys.stderr.isatty():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,11 +12,13 @@ from daq.plan import Plan
 from estimator.mechanism import Mechanism
 from estimator.sensors import accelerometer
 from estimator.simulation import simulate
-from experiments.model_file import Model, require_nominal
+from experiments.extended_model import simulate_extended
+from experiments.model_file import Model
 from experiments.rigs import build_mechanism
 
 CHANNELS = {"gyro": "gyro_radps", "accel": "accel_mps2", "tau": "torque_nm", "q": "encoder_rad"}
 """How a column's name begins, and the noise level that belongs to it."""
+IMU_CHANNELS = {"gyro_radps": "gyro", "accel_x_mps2": "accel_x", "accel_y_mps2": "accel_y"}
 
 
 def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = None,
@@ -25,7 +27,6 @@ def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = N
 
     Raises `InputError` (the plan does not fit the mechanism) or `WorkError` (the motion runs away).
     """
-    require_nominal(model, where)
     mechanism = build_mechanism(model.mechanism)
     if len(mechanism.actuated) != 1:
         raise InputError(where, f"has {len(mechanism.actuated)} driven joints, a plan drives one",
@@ -38,25 +39,42 @@ def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = N
     command = plan.torque_nm[np.searchsorted(plan.time_s - plan.time_s[0], time_s + 1e-9, side="right") - 1]
     tau = np.zeros((time_s.size, mechanism.n))
     tau[:, mechanism.actuated[0]] = command
-    q, qd, qdd = simulate(mechanism, np.array(model.beta), q0, np.zeros(mechanism.n), tau, 1.0 / rate, model.hold)
-    if not np.isfinite(q).all():
-        raise WorkError("the simulated motion runs away; check the model's parameters and the plan's torque")
-    columns = _columns(model, mechanism, q, qd, qdd, command)
+    if model.effects:
+        columns = _extended_columns(model, mechanism, time_s, tau, q0)
+    else:
+        columns = _nominal_columns(model, mechanism, tau, q0, rate)
     if noise_seed is not None:
         columns = _noisy(columns, model.noise, noise_seed)
     columns["tau2_cmd_nm"] = command
     return Dataset(f"simulated by {where}", rate, time_s, columns)
 
 
-def _columns(model: Model, mechanism: Mechanism, q: FloatArray, qd: FloatArray, qdd: FloatArray,
-             command: FloatArray) -> dict[str, FloatArray]:
-    length = "m" if model.mechanism.prismatic else "rad"
-    columns = {f"q{j + 1}_{length}": q[:, j] for j in range(mechanism.n)}
-    force = "n" if model.mechanism.prismatic else "nm"
-    columns[f"tau{mechanism.actuated[0] + 1}_{force}"] = command
+def _nominal_columns(model: Model, mechanism: Mechanism, tau: FloatArray, q0: FloatArray, rate: float
+                     ) -> dict[str, FloatArray]:
+    q, qd, qdd = simulate(mechanism, np.array(model.beta), q0, np.zeros(mechanism.n), tau, 1.0 / rate, model.hold)
+    if not np.isfinite(q).all():
+        raise WorkError("the simulated motion runs away; check the model's parameters and the plan's torque")
+    readings = {f"encoder{j + 1}": q[:, j] for j in range(mechanism.n)}
+    readings |= {f"torque{j + 1}": tau[:, j] for j in mechanism.actuated}
     if model.mechanism.model == "leg2":
         a_x, a_y = accelerometer(q[:, 0], qd[:, 0], qdd[:, 0], mechanism.lever_arm, mechanism.gravity_mps2)
-        columns |= {"gyro_radps": qd[:, 0], "accel_x_mps2": a_x, "accel_y_mps2": a_y}
+        readings |= {"gyro": qd[:, 0], "accel_x": a_x, "accel_y": a_y}
+    return _columns(model, mechanism, readings)
+
+
+def _extended_columns(model: Model, mechanism: Mechanism, time_s: FloatArray, tau: FloatArray, q0: FloatArray
+                      ) -> dict[str, FloatArray]:
+    return _columns(model, mechanism, simulate_extended(model, mechanism, time_s, tau, q0).readings)
+
+
+def _columns(model: Model, mechanism: Mechanism, readings: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Readings by the estimator's channel as columns of the contract."""
+    length, force = ("m", "n") if model.mechanism.prismatic else ("rad", "nm")
+    columns = {f"q{j + 1}_{length}": readings[f"encoder{j + 1}"] for j in range(mechanism.n)}
+    driven = mechanism.actuated[0] + 1
+    columns[f"tau{driven}_{force}"] = readings[f"torque{driven}"]
+    if model.mechanism.model == "leg2":
+        columns |= {column: readings[channel] for column, channel in IMU_CHANNELS.items()}
     return columns
 
 

@@ -9,19 +9,21 @@ import numpy as np
 from daq.dataset import FloatArray
 from daq.errors import InputError
 from estimator.validation import Validation, validate
-from experiments.model_file import Model, require_nominal
+from experiments.extended_model import validate_extended
+from experiments.model_file import Model
 from experiments.output import progress
 from experiments.rigs import Setup, build_mechanism
 
 
 def validate_runs(model: Model, setup: Setup, where: str) -> list[Validation]:
     """Free-run simulation of `model` against the runs of `setup`; `where` names the model in errors."""
-    require_nominal(model, where)
     if (setup.settings.model, setup.mechanism.n) != (model.mechanism.model, build_mechanism(model.mechanism).n):
         raise InputError(where, f"is a {model.mechanism.model}, the rig file says {setup.settings.model}",
                          "give the rig that the model was fitted on")
-    return validate_setup(replace(setup, mechanism=build_mechanism(model.mechanism),
-                                  options=replace(setup.options, hold=model.hold)), np.array(model.beta))
+    mechanism, options = build_mechanism(model.mechanism), replace(setup.options, hold=model.hold)
+    if model.effects:
+        return validate_extended(model, mechanism, options, setup.datasets)
+    return validate_setup(replace(setup, mechanism=mechanism, options=options), np.array(model.beta))
 
 
 def validate_setup(setup: Setup, beta: FloatArray) -> list[Validation]:

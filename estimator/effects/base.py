@@ -109,6 +109,8 @@ class Effect(ABC):
     experiment: ClassVar[str]
     """What run would show it best."""
     per_joint: ClassVar[bool] = False
+    whole_shapes: ClassVar[bool] = False
+    """Shapes are whole numbers: held where the grid has them, not re-fitted."""
 
     def __init__(self, joint: int | None = None) -> None:
         self.joint = joint
@@ -130,6 +132,15 @@ class Effect(ABC):
         for shape in self.shapes:
             combinations = [(*c, value) for c in combinations for value in shape.grid]
         return combinations
+
+    def clipped(self, size: FloatArray) -> FloatArray:
+        """`size` with its shapes kept within four times the range of their grids, on their side of zero."""
+        out = np.array(size, dtype=np.float64)
+        for i, shape in enumerate(self.shapes, len(self.sizes)):
+            magnitudes = np.abs(shape.grid)
+            side = np.sign(out[i]) if min(shape.grid) < 0 else 1.0
+            out[i] = side * np.clip(side * out[i], magnitudes.min() / 4.0, magnitudes.max() * 4.0)
+        return out
 
     @abstractmethod
     def perturb(self, view: View, size: FloatArray) -> Perturbation:

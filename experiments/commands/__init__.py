@@ -3,5 +3,5 @@
 A module imports nothing heavy before `run`: `legid --help` answers at once.
 """
 
-COMMANDS = ("demo", "record", "info", "recover", "export", "fit", "validate", "simulate")
+COMMANDS = ("demo", "record", "info", "recover", "export", "fit", "validate", "diagnose", "effects", "simulate")
 """Module names, in the order in which `legid --help` lists them."""

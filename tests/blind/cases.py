@@ -13,7 +13,7 @@ import numpy as np
 from tests.blind.effects import INSIDE, LARGEST, MAKERS, NEEDS, OUTSIDE, SMALLEST, START, Hidden
 from tests.blind.excite import PATTERN, SECONDS, Torque, draw
 from tests.blind.leg import Array, Leg
-from tests.blind.measure import Sensors
+from tests.blind.measure import RATE_HZ, Sensors
 
 CLASSES = ("none", "single", "pair", "outside", "deleted")
 # range of the ratio between the nominal free run's error and its floor (ratio.py), drawn within by seed

@@ -31,7 +31,7 @@ class Torque:
 def draw(rng: np.random.Generator, kind: str) -> Torque:
     """One run's torque with a peak of about 1 (big), 0.5 (small) or a slow course up to 0.6 with ripples (slow)."""
     line = np.arange(1, 60, 2)
-    rate: Array = 2.0 * np.pi * line[(line / SECONDS >= 0.1) & (line / SECONDS <= 3.0)] / SECONDS
+    rate = np.asarray(2.0 * np.pi * line[(line / SECONDS >= 0.1) & (line / SECONDS <= 3.0)] / SECONDS, np.float64)
     phase = rng.uniform(0.0, 2.0 * np.pi, rate.shape)
     time = np.arange(0.0, SECONDS, 0.01)
     peak = np.abs(np.sin(np.multiply.outer(time, rate) + phase).sum(axis=-1)).max()

@@ -42,7 +42,7 @@ class DryFriction:
 
     def __call__(self, y: Array, t: float, torque: Array, f: Array,
                  inverse: tuple[Array, Array, Array]) -> Array:
-        """Correct the velocities of `y` in place and give the torques (2, L) that acted; `inverse` is that of the inertia."""
+        """Correct the velocities of `y` in place and give the torques (2, L) that acted."""
         if self.none:
             return f
         h = self.h

@@ -5,12 +5,14 @@ problem, which is tame), so the outer search goes downhill in p dimensions only.
 together, as `estimator.mle` takes them, are faster but start well only where filtering gives a good first
 motion, which a noisy record of half a second does not.
 
-A record is searched from several starts, each a smoother first motion than the one before fails to be: a sum
-of squares that known noise cannot explain is a local minimum, and sends the record to the next start.
+A record is searched from several starts: a sum of squares that known noise cannot explain is a local minimum,
+and sends the record to the next start. The search stays among bodies: a model whose inertia matrix is not
+positive definite along the motion is refused, as nearly all false minima are there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,13 +22,17 @@ from scipy.optimize import lsq_linear
 
 from estimator.batch import BatchProblem, Point, Records
 from estimator.collocation import Collocation
+from estimator.latent import Noise
+from estimator.mechanism import Mechanism
+from estimator.options import FitOptions
+from estimator.signalset import SignalSet
 
 FloatArray = NDArray[np.float64]
 Index = NDArray[np.intp]
-DEGREES = (2, 1, 3, 4, 5)
-"""Polynomial degrees of the first motion of a noisy joint, in the order in which they are tried."""
-LEAST_STARTS = 2
-MISFIT_SPREADS = 1.0
+STARTS = ((3, False), (1, True), (2, True), (1, False), (4, False), (2, False))
+"""In the order in which they are tried: polynomial degree of a noisy joint's first motion, and whether the first
+body is without inertial couplings."""
+MISFIT_SPREADS = 1.5
 """A sum of squares this many standard deviations above its mean under the known noise is looked at again."""
 INNER_STEPS = 8
 OUTER_STEPS = 60
@@ -35,6 +41,12 @@ INNER_TOLERANCE = 1e-2
 """The latents are at their best where a step would lower the sum of squares by less than this."""
 TOLERANCE = 0.02
 """A search ends when beta would move by less than this share of its standard deviation."""
+EXACT_ENCODER = 1e-8
+"""Standard deviation that stands for an encoder without noise [rad]: the collocation's own error over 10 ms."""
+EXACT_RAD = 1e-7
+"""An encoder with less noise than this is taken as exact where a first motion is made."""
+MOST_SAMPLES = 500
+"""Longer records are started well by filtering."""
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-7, 1e8
 REACH_RAD = 0.5
 """Steps that move an angle further are shortened: a linearisation means little there."""
@@ -71,6 +83,22 @@ def empty(records: Records, p: int) -> Searched:
                     np.full(runs, np.inf), np.zeros(runs, dtype=bool), np.zeros(runs, dtype=np.intp))
 
 
+def suits(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> bool:
+    """Whether this search can do a fit: one short record on the encoder path, nothing fixed, all noise known."""
+    known = {"torque_nm", "passive_nm"} <= set(options.noise) or len(mechanism.actuated) == mechanism.n
+    return (options.sensors == "encoder" and len(signals) == 1 and len(signals[0].time_s) <= MOST_SAMPLES
+            and not options.fixed and known and "torque_nm" in options.noise
+            and all(options.encoder_noise(j) is not None for j in range(mechanism.n)))
+
+
+def known_noise(mechanism: Mechanism, options: FitOptions) -> Noise:
+    """Noise levels of `options`, which `suits`."""
+    torque = np.full(mechanism.n, options.noise.get("passive_nm", 0.0))
+    torque[list(mechanism.actuated)] = options.noise["torque_nm"]
+    encoder = [max(options.encoder_noise(j) or 0.0, EXACT_ENCODER) for j in range(mechanism.n)]
+    return Noise(np.maximum(torque, 1e-9), np.array(encoder))
+
+
 def expected_misfit(problem: BatchProblem, samples: int) -> tuple[float, float]:
     """Mean and standard deviation of the smallest sum of squares under the known noise."""
     noisy = len(problem.mechanism.actuated) + int(np.sum(problem.noise.encoder > EXACT_RAD))
@@ -78,27 +106,22 @@ def expected_misfit(problem: BatchProblem, samples: int) -> tuple[float, float]:
     return float(freedom), float(np.sqrt(2.0 * freedom))
 
 
-EXACT_RAD = 1e-7
-"""An encoder with less noise than this is taken as exact where a first motion is made."""
-
-
 def search(problem: BatchProblem, records: Records) -> Searched:
-    """Best beta and motion of each record from up to len(DEGREES) starts."""
+    """Best beta and motion of each record from up to len(STARTS) starts."""
     found = empty(records, problem.mechanism.p)
     mean, spread = expected_misfit(problem, records.angles.shape[1])
-    for tries, degree in enumerate(DEGREES):
-        misfits = ~(found.objective < mean + MISFIT_SPREADS * spread)
-        where = np.flatnonzero(misfits | (tries < LEAST_STARTS))
+    for degree, plain in STARTS:
+        where = np.flatnonzero(~(found.converged & (found.objective < mean + MISFIT_SPREADS * spread)))
         if where.size == 0:
             break
         part = records.pick(where)
-        tried = descend(problem, part, *first_guess(problem, part, degree))
+        tried = descend(problem, part, *first_guess(problem, part, degree, plain))
         better = (tried.objective < found.objective[where] - 1e-3) | ~np.isfinite(found.objective[where])
         found.put(where, tried, better)
     return found
 
 
-def first_guess(problem: BatchProblem, records: Records, degree: int) -> tuple[FloatArray, FloatArray]:
+def first_guess(problem: BatchProblem, records: Records, degree: int, plain: bool = False) -> tuple[FloatArray, FloatArray]:
     """Latents (R, N, 3 n) and beta (R, p): a smooth motion, then least squares.
 
     Exact joints are splines. A noisy joint is a polynomial plus multiples of the exact joints' angles: momentum
@@ -120,7 +143,8 @@ def first_guess(problem: BatchProblem, records: Records, degree: int) -> tuple[F
         weights = np.linalg.pinv(shapes) @ records.angles[..., j, None]
         q[..., j], v[..., j] = (shapes @ weights)[..., 0], (slopes @ weights)[..., 0]
     x = np.concatenate([q, v, records.torque], axis=-1)
-    return x, _made_body(problem, x, regress(c, q, v, records.torque), regress(c, q, v, records.torque, plain=True))
+    single = regress(c, q, v, records.torque, plain=True)
+    return x, single if plain else _made_body(problem, x, regress(c, q, v, records.torque), single)
 
 
 def _made_body(problem: BatchProblem, x: FloatArray, beta: FloatArray, plain: FloatArray) -> FloatArray:

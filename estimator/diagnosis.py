@@ -1,0 +1,296 @@
+"""`diagnose`: what the simulation gets wrong, what that is, and what extending it gains.
+
+Nominal fit, detection without names, scores of the library with the nominal parameters projected out, full
+re-fits of the best singles, then pairs, then one triple, closure on what was seen, and last, once, closure and
+gain on the confirm runs. A cause is named only where nothing detectable is left over on runs opened once.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dataset import Dataset
+from estimator import account
+from estimator.effects import Effect, library
+from estimator.effects.anonymous import AnonymousReading, AnonymousTorque, battery
+from estimator.errors import FitError
+from estimator.evidence import (
+    Model,
+    fit_nominal,
+    misfit,
+    refit,
+    rehearsal_scores,
+    score_confirm,
+    score_discover,
+    tests_of,
+)
+from estimator.extended import Candidate
+from estimator.mechanism import Mechanism
+from estimator.options import FitOptions
+from estimator.scores import RunScore, Tests, columns_of
+from estimator.session import Session, open_session
+from estimator.verdict import Diagnosis, Ranked
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+ALPHA = 0.01
+"""p-value, over all candidates tried, below which something is there."""
+SINGLES = 6
+"""Best effects that are re-fitted one by one."""
+PAIRS = 4
+LEFT_OVER = 0.1
+"""What a named cause may leave for others: this share of what it gained itself. Functional forms differ."""
+TIE = 0.06
+"""Explanations within this share of the best one's gain are not told apart."""
+TIE_GAIN = 8.0
+"""... or within this much of twice the log likelihood."""
+
+
+@dataclass(frozen=True)
+class Explained:
+    """One set of effects, fitted, and what it leaves over on the discover runs."""
+
+    model: Model
+    gain: float
+    left: Tests
+    best_left: int
+    """Candidate with the largest remaining gain."""
+    best_named_left: int
+    closed: bool
+
+
+@dataclass
+class Desk:
+    """What all steps share."""
+
+    session: Session
+    candidates: list[Candidate]
+    columns: list[NDArray[np.intp]]
+    named: int
+    """The first so many candidates are of the library."""
+    bias: list[RunScore]
+    nominal: Model
+
+    @property
+    def trials(self) -> int:
+        return len(self.candidates)
+
+
+def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,
+             seed: int = 0, progress: Progress | None = None,
+             reference: Mapping[str, tuple[float, float]] | None = None) -> Diagnosis:
+    """Diagnose the runs of one rig, in the order of recording.
+
+    `reference` is (value, std) by parameter of an earlier model: changed inertial parameters are reported as a
+    payload. Data that cannot be diagnosed give the verdict `fit_failed` with the reason, never an exception.
+    """
+    start = time.perf_counter()
+    say = progress or (lambda stage, fraction: None)
+    try:
+        session = open_session(datasets, mechanism, options, gear_ratio)
+        found = _diagnose(session, np.random.default_rng(seed), say, reference)
+    except FitError as error:
+        found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
+    return replace(found, wall_s=time.perf_counter() - start)
+
+
+def _diagnose(session: Session, rng: np.random.Generator, say: Progress,
+              reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
+    say("fitting the nominal model", 0.02)
+    nominal, _ = fit_nominal(session)
+    effects, refused = library(session.mechanism, session.has_imu)
+    candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
+    named = len(candidates)
+    candidates += [Candidate(e) for e in battery(session.mechanism, session.has_imu)]
+    say("scoring the library", 0.15)
+    scores = score_discover(session, nominal, candidates)
+    say("rehearsing the nominal model", 0.2)
+    bias = rehearsal_scores(session, nominal, candidates, rng)
+    desk = Desk(session, candidates, columns_of(candidates), named, bias, nominal)
+    tests = tests_of(session, nominal, scores, bias)
+    ranked = rank(desk, tests)
+    base = account.base(session, nominal, refused, reference)
+    base = replace(base, candidates=ranked, separability=separability(desk, tests))
+    if min(p_of(desk, tests, i) for i in range(desk.trials)) > ALPHA:
+        return account.nothing(base, desk.session, nominal)
+    say("re-fitting the best explanations", 0.4)
+    options = explain(desk, tests, say)
+    say("opening the confirm runs", 0.85)
+    return conclude(desk, base, options, rng)
+
+
+def p_of(desk: Desk, tests: Tests, i: int) -> float:
+    """p-value of candidate i over all that were tried."""
+    return min(1.0, tests.p_value(desk.columns[i]) * desk.trials)
+
+
+def best_shapes(desk: Desk, tests: Tests, skip: Sequence[str] = ()) -> list[int]:
+    """Library candidates, best shape of each effect, by falling gain."""
+    best: dict[str, int] = {}
+    for i in range(desk.named):
+        key = desk.candidates[i].effect.key
+        if key not in skip and (key not in best or tests.gain(desk.columns[i]) > tests.gain(desk.columns[best[key]])):
+            best[key] = i
+    return sorted(best.values(), key=lambda i: -tests.gain(desk.columns[i]))
+
+
+def rank(desk: Desk, tests: Tests) -> tuple[Ranked, ...]:
+    """Every effect of the library as scored."""
+    out = []
+    for i in best_shapes(desk, tests):
+        effect, columns = desk.candidates[i].effect, desk.columns[i]
+        out.append(Ranked(effect.name, None if effect.joint is None else effect.joint + 1,
+                          float(np.sqrt(max(tests.gain(columns), 0.0))), p_of(desk, tests, i),
+                          float(tests.size(columns)[0]),
+                          tests.detectable(int(columns[0]), ALPHA / desk.trials), effect.sizes[0].unit))
+    return tuple(out)
+
+
+def separability(desk: Desk, tests: Tests) -> tuple[tuple[str, ...], FloatArray]:
+    """Cosines between what the best shapes of the library would add, nominal parameters projected out."""
+    order = best_shapes(desk, tests)[:14]
+    first = np.array([desk.columns[i][0] for i in order])
+    information = tests.information[np.ix_(first, first)]
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    return tuple(desk.candidates[i].effect.key for i in order), information / np.outer(scale, scale)
+
+
+def explain(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
+    """Fitted explanations, singles first; more effects only where no single closes."""
+    order = best_shapes(desk, tests)
+    promising = [i for i in order[:SINGLES] if p_of(desk, tests, i) < 0.5]
+    starts = [[(desk.candidates[i].effect, start_size(desk, tests, i))] for i in promising]
+    singles = weigh(desk, starts)
+    say("looking at what they leave over", 0.6)
+    singles = [judged(desk, s) for s in singles[:4]]
+    if any(s.closed for s in singles) or not singles:
+        return singles
+    say("trying pairs", 0.7)
+    pairs = grow(desk, singles[:2], PAIRS)
+    if any(s.closed for s in pairs) or not pairs:
+        return pairs + singles
+    say("trying three", 0.8)
+    return grow(desk, pairs[:1], 2) + pairs + singles
+
+
+def start_size(desk: Desk, tests: Tests, i: int) -> FloatArray:
+    """One-step sizes of candidate i, with its shape."""
+    return np.concatenate([tests.size(desk.columns[i]), desk.candidates[i].shape])
+
+
+def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> list[Explained]:
+    """Fit every start, compare all under the noise of the best, most likely first."""
+    models = []
+    for start in starts:
+        model = fit_extension(desk, start)
+        if model is not None:
+            models.append(model)
+    if not models:
+        return []
+    noise = min((m.state.noise for m in models), key=lambda s: account.log_volume(desk.nominal.problem, s))
+    plain = misfit(refit(desk.session, desk.nominal, [], 12, noise))
+    out = []
+    for m in models:
+        again = refit(desk.session, m, list(zip(m.effects, m.sizes())), 12, noise)
+        out.append(Explained(m, plain - misfit(again), _NO_TESTS, -1, -1, False))
+    return sorted(out, key=lambda e: -e.gain)
+
+
+def fit_extension(desk: Desk, start: Sequence[tuple[Effect, FloatArray]]) -> Model | None:
+    """Full re-fit, first with shapes held; None where it fails."""
+    try:
+        held = refit(desk.session, desk.nominal, start, 12, hold_shapes=True)
+    except (FitError, np.linalg.LinAlgError):
+        return None
+    try:
+        return refit(desk.session, held, list(zip(held.effects, held.sizes())))
+    except (FitError, np.linalg.LinAlgError):
+        return held
+
+
+_NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
+
+
+def judged(desk: Desk, explained: Explained) -> Explained:
+    """With what it leaves over on the discover runs, and its gain over the scatter."""
+    model = explained.model
+    scores = score_discover(desk.session, model, desk.candidates)
+    bias = [padded(b, model.problem.parameter_count - desk.session.mechanism.p, desk.session.mechanism.p)
+            for b in desk.bias]
+    left = tests_of(desk.session, model, scores, bias)
+    own = {e.key for e in model.effects}
+    gains = [left.gain(c) if desk.candidates[i].effect.key not in own else 0.0 for i, c in enumerate(desk.columns)]
+    best = int(np.argmax(gains))
+    best_named = int(np.argmax(gains[: desk.named]))
+    gain = explained.gain / float(np.median(left.inflation))
+    closed = p_of(desk, left, best) > ALPHA or gains[best] < LEFT_OVER * gain
+    return Explained(model, gain, left, best, best_named, closed)
+
+
+def padded(score: RunScore, added: int, at: int) -> RunScore:
+    """A nominal run's bias as one of a model with `added` more parameters after the first `at`."""
+    return RunScore(np.insert(score.score, [at] * added, 0.0), score.information)
+
+
+def grow(desk: Desk, parents: Sequence[Explained], most: int) -> list[Explained]:
+    """Each parent with one more effect: those that its left-over scores best."""
+    starts = []
+    for parent in parents:
+        own = [e.key for e in parent.model.effects]
+        for i in best_shapes(desk, parent.left, own)[: max(1, most // len(parents))]:
+            if p_of(desk, parent.left, i) < 0.5:
+                begin = list(zip(parent.model.effects, parent.model.sizes()))
+                starts.append([*begin, (desk.candidates[i].effect, start_size(desk, parent.left, i))])
+    unique = {tuple(sorted(e.key for e, _ in s)): s for s in reversed(starts)}
+    return [judged(desk, s) for s in weigh(desk, list(unique.values()))[:3]]
+
+
+def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.random.Generator) -> Diagnosis:
+    """Verdict by closure on the confirm runs, gain and what a report draws."""
+    session = desk.session
+    closed = sorted((o for o in options if o.closed), key=lambda o: (len(o.model.effects), -o.gain))
+    if not options:
+        return account.unexplained(base, session, desk.nominal, None, "no effect of the library fits")
+    if not closed:
+        best = max(options, key=lambda o: o.gain)
+        what = desk.candidates[best.best_left].effect
+        label = what.key if not isinstance(what, AnonymousTorque | AnonymousReading) else "a term without a name"
+        return account.unexplained(base, session, desk.nominal, best, f"beside it {label} is still detectable", rng)
+    fewest = len(closed[0].model.effects)
+    rivals = [o for o in closed if len(o.model.effects) == fewest]
+    best = rivals[0]
+    ties = [o for o in rivals if o.gain >= best.gain * (1 - TIE) - TIE_GAIN]
+    if not confirmed(desk, best):
+        return account.unexplained(base, session, desk.nominal, best, "it does not hold on the confirm runs", rng)
+    p = max(1e-12, min(1.0, _p_of_gain(best) * desk.trials))
+    return account.finding(base, session, desk.nominal, ties, p, rng)
+
+
+def _p_of_gain(explained: Explained) -> float:
+    from scipy.stats import f as fisher
+
+    k = sum(len(e.sizes) for e in explained.model.effects)
+    return float(fisher.sf(explained.gain / k, k, explained.left.freedom))
+
+
+def confirmed(desk: Desk, explained: Explained) -> bool:
+    """Closure on the confirm runs, opened here for the first and only time, and a gain there."""
+    session, model = desk.session, explained.model
+    scores = score_confirm(session, model, desk.candidates)
+    p = session.mechanism.p
+    mean = RunScore(np.mean([b.score for b in desk.bias], axis=0), desk.bias[0].information)
+    bias = [padded(mean, model.problem.parameter_count - p, p)] * len(scores)
+    left = tests_of(session, model, scores, bias, explained.left)
+    own = {e.key for e in model.effects}
+    share = len(session.confirm) / len(session.discover)
+    for i, columns in enumerate(desk.columns):
+        if desk.candidates[i].effect.key in own:
+            continue
+        if p_of(desk, left, i) < ALPHA and left.gain(columns) > 2.0 * LEFT_OVER * explained.gain * share:
+            return False
+    return account.confirm_gain(session, desk.nominal, model) > 0.0
