@@ -41,7 +41,7 @@ class Terms(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """J*qdd of a geared rotor, in the joint's own row only [kg m^2]."""
     torque_offset: tuple[Joint, ...] = ()
     """A constant added to the joint's measured torque [N m]."""
-    friction_velocity_radps: Positive = 0.01
+    friction_velocity_radps: Positive = 0.005
     """Velocity over which sign(qd) is rounded off [rad/s]."""
 
 

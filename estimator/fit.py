@@ -6,14 +6,16 @@ from collections.abc import Callable, Sequence
 
 from daq.dataset import Dataset
 from estimator.errors import FitError
+from estimator.hekf import fit_hekf
 from estimator.mechanism import Mechanism
 from estimator.mle import fit_mle
 from estimator.options import FitOptions
 from estimator.result import FitResult
+from estimator.rls import fit_rls
 from estimator.wls import fit_wls
 
 Estimator = Callable[[Sequence[Dataset], Mechanism, FitOptions], FitResult]
-ESTIMATORS: dict[str, Estimator] = {"mle": fit_mle, "wls": fit_wls}
+ESTIMATORS: dict[str, Estimator] = {"mle": fit_mle, "wls": fit_wls, "rls": fit_rls, "hekf": fit_hekf}
 METHODS = ("mle", "wls", "rls", "hekf")
 
 

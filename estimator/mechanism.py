@@ -55,7 +55,7 @@ class Mechanism:
     """Pivot to IMU along link 1 [m]."""
     gravity_mps2: float = 9.81
     """Gravity as an accelerometer feels it [m/s2]."""
-    velocity_scale: float = 0.01
+    velocity_scale: float = 0.005
     """Velocity over which sign(qd) is rounded off [rad/s]."""
     length_unit: str = field(default="rad")
     """Unit of q: rad, or m for a prismatic joint."""
@@ -197,7 +197,7 @@ def extra_parameters(rotor_inertia: tuple[int, ...], torque_offset: tuple[int, .
 
 def leg2(*, gravity_mps2: float = 9.81, lever_arm: float = 0.0, actuated: tuple[int, ...] = (1,),
          rotor_inertia: tuple[int, ...] = (), torque_offset: tuple[int, ...] = (),
-         velocity_scale: float = 0.01) -> Mechanism:
+         velocity_scale: float = 0.005) -> Mechanism:
     """The 2-link leg hanging from its pivot, eq. (62), beta in the paper's order (contracts, fit JSON)."""
     rigid = tree_parameters(
         [(0, 0), (1, 1), (0, 1)], [0, 1],
@@ -222,7 +222,7 @@ def biped3(*, actuated: tuple[int, ...] = (1, 2), gravity_mps2: float = 9.8) -> 
 
 
 def joint1(*, gravity_mps2: float = 9.81, prismatic: bool = False, actuated: tuple[int, ...] = (0,),
-           torque_offset: tuple[int, ...] = (), velocity_scale: float = 0.01, voltage: bool = False,
+           torque_offset: tuple[int, ...] = (), velocity_scale: float = 0.005, voltage: bool = False,
            lever_arm: float = 0.0) -> Mechanism:
     """One joint, rotary or prismatic: inertia (or mass), gravity moment unless gravity is 0, friction.
 
@@ -241,7 +241,7 @@ def joint1(*, gravity_mps2: float = 9.81, prismatic: bool = False, actuated: tup
 
 def chain(links: int, *, gravity_mps2: float = 9.81, actuated: tuple[int, ...] | None = None,
           rotor_inertia: tuple[int, ...] = (), torque_offset: tuple[int, ...] = (),
-          velocity_scale: float = 0.01) -> Mechanism:
+          velocity_scale: float = 0.005) -> Mechanism:
     """An open chain of `links` links hanging from a pivot, each angle relative to the link before (Fig. 1)."""
     pairs = [(i, i) for i in range(links)] + [(i, j) for i in range(links) for j in range(i + 1, links)]
     meanings = [f"p{i + 1}{j + 1}" for i, j in pairs] + [f"first moment, link {i + 1}" for i in range(links)]

@@ -1,8 +1,8 @@
 """Maximum likelihood with one consistent latent motion: the default estimator.
 
-Section IV of the paper with three changes: the latents are one trajectory whose rate and acceleration are
-its derivatives (`estimator.collocation`), they are integrated out instead of maximised over
-(`LatentProblem.bias_score`), and noise levels are estimated instead of tuned by hand.
+Section IV of the paper with two changes: the latents are one trajectory whose rate and acceleration are its
+derivatives (`estimator.collocation`), and noise levels are estimated instead of tuned by hand. With the right
+ratio of noise levels this is total least squares along time, which does not shrink beta.
 """
 
 from __future__ import annotations
@@ -35,8 +35,10 @@ TOLERANCE = 0.02
 """Converged when a step moves no parameter by more than this share of its standard deviation."""
 ANGLE_TOLERANCE = 1e-6
 """Converged, where no parameter is free, when no angle moves by more than this [rad]."""
-PATIENCE = 10
-"""Steps before they are halved, and halved again."""
+LOOSE_AFTER = 15
+LOOSE = 0.15
+"""After so many steps this share of a standard deviation will do: a joint that reverses, or rests, close to a
+sample makes the last digits swing."""
 PASSIVE_WAIT = 4
 STEEP = 0.95
 PASSIVE_HASTE = 2.5
@@ -142,7 +144,8 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     `floors` None keeps the noise levels. Sets `state.converged`; raises `FitError`.
     """
     index = np.flatnonzero(free)
-    settled = 0
+    settled, share, lowest = 0, 1.0, np.inf
+    before = np.zeros(index.size)
     for iteration in range(limit):
         state.iterations = iteration + 1
         point = problem.linearise(state.x, state.beta, state.noise)
@@ -159,7 +162,13 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         covariance = _pseudo_inverse(information)
         step_beta = -covariance @ score
         step = (-direction - eliminated @ step_beta).reshape(problem.total, problem.block)
-        damping = _step_length(step[:, : problem.n], iteration)
+        if iteration > 2:  # the first steps come from far off and their noise levels are rough
+            along = float(step_beta @ information @ before)
+            swings = along < -0.25 * float(before @ information @ before)
+            share = max(0.1, 0.5 * share) if swings or point.objective > 1.05 * lowest else min(1.0, 1.2 * share)
+            lowest = min(lowest, point.objective)
+        before = step_beta
+        damping = _shortest(step[:, : problem.n], share)
         state.x = state.x.moved(damping * step)
         state.beta = state.beta.copy()
         state.beta[index] += damping * step_beta
@@ -170,13 +179,14 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         change = 0.0
         if floors is not None:
             p_diagonal, _ = blocktri.inverse_band(point.diagonal, point.lower)
-            residuals = problem.residuals_after(point, damping * step, damping * step_beta, index)
+            residuals = problem.residuals_after(point, step, step_beta, index)
             change = _update_noise(problem, state, point, p_diagonal, residuals, options, floors)
         std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        moved = float(np.max(np.abs(step_beta) / std, initial=0.0))
+        moved = damping * float(np.max(np.abs(step_beta) / std, initial=0.0))
         if not index.size:
             moved = float(np.max(np.abs(step[:, : problem.n]))) / ANGLE_TOLERANCE * TOLERANCE
-        settled = settled + 1 if moved < TOLERANCE and change < 0.01 else 0
+        enough = TOLERANCE if iteration < LOOSE_AFTER else LOOSE
+        settled = settled + 1 if moved < enough and change < 0.01 else 0
         if settled >= 2:
             state.converged = True
             break
@@ -206,23 +216,18 @@ def _pseudo_inverse(information: FloatArray) -> FloatArray:
     return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
 
 
-def _step_length(angles: FloatArray, iteration: int) -> float:
-    """Share of a step that is taken.
-
-    Shortened where an angle moves by more than 0.5 rad, because a linearisation means little there, and after
-    PATIENCE steps: a knee that reverses close to a sample makes full steps swing about the minimum.
-    """
-    biggest = float(np.max(np.abs(angles)))
-    length = 1.0 if biggest < 0.5 else 0.5 / biggest
-    return length * 0.5 ** min(iteration // PATIENCE, 3)
+def _shortest(angles: FloatArray, share: float) -> float:
+    """`share`, less where an angle would move by more than 0.5 rad: a linearisation means little there."""
+    biggest = share * float(np.max(np.abs(angles)))
+    return share if biggest < 0.5 else share * 0.5 / biggest
 
 
 def _update_noise(problem: LatentProblem, state: State, point: Linearised, p_diagonal: FloatArray,
                   residuals: Mapping[str, FloatArray], options: FitOptions, floors: Noise) -> float:
     """sigma^2 = sum r^2 / (samples - those taken by the latents); returns the largest relative change.
 
-    `residuals` are those after the step: they belong to the same noise levels as the degrees of freedom do.
-    Mixing them with the residuals before it makes the levels swing with period two.
+    `residuals` are those after a whole step: they belong to the same noise levels as the degrees of freedom do.
+    Mixing them with the residuals before it, or after a part of it, makes the levels swing with period two.
     """
     taken = problem.effective_samples(point, p_diagonal, state.noise)
     known, old = options.noise, state.noise

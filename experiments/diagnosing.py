@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from daq.align import recorded_rig
 from daq.columns import IMU
-from daq.dataset import Dataset, FloatArray
+from daq.dataset import Dataset
 from daq.errors import InputError
 from daq.rig import Rig
 from daq.runfile import read_run
@@ -60,8 +62,8 @@ def require_alike(datasets: Sequence[Dataset]) -> None:
 def _motion(data: Dataset) -> set[str]:
     """Columns that hold angles and torques, the pivot's benchmark left out where an IMU stands in for it."""
     imu = all(name in data for name in IMU)
-    return {name for name in data.columns if name.startswith(("q", "tau")) and not name.endswith(("cmd_nm", "motor_rad"))
-            and not (imu and name == BENCHMARK)}
+    return {name for name in data.columns if name.startswith(("q", "tau"))
+            and not name.endswith(("cmd_nm", "motor_rad")) and not (imu and name == BENCHMARK)}
 
 
 def require_one_rig(paths: Sequence[Path | str]) -> None:
@@ -92,9 +94,8 @@ def reference_values(model: Model, where: str, setup: Setup) -> dict[str, tuple[
 
 def model_to_save(found: Diagnosis, setup: Setup, gear_ratio: float) -> Model:
     """The diagnosis as MODEL.json. With effects, the angles' range comes from the nominal fit that they refer to."""
-    return diagnosed_model(found, setup, gear_ratio, _reach(setup, gear_ratio) if found.effects else ())
-
-
-def _reach(setup: Setup, gear_ratio: float) -> FloatArray:
+    if not found.effects:
+        return diagnosed_model(found, setup, gear_ratio, np.zeros((0, 2)))
     setup = without_benchmark(setup)
-    return fit_nominal(open_session(setup.datasets, setup.mechanism, setup.options, gear_ratio))[1]
+    _, reach = fit_nominal(open_session(setup.datasets, setup.mechanism, setup.options, gear_ratio))
+    return diagnosed_model(found, setup, gear_ratio, reach)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -35,7 +34,8 @@ def diagnosis_document(found: Diagnosis) -> dict[str, Any]:
             "gap_closed": found.gap_closed,
             "gap_closed_ci95": None if found.gap_closed_ci95 is None else list(found.gap_closed_ci95)},
         "parameters": {"nominal": dict(found.nominal), "extended": dict(found.extended)},
-        "not_testable": [_untestable(key, why) for key, why in found.not_testable.items()],
+        "not_testable": [{"effect": effect, "joint": contract_joint(effect, joint), "why": why}
+                         for effect, joint, why in untestable(found)],
         "runs": {group: list(found.runs.get(group, ())) for group in ("fit", "screen", "confirm")},
         "warnings": list(found.warnings), "next_experiment": found.next_experiment, "wall_s": found.wall_s,
     }
@@ -65,16 +65,18 @@ def _candidate(candidate: Ranked) -> dict[str, Any]:
             "smallest_detectable": candidate.smallest_detectable, "unit": candidate.unit}
 
 
-def _untestable(key: str, why: str) -> dict[str, Any]:
-    effect, joint = split_key(key)
-    return {"effect": effect, "joint": joint, "why": why}
+def untestable(found: Diagnosis) -> list[tuple[str, int | None, str]]:
+    """(effect, joint from 1 or None, why) of what these runs cannot test."""
+    tested = {candidate.effect for candidate in found.candidates}
+    rows = [(*split_key(key), why) for key, why in found.not_testable.items()]
+    return [row for row in rows if not (row[0] in WHOLE_RIG and row[0] in tested)]
 
 
-def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, reach: Sequence[Sequence[float]],
+def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, reach: FloatArray,
                     date: datetime | None = None) -> Model:
     """The extended model, or the nominal one where the verdict extends nothing.
 
-    `reach` (n, 2) is the range of each joint's angle over the runs that were fitted; none is needed without effects.
+    `reach` (n, 2) is the range of each joint's angle over the runs that were fitted, (0, 2) without effects.
     """
     settings, mechanism = setup.settings, build_mechanism(setup.settings)
     p = mechanism.p
@@ -89,7 +91,7 @@ def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, reach: Se
         noise={name: float(level) for name, level in found.noise.items()},
         hold=setup.options.hold,  # type: ignore[arg-type]
         effects=tuple(effect_value(effect, size) for effect, size in found.effects), gear_ratio=gear_ratio,
-        reach=tuple((float(low), float(high)) for low, high in reach) if found.effects else (),
+        reach=tuple((float(low), float(high)) for low, high in reach),
         provenance=Provenance(runs=(*found.runs.get("fit", ()), *found.runs.get("screen", ())), method="mle",
                               sensors=setup.options.sensors,  # type: ignore[arg-type]
                               date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from estimator.verdict import Cause, Diagnosis, Ranked
-from experiments.diagnosis_json import contract_joint, split_key
+from experiments.diagnosis_json import contract_joint, split_key, untestable
 from experiments.output import text_table
 
 RUNNERS_UP = 5
@@ -73,7 +73,7 @@ def diagnosis_text(found: Diagnosis) -> str:
         blocks.append(_candidates(found))
     if found.not_testable:
         blocks.append("Cannot be tested here:\n" + "\n".join(
-            f"  {key_label(key)}: {why}" for key, why in found.not_testable.items()))
+            f"  {effect_label(effect, joint)}: {why}" for effect, joint, why in untestable(found)))
     blocks += [f"warning: {text}" for text in found.warnings]
     if found.next_experiment:
         blocks.append(f"Next experiment: {found.next_experiment}")

@@ -2,37 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from daq.plan import Plan
 from daq.recorder import RecordReport, record_run
-from daq.rig import ControllerDevice, ImuDevice, Rig
+from daq.rig import ControllerDevice, ImuDevice, Matrix3, Rig, Vector3
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
 from drivers.mock.clock import VirtualClock
 from drivers.mock.link import EmulatorLink
 from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings, ImuSettings
-from experiments.plant import HiddenTorque, LegBody, LegPlant
+from experiments.hidden_effects import NOTHING, Hidden
+from experiments.plant import LegBody
 
 
 def emulate(rig: Rig, seed: int, clock: VirtualClock, body: LegBody | None = None,
-            hidden: Sequence[HiddenTorque] = ()) -> MockRig:
-    """The rig that `rig` describes, hanging at rest, with the errors that its calibration takes out."""
+            hidden: Hidden = NOTHING) -> MockRig:
+    """The rig that `rig` describes, hanging at rest, with the errors that its calibration takes out.
+
+    `hidden` is wrong beside them, and nothing in the rig file says so.
+    """
     c = rig.calibration
     imu = ImuSettings(lever_arm_m=rig.imu.lever_arm_m, gravity_mps2=rig.mechanism.gravity_mps2, mount=c.imu_mount,
-                      gyro_bias_radps=c.gyro_bias_radps, accel_bias_mps2=c.accel_bias_mps2)
+                      gyro_bias_radps=_turned(c.gyro_bias_radps, c.imu_mount, hidden.gyro_bias_radps),
+                      accel_bias_mps2=c.accel_bias_mps2)
     controller = rig.devices.controller or ControllerDevice()
     firmware = FirmwareSettings(
         telemetry_hz=round(controller.rate_hz), gear_ratio=rig.motor.gear_ratio, torque_limit_nm=rig.limits.torque_nm,
-        torque_constant_nm_per_a=c.torque_constant_nm_per_a, shunt_offset_a=c.shunt_offset_a,
+        torque_constant_nm_per_a=c.torque_constant_nm_per_a,
+        shunt_offset_a=c.shunt_offset_a + hidden.torque_offset_nm / c.torque_constant_nm_per_a,
         knee_zero_rad=c.knee_zero_rad)
-    return MockRig(LegPlant(body, hidden=hidden), clock, imu, firmware, seed)
+    return MockRig(hidden.plant(body or LegBody()), clock, imu, firmware, seed)
+
+
+def _turned(bias: Vector3, mount: Matrix3, added: float) -> Vector3:
+    """Bias in the chip's axes with `added` about the joint's axis, the contract's z."""
+    x, y, z = (b + added * axis for b, axis in zip(bias, mount[2]))
+    return x, y, z
 
 
 def record_emulated(path: Path, rig: Rig, rig_text: str, plan: Plan, seed: int, body: LegBody | None = None,
-                    hidden: Sequence[HiddenTorque] = (),
+                    hidden: Hidden = NOTHING,
                     progress: Callable[[float, float], None] | None = None) -> RecordReport:
     """One run on the emulated rig, through the drivers and the recorder that a real one uses."""
     clock = VirtualClock()

@@ -82,6 +82,34 @@ def stages(label: str) -> Iterator[Callable[[str, float], None]]:
 
 
 @contextmanager
+def work_bar(label: str, total: int, unit: str) -> Iterator[Callable[[int, str], None]]:
+    """A function (pieces done, what they were) that moves a bar with the time left.
+
+    On a terminal a bar; otherwise a line on stderr at most every ten seconds, for logs of long studies.
+    """
+    import time
+
+    from tqdm import tqdm
+
+    terminal = sys.stderr.isatty()
+    started = last = time.monotonic()
+    finished = 0
+    with tqdm(desc=label, total=total, unit=unit, leave=False, disable=not terminal, smoothing=0.05) as bar:
+        def show(count: int, what: str) -> None:
+            nonlocal finished, last
+            finished += count
+            bar.set_postfix_str(what, refresh=False)
+            bar.update(count)
+            now = time.monotonic()
+            if not terminal and now - last >= 10.0:
+                last = now
+                left = (now - started) / finished * (total - finished)
+                print(f"{label}: {finished} of {total} {unit}s, about {left:.0f} s left ({what})", file=sys.stderr)
+
+        yield show
+
+
+@contextmanager
 def busy(label: str) -> Iterator[None]:
     """`label` with the seconds counting up on a terminal, for work that cannot tell how far it is."""
     if not sys.stderr.isatty():

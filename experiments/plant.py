@@ -35,7 +35,24 @@ class LegBody:
     """[N m s/rad]"""
     coulomb: tuple[float, float] = (0.025, 0.040)
     """[N m]; holds the joint still up to this torque, and acts against the motion beyond."""
+    forward_coulomb: tuple[float, float] = (0.0, 0.0)
+    """More dry friction while the joint's angle grows [N m]."""
+    stribeck: tuple[float, float] = (0.0, 0.0)
+    """Dry friction at standstill above that in motion [N m]: falls off as 1 / (1 + (v / vs)^2)."""
+    stribeck_radps: float = 0.2
+    """vs"""
+    rotor: float = 0.0
+    """Inertia of the knee's rotor, seen at the joint: gear ratio squared [kg m^2]. Turns with the knee only."""
     gravity: float = 9.81
+
+    def friction(self, joint: int, direction: int, speed: float) -> float:
+        """Level of dry friction [N m] of a joint that slides (or is about to) in a direction, +1 or -1."""
+        level = self.coulomb[joint]
+        if direction > 0:
+            level += self.forward_coulomb[joint]
+        if self.stribeck[joint]:
+            level += self.stribeck[joint] / (1.0 + (speed / self.stribeck_radps) ** 2)
+        return level
 
     def beta(self) -> tuple[float, ...]:
         """beta1..beta9 of contracts.md from the physical parameters."""
@@ -69,6 +86,7 @@ class LegPlant:
         self.body = body or LegBody()
         self.hidden = list(hidden)
         self.time_s = 0.0
+        self._dry = [any(self.body.friction(j, way, 0.0) for way in (1, -1)) for j in (0, 1)]
         self._x: Motion = (*q, *qd)
         self._torque = 0.0
 
@@ -84,7 +102,7 @@ class LegPlant:
         w2 = w1 + q2d
         knee_speed2 = (b.l1 * w1) ** 2
         com2_speed2 = knee_speed2 + (b.c2 * w2) ** 2 + 2.0 * b.l1 * b.c2 * w1 * w2 * cos(q2)
-        kinetic = 0.5 * ((b.i1 + b.m1 * b.c1**2) * w1**2 + b.i2 * w2**2 + b.m2 * com2_speed2)
+        kinetic = 0.5 * ((b.i1 + b.m1 * b.c1**2) * w1**2 + b.i2 * w2**2 + b.m2 * com2_speed2 + b.rotor * q2d**2)
         height1 = b.c1 * (1.0 - cos(q1))
         height2 = b.l1 * (1.0 - cos(q1)) + b.c2 * (1.0 - cos(q1 + q2))
         return kinetic + b.gravity * (b.m1 * height1 + b.m2 * height2)
@@ -106,7 +124,7 @@ class LegPlant:
             fraction, joint = 1.0, -1
             for j in (0, 1):
                 before, after = self._x[2 + j], x[2 + j]
-                if self.body.coulomb[j] and after * modes[j] < 0.0 < before * modes[j]:
+                if self._dry[j] and after * modes[j] < 0.0 < before * modes[j]:
                     f = before / (before - after)
                     if f < fraction:
                         fraction, joint = f, j
@@ -135,7 +153,6 @@ class LegPlant:
 
     def _modes(self, x: Motion, torque: float) -> tuple[int, int]:
         """Direction in which each joint slides: +1, -1, or 0 where friction holds it."""
-        level = self.body.coulomb
         moving = [(v > 0.0) - (v < 0.0) for v in x[2:]]
         if all(moving):
             return moving[0], moving[1]
@@ -143,7 +160,8 @@ class LegPlant:
         for _ in range(2):
             held = [j for j in resting if moving[j] == 0]
             holding = self._holding(x, torque, (moving[0], moving[1]))
-            excess = [(abs(holding[j]) - level[j], j) for j in held]
+            # what friction would have to hold against pushes the other way
+            excess = [(abs(holding[j]) - self.body.friction(j, -1 if holding[j] > 0.0 else 1, 0.0), j) for j in held]
             worst, j = max(excess, default=(0.0, 0))
             if worst <= _RELEASE_TOLERANCE:
                 break
@@ -196,10 +214,10 @@ class LegPlant:
         rest2 = b.m2 * b.c2 * (t2x * r2x + t2y * r2y)
         m11 = b.i1 + b.m1 * b.c1 * b.c1 + m21 + b.m2 * b.l1 * (t1x * jx + t1y * jy)
         rest1 = b.m1 * b.c1 * (t1x * r1x + t1y * r1y) + rest2 + b.m2 * b.l1 * (t1x * r2x + t1y * r2y)
-        torque1 = -b.viscous[0] * w1 - b.coulomb[0] * modes[0]
-        torque2 = torque - b.viscous[1] * q2d - b.coulomb[1] * modes[1]
+        torque1 = -b.viscous[0] * w1 - b.friction(0, modes[0], w1) * modes[0]
+        torque2 = torque - b.viscous[1] * q2d - b.friction(1, modes[1], q2d) * modes[1]
         for effect in self.hidden:
             more1, more2 = effect(self.time_s, x, torque)
             torque1 += more1
             torque2 += more2
-        return m11, m21, m22, torque1 - rest1, torque2 - rest2
+        return m11, m21, m22 + b.rotor, torque1 - rest1, torque2 - rest2
