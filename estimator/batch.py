@@ -60,6 +60,10 @@ class BatchProblem:
 
     def linearise(self, records: Records, x: FloatArray, beta: FloatArray) -> Point:
         """At latents x (R, N, 3 n) and beta (R, p). Raises numpy.linalg.LinAlgError where it cannot be solved."""
+        with np.errstate(over="ignore", invalid="ignore"):  # a trial that ran away is found out by its objective
+            return self._linearise(records, x, beta)
+
+    def _linearise(self, records: Records, x: FloatArray, beta: FloatArray) -> Point:
         m, n, c = self.mechanism, self.n, self.collocation
         runs, samples, b = x.shape
         left = np.delete(np.arange(runs * samples), np.s_[samples - 1 :: samples])

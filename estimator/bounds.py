@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import blocktri
-from estimator.latent import Latents, LatentProblem, Noise
+from estimator.latent import LatentProblem, Latents, Noise
 from estimator.mechanism import Mechanism
 from estimator.signalset import IMU_COLUMNS, SignalSet
 
@@ -22,7 +22,6 @@ def cramer_rao(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatA
     infinite level is not there, nor is an IMU with an infinite gyro level). Raises numpy.linalg.LinAlgError where
     the record leaves a direction of beta undetermined.
     """
-    n = mechanism.n
     angles = np.where(np.isfinite(noise.encoder), q, np.nan)
     imu = {name: np.zeros(len(q)) for name in IMU_COLUMNS} if np.isfinite(noise.gyro) else {}
     signals = SignalSet("truth", rate_hz, np.arange(len(q)) / rate_hz, angles, torque, imu)
@@ -30,7 +29,6 @@ def cramer_rao(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatA
     point = problem.linearise(Latents(q, qd, torque), beta, noise)
     eliminated = blocktri.solve(blocktri.factor(point.diagonal, point.lower), point.border)
     information = point.corner - point.border.T @ eliminated
-    assert eliminated.shape == (3 * n * len(q), mechanism.p)
     scale = 1.0 / np.sqrt(np.diag(information))
-    covariance: FloatArray = np.linalg.inv(0.5 * (information + information.T) * np.outer(scale, scale))
-    return covariance * np.outer(scale, scale)
+    covariance = np.linalg.inv(0.5 * (information + information.T) * np.outer(scale, scale))
+    return np.asarray(covariance * np.outer(scale, scale), dtype=np.float64)

@@ -164,9 +164,15 @@ class Collocation:
         out[rigid] = np.einsum("ij,pigk->pjgk", self.mechanism.transform, z[rigid])
         return out
 
-    def jacobian(self, slopes: list[list[Slope]], beta: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-        """d(Z beta)/d(q0, v0, q1, v1): (n, 2, 4, n, K), row joint, Gauss point, end variable, its joint."""
+    def jacobian(self, slopes: list[list[Slope]], beta: FloatArray, shape: tuple[int, ...],
+                 added: FloatArray | None = None) -> FloatArray:
+        """d(Z beta)/d(q0, v0, q1, v1): (n, 2, 4, n, K), row joint, Gauss point, end variable, its joint.
+
+        `added` (n, 5, n, 2, K) are derivatives by features of torque that comes from elsewhere.
+        """
         own = self.feature_slopes(slopes, beta, shape)
+        if added is not None:
+            own = own + added
         return np.stack([np.tensordot(self.basis[g].T, own[:, :, :, g], axes=(1, 1)) for g in range(2)]
                         ).transpose(2, 0, 1, 3, 4)
 
@@ -183,18 +189,21 @@ class Collocation:
         own[:, :3] += np.einsum("ia,ifjgk,jb->afbgk", t, rigid, t, optimize=True)
         return own
 
-    def at_samples(self, q: FloatArray, v: FloatArray, u: FloatArray, beta: FloatArray
-                   ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def at_samples(self, q: FloatArray, v: FloatArray, u: FloatArray, beta: FloatArray,
+                   added: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Acceleration at the samples themselves, from the equation of motion, with its derivatives.
 
         q, v, u (N, n). Returns qdd (N, n) and d(qdd)/dq, /dv (N, n, n), d(qdd)/du = D^-1 (N, n, n) stacked as
         (3, N, n, n), Z (N, n, p) there, and D^-1. From Z(q, v, qdd) beta = u by implicit differentiation.
+        `added` (n, 5, n, N) are derivatives by features of torque already taken off u.
         """
         m = self.mechanism
         qdd = m.forward_dynamics(q, v, u, beta)
         at = (x.T[:, None, :] for x in (q, v, qdd, v, v))
         z_raw, slopes = self.terms(Motion(*at))
         own = self.feature_slopes(slopes, beta, (1, q.shape[0]))[:, :, :, 0]  # (n, 5, n, N)
+        if added is not None:
+            own = own + added
         inverse = np.linalg.inv(own[:, ACCEL].transpose(2, 0, 1))
         by_angle = -inverse @ own[:, ANGLE].transpose(2, 0, 1)
         by_rate = -inverse @ (own[:, RATE] + own[:, RATE_FROM] + own[:, RATE_TO]).transpose(2, 0, 1)

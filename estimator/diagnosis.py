@@ -40,7 +40,7 @@ FloatArray = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 ALPHA = 0.01
 """p-value, over all candidates tried, below which something is there."""
-SINGLES = 6
+SINGLES = 5
 """Best effects that are re-fitted one by one."""
 PAIRS = 4
 LEFT_OVER = 0.1
@@ -193,10 +193,10 @@ def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> 
     if not models:
         return []
     noise = min((m.state.noise for m in models), key=lambda s: account.log_volume(desk.nominal.problem, s))
-    plain = misfit(refit(desk.session, desk.nominal, [], 12, noise))
+    plain = misfit(refit(desk.session, desk.nominal, [], 10, noise))
     out = []
     for m in models:
-        again = refit(desk.session, m, list(zip(m.effects, m.sizes())), 12, noise)
+        again = refit(desk.session, m, list(zip(m.effects, m.sizes())), 8, noise)
         out.append(Explained(m, plain - misfit(again), _NO_TESTS, -1, -1, False))
     return sorted(out, key=lambda e: -e.gain)
 
@@ -204,11 +204,13 @@ def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> 
 def fit_extension(desk: Desk, start: Sequence[tuple[Effect, FloatArray]]) -> Model | None:
     """Full re-fit, first with shapes held; None where it fails."""
     try:
-        held = refit(desk.session, desk.nominal, start, 12, hold_shapes=True)
+        held = refit(desk.session, desk.nominal, start, 8, hold_shapes=True)
     except (FitError, np.linalg.LinAlgError):
         return None
+    if not any(e.shapes and not e.whole_shapes for e in held.effects) and held.state.converged:
+        return held
     try:
-        return refit(desk.session, held, list(zip(held.effects, held.sizes())))
+        return refit(desk.session, held, list(zip(held.effects, held.sizes())), 12)
     except (FitError, np.linalg.LinAlgError):
         return held
 

@@ -1,20 +1,20 @@
 """`ExtendedProblem`: the latent likelihood of a mechanism with effects, and the derivative of more of them.
 
 Parameters are beta, then the sizes and shapes of each effect in turn. Effects are evaluated on the current
-motion; their own dependence on it is left out of the Gauss-Newton matrix (not of the residual), which costs
-iterations, not accuracy of the fit to first order in the noise of the motion.
+motion. How a torque law depends on its joint's motion enters the Gauss-Newton matrix (without it a law that is
+steep where the joint rests does not converge); memory and readings do not, which costs iterations only.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.collocation import GAUSS, Motion
-from estimator.effects.base import Effect, Perturbation, Points, View
+from estimator.collocation import ACCEL, ANGLE, GAUSS, RATE, Motion
+from estimator.effects.base import Effect, Perturbation, Points, TorqueEffect, View
 from estimator.latent import Extra, LatentProblem, Latents, Linearised, Noise
 from estimator.mechanism import Mechanism, smooth_sign
 from estimator.signalset import SignalSet
@@ -127,11 +127,38 @@ class ExtendedProblem(LatentProblem):
                 columns[i], sample_columns[i] = d.torque, d.torque_at_samples
             for channel, values in d.readings.items():
                 reading_columns.setdefault(channel, np.zeros((k, total)))[i] = values
-        return Extra(torque, at_samples, readings, columns, sample_columns, reading_columns)
+        gauss_slopes, sample_slopes = self._law_slopes(view, sizes)
+        return Extra(torque, at_samples, readings, columns, sample_columns, reading_columns, gauss_slopes,
+                     sample_slopes)
+
+    def _law_slopes(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray | None, FloatArray | None]:
+        """Derivatives of the torque laws by the features of the motion, at Gauss points and at samples."""
+        laws = [(e, s) for e, s in zip(self.effects, sizes) if isinstance(e, TorqueEffect)]
+        if not laws:
+            return None, None
+        n, scale = self.n, self.mechanism.velocity_scale
+        at_gauss, at_samples = np.zeros((n, 5, n, 2, self.left.size)), np.zeros((n, 5, n, self.total))
+        for effect, size in laws:
+            j = effect.joint or 0
+            for at, out in ((view.gauss, at_gauss), (view.samples, at_samples)):
+                for name, feature, h in (("q", ANGLE, 1e-5), ("v", RATE, 1e-5), ("a", ACCEL, 1e-3)):
+                    out[j, feature, j] += (effect.law(_moved(at, name, j, h), size, view)
+                                           - effect.law(_moved(at, name, j, -h), size, view)) / (2.0 * h)
+                by_sign = (effect.law(_moved(at, "sign", j, 1e-4), size, view)
+                           - effect.law(_moved(at, "sign", j, -1e-4), size, view)) / 2e-4
+                out[j, RATE, j] += by_sign * np.maximum(1.0 - at.sign[j] ** 2, 0.0) ** 1.5 / scale
+        return at_gauss, at_samples
 
     def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
         """`beta` is the whole parameter vector here."""
         return super().linearise(x, beta[: self.mechanism.p], noise, self.extra(x, beta))
+
+
+def _moved(at: Points, name: str, joint: int, by: float) -> Points:
+    """`at` with one array moved by `by` at one joint."""
+    values = getattr(at, name).copy()
+    values[joint] += by
+    return replace(at, **{name: values})
 
 
 def slopes(effect: Effect, view: View, size: FloatArray) -> list[Perturbation]:

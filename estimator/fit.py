@@ -9,6 +9,7 @@ from estimator.errors import FitError
 from estimator.hekf import fit_hekf
 from estimator.mechanism import Mechanism
 from estimator.mle import fit_mle
+from estimator.mle_free import fit_mle_free
 from estimator.options import FitOptions
 from estimator.result import FitResult
 from estimator.rls import fit_rls
@@ -26,4 +27,6 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
     """
     if method not in ESTIMATORS:
         raise FitError(f"method {method!r} is none of {', '.join(ESTIMATORS)}")
+    if method == "mle" and options.latent == "free":
+        return fit_mle_free(datasets, mechanism, options)
     return ESTIMATORS[method](datasets, mechanism, options)

@@ -94,7 +94,7 @@ class Filter:
         c = Collocation(m, self.dt_s, self.hold)
         z, found = c.terms(Motion(*(a.T[:, None] for a in (q, v, qdd, v, v))))
         own = c.feature_slopes(found, beta.T, (1, len(x)))[:, :, :, 0].transpose(3, 0, 1, 2)  # (R, n, 5, n)
-        inverse = np.linalg.inv(own[:, :, 2])
+        inverse = np.asarray(np.linalg.inv(own[:, :, 2]), dtype=np.float64)
         columns = c.to_joint(z)[:, :, 0].transpose(2, 1, 0) * self.free
         right = np.concatenate([own[:, :, 0], own[:, :, 1] + own[:, :, 3] + own[:, :, 4], columns], axis=-1)
         return -inverse @ right, inverse

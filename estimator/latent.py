@@ -74,6 +74,10 @@ class Extra:
     """(k, n, N)"""
     reading_columns: Mapping[str, FloatArray]
     """Channel to (k, N)."""
+    slopes: FloatArray | None = None
+    """(n, 5, n, 2, K) derivative of `torque` by the features of the motion, where it is known."""
+    sample_slopes: FloatArray | None = None
+    """(n, 5, n, N)"""
 
 
 @dataclass(frozen=True)
@@ -134,7 +138,7 @@ class LatentProblem:
         defect = np.tensordot(beta, z, axes=1) - c.torque(x.u, left)  # (n, 2, K)
         if extra is not None:
             defect = defect + extra.torque
-        jac = c.jacobian(slopes, beta, motion.angle.shape[1:])  # (n, 2, 4, n, K)
+        jac = c.jacobian(slopes, beta, motion.angle.shape[1:], None if extra is None else extra.slopes)  # (n, 2, 4, n, K)
         rows = np.zeros((count, 2 * n, 2, 3, n))  # row, end of interval, variable, joint
         rows[:, :, :, :2, :] = jac.transpose(4, 1, 0, 2, 3).reshape(count, 2 * n, 2, 2, n)
         for i in range(n):
@@ -235,7 +239,8 @@ class LatentProblem:
         m, n = self.mechanism, self.n
         q1, v1 = x.q[:, 0], x.v[:, 0]
         u = x.u if extra is None else x.u - extra.torque_at_samples.T
-        qdd, slopes, z, inverse = self.collocation.at_samples(x.q, x.v, u, beta)
+        qdd, slopes, z, inverse = self.collocation.at_samples(x.q, x.v, u, beta,
+                                                                None if extra is None else extra.sample_slopes)
         ax, ay = accelerometer(q1, v1, qdd[:, 0], m.lever_arm, m.gravity_mps2)
         rows = np.zeros((self.total, 2, 3, n))
         rows[:, 0] = m.lever_arm * slopes[:, :, 0].transpose(1, 0, 2)

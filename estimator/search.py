@@ -121,7 +121,8 @@ def search(problem: BatchProblem, records: Records) -> Searched:
     return found
 
 
-def first_guess(problem: BatchProblem, records: Records, degree: int, plain: bool = False) -> tuple[FloatArray, FloatArray]:
+def first_guess(problem: BatchProblem, records: Records, degree: int,
+                plain: bool = False) -> tuple[FloatArray, FloatArray]:
     """Latents (R, N, 3 n) and beta (R, p): a smooth motion, then least squares.
 
     Exact joints are splines. A noisy joint is a polynomial plus multiples of the exact joints' angles: momentum
@@ -167,8 +168,8 @@ def regress(c: Collocation, q: FloatArray, v: FloatArray, torque: FloatArray, pl
     """
     runs, samples, n = q.shape
     left = np.delete(np.arange(runs * samples), np.s_[samples - 1 :: samples])
-    flat = (x.reshape(-1, n) for x in (q, v))
-    z = c.to_joint(c.terms(c.motion(*flat, left))[0]).mean(axis=2)  # (p, n, K)
+    motion = c.motion(q.reshape(-1, n), v.reshape(-1, n), left)
+    z = c.to_joint(c.terms(motion)[0]).mean(axis=2)  # (p, n, K)
     u = c.torque(torque.reshape(-1, n), left).mean(axis=1)
     inner = slice(2, samples - 3)  # splines and polynomials are worst at their ends
     z = z.reshape(*z.shape[:2], runs, samples - 1)[..., inner].transpose(2, 3, 1, 0)  # (R, M, n, p)
@@ -210,7 +211,8 @@ def descend(problem: BatchProblem, records: Records, x: FloatArray, beta: FloatA
         point, ok = _linearise_each(problem, records, x, beta, active)
         ok &= _is_body(problem, x[active], beta[active])
         best.steps[active] += 1
-        moving = ok & (point.decrease > INNER_TOLERANCE * (1.0 + 1e-3 * point.objective)) & (inner[active] < INNER_STEPS)
+        worth = point.decrease > INNER_TOLERANCE * (1.0 + 1e-3 * point.objective)
+        moving = ok & worth & (inner[active] < INNER_STEPS)
         go = active[moving]
         x[go] += _shortened(point.step[moving], problem.n)
         inner[go] += 1
@@ -251,7 +253,7 @@ def _is_body(problem: BatchProblem, x: FloatArray, beta: FloatArray, margin: flo
     minima of the sum of squares out there mean nothing.
     """
     inertia = problem.mechanism.inertia_matrix(x[:, ::4, : problem.n], beta[:, None])
-    finite = np.isfinite(inertia).all(axis=(1, 2, 3))
+    finite = np.asarray(np.isfinite(inertia).all(axis=(1, 2, 3)))
     values = np.linalg.eigvalsh(np.where(finite[:, None, None, None], inertia, 0.0))
     return np.asarray((values[..., 0] > margin * np.abs(values[..., -1])).all(axis=1))
 
@@ -294,5 +296,6 @@ def pseudo_inverse(information: FloatArray) -> FloatArray:
     both = scale[:, :, None] * scale[:, None, :]
     values, vectors = np.linalg.eigh(information / both)
     values = np.maximum(values, 1e-13)
-    inverse: FloatArray = (vectors / values[:, None]) @ vectors.swapaxes(1, 2) / both
+    with np.errstate(over="ignore"):
+        inverse: FloatArray = (vectors / values[:, None]) @ vectors.swapaxes(1, 2) / both
     return inverse

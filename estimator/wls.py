@@ -108,7 +108,7 @@ class Design(NamedTuple):
     filtering: str
 
 
-def _around_samples(torque: FloatArray, hold: str) -> FloatArray:
+def around_samples(torque: FloatArray, hold: str) -> FloatArray:
     """What acts on the whole around each sample of torque (N, n), as a symmetric difference sees it.
 
     Held torque acts half a sample late on average. Without this, differences of a noise-free walker step leave a
@@ -128,7 +128,7 @@ def design_rows(signals: Sequence[SignalSet], mechanism: Mechanism, options: Fit
         motions = [paper_differences(s, mechanism, options) for s in signals]
         edge = 2 * options.spacing  # (61) needs that many samples on both sides
         z = [mechanism.regressor(*k)[edge : len(k.q) - edge] for k in motions]
-        tau = [_around_samples(s.torque, options.hold)[edge : len(s.torque) - edge] for s in signals]
+        tau = [around_samples(s.torque, options.hold)[edge : len(s.torque) - edge] for s in signals]
         if min(len(part) for part in z) < mechanism.p:
             raise FitError(f"differences over {options.spacing} samples leave too little of {signals[0].run}")
         return Design(motions, np.concatenate(z), np.concatenate(tau), 1.0,

@@ -1,9 +1,11 @@
-"""The whole loop on the emulated rig: excite, record, identify, validate, report."""
+"""The whole loop on the emulated rig: excite, record, fit, validate, diagnose, extend, report."""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -14,97 +16,111 @@ from daq.rig import Rig, parse_rig
 from estimator.fit import fit
 from estimator.result import FitResult
 from estimator.validation import Validation
+from estimator.verdict import Diagnosis
+from experiments.demo_files import write_results
+from experiments.diagnosing import diagnose_setup, model_to_save
 from experiments.emulated_rig import record_emulated
 from experiments.excitation import random_multisine
-from experiments.figures import standalone
-from experiments.fit_json import fit_document, model_of
-from experiments.fit_report import fit_sections, fit_summary, truth_section
-from experiments.model_file import save_model
-from experiments.output import busy, make_directory, progress_to, write_json, write_text
+from experiments.hidden_effects import DEFAULT, EFFECTS, NOTHING, Hidden
+from experiments.model_file import Model
+from experiments.output import busy, make_directory, progress, stages, write_text
 from experiments.plant import LegBody
-from experiments.report import write_page
 from experiments.rigs import Setup, load_setup
-from experiments.validation import validate_setup
-from experiments.validation_report import validation_document, validation_picture, validation_section
+from experiments.validation import validate_runs, validate_setup
 
-RUNS = 3
+RUNS, SECONDS = 8, 12.0
 PEAK_NM = 0.7
 HALL_CUTOFF_HZ = 2.0
 """Low pass of the benchmark: the Hall sensor's coarse steps, differenced twice, drown everything above."""
 RIG_FILE = "demo_rig.toml"
+WORKERS = 2
 
 
 @dataclass(frozen=True)
 class Demo:
-    """What the demo found and where it put it."""
+    """What the demo hid, what it found and where it put it."""
 
+    hidden: Hidden
     setup: Setup
     result: FitResult
-    validations: Sequence[Validation]
+    """The nominal fit, on the runs that the diagnosis did not keep back."""
+    diagnosis: Diagnosis
+    model: Model
+    """Extended, or nominal where the diagnosis extended nothing."""
+    before: Sequence[Validation]
+    after: Sequence[Validation]
+    """Free runs of the confirm runs by the nominal model, and by `model`."""
     truth: dict[str, float]
     files: dict[str, Path]
     """What -> path, in the order in which they were written."""
     wall_s: float
 
+    def estimates(self) -> dict[str, tuple[float, float]]:
+        """Parameter -> (value, std) of `model`."""
+        if self.model.effects:
+            return {n: (v, self.diagnosis.extended_std[n]) for n, v in self.diagnosis.extended.items()}
+        return dict(zip(self.result.mechanism.names, zip(map(float, self.result.beta), map(float, self.result.std))))
+
     def inside(self) -> int:
-        """How many parameters lie inside their 95 % interval of the truth."""
-        return sum(low <= self.truth[p.name] <= high
-                   for p, (low, high) in zip(self.result.mechanism.parameters, self.result.ci95()))
+        """How many parameters of the plant lie inside their 95 % intervals."""
+        return sum(abs(value - self.truth[name]) <= 1.96 * std for name, (value, std) in self.estimates().items())
 
 
-def run_demo(out: Path, seconds: float = 20.0, seed: int = 1, body: LegBody | None = None) -> Demo:
-    """Record `RUNS` runs of `seconds` [s], fit all but the last, validate on the last; everything goes into `out`.
+def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = DEFAULT, runs: int = RUNS,
+             body: LegBody | None = None) -> Demo:
+    """Record `runs` runs of `seconds` [s] on a leg that hides `effect`, fit, diagnose; everything goes into `out`.
 
-    Files of an earlier demo in `out` are replaced. Raises `WorkError` when the fit does not converge.
+    Files of an earlier demo in `out` are replaced. Raises `WorkError` when the fit does not converge or no diagnosis
+    is possible.
     """
     started = time.monotonic()
     make_directory(out)
     rig_text = (files("experiments") / RIG_FILE).read_text(encoding="utf-8")
     rig = parse_rig(rig_text, RIG_FILE)
-    written = {"rig": out / "rig.toml"}
-    write_text(written["rig"], rig_text)
+    write_text(out / "rig.toml", rig_text)
     body = body or LegBody(gravity=rig.mechanism.gravity_mps2)
-    runs = [record_demo_run(out, rig, rig_text, k, seconds, seed, body) for k in range(RUNS)]
-    written["runs to fit"] = out / "demo-run*.mcap"
-    setup = load_setup(runs, rig)
-    training = replace(setup, datasets=setup.datasets[:-1])
+    hidden = EFFECTS.get(effect, NOTHING)
+    setup = load_setup(record_runs(out, rig, rig_text, runs, seconds, seed, body, hidden), rig)
+    with stages("diagnosing") as show:
+        diagnosis = diagnose_setup(setup, rig, seed, progress=show)
+    if diagnosis.verdict == "fit_failed":
+        raise WorkError(diagnosis.sentence)
+    confirm = set(diagnosis.runs["confirm"])
+    training = replace(setup, datasets=tuple(d for d in setup.datasets if d.name not in confirm))
+    held = replace(setup, datasets=tuple(d for d in setup.datasets if d.name in confirm))
     with busy("fitting"):
         result = fit(training.datasets, setup.mechanism, setup.options)
         hall = replace(setup.options, sensors="encoder", cutoff_hz=HALL_CUTOFF_HZ)
         benchmark = fit(training.datasets, setup.mechanism, hall, "wls")
-    validations = validate_setup(replace(setup, datasets=setup.datasets[-1:]), result.beta)
+        model = model_to_save(diagnosis, setup, rig.motor.gear_ratio)
+    before = validate_setup(held, result.beta)
+    after = validate_runs(model, held, "the extended model") if model.effects else before
     truth = dict(zip(setup.mechanism.names, body.beta()))
-    written |= _write_results(out, training, result, benchmark, validations, truth)
+    written = {"rig": out / "rig.toml", "runs": out / "demo-run*.mcap"}
+    demo = Demo(hidden, training, result, diagnosis, model, before, after, truth, written, 0.0)
+    written |= write_results(out, demo, benchmark)
     if not result.converged:
-        raise WorkError(f"the fit did not converge; see {written['report']}")
-    return Demo(setup, result, validations, truth, written, time.monotonic() - started)
+        raise WorkError(f"the fit did not converge; see {written['fit report']}")
+    return replace(demo, wall_s=time.monotonic() - started)
 
 
-def record_demo_run(out: Path, rig: Rig, rig_text: str, number: int, seconds: float, seed: int,
-                    body: LegBody) -> Path:
+def record_runs(out: Path, rig: Rig, rig_text: str, runs: int, seconds: float, seed: int, body: LegBody,
+                hidden: Hidden) -> list[Path]:
+    """All runs, on as many cores as there are, up to `WORKERS`. Returns the run files in order."""
+    jobs = [(out, rig, rig_text, k, seconds, seed, body, hidden.effect) for k in range(runs)]
+    with ProcessPoolExecutor(min(WORKERS, os.cpu_count() or 1)) as pool:
+        waiting = [pool.submit(record_demo_run, *job) for job in jobs]
+        for done in progress(as_completed(waiting), "recording", len(jobs), "run"):
+            done.result()
+    return [job.result() for job in waiting]
+
+
+def record_demo_run(out: Path, rig: Rig, rig_text: str, number: int, seconds: float, seed: int, body: LegBody,
+                    effect: str) -> Path:
     """Run number `number` (from 0), with random phases of its own. Returns the run file."""
     path = out / f"demo-run{number + 1}.mcap"
     path.unlink(missing_ok=True)
     plan = random_multisine(1000 * seed + number, seconds, PEAK_NM)
     write_plan(plan, out / f"demo-plan{number + 1}.csv")
-    with progress_to(f"recording run {number + 1} of {RUNS}") as show:
-        record_emulated(path, rig, rig_text, plan, 1000 * seed + number, body, progress=show)
+    record_emulated(path, rig, rig_text, plan, 1000 * seed + number, body, EFFECTS.get(effect, NOTHING))
     return path
-
-
-def _write_results(out: Path, setup: Setup, result: FitResult, benchmark: FitResult,
-                   validations: Sequence[Validation], truth: dict[str, float]) -> dict[str, Path]:
-    written = {"model": out / "model.json", "fit": out / "fit.json", "validation": out / "validation.json",
-               "report": out / "report.html"}
-    save_model(model_of(result, setup.settings, setup.options.hold, [d.name for d in setup.datasets]),
-               written["model"])
-    write_json(written["fit"], fit_document(result, setup.settings))
-    write_json(written["validation"], validation_document(validations, setup.options.sensors))
-    sections = fit_sections(result, benchmark)
-    sections[1:1] = [truth_section(result, truth)]
-    sections[-2:-2] = [validation_section(validations)]
-    written["picture"] = out / "picture.svg"
-    write_text(written["picture"], standalone(validation_picture(validations[0])))
-    write_page(written["report"], "The emulated leg: what the demo found",
-               fit_summary(result, setup.settings.model), sections)
-    return written

@@ -54,7 +54,7 @@ def _verdict(found: Diagnosis) -> Section:
     header = ["effect", "size", "value", "95 % interval", "unit"]
     rows = [row for cause in found.causes for row in size_rows(cause)]
     notes = [_about(cause) for cause in found.causes] + [f"Warning: {text}" for text in found.warnings]
-    return Section(causes_title(found.verdict), (), [Table(header, rows, right=frozenset({2, 3}))] if rows else (), (),
+    return Section(causes_title(found), (), [Table(header, rows, right=frozenset({2, 3}))] if rows else (), (),
                    notes)
 
 

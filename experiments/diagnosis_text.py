@@ -51,10 +51,11 @@ def gap_text(found: Diagnosis) -> str:
             f"what noise alone would leave{interval}.")
 
 
-def causes_title(verdict: str) -> str:
-    """What the list of causes is."""
-    return {"named": "Causes", "one_of": "One of these", "unexplained": "The closest, not sufficient"}.get(
-        verdict, "Causes")
+def causes_title(found: Diagnosis) -> str:
+    """What the list of causes is; without any there are only warnings."""
+    if not found.causes:
+        return "Warnings"
+    return {"one_of": "One of these", "unexplained": "The closest, not sufficient"}.get(found.verdict, "Causes")
 
 
 def diagnosis_text(found: Diagnosis) -> str:
@@ -62,7 +63,7 @@ def diagnosis_text(found: Diagnosis) -> str:
     blocks = [found.sentence]
     if found.causes:
         rows = [row for cause in found.causes for row in size_rows(cause)]
-        blocks.append(f"{causes_title(found.verdict)}:\n" + text_table(
+        blocks.append(f"{causes_title(found)}:\n" + text_table(
             ["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}))
     if found.sensors:
         rows = [[column, f"{g.before:.4g}", f"{g.after:.4g}", f"{g.floor:.4g}"] for column, g in found.sensors.items()]

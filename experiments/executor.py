@@ -79,7 +79,9 @@ class ClusterExecutor:
     def run(self, function: Callable[[T], R], pieces: Sequence[T]) -> Iterator[tuple[int, R]]:
         """Raises `InputError` where the extra is missing or nobody answers, `WorkError` where the cluster is lost."""
         try:
-            import distributed
+            from importlib import import_module
+
+            distributed: Any = import_module("distributed")
         except ImportError:
             raise InputError("--cluster", "needs the package distributed", "pip install 'legid[cluster]'") from None
         try:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from daq.dataset import FloatArray
+from estimator.mechanism import Mechanism
 from estimator.result import FitResult, Trajectory
 from experiments.figures import BLUE, GREEN, GREY, ORANGE, Line, plot_lines, window
 from experiments.fit_text import PARAMETER_HEADER, VOLTS, force_unit, noise_rows, number, parameter_rows
@@ -38,13 +39,15 @@ def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[
     return [*sections, _limits(result)]
 
 
-def truth_section(result: FitResult, truth: Mapping[str, float]) -> Section:
-    """Emulated rigs only: what was found against the plant's physics."""
+def truth_section(mechanism: Mechanism, found: Mapping[str, tuple[float, float]],
+                  truth: Mapping[str, float]) -> Section:
+    """Emulated rigs only: what was found, (value, std) by parameter, against the plant's physics."""
     rows = []
-    for p, value, std in zip(result.mechanism.parameters, result.beta, result.std):
-        error = float(value) - truth[p.name]
-        rows.append([p.name, number(truth[p.name], float(std)), number(float(value), float(std)),
-                     f"{error / std:+.2f}", "yes" if abs(error) <= 1.96 * std else "no", p.unit])
+    for p in mechanism.parameters:
+        value, std = found[p.name]
+        error = value - truth[p.name]
+        rows.append([p.name, number(truth[p.name], std), number(value, std), f"{error / std:+.2f}",
+                     "yes" if abs(error) <= 1.96 * std else "no", p.unit])
     inside = sum(row[4] == "yes" for row in rows)
     return Section(
         "Against the truth",

@@ -56,8 +56,8 @@ def free_runs(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: Float
     alive = np.isfinite(beta).all(axis=1)
     where = np.flatnonzero(alive)
     q, qd = np.tile(q0, (where.size, 1)), np.tile(qd0, (where.size, 1))
-    sign = np.sign(np.linalg.det(mechanism.inertia_matrix(q, beta[where])))
-    keep = sign != 0.0
+    sign: FloatArray = np.sign(np.linalg.det(mechanism.inertia_matrix(q, beta[where])))
+    keep = np.abs(np.atleast_1d(sign)) > 0.0
     for k in range(samples):
         where, q, qd, sign = where[keep], q[keep], qd[keep], sign[keep]
         out[where, k] = q
@@ -69,5 +69,4 @@ def free_runs(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: Float
         safe = np.where(fit[:, None], q, 0.0)
         keep = fit & (np.sign(np.linalg.det(mechanism.inertia_matrix(safe, beta[where]))) == sign)
     failed = ~np.isfinite(out[:, -1]).all(axis=1)
-    out[failed] = np.where(np.isfinite(out[failed]), out[failed], np.nan)
     return FreeRuns(out, failed)

@@ -111,10 +111,10 @@ def study_sections(table: Table) -> list[Section]:
                  "noise, 100 Hz. Floor: least squares on the true states, so that only torque noise is left."],
                 [PageTable(HEADER, table_rows(table), right=frozenset(range(2, len(HEADER))))]),
         Section("What the numbers are worth",
-                ["The Cramér-Rao bound is that of the model as posed: exact motion of a rigid walker under held torque, "
-                 "states and true torques unknown. Parameter errors are measured in the bound's own metric, averaged "
-                 "over all directions, and for the single worst parameter. Least squares methods do not account for "
-                 "errors in the angles, so their intervals do not cover."],
+                ["The Cramér-Rao bound is that of the model as posed: exact motion of a rigid walker under held "
+                 "torque, states and true torques unknown. Parameter errors are measured in the bound's own metric, "
+                 "averaged over all directions, and for the single worst parameter. Least squares methods do not "
+                 "account for errors in the angles, so their intervals do not cover."],
                 [PageTable(TRUST_HEADER, trust_rows(table), right=frozenset(range(2, len(TRUST_HEADER))))]),
         Section("Distribution of the errors",
                 ["Share of all runs whose error is below the value on the axis; a curve that ends below 1 has failed "

@@ -85,7 +85,8 @@ class Step(NamedTuple):
     def in_motor_angles(self) -> Step:
         """The same motion in the coordinates of `motor_mechanism`."""
         m = MOTOR_ANGLES
-        return Step(self.time_s, self.q @ m.T, self.qd @ m.T, self.qdd @ m.T, self.torque @ np.linalg.inv(m))
+        torque = np.asarray(self.torque @ np.linalg.inv(m), dtype=np.float64)
+        return Step(self.time_s, self.q @ m.T, self.qd @ m.T, self.qdd @ m.T, torque)
 
 
 def control(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatArray) -> FloatArray:
@@ -137,7 +138,7 @@ def walk(q0: FloatArray, qd0: FloatArray, samples: int) -> Step:
         if k + 1 < samples:
             q[k + 1], qd[k + 1] = advance(mechanism, beta, q[k], qd[k], torque[k], PERIOD_S, SUBSTEPS)
     qdd = mechanism.forward_dynamics(q, qd, torque, beta)
-    return Step(np.arange(samples) * PERIOD_S, q, qd, qdd, torque)
+    return Step(np.asarray(PERIOD_S * np.arange(samples), dtype=np.float64), q, qd, qdd, torque)
 
 
 def after_impact(rate_radps: float) -> tuple[FloatArray, FloatArray]:

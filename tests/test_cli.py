@@ -232,16 +232,6 @@ def test_simulated_noise_has_the_models_levels_and_seed(model_file: Path, tmp_pa
     assert not np.array_equal(a["gyro_radps"], c["gyro_radps"])
 
 
-def test_a_model_with_effects_is_not_simulated_without_them(model_file: Path, tmp_path: Path,
-                                                            capsys: pytest.CaptureFixture[str]) -> None:
-    document = json.loads(model_file.read_text())
-    document["effects"] = [{"name": "backlash", "joint": 2, "size": {"gap": 0.01}}]
-    (tmp_path / "m.json").write_text(json.dumps(document))
-    write_plan(Plan(np.arange(100) / 100.0, np.zeros(100)), tmp_path / "p.csv")
-    line = fails(capsys, 2, "simulate", tmp_path / "m.json", "--plan", tmp_path / "p.csv", "--out", tmp_path / "r.csv")
-    assert "backlash" in line and not (tmp_path / "r.csv").exists()
-
-
 def test_start_must_fit_the_mechanism(model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_plan(Plan(np.arange(100) / 100.0, np.zeros(100)), tmp_path / "p.csv")
     assert "--start" in fails(capsys, 2, "simulate", model_file, "--plan", tmp_path / "p.csv", "--start", "1,2,3",

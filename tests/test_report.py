@@ -37,12 +37,16 @@ def synthetic_fit() -> FitResult:
                      np.array([0.02, 0.021]), True, 7, 1500, 0.4, (), ("noise is white",), (), (path,))
 
 
+def estimates(result: FitResult) -> dict[str, tuple[float, float]]:
+    return dict(zip(result.mechanism.names, zip(map(float, result.beta), map(float, result.std))))
+
+
 @pytest.fixture(scope="module")
 def page() -> str:
     result = synthetic_fit()
     truth = dict(zip(result.mechanism.names, LegBody().beta()))
     return render_page("Leg <A> & co", fit_summary(result, "leg2"),
-                       [*fit_sections(result), truth_section(result, truth)])
+                       [*fit_sections(result), truth_section(result.mechanism, estimates(result), truth)])
 
 
 class Outside(HTMLParser):
@@ -123,7 +127,7 @@ def test_a_truth_outside_its_interval_is_counted_as_such() -> None:
     result = synthetic_fit()
     truth = dict(zip(result.mechanism.names, LegBody().beta()))
     truth["beta1"] *= 1.2
-    section = truth_section(result, truth)
+    section = truth_section(result.mechanism, estimates(result), truth)
     assert "8 of 9" in section.paragraphs[0]
     assert section.tables[0].rows[0][4] == "no"
 

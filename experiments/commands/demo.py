@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import argparse
 
+HIDEABLE = ("none", "stribeck_friction", "asymmetric_friction", "rotor_inertia", "joint_stiffness", "quadratic_drag",
+            "torque_offset", "gyro_bias", "sensor_time_skew")
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
     parser = subparsers.add_parser(
-        "demo", help="the whole loop on an emulated rig: record, fit, validate, report",
-        description="Emulate a leg with its IMU and motor controller, byte for byte; excite it, record it, identify "
-                    "it, validate the model on a run of its own and write a report. Takes well under a minute.")
+        "demo", help="the whole loop on an emulated rig: record, fit, diagnose, extend, report",
+        description="Emulate a leg with its IMU and motor controller, byte for byte, with an effect hidden in it that "
+                    "the model does not know; excite it, record it, identify it, find out what the model gets wrong, "
+                    "extend it, and write reports. Takes a minute or two.")
     parser.add_argument("--out", metavar="DIR", default="demo-out", help="where the files go; default: demo-out")
-    parser.add_argument("--seconds", type=_seconds, default=20.0, help="length of each of the three runs; default: 20")
-    parser.add_argument("--seed", type=_seed, default=1, help="noise and excitation are drawn from it; default: 1")
+    parser.add_argument("--effect", metavar="NAME", choices=HIDEABLE, default="stribeck_friction",
+                        help=f"what is hidden in the leg: {', '.join(HIDEABLE)}; default: stribeck_friction")
+    parser.add_argument("--runs", metavar="N", type=_runs, default=8, help="number of runs; default: 8")
+    parser.add_argument("--seconds", metavar="S", type=_seconds, default=12.0, help="length of each run; default: 12")
+    parser.add_argument("--seed", metavar="N", type=_seed, default=1,
+                        help="noise and excitation are drawn from it; default: 1")
     parser.set_defaults(run=run)
 
 
@@ -27,6 +35,12 @@ def _seconds(text: str) -> float:
     return value
 
 
+def _runs(text: str) -> int:
+    if not text.isdecimal() or not 4 <= int(text) <= 100:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of runs between 4 and 100")
+    return int(text)
+
+
 def _seed(text: str) -> int:
     if not text.isdecimal() or int(text) >= 2**20:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number below {2**20}")
@@ -34,11 +48,11 @@ def _seed(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demo and say what was found and where it is."""
+    """Run the demo and say what was hidden, what was found and where it is."""
     from pathlib import Path
 
     from experiments.demo import run_demo
     from experiments.demo_text import demo_text
 
-    print(demo_text(run_demo(Path(args.out), args.seconds, args.seed)))
+    print(demo_text(run_demo(Path(args.out), args.seconds, args.seed, args.effect, args.runs)))
     return 0

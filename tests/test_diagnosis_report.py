@@ -1,0 +1,154 @@
+"""A diagnosis as JSON, text and page: complete, in the order promised, honest where there is nothing to show."""
+
+import re
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import msgspec
+import numpy as np
+import pytest
+from test_report import Outside
+
+from estimator.verdict import Cause, Diagnosis, Ranked, SensorGain, Signature, SizeEstimate, Trace
+from experiments.diagnosis_figures import axis_label, signature_limits
+from experiments.diagnosis_json import diagnosis_document
+from experiments.diagnosis_report import diagnosis_sections, verdict_words
+from experiments.diagnosis_text import diagnosis_text, key_label
+from experiments.report import render_page
+
+NAMES = tuple(f"beta{k}" for k in range(1, 10))
+
+
+def signature(title: str, height: float) -> Signature:
+    x = np.linspace(-2.0, 2.0, 24)
+    curve = height * np.exp(-((x / 0.4) ** 2)) * np.sign(x)
+    return Signature(title, "velocity of joint 2 [rad/s]", "torque of joint 2 [N m]", x, curve + 0.002,
+                     np.full(24, 0.003), curve, np.full(24, 0.001))
+
+
+def synthetic() -> Diagnosis:
+    """A named cause with everything that a report may show."""
+    t = np.arange(2000) / 100.0
+    measured = {"q1_rad": 0.3 * np.sin(2 * t), "q2_rad": np.sin(3 * t)}
+    before = {name: values + 0.05 * np.sin(t) for name, values in measured.items()}
+    after = {name: values + 0.01 * np.sin(t) for name, values in measured.items()}
+    ranked = (Ranked("stribeck_friction", 2, 9.1, 1e-9, 0.05, 0.01, "N m"),
+              Ranked("presliding_friction", 2, 5.0, 0.02, 0.02, 0.015, "N m"),
+              Ranked("rotor_inertia", 2, 1.2, 1.0, 1e-4, 2e-4, "kg m^2"),
+              Ranked("torque_offset", None, 0.3, 1.0, 1e-3, 0.006, "N m"))
+    keys = ("stribeck_friction@2", "presliding_friction@2", "rotor_inertia@2", "torque_offset")
+    cosines = np.array([[1.0, 0.82, 0.1, 0.0], [0.82, 1.0, -0.4, 0.0], [0.1, -0.4, 1.0, 0.2], [0.0, 0.0, 0.2, 1.0]])
+    return Diagnosis(
+        "named", "Friction is higher near standstill: excess torque 0.05 N m [0.04, 0.06].",
+        (Cause("stribeck_friction", 2, "friction is higher near standstill than in motion (Stribeck)",
+               (SizeEstimate("excess_torque", "N m", 0.05, (0.04, 0.06)),
+                SizeEstimate("stribeck_velocity", "rad/s", 0.2, (0.15, 0.25))), 0.004, 83.0,
+               ("presliding_friction", "presliding_friction@1")),),
+        ranked, ("r4.csv", "r8.csv"),
+        {"q1_rad": SensorGain(0.04, 0.01, 0.009), "q2_rad": SensorGain(0.05, 0.02, 0.015)},
+        ((0.01, 0.05), (0.01, 0.02)), 0.9, (0.8, 0.97), dict.fromkeys(NAMES, 0.1), dict.fromkeys(NAMES, 0.001),
+        dict.fromkeys(NAMES, 0.11), dict.fromkeys(NAMES, 0.002),
+        {"torque_gain": "it scales every parameter", "rotor_inertia@1": "no motor", "backlash@1": "no torque"},
+        {"fit": ("r1.csv", "r3.csv"), "screen": ("r2.csv",), "confirm": ("r4.csv", "r8.csv")}, ("few runs",),
+        "Slow reversals.", (keys, cosines), (signature("stribeck_friction@2", 0.05),
+                                             signature("presliding_friction@2", 0.03)),
+        (Trace("r4.csv", t, measured, before, after),), wall_s=20.0)
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return render_page("t", synthetic().sentence, diagnosis_sections(synthetic()))
+
+
+def test_document_is_the_contract() -> None:
+    found = msgspec.json.decode(msgspec.json.encode(diagnosis_document(synthetic())))
+    assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
+            "sentence", "next_experiment", "warnings"} == set(found)
+    assert found["schema"] == "legid.diagnosis/1"
+    (cause,) = found["causes"]
+    assert cause["effect"] == "stribeck_friction" and cause["joint"] == 2 and cause["p_value"] == 0.004
+    assert cause["size"][0] == {"name": "excess_torque", "unit": "N m", "value": 0.05, "ci95": [0.04, 0.06]}
+    assert cause["confusable_with"] == ["presliding_friction"]
+    assert {"effect", "joint", "score", "p_value", "smallest_detectable", "unit"} <= set(found["candidates"][0])
+    assert found["gain"] == {
+        "confirm_runs": ["r4.csv", "r8.csv"],
+        "free_run_rmse": {"q1_rad": {"before": 0.04, "after": 0.01, "floor": 0.009},
+                          "q2_rad": {"before": 0.05, "after": 0.02, "floor": 0.015}},
+        "torque_rms_nm": {"before": [0.01, 0.05], "after": [0.01, 0.02]}, "gap_closed": 0.9,
+        "gap_closed_ci95": [0.8, 0.97]}
+    assert found["runs"]["screen"] == ["r2.csv"] and found["parameters"]["extended"]["beta9"] == 0.11
+
+
+def test_joints_are_those_of_the_contract() -> None:
+    # The contract gives a rotor no joint, the library does; what is tested at the knee is testable.
+    found = diagnosis_document(synthetic())
+    assert [c["joint"] for c in found["candidates"]] == [2, 2, None, None]
+    assert [(row["effect"], row["joint"]) for row in found["not_testable"]] == [("torque_gain", None), ("backlash", 1)]
+    assert key_label("rotor_inertia@2") == "rotor_inertia" and key_label("q2 in gyro") == "q2 in gyro"
+    assert key_label("backlash@2") == "backlash, joint 2" and key_label("|q| sign v@2") == "|q| sign v, joint 2"
+
+
+def test_page_answers_in_the_order_of_the_questions(page: str) -> None:
+    titles = re.findall(r"<h2>(.*?)</h2>", page)
+    assert titles == ["Causes", "How far the simulation is off", "Candidates", "Signature",
+                      "Simulation against measurement, before and after", "What can be told apart",
+                      "What the extension does to the parameters", "Next experiment", "Ruled out",
+                      "What cannot be tested here", "Runs"]
+    assert page.index(synthetic().sentence.replace("'", "&#39;")) < page.index("<h2>")
+
+
+def test_page_shows_what_was_found(page: str) -> None:
+    for words in ("0.04 .. 0.06", "few runs", "closes 90 %", "80 to 97 %", "p = 0.004", "&lt; 1e-6",
+                  "presliding_friction, joint 2", "backlash, joint 1", "Slow reversals.", "noise alone", "0.006"):
+        assert words in page, words
+    assert page.count("<svg") == 1 + 2 + 2 + 1 + 1
+
+
+def test_page_is_one_file_and_its_figures_are_drawn(page: str) -> None:
+    parser = Outside()
+    parser.feed(page)
+    assert parser.found == []
+    figures = re.findall(r"<svg.*?</svg>", page, re.DOTALL)
+    for svg in figures:
+        root = ElementTree.fromstring(svg)
+        assert "viewBox" in root.attrib and "width" not in root.attrib and "<image" not in svg
+        assert "#010203" not in svg and len(svg) < 200_000
+    clips = [i for svg in figures for i in re.findall(r'<clipPath id="([^"]*)"', svg)]
+    assert len(clips) == len(set(clips))  # one page: a figure must not be cut by another's frame
+
+
+def test_signatures_of_rivals_share_their_axes() -> None:
+    found = synthetic().signatures
+    ((key, (x, y)),) = signature_limits(found).items()
+    assert key == ("velocity of joint 2 [rad/s]", "torque of joint 2 [N m]") and x == (-2.0, 2.0)
+    assert y[0] == min(float((s.before - s.before_error).min()) for s in found)
+    assert y[1] == max(float((s.before + s.before_error).max()) for s in found)
+
+
+def test_text_begins_with_the_verdict_and_ends_with_what_next() -> None:
+    text = diagnosis_text(synthetic())
+    assert text.startswith(synthetic().sentence)
+    order = ["Causes:", "0.04 .. 0.06", "Free-run error", "Runners-up", "Cannot be tested", "warning: few runs",
+             "Next experiment: Slow reversals.", "Runs: fit r1.csv, r3.csv"]
+    assert [text.index(words) for words in order] == sorted(text.index(words) for words in order)
+    runners = text[text.index("Runners-up"):text.index("Cannot")]
+    assert "stribeck" not in runners and "presliding_friction, joint 2" in runners
+
+
+@pytest.mark.parametrize("verdict", ["none", "one_of", "unexplained", "fit_failed"])
+def test_verdicts_with_less_to_show(verdict: str) -> None:
+    whole = synthetic()
+    bare = Diagnosis(verdict, "No more than this.")
+    for found in (bare, replace(whole, verdict=verdict, causes=(), sensors={}, signatures=(), traces=(), extended={},
+                                extended_std={}, gap_closed=None, gap_closed_ci95=None)):
+        page = render_page(verdict_words(verdict), found.sentence, diagnosis_sections(found))
+        assert "No more than this." in page or whole.sentence in page
+        assert "The extension closes" not in page and "nan<" not in page and ">None<" not in page
+        document = diagnosis_document(found)
+        assert document["verdict"] == verdict and document["gain"]["gap_closed"] is None and document["causes"] == []
+        assert diagnosis_text(found).startswith(found.sentence)
+
+
+def test_sensor_names_carry_their_units() -> None:
+    assert [axis_label(c) for c in ("q2_rad", "gyro_radps", "accel_x_mps2")] == ["q2 [rad]", "gyro [rad/s]",
+                                                                                 "accel_x [m/s²]"]
