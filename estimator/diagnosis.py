@@ -43,8 +43,15 @@ ALPHA = 0.01
 SINGLES = 5
 """Best effects that are re-fitted one by one."""
 PAIRS = 4
+MATERIAL = 0.003
+"""Least gain of a material effect: this much of twice the log likelihood a sample. Smaller ones can be
+significant in long records (microseconds of skew, a per mille of scale) and change no simulation."""
 LEFT_OVER = 0.1
-"""What a named cause may leave for others: this share of what it gained itself. Functional forms differ."""
+"""What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
+LEFT_OVER_CONFIRM = 0.3
+"""The same on the confirm runs, where parameters are not re-fitted."""
+LEAST_CLOSED = 0.5
+"""Least share of the free-run gap that a named cause closes on the confirm runs."""
 TIE = 0.06
 """Explanations within this share of the best one's gain are not told apart."""
 TIE_GAIN = 8.0
@@ -79,6 +86,10 @@ class Desk:
     @property
     def trials(self) -> int:
         return len(self.candidates)
+
+    def material(self, which: Sequence[int]) -> float:
+        """Least gain that counts on these runs."""
+        return MATERIAL * sum(len(s.time_s) for s in self.session.signals(which))
 
 
 def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,
@@ -116,7 +127,8 @@ def _diagnose(session: Session, rng: np.random.Generator, say: Progress,
     ranked = rank(desk, tests)
     base = account.base(session, nominal, refused, reference)
     base = replace(base, candidates=ranked, separability=separability(desk, tests))
-    if min(p_of(desk, tests, i) for i in range(desk.trials)) > ALPHA:
+    least = desk.material(session.discover)
+    if not any(p_of(desk, tests, i) < ALPHA and tests.gain(desk.columns[i]) > least for i in range(desk.trials)):
         return account.nothing(base, desk.session, nominal)
     say("re-fitting the best explanations", 0.4)
     options = explain(desk, tests, say)
@@ -142,12 +154,13 @@ def best_shapes(desk: Desk, tests: Tests, skip: Sequence[str] = ()) -> list[int]
 def rank(desk: Desk, tests: Tests) -> tuple[Ranked, ...]:
     """Every effect of the library as scored."""
     out = []
+    least = desk.material(desk.session.discover)
     for i in best_shapes(desk, tests):
         effect, columns = desk.candidates[i].effect, desk.columns[i]
         out.append(Ranked(effect.name, None if effect.joint is None else effect.joint + 1,
                           float(np.sqrt(max(tests.gain(columns), 0.0))), p_of(desk, tests, i),
                           float(tests.size(columns)[0]),
-                          tests.detectable(int(columns[0]), ALPHA / desk.trials), effect.sizes[0].unit))
+                          tests.detectable(int(columns[0]), ALPHA / desk.trials, least), effect.sizes[0].unit))
     return tuple(out)
 
 
@@ -230,7 +243,8 @@ def judged(desk: Desk, explained: Explained) -> Explained:
     best = int(np.argmax(gains))
     best_named = int(np.argmax(gains[: desk.named]))
     gain = explained.gain / float(np.median(left.inflation))
-    closed = p_of(desk, left, best) > ALPHA or gains[best] < LEFT_OVER * gain
+    small = max(LEFT_OVER * gain, desk.material(desk.session.discover))
+    closed = p_of(desk, left, best) > ALPHA or gains[best] < small
     return Explained(model, gain, left, best, best_named, closed)
 
 
@@ -270,7 +284,12 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
     if not confirmed(desk, best):
         return account.unexplained(base, session, desk.nominal, best, "it does not hold on the confirm runs", rng)
     p = max(1e-12, min(1.0, _p_of_gain(best) * desk.trials))
-    return account.finding(base, session, desk.nominal, ties, p, rng)
+    found = account.finding(base, session, desk.nominal, ties, p, rng)
+    if found.gap_closed is None or found.gap_closed < LEAST_CLOSED:
+        closed_share = "an unknown share" if found.gap_closed is None else f"{100 * found.gap_closed:.0f} %"
+        return account.unexplained(base, session, desk.nominal, best,
+                                   f"it closes {closed_share} of the free-run gap on the confirm runs", rng)
+    return found
 
 
 def _p_of_gain(explained: Explained) -> float:
@@ -290,9 +309,10 @@ def confirmed(desk: Desk, explained: Explained) -> bool:
     left = tests_of(session, model, scores, bias, explained.left)
     own = {e.key for e in model.effects}
     share = len(session.confirm) / len(session.discover)
+    small = max(LEFT_OVER_CONFIRM * explained.gain * share, desk.material(session.confirm))
     for i, columns in enumerate(desk.columns):
         if desk.candidates[i].effect.key in own:
             continue
-        if p_of(desk, left, i) < ALPHA and left.gain(columns) > 2.0 * LEFT_OVER * explained.gain * share:
+        if p_of(desk, left, i) < ALPHA and left.gain(columns) > small:
             return False
     return account.confirm_gain(session, desk.nominal, model) > 0.0

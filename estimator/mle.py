@@ -39,6 +39,11 @@ LOOSE_AFTER = 15
 LOOSE = 0.15
 """After so many steps this share of a standard deviation will do: a joint that reverses, or rests, close to a
 sample makes the last digits swing."""
+TORQUE_SHARE = 0.4
+"""Most of a measured torque's spread that may be noise, and ..."""
+PASSIVE_SHARE = 0.1
+"""... the least model error of a passive joint as a share of the driven joints' noise. Without both a model that
+is far wrong ends at beta = 0, where the passive joint's equation holds exactly and all torque is noise."""
 PASSIVE_WAIT = 4
 STEEP = 0.95
 PASSIVE_HASTE = 2.5
@@ -134,7 +139,11 @@ def noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray)
     encoder = np.full(mechanism.n, np.inf)
     for j in np.flatnonzero(problem.has_encoder):
         encoder[j] = max(0.7 * _encoder_level(problem.angles[:, j]), 1e-8)
-    return Noise(np.full(mechanism.n, 2e-3 * scale), encoder, 1e-6, 1e-5)
+    gyro = accel = 0.0
+    if problem.has_imu:
+        gyro = 0.7 * white_noise_level(problem.gyro)
+        accel = 0.7 * max(white_noise_level(problem.ax), white_noise_level(problem.ay))
+    return Noise(np.full(mechanism.n, 2e-3 * scale), encoder, max(gyro, 1e-6), max(accel, 1e-5))
 
 
 def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions,
@@ -245,9 +254,15 @@ def _update_noise(problem: LatentProblem, state: State, point: Linearised, p_dia
             r = residuals["torque"][:, j]
             haste = 1.0 if j in actuated or state.iterations <= PASSIVE_WAIT else PASSIVE_HASTE
             torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j], haste)
+            if j in actuated:
+                torque[j] = min(torque[j], TORQUE_SHARE * float(np.std(problem.torque[:, j])) + floors.torque[j])
         if problem.has_encoder[j] and options.encoder_noise(j) is None:
             r = residuals["encoder"][:, j]
             encoder[j] = level(r, float(taken["encoder"][j]), floors.encoder[j], old.encoder[j])
+    driven = [torque[j] for j in actuated]
+    for j in range(problem.n):
+        if j not in actuated and driven:
+            torque[j] = max(torque[j], PASSIVE_SHARE * min(driven))
     gyro, accel = old.gyro, old.accel
     if problem.has_imu and "gyro_radps" not in known:
         gyro = level(residuals["gyro"], float(taken["gyro"][0]), floors.gyro, old.gyro)

@@ -81,9 +81,9 @@ class Tests:
         k = len(columns)
         return float(fisher.sf(self.gain(columns) / k, k, self.freedom))
 
-    def detectable(self, column: int, p: float) -> float:
-        """Size of one column that would give this p-value on average."""
-        needed = float(fisher.isf(p, 1, self.freedom)) * float(self.inflation[column])
+    def detectable(self, column: int, p: float, gain: float) -> float:
+        """Size of one column that would give this p-value, and this gain, on average."""
+        needed = max(float(fisher.isf(p, 1, self.freedom)), gain) * float(self.inflation[column])
         return float(np.sqrt(needed / max(self.information[column, column], 1e-300)))
 
 
@@ -119,7 +119,7 @@ def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | 
 def _inflation(scores: FloatArray, information: FloatArray) -> tuple[FloatArray, float]:
     """Scatter of the scores about their share of the pooled score, shrunk towards the candidates' median."""
     runs = scores.shape[0]
-    own = np.maximum(np.einsum("rcc->rc", information), 1e-300)
+    own = np.maximum(np.einsum("rcc->rc", information), 1e-100)
     share = own / own.sum(axis=0)
     excess = scores - share * scores.sum(axis=0)
     if runs < 2:

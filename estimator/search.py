@@ -47,6 +47,7 @@ EXACT_RAD = 1e-7
 """An encoder with less noise than this is taken as exact where a first motion is made."""
 MOST_SAMPLES = 500
 """Longer records are started well by filtering."""
+POLISH_STEPS = 2
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-7, 1e8
 REACH_RAD = 0.5
 """Steps that move an angle further are shortened: a linearisation means little there."""
@@ -102,7 +103,7 @@ def known_noise(mechanism: Mechanism, options: FitOptions) -> Noise:
 def expected_misfit(problem: BatchProblem, samples: int) -> tuple[float, float]:
     """Mean and standard deviation of the smallest sum of squares under the known noise."""
     noisy = len(problem.mechanism.actuated) + int(np.sum(problem.noise.encoder > EXACT_RAD))
-    freedom = max(samples * noisy - problem.mechanism.p - 2, 1)
+    freedom = max(samples * noisy - problem.mechanism.p - 2 * problem.n, 1)
     return float(freedom), float(np.sqrt(2.0 * freedom))
 
 
@@ -243,7 +244,27 @@ def descend(problem: BatchProblem, records: Records, x: FloatArray, beta: FloatA
             beta[again] = best.beta[again] + step
             inner[again] = 0
         active = np.sort(np.concatenate([go[budget[go] > 0.0], again]))
+    _polish(problem, records, best)
     return best
+
+
+def _polish(problem: BatchProblem, records: Records, best: Searched) -> None:
+    """Full steps in latents and beta together from where searches ended: the minimum to rounding."""
+    for _ in range(POLISH_STEPS):
+        where = np.flatnonzero(best.converged)
+        if where.size == 0:
+            return
+        point, ok = _linearise_each(problem, records, best.x, best.beta, where)
+        best.steps[where] += 1
+        step = _damped_step(point.information, point.score, np.zeros(where.size))
+        x, beta = best.x.copy(), best.beta.copy()
+        x[where] += point.step + np.einsum("rkbp,rp->rkb", point.by_beta, step)
+        beta[where] += step
+        after, fine = _linearise_each(problem, records, x, beta, where)
+        lower = ok & fine & (after.objective <= point.objective) & _is_body(problem, x[where], beta[where])
+        to = where[lower]
+        best.x[to], best.beta[to], best.objective[to] = x[to], beta[to], after.objective[lower]
+        best.covariance[to] = pseudo_inverse(after.information[lower])
 
 
 def _is_body(problem: BatchProblem, x: FloatArray, beta: FloatArray, margin: float = 0.0) -> NDArray[np.bool_]:

@@ -18,6 +18,9 @@ from estimator.options import FitOptions
 from estimator.signalset import SignalSet, split_signals
 
 FloatArray = NDArray[np.float64]
+ROUNDING_RADPS = 0.02
+"""Least velocity over which sign(qd) is rounded off in a diagnosis. Sharper ones describe rest better, but the
+re-fits of friction laws then do not settle (measured: still moving after 20 steps at 0.005, settled at 0.03)."""
 PARTS = 8
 """Stretches into which a single run is cut."""
 
@@ -66,6 +69,7 @@ class Session:
 def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
                  gear_ratio: float = 1.0) -> Session:
     """Split runs: of four in turn two fit, one screens, one confirms. Raises `FitError` where there is too little."""
+    mechanism = replace(mechanism, velocity_scale=max(mechanism.velocity_scale, ROUNDING_RADPS))
     single = len(datasets) == 1
     if single:
         datasets = _parts(datasets[0])

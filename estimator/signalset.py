@@ -105,7 +105,8 @@ def differentiate(signals: SignalSet, mechanism: Mechanism, cutoff_hz: float | N
         q1 = np.unwrap(np.arctan2(s, c))
         if fused:
             q1 = fuse_tilt(ax, ay, gyro, signals.rate_hz, mechanism.lever_arm, cutoff_hz)
-        q[:, 0], qd[:, 0], qdd[:, 0] = q1, lowpass(gyro, cutoff_hz, signals.rate_hz, order), q1dd
+        rate = central_difference(q1, dt) if fused else gyro  # fused: free of the gyro's bias
+        q[:, 0], qd[:, 0], qdd[:, 0] = q1, lowpass(rate, cutoff_hz, signals.rate_hz, order), q1dd
     return Kinematics(q, qd, qdd)
 
 

@@ -28,7 +28,7 @@ from experiments.plant import LegBody
 from experiments.rigs import Setup, load_setup
 from experiments.validation import validate_runs, validate_setup
 
-RUNS, SECONDS = 8, 12.0
+RUNS, SECONDS = 8, 10.0
 PEAK_NM = 0.7
 HALL_CUTOFF_HZ = 2.0
 """Low pass of the benchmark: the Hall sensor's coarse steps, differenced twice, drown everything above."""

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from daq.dataset import Dataset, FloatArray
 from daq.errors import WorkError
 from estimator.effects import Effect
-from estimator.errors import FitError
 from estimator.extended import ExtendedProblem, Stage
 from estimator.freerun import FreeRun, free_run
 from estimator.latent import Latents, Noise
@@ -104,14 +103,18 @@ def validate_extended(model: Model, mechanism: Mechanism, options: FitOptions, d
 
 
 def smoothed_state(model: Model, problem: ExtendedProblem, signals: Sequence[SignalSet], options: FitOptions) -> State:
-    """Most likely motion with all parameters held, noise levels from the data. Raises `FitError`."""
+    """Most likely motion with all parameters held: noise levels from the data first, then held as well.
+
+    Raises `FitError` where the equations of the fit cannot be solved.
+    """
     mechanism, beta = problem.mechanism, np.array(model.beta)
     begin = start_state(problem, list(signals), mechanism, options, np.zeros(mechanism.p, dtype=bool), beta)
     parameters = parameter_vector(model)
     state = State(begin.x, parameters, begin.noise, np.zeros((parameters.size, parameters.size)))
-    iterate(problem, state, np.zeros(parameters.size, dtype=bool), options, noise_floors(problem, mechanism, beta))
-    if not state.converged:
-        raise FitError(f"the motion of {signals[0].run} under this model was not found, so nothing can be compared")
+    held = np.zeros(parameters.size, dtype=bool)
+    iterate(problem, state, held, options, noise_floors(problem, mechanism, beta))
+    if not state.converged:  # levels that still creep, such as that of a passive joint whose model is exact
+        iterate(problem, state, held, options, None)
     return state
 
 

@@ -16,10 +16,12 @@ from experiments.effect_library import effects_document, known_effects
 from experiments.hidden_effects import EFFECTS
 
 README = Path(__file__).parent.parent / "README.md"
-CONTRACT = """stribeck_friction asymmetric_friction load_dependent_friction presliding_friction quadratic_drag
-friction_drift joint_stiffness joint_elasticity backlash rotor_inertia end_stop_contact base_compliance torque_ripple
-torque_offset torque_saturation torque_delay sensor_time_skew gyro_bias gyro_scale accelerometer_bias imu_misalignment
-imu_lever_arm encoder_offset encoder_scale encoder_eccentricity""".split()
+CONTRACT = [
+    "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "presliding_friction", "quadratic_drag",
+    "friction_drift", "joint_stiffness", "joint_elasticity", "backlash", "rotor_inertia", "end_stop_contact",
+    "base_compliance", "torque_ripple", "torque_offset", "torque_saturation", "torque_delay", "sensor_time_skew",
+    "gyro_bias", "gyro_scale", "accelerometer_bias", "imu_misalignment", "imu_lever_arm", "encoder_offset",
+    "encoder_scale", "encoder_eccentricity"]
 
 
 def install(folder: Path, module: str, code: str, value: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,7 +65,7 @@ def test_walker_with_a_nearly_exact_angle_is_found() -> None:
     found = fit_each(records, motor_mechanism(), case_options(CASES[0]), "hekf")
     beta = np.array([outcome.beta for outcome in found if not isinstance(outcome, FitError)])
     assert len(beta) == 6
-    np.testing.assert_allclose(beta.mean(axis=0), truth(), rtol=0.06)
+    np.testing.assert_allclose(beta.mean(axis=0), truth(), rtol=0.1)
 
 
 def test_records_together_are_records_alone() -> None:

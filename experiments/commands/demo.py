@@ -14,12 +14,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "demo", help="the whole loop on an emulated rig: record, fit, diagnose, extend, report",
         description="Emulate a leg with its IMU and motor controller, byte for byte, with an effect hidden in it that "
                     "the model does not know; excite it, record it, identify it, find out what the model gets wrong, "
-                    "extend it, and write reports. Takes a minute or two.")
+                    "extend it, and write reports. Takes two minutes or three.")
     parser.add_argument("--out", metavar="DIR", default="demo-out", help="where the files go; default: demo-out")
     parser.add_argument("--effect", metavar="NAME", choices=HIDEABLE, default="stribeck_friction",
                         help=f"what is hidden in the leg: {', '.join(HIDEABLE)}; default: stribeck_friction")
     parser.add_argument("--runs", metavar="N", type=_runs, default=8, help="number of runs; default: 8")
-    parser.add_argument("--seconds", metavar="S", type=_seconds, default=12.0, help="length of each run; default: 12")
+    parser.add_argument("--seconds", metavar="S", type=_seconds, default=10.0, help="length of each run; default: 10")
     parser.add_argument("--seed", metavar="N", type=_seed, default=1,
                         help="noise and excitation are drawn from it; default: 1")
     parser.set_defaults(run=run)
