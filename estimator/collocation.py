@@ -208,4 +208,5 @@ class Collocation:
         by_angle = -inverse @ own[:, ANGLE].transpose(2, 0, 1)
         by_rate = -inverse @ (own[:, RATE] + own[:, RATE_FROM] + own[:, RATE_TO]).transpose(2, 0, 1)
         z = self.to_joint(z_raw)[:, :, 0].transpose(2, 1, 0)
-        return qdd, np.stack([by_angle, by_rate, inverse]), z, inverse
+        slopes_of = np.asarray(np.stack([by_angle, by_rate, inverse]), dtype=np.float64)
+        return qdd, slopes_of, z, np.asarray(inverse, dtype=np.float64)

@@ -138,12 +138,13 @@ class LatentProblem:
         defect = np.tensordot(beta, z, axes=1) - c.torque(x.u, left)  # (n, 2, K)
         if extra is not None:
             defect = defect + extra.torque
-        jac = c.jacobian(slopes, beta, motion.angle.shape[1:], None if extra is None else extra.slopes)  # (n, 2, 4, n, K)
-        rows = np.zeros((count, 2 * n, 2, 3, n))  # row, end of interval, variable, joint
-        rows[:, :, :, :2, :] = jac.transpose(4, 1, 0, 2, 3).reshape(count, 2 * n, 2, 2, n)
+        # (n, 2, 4, n, K)
+        jac = c.jacobian(slopes, beta, motion.angle.shape[1:], None if extra is None else extra.slopes)
+        blocks = np.zeros((count, 2 * n, 2, 3, n))  # row, end of interval, variable, joint
+        blocks[:, :, :, :2, :] = jac.transpose(4, 1, 0, 2, 3).reshape(count, 2 * n, 2, 2, n)
         for i in range(n):
-            rows[:, i::n, :, 2, i] = -c.torque_weights
-        rows = rows.reshape(count, 2 * n, 2 * b)
+            blocks[:, i::n, :, 2, i] = -c.torque_weights
+        rows = blocks.reshape(count, 2 * n, 2 * b)
         scale = np.tile(1.0 / (TIGHT * noise.torque), 2)
         scaled = rows * scale[:, None]
         r = defect.transpose(2, 1, 0).reshape(count, 2 * n) * scale
@@ -242,9 +243,9 @@ class LatentProblem:
         qdd, slopes, z, inverse = self.collocation.at_samples(x.q, x.v, u, beta,
                                                                 None if extra is None else extra.sample_slopes)
         ax, ay = accelerometer(q1, v1, qdd[:, 0], m.lever_arm, m.gravity_mps2)
-        rows = np.zeros((self.total, 2, 3, n))
-        rows[:, 0] = m.lever_arm * slopes[:, :, 0].transpose(1, 0, 2)
-        rows = rows.reshape(self.total, 2, self.block)
+        by_joint = np.zeros((self.total, 2, 3, n))
+        by_joint[:, 0] = m.lever_arm * slopes[:, :, 0].transpose(1, 0, 2)
+        rows = by_joint.reshape(self.total, 2, self.block)
         rows[:, 0, 0] += m.gravity_mps2 * np.cos(q1)
         rows[:, 1, 0] = m.gravity_mps2 * np.sin(q1)
         rows[:, 1, n] = -2.0 * m.lever_arm * v1

@@ -113,7 +113,7 @@ def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mec
     encoder = np.full(mechanism.n, np.inf)
     for j in np.flatnonzero(problem.has_encoder):
         level = max(white_noise_level(problem.angles[:, j]), quantum(problem.angles[:, j]) / np.sqrt(12.0))
-        given = options.encoder_noise(j)
+        given = options.encoder_noise(int(j))
         encoder[j] = max(level, 1e-7) if given is None else max(given, EXACT_ENCODER)
     gyro = accel = np.inf
     if problem.has_imu:
@@ -256,7 +256,7 @@ def _update_noise(problem: LatentProblem, state: State, point: Linearised, p_dia
             torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j], haste)
             if j in actuated:
                 torque[j] = min(torque[j], TORQUE_SHARE * float(np.std(problem.torque[:, j])) + floors.torque[j])
-        if problem.has_encoder[j] and options.encoder_noise(j) is None:
+        if problem.has_encoder[j] and options.encoder_noise(int(j)) is None:
             r = residuals["encoder"][:, j]
             encoder[j] = level(r, float(taken["encoder"][j]), floors.encoder[j], old.encoder[j])
     driven = [torque[j] for j in actuated]
@@ -293,7 +293,7 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
     for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):
         measured, predicted = dict(s.imu), {}
         for j in np.flatnonzero(problem.has_encoder):
-            column = angle_column(mechanism, j)
+            column = angle_column(mechanism, int(j))
             measured[column], predicted[column] = s.angles[:, j], x.q[where, j]
         if s.imu:
             ax, ay = accelerometer(x.q[where, 0], x.v[where, 0], qdd[where, 0], mechanism.lever_arm,

@@ -36,7 +36,7 @@ def rehearse(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet
     noise = state.noise
     for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):
         angles = s.angles.copy()
-        for j in np.flatnonzero(problem.has_encoder):
+        for j in map(int, np.flatnonzero(problem.has_encoder)):
             true = run.readings[f"encoder{j + 1}"][where]
             grid = quantum(s.angles[:, j])
             if grid > 0.0 and noise.encoder[j] < grid:

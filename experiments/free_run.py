@@ -57,7 +57,7 @@ def free_runs(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: Float
     where = np.flatnonzero(alive)
     q, qd = np.tile(q0, (where.size, 1)), np.tile(qd0, (where.size, 1))
     sign: FloatArray = np.sign(np.linalg.det(mechanism.inertia_matrix(q, beta[where])))
-    keep = np.abs(np.atleast_1d(sign)) > 0.0
+    keep = np.asarray(np.abs(np.atleast_1d(sign)) > 0.0)
     for k in range(samples):
         where, q, qd, sign = where[keep], q[keep], qd[keep], sign[keep]
         out[where, k] = q

@@ -79,8 +79,12 @@ def multisine(rng: np.random.Generator, time: np.ndarray, amplitude: float, low:
 def record(leg: Leg, rng: np.random.Generator, *, seconds: float = 20.0, rate_hz: float = 100.0,
            amplitude: float = 1.2, gyro: float = 0.005, accel: float = 0.05, torque: float = 0.02,
            counts: int = 8192, hold: str = "linear", step: float = 5e-4, high: float = 3.0,
-           friction_velocity: float = 3e-3, tau: np.ndarray | None = None, name: str = "run") -> Dataset:
-    """Simulate, sample and disturb one run; `hold` says how the true torque moves between samples."""
+           friction_velocity: float = 3e-3, tau: np.ndarray | None = None, name: str = "run",
+           spring: tuple[float, float] = (0.0, 0.0)) -> Dataset:
+    """Simulate, sample and disturb one run; `hold` says how the true torque moves between samples.
+
+    `spring` is (stiffness [N m/rad], rest angle [rad]) of a spring on the pivot.
+    """
     model = leg.model(step)
     data = mujoco.MjData(model)
     n = int(seconds * rate_hz)
@@ -97,6 +101,7 @@ def record(leg: Leg, rng: np.random.Generator, *, seconds: float = 20.0, rate_hz
             friction = -coulomb * np.tanh(data.qvel / friction_velocity)
             data.qfrc_applied[:] = friction
             data.qfrc_applied[1] += u
+            data.qfrc_applied[0] -= spring[0] * (data.qpos[0] - spring[1])
             if i == 0:
                 mujoco.mj_forward(model, data)
                 s = data.sensordata

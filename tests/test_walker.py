@@ -76,7 +76,8 @@ def masses(theta: np.ndarray, rates: np.ndarray) -> list[tuple[float, np.ndarray
 
 def momentum(q: np.ndarray, qd: np.ndarray, about: np.ndarray) -> float:
     absolute = biped3().transform
-    return sum(m * float((p - about)[0] * v[1] - (p - about)[1] * v[0]) for m, p, v in masses(absolute @ q, absolute @ qd))
+    found = masses(absolute @ q, absolute @ qd)
+    return sum(m * float((p - about)[0] * v[1] - (p - about)[1] * v[0]) for m, p, v in found)
 
 
 def momentum_before(qd: np.ndarray) -> float:

@@ -1,0 +1,88 @@
+"""Effects and the diagnosis's statistics; whole diagnoses of the blind bench are `make blind`."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq.dataset import Dataset
+from estimator.diagnosis import diagnose
+from estimator.effects import CLASSES, library
+from estimator.extended import Candidate, ExtendedProblem, Stage, slopes
+from estimator.latent import Latents
+from estimator.mechanism import leg2
+from estimator.options import FitOptions
+from estimator.signalset import split_signals
+from tests.mujoco_leg import Leg, record
+
+CONTRACT = {
+    "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "presliding_friction", "quadratic_drag",
+    "friction_drift", "joint_stiffness", "joint_elasticity", "backlash", "rotor_inertia", "end_stop_contact",
+    "base_compliance", "torque_ripple", "torque_offset", "torque_saturation", "torque_delay", "sensor_time_skew",
+    "gyro_bias", "gyro_scale", "accelerometer_bias", "imu_misalignment", "imu_lever_arm", "encoder_offset",
+    "encoder_scale", "encoder_eccentricity"}
+
+
+def test_the_library_is_the_contract() -> None:
+    assert {c.name for c in CLASSES} == CONTRACT
+
+
+@pytest.fixture(scope="module")
+def runs() -> tuple[Leg, list[Dataset]]:
+    leg = Leg()
+    return leg, [record(leg, np.random.default_rng(600 + k), seconds=10.0, name=f"r{k + 1}") for k in range(4)]
+
+
+def test_every_effect_vanishes_at_zero_size_and_acts_at_its_scale(runs: tuple[Leg, list[Dataset]]) -> None:
+    leg, data = runs
+    mechanism = leg2(lever_arm=leg.lever)
+    signals = split_signals(data[:1], mechanism, FitOptions())
+    reach = np.array([[-1.0, 1.0], [-1.5, 1.5]])
+    problem = ExtendedProblem(signals, mechanism, "linear", Stage((0,), (0.0,), (0.0,), reach, 50.0))
+    q = np.stack([data[0]["q1_rad"], data[0]["q2_rad"]], axis=-1)
+    v = np.gradient(q, 0.01, axis=0)
+    view = problem.view(Latents(q, v, problem.torque), leg.beta())
+    effects, _ = library(mechanism, True)
+    assert len(effects) > 25
+    for effect in effects:
+        for shape in effect.grid():
+            zero = effect.perturb(view, np.array([0.0] * len(effect.sizes) + list(shape)))
+            for part in (zero.torque, zero.torque_at_samples, *zero.readings.values()):
+                assert part is None or np.all(part == 0.0), effect.key
+            size = np.array([s.scale for s in effect.sizes] + list(shape))
+            acting = effect.perturb(view, size)
+            parts = [p for p in (acting.torque, *acting.readings.values()) if p is not None]
+            assert any(np.any(p != 0.0) for p in parts), effect.key
+            assert all(np.isfinite(p).all() for p in parts), effect.key
+        assert len(slopes(effect, view, size)) == effect.count
+        assert Candidate(effect, shape).width == len(effect.sizes)
+
+
+def test_a_stiff_pivot_is_named_with_its_size(runs: tuple[Leg, list[Dataset]]) -> None:
+    leg, data = runs
+    stiffness = 0.8
+    hidden = []
+    for k, run in enumerate(data):
+        rng = np.random.default_rng(700 + k)
+        hidden.append(record(leg, rng, seconds=10.0, name=run.name, spring=(stiffness, 0.2)))
+    found = diagnose(hidden, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), seed=1)
+    assert found.verdict in ("named", "one_of"), found.sentence
+    causes = {(c.effect, c.joint): c for c in found.causes}
+    assert ("joint_stiffness", 1) in causes, found.sentence
+    size = causes[("joint_stiffness", 1)].size[0]
+    assert size.value == pytest.approx(stiffness, rel=0.25)
+    assert found.gap_closed is not None and found.gap_closed > 0.8
+
+
+def test_nothing_hidden_is_never_named(runs: tuple[Leg, list[Dataset]]) -> None:
+    leg, data = runs
+    found = diagnose(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), seed=1)
+    assert found.verdict == "none", found.sentence
+    assert all(r.smallest_detectable > 0 for r in found.candidates)
+
+
+def test_too_little_data_is_refused_in_words() -> None:
+    run = record(Leg(), np.random.default_rng(9), seconds=3.0)
+    found = diagnose([run], leg2(lever_arm=0.2), FitOptions(sensors="imu"))
+    assert found.verdict == "fit_failed"
+    assert "record" in found.sentence
