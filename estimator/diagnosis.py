@@ -244,7 +244,7 @@ def judged(desk: Desk, explained: Explained) -> Explained:
     best_named = int(np.argmax(gains[: desk.named]))
     gain = explained.gain / float(np.median(left.inflation))
     small = max(LEFT_OVER * gain, desk.material(desk.session.discover))
-    closed = p_of(desk, left, best) > ALPHA or gains[best] < small
+    closed = gain > desk.material(desk.session.discover) and (p_of(desk, left, best) > ALPHA or gains[best] < small)
     return Explained(model, gain, left, best, best_named, closed)
 
 

@@ -29,9 +29,9 @@ from estimator.signalset import SignalSet
 
 FloatArray = NDArray[np.float64]
 Index = NDArray[np.intp]
-STARTS = ((3, False), (1, True), (2, True), (1, False), (4, False), (2, False))
-"""In the order in which they are tried: polynomial degree of a noisy joint's first motion, and whether the first
-body is without inertial couplings."""
+STARTS: tuple[tuple[int, float | None], ...] = ((2, 0.5), (2, 1.0), (3, None), (3, 0.5), (2, 0.2), (4, 1.0))
+"""In the order in which they are tried: polynomial degree of a noisy joint's first motion, and length [m] of the
+uniform rods that are the first body (None: least squares on the first motion)."""
 MISFIT_SPREADS = 1.5
 """A sum of squares this many standard deviations above its mean under the known noise is looked at again."""
 INNER_STEPS = 8
@@ -111,23 +111,24 @@ def search(problem: BatchProblem, records: Records) -> Searched:
     """Best beta and motion of each record from up to len(STARTS) starts."""
     found = empty(records, problem.mechanism.p)
     mean, spread = expected_misfit(problem, records.angles.shape[1])
-    for degree, plain in STARTS:
+    for degree, length in STARTS:
         where = np.flatnonzero(~(found.converged & (found.objective < mean + MISFIT_SPREADS * spread)))
         if where.size == 0:
             break
         part = records.pick(where)
-        tried = descend(problem, part, *first_guess(problem, part, degree, plain))
+        tried = descend(problem, part, *first_guess(problem, part, degree, length))
         better = (tried.objective < found.objective[where] - 1e-3) | ~np.isfinite(found.objective[where])
         found.put(where, tried, better)
     return found
 
 
 def first_guess(problem: BatchProblem, records: Records, degree: int,
-                plain: bool = False) -> tuple[FloatArray, FloatArray]:
-    """Latents (R, N, 3 n) and beta (R, p): a smooth motion, then least squares.
+                length: float | None) -> tuple[FloatArray, FloatArray]:
+    """Latents (R, N, 3 n) and beta (R, p): a smooth motion, and a body.
 
     Exact joints are splines. A noisy joint is a polynomial plus multiples of the exact joints' angles: momentum
-    is smoother than any one rate, so where the others jerk, this one jerks in proportion.
+    is smoother than any one rate, so where the others jerk, this one jerks in proportion. The body is one of
+    uniform rods (`rods`), or least squares on that motion; noise in the motion pulls the latter towards nothing.
     """
     c = problem.collocation
     runs, samples, n = records.angles.shape
@@ -145,54 +146,69 @@ def first_guess(problem: BatchProblem, records: Records, degree: int,
         weights = np.linalg.pinv(shapes) @ records.angles[..., j, None]
         q[..., j], v[..., j] = (shapes @ weights)[..., 0], (slopes @ weights)[..., 0]
     x = np.concatenate([q, v, records.torque], axis=-1)
-    single = regress(c, q, v, records.torque, plain=True)
-    return x, single if plain else _made_body(problem, x, regress(c, q, v, records.torque), single)
+    z, torque = interval_means(c, q, v, records.torque)
+    return x, regress(c.mechanism, z, torque) if length is None else rods(c.mechanism, z, torque, length)
 
 
-def _made_body(problem: BatchProblem, x: FloatArray, beta: FloatArray, plain: FloatArray) -> FloatArray:
-    """`beta` (R, p), moved towards the estimate without couplings just so far that it is a body's."""
-    out = plain.copy()
-    open_ = np.ones(len(beta), dtype=bool)
-    for share in (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9):
-        mixed = (1.0 - share) * beta + share * plain
-        good = open_ & _is_body(problem, x, mixed, margin=1e-3)
-        out[good] = mixed[good]
-        open_ &= ~good
-    return out
-
-
-def regress(c: Collocation, q: FloatArray, v: FloatArray, torque: FloatArray, plain: bool = False) -> FloatArray:
-    """beta (R, p) by (28) on interval means of the equation of motion; all (R, N, n).
-
-    Joints are weighted by their own residual's variance, found in three passes. Masses, moments and friction are
-    kept from falling below zero. `plain` leaves out the inertial couplings between links.
-    """
+def interval_means(c: Collocation, q: FloatArray, v: FloatArray,
+                   torque: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Z (R, M, n, p) and torque (R, M, n), each the mean over an interval, of motions q, v under torque (R, N, n)."""
     runs, samples, n = q.shape
     left = np.delete(np.arange(runs * samples), np.s_[samples - 1 :: samples])
     motion = c.motion(q.reshape(-1, n), v.reshape(-1, n), left)
     z = c.to_joint(c.terms(motion)[0]).mean(axis=2)  # (p, n, K)
     u = c.torque(torque.reshape(-1, n), left).mean(axis=1)
     inner = slice(2, samples - 3)  # splines and polynomials are worst at their ends
-    z = z.reshape(*z.shape[:2], runs, samples - 1)[..., inner].transpose(2, 3, 1, 0)  # (R, M, n, p)
-    u = u.reshape(n, runs, samples - 1)[..., inner].transpose(1, 2, 0)
-    sigma = np.ones((runs, 1, n))
+    return (z.reshape(*z.shape[:2], runs, samples - 1)[..., inner].transpose(2, 3, 1, 0),
+            u.reshape(n, runs, samples - 1)[..., inner].transpose(1, 2, 0))
+
+
+def rods(mechanism: Mechanism, z: FloatArray, torque: FloatArray, length: float) -> FloatArray:
+    """beta (R, p) of equal uniform rods of this length [m], so heavy that they need as much torque as was measured.
+
+    A rod of mass m whose end carries k others has p_ii = m length^2 (1/3 + k), p_ij = m length^2 (1/2 + k_j) with
+    each j that it carries, and first moment m length (1/2 + k). z (R, M, n, p), torque (R, M, n).
+    """
+    carried = np.zeros(mechanism.n)
+    for a in mechanism.parameters:
+        if a.term == "inertia" and a.at[0] < a.at[1]:
+            carried[a.at[0]] += 1.0
+    shape = np.zeros(mechanism.p)
+    inside = abs(mechanism.gravity) == 1.0  # gravity is part of the parameter, not a factor of it
+    for k, a in enumerate(mechanism.parameters):
+        if a.term == "inertia":
+            shape[k] = length**2 * (1.0 / 3.0 if a.at[0] == a.at[1] else 0.5)
+            shape[k] += length**2 * carried[a.at[1]]
+        elif a.term == "gravity":
+            shape[k] = length * (0.5 + carried[a.at[0]]) * (mechanism.gravity_mps2 if inside else 1.0)
+    driven = list(mechanism.actuated)
+    needed = np.einsum("rmnp,p->rmn", z[:, :, driven], shape)
+    mass = np.sqrt(np.sum(torque[:, :, driven] ** 2, axis=(1, 2)) / np.sum(needed**2, axis=(1, 2)))
+    return mass[:, None] * shape
+
+
+def regress(mechanism: Mechanism, z: FloatArray, torque: FloatArray) -> FloatArray:
+    """beta (R, p) by (28) from z (R, M, n, p) and torque (R, M, n).
+
+    Joints are weighted by their own residual's variance, found in three passes. Masses, moments and friction are
+    kept from falling below zero.
+    """
+    runs = len(z)
+    sigma = np.ones((runs, 1, mechanism.n))
     positive = np.array([a.term != "offset" and (a.term != "inertia" or a.at[0] == a.at[1])
-                         for a in c.mechanism.parameters])
+                         for a in mechanism.parameters])
     low = np.where(positive, 0.0, -np.inf)
-    coupling = np.array([a.term == "inertia" and a.at[0] != a.at[1] for a in c.mechanism.parameters])
-    high = np.where(plain & coupling, 1e-9, np.inf)
-    low[coupling & plain] = 0.0
     for _ in range(3):
         a = (z / sigma[..., None]).reshape(runs, -1, z.shape[-1])
         scale = np.linalg.norm(a, axis=1)
         scale[scale == 0.0] = 1.0
         a = a / scale[:, None]
-        y = (u / sigma).reshape(runs, -1)
+        y = (torque / sigma).reshape(runs, -1)
         beta: FloatArray = (np.linalg.pinv(a, rcond=1e-10) @ y[..., None])[..., 0]
-        for r in np.flatnonzero(((beta < low) | (beta > high)).any(axis=1)):
-            beta[r] = lsq_linear(a[r], y[r], (low, high), method="bvls").x
+        for r in np.flatnonzero((beta < low).any(axis=1)):
+            beta[r] = lsq_linear(a[r], y[r], (low, np.inf), method="bvls").x
         beta /= scale
-        residual = u - np.einsum("rmnp,rp->rmn", z, beta)
+        residual = torque - np.einsum("rmnp,rp->rmn", z, beta)
         sigma = np.sqrt(np.mean(residual**2, axis=1, keepdims=True)) + 1e-9
     return beta
 

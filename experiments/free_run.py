@@ -65,7 +65,8 @@ def free_runs(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: Float
             break
         with np.errstate(over="ignore", invalid="ignore"):
             q, qd = advance(mechanism, beta[where], q, qd, torque[k], dt_s, substeps)
-            fit = np.isfinite(qd).all(axis=1) & np.isfinite(q).all(axis=1) & (np.abs(qd) < RATE_LIMIT).all(axis=1)
+            bounded = np.isfinite(qd) & np.isfinite(q) & (np.abs(qd) < RATE_LIMIT)
+        fit = np.asarray(np.all(bounded, axis=1))
         safe = np.where(fit[:, None], q, 0.0)
         keep = fit & (np.sign(np.linalg.det(mechanism.inertia_matrix(safe, beta[where]))) == sign)
     failed = ~np.isfinite(out[:, -1]).all(axis=1)

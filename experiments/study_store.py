@@ -14,7 +14,7 @@ from experiments.executor import Executor
 from experiments.output import make_directory
 from experiments.study import Block, BlockResult, run_block
 
-FORMAT = 1
+FORMAT = 2
 """Raised whenever the study's data or methods change: files of another format are done again."""
 FIELDS = ("beta", "std", "error", "converged", "failed")
 
