@@ -46,13 +46,13 @@ PAIRS = 4
 MATERIAL = 0.003
 """Least gain of a material effect: this much of twice the log likelihood a sample. Smaller ones can be
 significant in long records (microseconds of skew, a per mille of scale) and change no simulation."""
-LEFT_OVER = 0.1
+LEFT_OVER = 0.03
 """What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
 LEFT_OVER_CONFIRM = 0.3
 """The same on the confirm runs, where parameters are not re-fitted."""
 LEAST_CLOSED = 0.5
 """Least share of the free-run gap that a named cause closes on the confirm runs."""
-TIE = 0.06
+TIE = 0.02
 """Explanations within this share of the best one's gain are not told apart."""
 TIE_GAIN = 8.0
 """... or within this much of twice the log likelihood."""
@@ -180,7 +180,7 @@ def explain(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
     starts = [[(desk.candidates[i].effect, start_size(desk, tests, i))] for i in promising]
     singles = weigh(desk, starts)
     say("looking at what they leave over", 0.6)
-    singles = [judged(desk, s) for s in singles[:4]]
+    singles = judge(desk, singles[:4])
     if any(s.closed for s in singles) or not singles:
         return singles
     say("trying pairs", 0.7)
@@ -231,8 +231,17 @@ def fit_extension(desk: Desk, start: Sequence[tuple[Effect, FloatArray]]) -> Mod
 _NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
 
 
-def judged(desk: Desk, explained: Explained) -> Explained:
-    """With what it leaves over on the discover runs, and its gain over the scatter."""
+def judge(desk: Desk, explained: Sequence[Explained]) -> list[Explained]:
+    """Each with what it leaves over, gains over the scatter that the most likely one leaves."""
+    if not explained:
+        return []
+    first = judged(desk, explained[0], None)
+    scatter = float(np.median(first.left.inflation))
+    return [first, *(judged(desk, e, scatter) for e in explained[1:])]
+
+
+def judged(desk: Desk, explained: Explained, scatter: float | None) -> Explained:
+    """With what it leaves over on the discover runs, and its gain over the scatter (by default its own)."""
     model = explained.model
     scores = score_discover(desk.session, model, desk.candidates)
     bias = [padded(b, model.problem.parameter_count - desk.session.mechanism.p, desk.session.mechanism.p)
@@ -242,7 +251,7 @@ def judged(desk: Desk, explained: Explained) -> Explained:
     gains = [left.gain(c) if desk.candidates[i].effect.key not in own else 0.0 for i, c in enumerate(desk.columns)]
     best = int(np.argmax(gains))
     best_named = int(np.argmax(gains[: desk.named]))
-    gain = explained.gain / float(np.median(left.inflation))
+    gain = explained.gain / (float(np.median(left.inflation)) if scatter is None else scatter)
     small = max(LEFT_OVER * gain, desk.material(desk.session.discover))
     closed = gain > desk.material(desk.session.discover) and (p_of(desk, left, best) > ALPHA or gains[best] < small)
     return Explained(model, gain, left, best, best_named, closed)
@@ -251,6 +260,18 @@ def judged(desk: Desk, explained: Explained) -> Explained:
 def padded(score: RunScore, added: int, at: int) -> RunScore:
     """A nominal run's bias as one of a model with `added` more parameters after the first `at`."""
     return RunScore(np.insert(score.score, [at] * added, 0.0), score.information)
+
+
+def borrowed(desk: Desk, run: RunScore, added: int, at: int) -> RunScore:
+    """Mean bias of the discover runs, scaled column by column to what this run informs of.
+
+    A run that never reaches a stop says nothing of it, and has no bias about it either.
+    """
+    score = np.mean([b.score for b in desk.bias], axis=0)
+    known = np.mean([np.diag(b.information) for b in desk.bias], axis=0)
+    here = np.delete(np.diag(run.information), np.arange(at, at + added))
+    share = np.clip(here / np.maximum(known, 1e-100), 0.0, 3.0)
+    return padded(RunScore(score * share, desk.bias[0].information), added, at)
 
 
 def grow(desk: Desk, parents: Sequence[Explained], most: int) -> list[Explained]:
@@ -263,7 +284,7 @@ def grow(desk: Desk, parents: Sequence[Explained], most: int) -> list[Explained]
                 begin = list(zip(parent.model.effects, parent.model.sizes()))
                 starts.append([*begin, (desk.candidates[i].effect, start_size(desk, parent.left, i))])
     unique = {tuple(sorted(e.key for e, _ in s)): s for s in reversed(starts)}
-    return [judged(desk, s) for s in weigh(desk, list(unique.values()))[:3]]
+    return judge(desk, weigh(desk, list(unique.values()))[:3])
 
 
 def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.random.Generator) -> Diagnosis:
@@ -304,8 +325,7 @@ def confirmed(desk: Desk, explained: Explained) -> bool:
     session, model = desk.session, explained.model
     scores = score_confirm(session, model, desk.candidates)
     p = session.mechanism.p
-    mean = RunScore(np.mean([b.score for b in desk.bias], axis=0), desk.bias[0].information)
-    bias = [padded(mean, model.problem.parameter_count - p, p)] * len(scores)
+    bias = [borrowed(desk, r, model.problem.parameter_count - p, p) for r in scores]
     left = tests_of(session, model, scores, bias, explained.left)
     own = {e.key for e in model.effects}
     share = len(session.confirm) / len(session.discover)

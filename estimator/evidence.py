@@ -20,6 +20,8 @@ from estimator.wls import free_mask
 
 FloatArray = NDArray[np.float64]
 REHEARSALS = 2
+SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
+"""Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +103,12 @@ def smooth(session: Session, model: Model, run: int, start: Latents | None = Non
         begin = start_state(problem, own, session.mechanism, session.options,
                             np.zeros(session.mechanism.p, dtype=bool), model.state.beta[: session.mechanism.p])
         start = begin.x
-    state = State(start, model.state.beta.copy(), model.state.noise, model.state.covariance)
-    iterate(problem, state, np.zeros(state.beta.size, dtype=bool), session.options, None, 25)
+    noise, held = model.state.noise, np.zeros(model.state.beta.size, dtype=bool)
+    state = State(start, model.state.beta.copy(), noise, model.state.covariance)
+    for slack, limit in SLACK:  # a small model error, enforced at once from far off, does not settle
+        torque = noise.torque * np.where(np.isin(np.arange(problem.n), session.mechanism.actuated), 1.0, slack)
+        state.noise = replace(noise, torque=torque)
+        iterate(problem, state, held, session.options, None, limit)
     return problem, state
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,9 +130,7 @@ class LatentProblem:
 
     def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
         """Residuals, Gauss-Newton blocks and border at (x, beta); columns of `extra` follow those of beta."""
-        n, b, left = self.n, self.block, self.left
-        count = left.size
-        c = self.collocation
+        b, left, c = self.block, self.left, self.collocation
         motion = c.motion(x.q, x.v, left)
         z_raw, slopes = c.terms(motion)
         z = c.to_joint(z_raw)  # (p, n, 2, K)
@@ -140,38 +139,30 @@ class LatentProblem:
             defect = defect + extra.torque
         # (n, 2, 4, n, K)
         jac = c.jacobian(slopes, beta, motion.angle.shape[1:], None if extra is None else extra.slopes)
-        blocks = np.zeros((count, 2 * n, 2, 3, n))  # row, end of interval, variable, joint
-        blocks[:, :, :, :2, :] = jac.transpose(4, 1, 0, 2, 3).reshape(count, 2 * n, 2, 2, n)
-        for i in range(n):
-            blocks[:, i::n, :, 2, i] = -c.torque_weights
-        rows = blocks.reshape(count, 2 * n, 2 * b)
-        scale = np.tile(1.0 / (TIGHT * noise.torque), 2)
-        scaled = rows * scale[:, None]
-        r = defect.transpose(2, 1, 0).reshape(count, 2 * n) * scale
         if extra is not None:
             z = np.concatenate([z, extra.torque_columns])
-        zr = z.transpose(3, 2, 1, 0).reshape(count, 2 * n, -1) * scale[:, None]  # (K, 2n, p + k)
         residuals: dict[str, FloatArray] = {"defect": defect}
-        objective = float(np.sum(r * r))
-        transposed = np.swapaxes(scaled, -1, -2)
-        local = transposed @ scaled
-        local_gradient = (transposed @ r[..., None])[..., 0]
-        local_border = transposed @ zr
+        equations = self._equations(jac, z, defect, 1.0 / (TIGHT * noise.torque))
+        width = 2 * b + z.shape[0]
+        local = equations[:, :, : 2 * b].swapaxes(1, 2) @ equations
+        tall = equations[:, :, 2 * b :].reshape(-1, z.shape[0] + 1)
+        square = tall.T @ tall
+        corner, gradient_beta, objective = square[:-1, :-1], square[:-1, -1], float(square[-1, -1])
 
         diagonal = np.zeros((self.total, b, b))
         lower = np.zeros((self.total - 1, b, b))
         gradient = np.zeros((self.total, b))
-        border = np.zeros((self.total, b, zr.shape[-1]))
-        diagonal[left] += local[:, :b, :b]
-        diagonal[left + 1] += local[:, b:, b:]
-        lower[left] = local[:, b:, :b]
-        gradient[left] += local_gradient[:, :b]
-        gradient[left + 1] += local_gradient[:, b:]
-        border[left] += local_border[:, :b]
-        border[left + 1] += local_border[:, b:]
-        flat = zr.reshape(-1, zr.shape[-1])
-        corner, gradient_beta = flat.T @ flat, flat.T @ r.ravel()
-        accel_rows, za = np.empty((0, 2, b)), np.empty((0, 2, zr.shape[-1]))
+        border = np.zeros((self.total, b, z.shape[0]))
+        for here, first, last in self._spans:
+            part = local[here]
+            diagonal[first:last], diagonal[first + 1 : last + 1] = part[:, :b, :b], part[:, b:, b : 2 * b]
+            diagonal[first + 1 : last] += part[1:, :b, :b]
+            lower[first:last] = part[:, b:, :b]
+            gradient[first:last] = part[:, :b, width]
+            gradient[first + 1 : last + 1] += part[:, b:, width]
+            border[first:last] = part[:, :b, 2 * b : width]
+            border[first + 1 : last + 1] += part[:, b:, 2 * b : width]
+        accel_rows, za = np.empty((0, 2, b)), np.empty((0, 2, z.shape[0]))
         if self.has_imu:
             accel_rows, ra, za = self._accelerometer(x, beta, extra)
             residuals["accel"] = ra
@@ -187,6 +178,29 @@ class LatentProblem:
             self._node_columns(extra, noise, residuals, border, corner, gradient_beta)
         return Linearised(objective, diagonal, lower, gradient.ravel(), border.reshape(self.total * b, -1),
                           corner, gradient_beta, accel_rows, za, residuals, extra)
+
+    @cached_property
+    def _spans(self) -> list[tuple[slice, int, int]]:
+        """(its intervals, first sample, last sample) of every stretch."""
+        spans, done = [], 0
+        for first, end in zip(np.concatenate([[0], self.ends[:-1]]), self.ends):
+            count = int(end - first) - 1
+            spans.append((slice(done, done + count), int(first), int(end) - 1))
+            done += count
+        return spans
+
+    def _equations(self, jac: FloatArray, z: FloatArray, defect: FloatArray, weight: FloatArray) -> FloatArray:
+        """Weighted rows of the equation of motion, (K, 2 n, 2 b + p + 1): by both ends' latents, by beta, residual."""
+        n, count, columns = self.n, self.left.size, z.shape[0]
+        out = np.empty((count, 2, n, 6 * n + columns + 1))
+        ends = np.zeros((2, n, 2, 3, n, count))  # Gauss point, joint; end of interval, variable, its joint
+        for i in range(n):
+            np.multiply(jac[i].reshape(2, 2, 2, n, count), weight[i], out=ends[:, i, :, :2])
+            ends[:, i, :, 2, i] = -weight[i] * self.collocation.torque_weights[:, :, None]
+        out[..., : 6 * n] = ends.reshape(2, n, 6 * n, count).transpose(3, 0, 1, 2)
+        out[..., 6 * n : -1] = (z * weight[:, None, None]).transpose(3, 2, 1, 0)
+        out[..., -1] = (defect * weight[:, None, None]).transpose(2, 1, 0)
+        return out.reshape(count, 2 * n, -1)
 
     def _channels(self, noise: Noise) -> list[tuple[str, int, float]]:
         """(channel, column of its latent, sigma) of every sensor that reads one latent directly."""

@@ -29,7 +29,11 @@ def rehearse(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet
     Angles fall on the grid of the real encoder where it shows one; the other noise is white at the levels
     found. Raises `FitError` where the model's own simulation does not stay with the run.
     """
-    run = free_run(problem, state)
+    drive = state.x.u.copy()
+    for j in range(problem.n):
+        if j not in problem.mechanism.actuated:  # what the fit put there is what the model gets wrong
+            drive[:, j] = state.noise.torque[j] * rng.normal(size=problem.total)
+    run = free_run(problem, state, drive)
     if run is None:
         raise FitError("the fitted model's own simulation diverges")
     out = []

@@ -283,16 +283,15 @@ def _polish(problem: BatchProblem, records: Records, best: Searched) -> None:
         best.covariance[to] = pseudo_inverse(after.information[lower])
 
 
-def _is_body(problem: BatchProblem, x: FloatArray, beta: FloatArray, margin: float = 0.0) -> NDArray[np.bool_]:
+def _is_body(problem: BatchProblem, x: FloatArray, beta: FloatArray) -> NDArray[np.bool_]:
     """(R,) the inertia matrix is positive definite all along the motion; looked at on every fourth sample.
 
-    Its smallest eigenvalue must exceed `margin` times its largest. Where it is not, the model is no body's, and
-    minima of the sum of squares out there mean nothing.
+    Where it is not, the model is no body's, and minima of the sum of squares out there mean nothing.
     """
     inertia = problem.mechanism.inertia_matrix(x[:, ::4, : problem.n], beta[:, None])
     finite = np.asarray(np.isfinite(inertia).all(axis=(1, 2, 3)))
-    values = np.linalg.eigvalsh(np.where(finite[:, None, None, None], inertia, 0.0))
-    return np.asarray((values[..., 0] > margin * np.abs(values[..., -1])).all(axis=1))
+    lowest = np.linalg.eigvalsh(np.where(finite[:, None, None, None], inertia, 0.0))[..., 0]
+    return np.asarray((lowest > 0.0).all(axis=1))
 
 
 def _linearise_each(problem: BatchProblem, records: Records, x: FloatArray, beta: FloatArray,

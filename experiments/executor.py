@@ -96,7 +96,7 @@ class ClusterExecutor:
             futures = [client.submit(function, piece, pure=False, retries=RETRIES) for piece in pieces]
             index = {future.key: k for k, future in enumerate(futures)}
             try:
-                for future, result in distributed.as_completed(futures, with_results=True):
+                for future, result in distributed.as_completed(futures, loop=client.loop, with_results=True):
                     yield index[future.key], result
                     future.release()
             except distributed.KilledWorker as error:

@@ -56,8 +56,8 @@ def free_runs(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: Float
     alive = np.isfinite(beta).all(axis=1)
     where = np.flatnonzero(alive)
     q, qd = np.tile(q0, (where.size, 1)), np.tile(qd0, (where.size, 1))
-    sign: FloatArray = np.sign(np.linalg.det(mechanism.inertia_matrix(q, beta[where])))
-    keep = np.asarray(np.abs(np.atleast_1d(sign)) > 0.0)
+    sign = np.asarray(np.sign(np.linalg.det(mechanism.inertia_matrix(q, beta[where]))))
+    keep = np.asarray(sign != 0.0)
     for k in range(samples):
         where, q, qd, sign = where[keep], q[keep], qd[keep], sign[keep]
         out[where, k] = q

@@ -68,16 +68,22 @@ def run_study(work: Sequence[Block], folder: Path, executor: Executor,
     return results
 
 
+def require_parquet() -> None:
+    """Raises `InputError` where pyarrow is missing: better before a long study than after it."""
+    from importlib.util import find_spec
+
+    if find_spec("pyarrow") is None:
+        raise InputError("runs.parquet", "writing Parquet needs pyarrow", "pip install 'legid[parquet]'")
+
+
 def write_parquet(path: Path, results: dict[Block, BlockResult], names: Sequence[str]) -> None:
     """One row a run: case, method, run, estimates and their standard deviations, error, verdict.
 
-    Raises `InputError` where pyarrow is missing or `path` cannot be written.
+    Raises `InputError` where `path` cannot be written.
     """
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
-        raise InputError(str(path), "writing Parquet needs pyarrow", "pip install 'legid[parquet]'") from None
+    import pyarrow as pa
+    from pyarrow import parquet
+
     ordered = sorted(results.items(), key=lambda item: (item[0].case.number, item[0].method, item[0].first))
     columns: dict[str, object] = {
         "case": np.concatenate([np.full(b.count, b.case.number, dtype=np.int8) for b, _ in ordered]),

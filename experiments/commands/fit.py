@@ -23,6 +23,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="mle only: one consistent motion (default), or the paper's free samples")
     parser.add_argument("--fix", metavar="NAME=VALUE", action="append", default=[], type=_assignment,
                         help="give a parameter instead of estimating it, e.g. --fix beta8=0; may be repeated")
+    parser.add_argument("--each", action="store_true",
+                        help="fit every run alone, side by side; --json then has schema legid.fits/1")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=_count, metavar="N", help="with --each: local processes; default: one a core")
+    where.add_argument("--cluster", metavar="ADDRESS",
+                       help="with --each: an existing Dask scheduler that sees the same files")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON (schema legid.fit/1)")
     parser.add_argument("--html", metavar="FILE", help="write a report page")
     parser.add_argument("--model-out", metavar="MODEL.json", help="write the model for validate and simulate")
@@ -37,8 +43,37 @@ def _assignment(text: str) -> tuple[str, float]:
         raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE") from None
 
 
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 1024:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 1024")
+    return int(text)
+
+
+def _run_each(args: argparse.Namespace) -> int:
+    """Fit every run alone on the executor that was asked for."""
+    from pathlib import Path
+
+    from daq.errors import InputError
+    from experiments.executor import choose_executor
+    from experiments.output import work_bar, write_json
+    from experiments.refit import Refit, refit_all, refits_document, refits_text, verdict
+
+    if args.html or args.model_out:
+        raise InputError("--each", "makes no report and no model", "leave out --html and --model-out")
+    pieces = [Refit(str(Path(run).resolve()), str(Path(args.rig).resolve()), args.method, args.sensors, args.latent,
+                    dict(args.fix)) for run in args.runs]
+    with work_bar("fitting", len(pieces), "run") as done:
+        fits = refit_all(pieces, choose_executor(args.workers, args.cluster), done)
+    print(refits_text(fits))
+    if args.json:
+        write_json(args.json, refits_document(fits))
+    return verdict(fits)
+
+
 def run(args: argparse.Namespace) -> int:
     """Fit, print, write what was asked for. Raises `WorkError` when the fit did not converge."""
+    if args.each:
+        return _run_each(args)
     from daq.errors import WorkError
     from daq.rig import load_rig
     from estimator.fit import fit

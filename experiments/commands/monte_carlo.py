@@ -69,10 +69,11 @@ def run(args: argparse.Namespace) -> int:
     from experiments.report import write_page
     from experiments.study import CASES, FLOOR, blocks
     from experiments.study_report import study_sections, study_summary, study_text
-    from experiments.study_store import run_study, write_parquet
+    from experiments.study_store import require_parquet, run_study, write_parquet
     from experiments.study_table import make_table, table_document
     from experiments.walker import motor_mechanism
 
+    require_parquet()
     started = time.perf_counter()
     folder = Path(args.out)
     work = blocks([CASES[number - 1] for number in args.cases], [*args.methods, FLOOR], args.runs, args.seed)
