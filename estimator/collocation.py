@@ -47,6 +47,23 @@ def hold_weights(hold: str) -> FloatArray:
     return np.array([[1.0 - GAUSS[0], GAUSS[0]], [1.0 - GAUSS[1], GAUSS[1]]])
 
 
+def invert_small(matrices: FloatArray) -> FloatArray:
+    """Inverses of many small matrices (N, n, n) with sound pivots, by Gauss-Jordan on all of them at once.
+
+    A vanishing pivot gives values that are not finite.
+    """
+    a = np.ascontiguousarray(matrices.transpose(1, 2, 0))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for k in range(a.shape[0]):
+            pivot, column = 1.0 / a[k, k], a[:, k].copy()
+            row = a[k] * pivot
+            a -= column[:, None] * row
+            a[:, k] = column * -pivot
+            a[k] = row
+            a[k, k] = pivot
+    return np.ascontiguousarray(a.transpose(2, 0, 1))
+
+
 @dataclass(frozen=True)
 class Motion:
     """Features at the Gauss points of K intervals; each array (n, 2, K)."""
@@ -198,15 +215,15 @@ class Collocation:
         `added` (n, 5, n, N) are derivatives by features of torque already taken off u.
         """
         m = self.mechanism
-        qdd = m.forward_dynamics(q, v, u, beta)
+        inverse = invert_small(m.inertia_matrix(q, beta))
+        qdd = (inverse @ (u - m.bias_torque(q, v, beta))[..., None])[..., 0]
         at = (x.T[:, None, :] for x in (q, v, qdd, v, v))
         z_raw, slopes = self.terms(Motion(*at))
         own = self.feature_slopes(slopes, beta, (1, q.shape[0]))[:, :, :, 0]  # (n, 5, n, N)
         if added is not None:
             own = own + added
-        inverse = np.linalg.inv(own[:, ACCEL].transpose(2, 0, 1))
+            inverse = invert_small(own[:, ACCEL].transpose(2, 0, 1))
         by_angle = -inverse @ own[:, ANGLE].transpose(2, 0, 1)
         by_rate = -inverse @ (own[:, RATE] + own[:, RATE_FROM] + own[:, RATE_TO]).transpose(2, 0, 1)
         z = self.to_joint(z_raw)[:, :, 0].transpose(2, 1, 0)
-        slopes_of = np.asarray(np.stack([by_angle, by_rate, inverse]), dtype=np.float64)
-        return qdd, slopes_of, z, np.asarray(inverse, dtype=np.float64)
+        return qdd, np.stack([by_angle, by_rate, inverse]), z, inverse

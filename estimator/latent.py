@@ -166,13 +166,15 @@ class LatentProblem:
         if self.has_imu:
             accel_rows, ra, za = self._accelerometer(x, beta, extra)
             residuals["accel"] = ra
-            objective += float(np.sum(ra * ra)) / noise.accel**2
-            transposed = np.swapaxes(accel_rows, -1, -2) / noise.accel**2
-            diagonal += transposed @ accel_rows
-            gradient += (transposed @ ra[..., None])[..., 0]
-            border += transposed @ za
-            corner += np.tensordot(za, za, axes=((0, 1), (0, 1))) / noise.accel**2
-            gradient_beta += np.tensordot(za, ra, axes=((0, 1), (0, 1))) / noise.accel**2
+            rows = np.concatenate([accel_rows, za, ra[..., None]], axis=-1) / noise.accel
+            local = rows[..., :b].swapaxes(1, 2) @ rows
+            diagonal += local[..., :b]
+            border += local[..., b:-1]
+            gradient += local[..., -1]
+            tall = rows[..., b:].reshape(-1, z.shape[0] + 1)
+            square = tall.T @ tall
+            corner, gradient_beta = corner + square[:-1, :-1], gradient_beta + square[:-1, -1]
+            objective += float(square[-1, -1])
         objective += self._node_rows(x, noise, diagonal, gradient, residuals, extra)
         if extra is not None:
             self._node_columns(extra, noise, residuals, border, corner, gradient_beta)

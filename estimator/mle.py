@@ -44,9 +44,11 @@ TORQUE_SHARE = 0.4
 PASSIVE_SHARE = 0.1
 """... the least model error of a passive joint as a share of the driven joints' noise. Without both a model that
 is far wrong ends at beta = 0, where the passive joint's equation holds exactly and all torque is noise."""
-PASSIVE_WAIT = 4
+SETTLED_NOISE = 3e-3
+"""Noise levels that last moved by less than this share keep the degrees of freedom of the step before."""
+PASSIVE_WAIT = 1
 STEEP = 0.95
-PASSIVE_HASTE = 2.5
+PASSIVE_HASTE = 4.0
 """Where a passive joint's model error is nil its level falls by a constant factor a step; after PASSIVE_WAIT
 steps a fall steeper than STEEP is taken to this power."""
 
@@ -153,7 +155,8 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     `floors` None keeps the noise levels. Sets `state.converged`; raises `FitError`.
     """
     index = np.flatnonzero(free)
-    settled, share, lowest = 0, 1.0, np.inf
+    settled, share, lowest, change = 0, 1.0, np.inf, np.inf
+    p_diagonal = np.empty(0)
     before = np.zeros(index.size)
     for iteration in range(limit):
         state.iterations = iteration + 1
@@ -185,9 +188,11 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         state.covariance[np.ix_(index, index)] = covariance
         if not np.isfinite(state.beta).all():
             raise FitError("the fit ran away; the starting values are too far from the data")
-        change = 0.0
-        if floors is not None:
-            p_diagonal, _ = blocktri.inverse_band(point.diagonal, point.lower)
+        if floors is None:
+            change = 0.0
+        else:
+            if change > SETTLED_NOISE:
+                p_diagonal, _ = blocktri.inverse_band(point.diagonal, point.lower)
             residuals = problem.residuals_after(point, step, step_beta, index)
             change = _update_noise(problem, state, point, p_diagonal, residuals, options, floors)
         std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))

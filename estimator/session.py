@@ -39,6 +39,8 @@ class Session:
     screen: tuple[int, ...]
     confirm: tuple[int, ...]
     gear_ratio: float
+    velocity_scale: float
+    """The rig's own rounding of sign(qd); the mechanism here has at least ROUNDING_RADPS."""
     single: bool
     """One run only, cut by time: weaker evidence, for its parts are not independent."""
 
@@ -50,6 +52,10 @@ class Session:
     @property
     def has_imu(self) -> bool:
         return bool(self.runs[0][0].imu)
+
+    def sharp(self) -> Session:
+        """The same with the rig's own rounding of sign(qd)."""
+        return replace(self, mechanism=replace(self.mechanism, velocity_scale=self.velocity_scale))
 
     def signals(self, which: Sequence[int]) -> list[SignalSet]:
         """All stretches of these runs."""
@@ -69,7 +75,8 @@ class Session:
 def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
                  gear_ratio: float = 1.0) -> Session:
     """Split runs: of four in turn two fit, one screens, one confirms. Raises `FitError` where there is too little."""
-    mechanism = replace(mechanism, velocity_scale=max(mechanism.velocity_scale, ROUNDING_RADPS))
+    own_scale = mechanism.velocity_scale
+    mechanism = replace(mechanism, velocity_scale=max(own_scale, ROUNDING_RADPS))
     single = len(datasets) == 1
     if single:
         datasets = _parts(datasets[0])
@@ -87,7 +94,7 @@ def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     screen = [i for i in range(count) if i % 4 == 1 and i not in confirm]
     fit = [i for i in range(count) if i not in confirm and i not in screen]
     return Session(mechanism, options, tuple(d.name for d in datasets), tuple(runs), tuple(map(float, starts)),
-                   tuple(fit), tuple(screen), tuple(confirm), gear_ratio, single)
+                   tuple(fit), tuple(screen), tuple(confirm), gear_ratio, own_scale, single)
 
 
 def _parts(data: Dataset) -> list[Dataset]:

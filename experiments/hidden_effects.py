@@ -93,4 +93,4 @@ EFFECTS: dict[str, Hidden] = {hidden.effect: hidden for hidden in (
     Hidden("gyro_bias", None, "a gyro that reads 0.01 rad/s too much", gyro_bias_radps=0.01),
     Hidden("sensor_time_skew", None, "an IMU that is 4 ms late", imu_late_s=0.004),
 )}
-DEFAULT = "stribeck_friction"
+DEFAULT = "joint_stiffness"

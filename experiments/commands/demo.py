@@ -16,8 +16,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "the model does not know; excite it, record it, identify it, find out what the model gets wrong, "
                     "extend it, and write reports. Takes two minutes or three.")
     parser.add_argument("--out", metavar="DIR", default="demo-out", help="where the files go; default: demo-out")
-    parser.add_argument("--effect", metavar="NAME", choices=HIDEABLE, default="stribeck_friction",
-                        help=f"what is hidden in the leg: {', '.join(HIDEABLE)}; default: stribeck_friction")
+    parser.add_argument("--effect", metavar="NAME", choices=HIDEABLE, default="joint_stiffness",
+                        help=f"what is hidden in the leg: {', '.join(HIDEABLE)}; default: joint_stiffness")
     parser.add_argument("--runs", metavar="N", type=_runs, default=8, help="number of runs; default: 8")
     parser.add_argument("--seconds", metavar="S", type=_seconds, default=10.0, help="length of each run; default: 10")
     parser.add_argument("--seed", metavar="N", type=_seed, default=1,
