@@ -6,10 +6,12 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 from daq.calibration import imu_columns, joint_torque, knee_angle
 from daq.rig import Calibration
+from drivers.errors import DriverError
 from drivers.leg_controller import LegController, Received
 from drivers.lsm9ds1 import Lsm9ds1
 from drivers.protocol import FaultReport, Hello, Pong, Telemetry, describe_faults
@@ -36,7 +38,7 @@ class ControllerIntake:
             raise ValueError("open the leg controller before recording")
         self.boot_id = self.first_boot_id = controller.hello.boot_id
         self.heard_ns = now_ns()
-        """Host time of the last message."""
+        """Host time of the last telemetry. Heartbeats and answers do not count: they say nothing of the leg."""
         self.telemetry: Telemetry | None = None
         """The newest of this recording."""
         self._controller, self._sink, self._calibration = controller, sink, calibration
@@ -48,9 +50,9 @@ class ControllerIntake:
     def poll(self) -> None:
         """One read of the link, everything in it stamped and written. Raises `LinkLost`."""
         for received in self._controller.poll():
-            self.heard_ns = received.host_ns
             message = received.message
             if isinstance(message, Telemetry):
+                self.heard_ns = received.host_ns
                 self._on_telemetry(message, received.host_ns)
             elif isinstance(message, Pong):
                 self._on_pong(message, received)
@@ -128,25 +130,42 @@ class ControllerIntake:
 class ImuIntake:
     """Samples of the IMU. `drain` belongs to one thread."""
 
-    def __init__(self, imu: Lsm9ds1, sink: Sink, calibration: Calibration, now_ns: Callable[[], int]) -> None:
+    def __init__(self, imu: Lsm9ds1, sink: Sink, calibration: Calibration, now_ns: Callable[[], int],
+                 slow_hz: float = 0.0) -> None:
         self.heard_ns = now_ns()
         """Host time of the last drain that brought a sample."""
         self.gyro_radps = math.nan
         """Newest pivot speed [rad/s]; NaN before any sample."""
         self.samples = 0
         self._imu, self._sink, self._calibration = imu, sink, calibration
+        self._now_ns, self._slow_every_ns, self._slow_due_ns = now_ns, 1e9 / slow_hz if slow_hz else math.inf, 0
 
     def drain(self) -> None:
         """Everything in the FIFO, stamped and written. Raises `DriverError` when the chip has gone."""
+        self._drain()
+        if self._slow_every_ns < math.inf and self._now_ns() >= self._slow_due_ns:
+            self._slow_due_ns = self._now_ns() + round(self._slow_every_ns)
+            with suppress(DriverError):  # the FIFO says whether the chip is there; a temperature is no reason to stop
+                self._read_slow()
+
+    def _read_slow(self) -> None:
+        """Temperature, and the field where there is a magnetometer."""
+        field = self._imu.magnetometer.read() if self._imu.magnetometer else None
+        temperature, now = self._imu.temperature(), self._now_ns()
+        counts = (0, 0, 0) if field is None else field.raw.tolist()
+        self._sink.add("/imu/slow", now, now, temperature, *counts, int(field is not None))
+
+    def _drain(self) -> None:
         batch = self._imu.drain()
-        if batch.gap_before:
+        gap = batch.gap_before and self.samples > 0  # what the FIFO lost before the first sample belongs to no record
+        if gap:
             self._sink.event(batch.t_before_ns, "imu gap", batch.reason)
         if not len(batch.raw):
             return
         for i, counts in enumerate(batch.raw.tolist()):
             index = batch.first_index + i
             self._sink.add("/imu", batch.t_before_ns, batch.t_before_ns, batch.t_after_ns, index, *counts,
-                           int(batch.gap_before and i == 0), sequence=index % 2**32)
+                           int(gap and i == 0), sequence=index % 2**32)
         self.samples += len(batch.raw)
         self.heard_ns = batch.t_after_ns
         self.gyro_radps = float(imu_columns(batch.raw[-1:], self._imu.scale, self._calibration)["gyro_radps"][0])

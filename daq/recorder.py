@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from daq.plan import Plan
 from daq.rig import ControllerDevice, Rig
 from daq.runfile import RunWriter
 from daq.supervisor import Sample, Supervisor
-from daq.workers import QueuedSink, Workers
+from daq.workers import QueuedSink, Workers, real_time
 from drivers.errors import DriverError
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import Lsm9ds1
@@ -68,7 +68,8 @@ class Recorder:
         self._queue = QueuedSink(writer)
         self._sink: Sink = self._queue if threaded else writer
         self._leg = ControllerIntake(controller, self._sink, rig.calibration, now_ns)
-        self._imu = None if imu is None else ImuIntake(imu, self._sink, rig.calibration, now_ns)
+        slow_hz = rig.devices.imu.slow_hz if rig.devices.imu else 0.0
+        self._imu = None if imu is None else ImuIntake(imu, self._sink, rig.calibration, now_ns, slow_hz)
         rate = imu.config.rate_hz if imu else 238.0
         self._drain_every_s = min(DRAIN_EVERY_S, FIFO_DEPTH / rate / 3)
         self._watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms
@@ -89,7 +90,8 @@ class Recorder:
         """
         check_plan(plan, self._rig, self._controller)
         try:
-            with self._signals():
+            with self._signals(), real_time() if self._threaded else nullcontext(False) as granted:
+                self._sink.config(self._now_ns(), "priority", msgspec.json.encode({"real_time": granted}).decode())
                 self._start_threads()
                 self._run(plan)
         except (WorkError, DriverError, KeyboardInterrupt) as error:
@@ -178,6 +180,15 @@ class Recorder:
         self._workers.stop()
         try:
             self._queue.drain()
+        finally:
+            self._close(why, stopped)
+
+    def _close(self, why: str, stopped: str) -> None:
+        """How well the clock was known, the last event where something went wrong, and the end of the file."""
+        try:
+            bound_s = self._leg.clock_bound_s()
+            if bound_s is not None:
+                self._writer.config(self._now_ns(), "clock", msgspec.json.encode({"bound_s": bound_s}).decode())
             if why:
                 trip = self.supervisor.trip
                 self._writer.event(self._now_ns(), f"limit {trip.limit}" if trip else "abort", f"{why}; {stopped}")
@@ -278,10 +289,13 @@ class Recorder:
     def _describe_devices(self, imu: Lsm9ds1 | None) -> None:
         now = self._now_ns()
         self._writer.config(now, "firmware", msgspec.json.encode(self._controller.hello).decode())
+        if self._controller.link_facts:
+            self._writer.config(now, "link", msgspec.json.encode(self._controller.link_facts).decode())
         if imu is not None:
             gyro, accel = imu.scale
             facts = {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel, "rate_hz": imu.config.rate_hz,
-                     "accel_range_g": imu.config.accel_range_g, "gyro_range_dps": imu.config.gyro_range_dps}
+                     "accel_range_g": imu.config.accel_range_g, "gyro_range_dps": imu.config.gyro_range_dps,
+                     "field_t_per_lsb": imu.magnetometer.config.scale_t if imu.magnetometer else None}
             self._writer.config(now, "imu", msgspec.json.encode(facts).decode())
 
 

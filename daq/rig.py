@@ -82,11 +82,19 @@ class ImuDevice(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     accel_range_g: Literal[2, 4, 8, 16] = 4
     gyro_range_dps: Literal[245, 500, 2000] = 500
     bus_khz: Positive = 400.0
+    slow_hz: NonNegative = 0.0
+    """Temperature, and the field where there is a magnetometer, so many times a second; 0: not read."""
+    magnetometer: int | None = None
+    """Its address: 0x1E or 0x1C."""
 
 
 class ControllerDevice(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     port: str = "/dev/ttyACM0"
     baud: int = 1_000_000
+    can: dict[str, str | int | float | bool] | None = None
+    """python-can's configuration (interface, channel, bitrate, ...); given, `port` and `baud` are not used."""
+    node: Annotated[int, Meta(ge=0, le=63)] = 0
+    """The controller's node on CAN."""
     rate_hz: Positive = 500.0
     watchdog_ms: Annotated[int, Meta(ge=5, le=1000)] = 100
 
@@ -119,6 +127,8 @@ class Calibration(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Rows: contract x, y, z axes expressed in the chip's frame."""
     gyro_bias_radps: Vector3 = (0.0, 0.0, 0.0)
     accel_bias_mps2: Vector3 = (0.0, 0.0, 0.0)
+    accel_matrix: Matrix3 = IDENTITY3
+    """Scales and cross-talk of the accelerometer: calibrated = matrix @ (reading - bias), in the chip's frame."""
 
 
 class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -58,6 +58,12 @@ IMU = Stream("/imu", "legid_msgs/msg/ImuSample", (
       for kind in ("gyro", "accel") for axis in "xyz"),
     Field("gap_before", "uint8", "1: an unknown number of samples is lost before this one"),
 ))
+SLOW = Stream("/imu/slow", "legid_msgs/msg/ImuSlow", (
+    Field("host_ns", "int64", "host monotonic clock after the reading [ns]"),
+    Field("temperature_degc", "float64", "chip temperature [degC]; only its changes mean anything"),
+    *(Field(f"field_{axis}", "int16", "raw magnetometer counts, its own axes; scale in /config imu") for axis in "xyz"),
+    Field("field_valid", "uint8", "1: the field was read"),
+))
 TELEMETRY = Stream("/leg/telemetry", "legid_msgs/msg/LegTelemetry", (
     Field("host_ns", "int64", "host monotonic clock when the read that brought the frame returned [ns]"),
     Field("knee_rad", "float64", "motor encoder over gear ratio [rad], zero not taken off; NaN: invalid"),
@@ -86,7 +92,7 @@ COMMAND = Stream("/leg/command", "legid_msgs/msg/TorqueCommand", (
     Field("torque_nm", "float64", "joint torque asked for [N m]"),
     Field("seq", "uint16", "command counter modulo 2^16"),
 ))
-STREAMS = {stream.topic: stream for stream in (IMU, TELEMETRY, CLOCK, COMMAND)}
+STREAMS = {stream.topic: stream for stream in (IMU, SLOW, TELEMETRY, CLOCK, COMMAND)}
 
 
 class Note(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 from typing import Any, Protocol
 
 from smbus2 import SMBus, i2c_msg
@@ -19,6 +20,9 @@ class I2CBus(Protocol):
     def close(self) -> None:
         """Let go of the bus."""
 
+
+I2C_SLAVE = 0x0703
+"""ioctl of linux/i2c-dev.h; I2C_SLAVE_FORCE, which would take the chip away, is never used."""
 
 _MEANING: dict[int, tuple[type[DriverError], str]] = {
     errno.ENODEV: (DeviceAbsent, "no device answers; check wiring, power and address"),
@@ -55,6 +59,16 @@ def open_bus(path: str) -> I2CBus:
         bus.close()
         raise DeviceAbsent(f"I2C bus {path}: cannot be opened as an I2C bus ({error.strerror})") from error
     return bus
+
+
+def claim(bus: I2CBus, address: int) -> None:
+    """Ask the kernel whether a driver of its own holds the chip: OSError EBUSY then. What is no device node passes.
+
+    A combined transfer alone would not tell: the kernel lets it through to a chip that its driver is using.
+    """
+    handle = getattr(bus, "fd", None)
+    if isinstance(handle, int):
+        fcntl.ioctl(handle, I2C_SLAVE, address)
 
 
 def read_registers(bus: I2CBus, address: int, register: int, count: int) -> bytes:

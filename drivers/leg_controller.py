@@ -13,11 +13,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from drivers.errors import DeviceAbsent, DeviceFault, DriverError, LinkLost, ProtocolMismatch
+from drivers.link import Codec, Link
 from drivers.protocol import (
-    DELIMITER,
     VERSION,
     WATCHDOG_MS_MAX,
     WATCHDOG_MS_MIN,
@@ -25,6 +25,7 @@ from drivers.protocol import (
     ClearFaults,
     Decoder,
     Down,
+    Heartbeat,
     Hello,
     HelloRequest,
     Message,
@@ -34,9 +35,7 @@ from drivers.protocol import (
     Telemetry,
     TorqueCommand,
     describe_faults,
-    encode,
 )
-from drivers.serial_link import Link
 
 HELLO_EVERY_NS = 100_000_000
 
@@ -50,7 +49,7 @@ class Received(NamedTuple):
 
 @dataclass(frozen=True)
 class LinkStats:
-    """Counts since the controller object was made."""
+    """Counts since the controller object was made; `bytes_` are frames on CAN."""
 
     bad_crc: int
     bad_length: int
@@ -62,16 +61,20 @@ class LinkStats:
 
 
 class LegController:
-    """One leg controller. `poll` belongs to one reader thread; the commands may come from any thread."""
+    """One leg controller. `poll` belongs to one reader thread; the commands may come from any thread.
 
-    def __init__(self, link: Link, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
+    `codec` fits the link: the serial framing unless another is given.
+    """
+
+    def __init__(self, link: Link[Any], now_ns: Callable[[], int] = time.monotonic_ns,
+                 codec: Codec[Any] | None = None) -> None:
         self.hello: Hello | None = None
         """What the firmware said of itself last."""
         self.telemetry: Telemetry | None = None
         """The newest telemetry seen."""
         self._link = link
         self._now_ns = now_ns
-        self._decoder = Decoder()
+        self._codec: Codec[Any] = codec or Decoder()
         self._write_lock = threading.Lock()
         self._bytes_in = self._bytes_out = self._reboots = 0
         self._command_seq = self._ping_id = 0
@@ -98,21 +101,23 @@ class LegController:
                         raise ProtocolMismatch(f"leg controller speaks protocol version {message.version}, this "
                                                f"program version {VERSION}; flash matching firmware")
                     return message
-        raise DeviceAbsent(f"leg controller: no answer within {timeout_s:g} s ({self._bytes_in} bytes came, "
-                           "none a Hello); check port, baud rate and that the firmware runs")
+        raise DeviceAbsent(f"leg controller: no answer within {timeout_s:g} s ({self._bytes_in} {self._codec.unit} "
+                           "came, none a Hello); check port, baud rate and that the firmware runs")
 
     def poll(self) -> list[Received]:
         """One read of the link: what it brought, stamped with the time of its return. Raises `LinkLost`."""
         chunk = self._link.read()
         host_ns = self._now_ns()
         self._bytes_in += len(chunk)
-        received = [Received(message, host_ns) for message in self._decoder.feed(chunk)]
+        received = [Received(message, host_ns) for message in self._codec.feed(chunk)]
         for message, _ in received:
             if isinstance(message, Telemetry):
                 self.telemetry = message
             elif isinstance(message, Hello):
                 self._reboots += self.hello is not None and message.boot_id != self.hello.boot_id
                 self.hello = message
+            elif isinstance(message, Heartbeat) and self.hello and message.boot_id != self.hello.boot_id:
+                self._send(HelloRequest())  # restarted, and its Hello did not come through
         return received
 
     def arm(self, watchdog_ms: int) -> None:
@@ -148,16 +153,16 @@ class LegController:
         """Send a clock probe; returns its id and the host time just before it was written [ns]."""
         ping_id = self._ping_id
         self._ping_id = (ping_id + 1) % 65536
-        frame = encode(Ping(ping_id))
+        frame = self._codec.encode(Ping(ping_id))
         with self._write_lock:
             host_tx_ns = self._now_ns()
             self._write(frame)
         return ping_id, host_tx_ns
 
     def stop(self) -> None:
-        """Torque zero and disarm. The delimiter before it ends a frame that may have been cut short."""
+        """Torque zero and disarm."""
         with self._write_lock:
-            self._write(DELIMITER + encode(Stop()))
+            self._write(self._codec.cut + self._codec.encode(Stop()))
 
     def clear_faults(self) -> None:
         """Stop, then ask for the latched faults to be cleared; the telemetry that follows says if they were."""
@@ -182,17 +187,22 @@ class LegController:
         return self.telemetry is not None and self.telemetry.state == State.ARMED
 
     @property
+    def link_facts(self) -> dict[str, str | int | None]:
+        """What the link says of itself: its kind, port, latency timer; empty for an emulated one."""
+        return dict(getattr(self._link, "facts", {}))
+
+    @property
     def stats(self) -> LinkStats:
         """Counts so far."""
-        d = self._decoder
+        d = self._codec
         return LinkStats(d.bad_crc, d.bad_length, d.unknown, d.lost, self._bytes_in, self._bytes_out, self._reboots)
 
     def _send(self, message: Down) -> None:
-        frame = encode(message)
+        frame = self._codec.encode(message)
         with self._write_lock:
             self._write(frame)
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, data: Any) -> None:
         self._link.write(data)
         self._bytes_out += len(data)
 

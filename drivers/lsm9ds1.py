@@ -3,6 +3,9 @@
 Both sensors run at one rate into the 32-deep FIFO in continuous mode. One burst from 0x18 carries all unread
 samples, because the address jumps 1D to 28 and wraps 2D to 18 (section 3.3). What a burst failed to bring is a gap:
 the chip has popped some of it and nobody knows how much, so nothing is read twice.
+
+The driver is a state machine, one step a tick: RESET, WAIT for its end, CONFIGURE, READ. While reading, one register is
+compared with its setting every 100 ms; a chip that forgot, or failed repeatedly, is reset and configured anew.
 """
 
 from __future__ import annotations
@@ -12,14 +15,16 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import lsm9ds1_registers as reg
-from drivers.errors import DeviceAbsent, DeviceFault
-from drivers.i2c_bus import I2CBus, explain, open_bus, read_registers, write_register
+from drivers.errors import DeviceAbsent, DeviceBusy, DeviceFault, DriverError
+from drivers.i2c_bus import I2CBus, claim, explain, open_bus, read_registers, write_register
+from drivers.lsm9ds1_mag import Magnetometer
 from drivers.lsm9ds1_registers import ACCEL_MG_PER_LSB, GYRO_MDPS_PER_LSB, ODR_HZ
 
 __all__ = ["ACCEL_MG_PER_LSB", "GYRO_MDPS_PER_LSB", "ODR_HZ", "I2CBus", "ImuBatch", "ImuConfig", "Lsm9ds1", "open_bus"]
@@ -33,6 +38,18 @@ BUS_SHARE = 0.7
 RATE_TOLERANCE = 0.06
 """How far the chip's oscillator may be fast, when judging whether the FIFO can have overflowed."""
 CHECK_EVERY_NS = 100_000_000
+FORGOT = "FIFO found switched off, chip configured anew"
+GIVE_UP_AFTER = 5
+"""Failed attempts in a row to bring the chip back, each with its retries, after which it counts as gone."""
+
+
+class Phase(Enum):
+    """Where the driver stands with its chip."""
+
+    RESET = "reset"
+    WAIT = "wait"
+    CONFIGURE = "configure"
+    READ = "read"
 
 
 @dataclass(frozen=True)
@@ -98,12 +115,17 @@ class Lsm9ds1:
                  now_ns: Callable[[], int] = time.monotonic_ns, bus_khz: float = 400.0,
                  sleep: Callable[[float], None] = time.sleep) -> None:
         self.config = config or ImuConfig()
+        self.magnetometer: Magnetometer | None = None
+        """The package's other chip, where it is used."""
         self.where = f"LSM9DS1 at 0x{address:02X}"
-        self._bus, self._address, self._bus_khz = bus, address, bus_khz
+        self.bus, self._address, self._bus_khz = bus, address, bus_khz
         self._now_ns, self._sleep = now_ns, sleep
         self._index = 0
         self._gap = ""
         self._settling = 0
+        self._phase = Phase.RESET
+        self._failures = 0
+        self._reset_until = 0
         self._check_at, self._check_next = 0, 0
 
     @property
@@ -117,8 +139,13 @@ class Lsm9ds1:
         Raises ValueError when the bus is too slow for the rate, `DeviceAbsent`, `DeviceBusy` or `DeviceFault`.
         """
         self._check_bus_speed()
+        self._phase = Phase.RESET
         try:
-            self._retry(self._start)
+            claim(self.bus, self._address)
+            while self._phase is not Phase.READ:
+                self._retry(self._step)
+                if self._phase is Phase.WAIT:
+                    self._sleep(0.001)
         except OSError as error:
             raise explain(error, self.where) from error
         deadline = self._now_ns() + round((4 * reg.SETTLE_SAMPLES / self.config.rate_hz + 0.2) * 1e9)
@@ -130,17 +157,22 @@ class Lsm9ds1:
         self._index, self._gap = 0, ""
 
     def drain(self) -> ImuBatch:
-        """All unread samples. Bus errors are retried, then the FIFO is restarted, and become a gap.
+        """One tick: all unread samples, or a step towards reading again.
 
-        Raises `DeviceAbsent` or `DeviceBusy` when the chip does not come back.
+        Bus errors are retried, then the FIFO is restarted, then the chip is reset; all of that becomes a gap.
+        Raises `DeviceAbsent`, `DeviceBusy` or `DeviceFault` when the chip does not come back.
         """
+        if self._phase is not Phase.READ:
+            return self._come_back()
         self._check_one_register()
-        try:
-            return self._retry(self._drain_once)
-        except OSError as error:
-            self._restart(f"bus errors [errno {error.errno}], FIFO restarted")
-        now = self._now_ns()
-        return ImuBatch(np.empty((0, 6), np.int16), now, now, self._index, False, "")
+        if self._phase is Phase.READ:
+            try:
+                batch = self._retry(self._drain_once)
+                self._failures = 0
+                return batch
+            except OSError as error:
+                self._restart(f"bus errors [errno {error.errno}], FIFO restarted")
+        return self._nothing()
 
     def temperature(self) -> float:
         """Chip temperature [degC]; only its changes mean anything, its offset may be tens of degrees."""
@@ -153,20 +185,24 @@ class Lsm9ds1:
 
     def close(self) -> None:
         """Let go of the bus."""
-        self._bus.close()
+        self.bus.close()
 
     # -- the steps -----------------------------------------------------------------------------------------
 
     def _drain_once(self) -> ImuBatch:
         t_before = self._now_ns()
-        source = self._read(reg.FIFO_SRC, 1)[0]
+        control, source = self._read(reg.FIFO_CTRL, 2)
         t_after = self._now_ns()
+        if control != reg.FIFO_CONTINUOUS:
+            return self._forgot()
         count = min(source & reg.FIFO_FSS, reg.FIFO_DEPTH)
         if source & reg.FIFO_OVRN:
             self._gap = "FIFO overrun: drained too late"
         raw = np.empty((0, 6), np.int16)
         if count:
-            raw = self._burst(count, t_before)
+            raw, control = self._burst(count, t_before)
+            if control != reg.FIFO_CONTINUOUS:
+                return self._forgot()
         if self._settling:
             dropped = min(self._settling, count)
             self._settling -= dropped
@@ -176,38 +212,77 @@ class Lsm9ds1:
         self._index += len(raw)
         return batch
 
-    def _burst(self, count: int, t_level_ns: int) -> NDArray[np.int16]:
-        """(count, 6) samples in one transfer. On a bus error the batch is lost and a gap is noted."""
+    def _forgot(self) -> ImuBatch:
+        """The chip has lost its settings: it is configured anew from the next tick on, which is a gap."""
+        self._gap, self._phase = FORGOT, Phase.RESET
+        return self._nothing()
+
+    def _nothing(self) -> ImuBatch:
+        now = self._now_ns()
+        return ImuBatch(np.empty((0, 6), np.int16), now, now, self._index, False, "")
+
+    def _burst(self, count: int, t_level_ns: int) -> tuple[NDArray[np.int16], int]:
+        """(count, 6) samples in one transfer, and FIFO_CTRL after it. On a bus error the batch is lost, a gap noted.
+
+        A chip that lost its supply meanwhile answers the burst all the same, with numbers that mean nothing.
+        """
         size = count * reg.SAMPLE_BYTES
         try:
             data = self._read(reg.OUT_X_L_G, size)
+            waited_s = (self._now_ns() - t_level_ns) * 1e-9 - size * 9 / (self._bus_khz * 1e3)
+            control = self._retry(lambda: self._read(reg.FIFO_CTRL, 1))[0]
         except OSError as error:
             self._gap = f"burst broke off [errno {error.errno}]"
             raise
         # The chip samples on between the level and the burst: had this thread slept there, the oldest are gone.
-        waited_s = (self._now_ns() - t_level_ns) * 1e-9 - size * 9 / (self._bus_khz * 1e3)
         if count + waited_s * self.config.rate_hz * (1 + RATE_TOLERANCE) > reg.FIFO_DEPTH:
             self._gap = self._gap or "stalled between fill level and burst: FIFO may have overrun"
-        return np.frombuffer(data, "<i2").astype(np.int16).reshape(count, 6)
+        return np.frombuffer(data, "<i2").astype(np.int16).reshape(count, 6), control
 
-    def _start(self) -> None:
-        """Reset and configure from nothing."""
+    def _step(self) -> None:
+        """One step of the state machine towards READ."""
+        if self._phase is Phase.RESET:
+            self._identify()
+            self._write(reg.CTRL_REG8, reg.SW_RESET | reg.IF_ADD_INC)
+            self._reset_until = self._now_ns() + round(RESET_TIMEOUT_S * 1e9)
+            self._phase = Phase.WAIT
+        elif self._phase is Phase.WAIT:
+            if not self._read(reg.CTRL_REG8, 1)[0] & (reg.SW_RESET | reg.BOOT):
+                self._phase = Phase.CONFIGURE
+            elif self._now_ns() > self._reset_until:
+                self._phase = Phase.RESET
+                raise DeviceFault(f"{self.where}: reset does not end; power-cycle the chip")
+        elif self._phase is Phase.CONFIGURE:
+            for register, value in self.config.registers():
+                self._write(register, value)
+            for register, value in self.config.registers():
+                self._verify(register, value)
+            self._settling = reg.SETTLE_SAMPLES
+            self._check_at = self._now_ns() + CHECK_EVERY_NS
+            self._phase = Phase.READ
+
+    def _come_back(self) -> ImuBatch:
+        """A step towards READ that may fail some times before it counts."""
+        try:
+            self._retry(self._step)
+        except OSError as error:
+            self._failed(explain(error, self.where))
+        except DeviceFault as error:
+            self._failed(error)
+        return self._nothing()
+
+    def _failed(self, error: DriverError) -> None:
+        """Start over from RESET; too often in a row, or from a chip that is another's, it is the end."""
+        self._phase = Phase.RESET
+        self._failures += 1
+        if self._failures >= GIVE_UP_AFTER or isinstance(error, DeviceBusy):
+            raise error
+
+    def _identify(self) -> None:
         who = self._read(reg.WHO_AM_I, 1)[0]
         if who != reg.WHO_AM_I_VALUE:
             raise DeviceAbsent(f"{self.where}: WHO_AM_I reads 0x{who:02X}, an LSM9DS1 has "
                                f"0x{reg.WHO_AM_I_VALUE:02X}; another chip is wired there, check the address")
-        self._write(reg.CTRL_REG8, reg.SW_RESET | reg.IF_ADD_INC)
-        deadline = self._now_ns() + round(RESET_TIMEOUT_S * 1e9)
-        while self._read(reg.CTRL_REG8, 1)[0] & (reg.SW_RESET | reg.BOOT):
-            if self._now_ns() > deadline:
-                raise DeviceFault(f"{self.where}: reset does not end; power-cycle the chip")
-            self._sleep(0.001)
-        for register, value in self.config.registers():
-            self._write(register, value)
-        for register, value in self.config.registers():
-            self._verify(register, value)
-        self._settling = reg.SETTLE_SAMPLES
-        self._check_at = self._now_ns() + CHECK_EVERY_NS
 
     def _verify(self, register: int, value: int) -> None:
         found = self._read(register, 1)[0]
@@ -229,20 +304,18 @@ class Lsm9ds1:
             self._restart(f"bus errors [errno {error.errno}], FIFO restarted")
             return
         if found != value:
-            self._restart(f"register 0x{register:02X} lost its value, chip configured anew", configure=True)
+            self._gap, self._phase = f"register 0x{register:02X} lost its value, chip configured anew", Phase.RESET
 
-    def _restart(self, why: str, configure: bool = False) -> None:
-        """Empty the FIFO and look all registers through; configure anew when one is wrong. Notes a gap."""
+    def _restart(self, why: str) -> None:
+        """Empty the FIFO and look all registers through; reset when one is wrong or nobody answers. Notes a gap."""
         self._gap = why
         try:
-            if not configure:
-                self._retry(self._flush)
-                configure = not self._retry(self._holds_settings)
-                self._settling = 1  # the first sample after a FIFO mode change is not good
-            if configure:
-                self._retry(self._start)
+            self._retry(self._flush)
+            if not self._retry(self._holds_settings):
+                self._phase = Phase.RESET
+            self._settling = 1  # the first sample after a FIFO mode change is not good
         except OSError as error:
-            raise explain(error, self.where) from error
+            self._failed(explain(error, self.where))
 
     def _holds_settings(self) -> bool:
         return all(self._read(register, 1)[0] == value for register, value in self.config.registers())
@@ -269,7 +342,7 @@ class Lsm9ds1:
         return work()
 
     def _read(self, register: int, count: int) -> bytes:
-        return read_registers(self._bus, self._address, register, count)
+        return read_registers(self.bus, self._address, register, count)
 
     def _write(self, register: int, value: int) -> None:
-        write_register(self._bus, self._address, register, value)
+        write_register(self.bus, self._address, register, value)

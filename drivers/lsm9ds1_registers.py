@@ -28,6 +28,10 @@ BOOT, BDU, IF_ADD_INC, SW_RESET = 0x80, 0x40, 0x04, 0x01
 """Bits of CTRL_REG8."""
 FIFO_EN = 0x02
 """Bit of CTRL_REG9."""
+ST_G, ST_XL = 0x04, 0x01
+"""Bits of CTRL_REG10: self-test on."""
+TDA, GDA, XLDA = 0x04, 0x02, 0x01
+"""Bits of STATUS: new temperature, gyro, accelerometer reading."""
 FIFO_BYPASS, FIFO_CONTINUOUS = 0x00, 0xC0
 """Modes, FIFO_CTRL[7:5]."""
 FIFO_FTH, FIFO_OVRN, FIFO_FSS = 0x80, 0x40, 0x3F

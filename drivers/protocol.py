@@ -112,6 +112,15 @@ class FaultReport:
 
 
 @dataclass(frozen=True)
+class Heartbeat:
+    """Up, on CAN only, ten times a second: who is there and in which state."""
+
+    boot_id: int
+    state: int
+    faults: int
+
+
+@dataclass(frozen=True)
 class TorqueCommand:
     """Down: joint torque, and the only message that feeds the watchdog."""
 
@@ -148,7 +157,7 @@ class Ping:
     ping_id: int
 
 
-Up = Telemetry | Hello | Pong | FaultReport
+Up = Telemetry | Hello | Pong | FaultReport | Heartbeat
 Down = TorqueCommand | Arm | Stop | ClearFaults | HelloRequest | Ping
 Message = Up | Down
 
@@ -225,22 +234,52 @@ def _from_payload(kind: type, payload: bytes) -> Message:
     return message
 
 
+class SequenceCount:
+    """Telemetry missing by its sequence numbers, over wraps and reboots."""
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._seq: int | None = None
+        self._boot_id: int | None = None
+
+    def see(self, message: Message) -> None:
+        """Count what is missing before this message."""
+        if isinstance(message, Hello):
+            if message.boot_id != self._boot_id:
+                self._seq, self._boot_id = None, message.boot_id
+        elif isinstance(message, Telemetry):
+            missing = 0 if self._seq is None else (message.seq - self._seq - 1) % 65536
+            if missing < 32768:  # more is a frame repeated or from before, not a loss
+                self.lost += missing
+            self._seq = message.seq
+
+
 class Decoder:
-    """Bytes in any pieces to messages; counts what it had to throw away.
+    """Bytes in any pieces to messages; counts what it had to throw away. The serial `Codec`.
 
     The first frame after the start may be the tail of one already under way: it is not counted.
     """
+
+    unit = "bytes"
+    cut = DELIMITER
+    beats = False
 
     def __init__(self) -> None:
         self.bad_crc = 0
         self.bad_length = 0
         self.unknown = 0
-        self.lost = 0
-        """Telemetry frames missing by their sequence numbers."""
+        self._sequence = SequenceCount()
         self._rest = b""
         self._started = False
-        self._seq: int | None = None
-        self._boot_id: int | None = None
+
+    @property
+    def lost(self) -> int:
+        """Telemetry frames missing by their sequence numbers."""
+        return self._sequence.lost
+
+    def encode(self, message: Message) -> bytes:
+        """`encode` of this module."""
+        return encode(message)
 
     def feed(self, chunk: bytes) -> list[Message]:
         """Messages completed by `chunk`, in order."""
@@ -252,7 +291,7 @@ class Decoder:
             if fault is not None and self._started:
                 setattr(self, fault, getattr(self, fault) + 1)
             if message is not None:
-                self._count_lost(message)
+                self._sequence.see(message)
                 messages.append(message)
             self._started = True
         return messages
@@ -276,13 +315,3 @@ class Decoder:
         if len(payload) != _STRUCT[kind].size:
             return "bad_length", None
         return None, _from_payload(kind, payload)
-
-    def _count_lost(self, message: Message) -> None:
-        if isinstance(message, Hello):
-            if message.boot_id != self._boot_id:
-                self._seq, self._boot_id = None, message.boot_id
-        elif isinstance(message, Telemetry):
-            missing = 0 if self._seq is None else (message.seq - self._seq - 1) % 65536
-            if missing < 32768:  # more is a frame repeated or from before, not a loss
-                self.lost += missing
-            self._seq = message.seq

@@ -4,25 +4,10 @@ from __future__ import annotations
 
 import errno
 from pathlib import Path
-from typing import Protocol
 
 import serial
 
 from drivers.errors import DeviceAbsent, DeviceBusy, LinkLost
-
-
-class Link(Protocol):
-    """What the leg controller needs of a transport; serial today, CAN or memory alike."""
-
-    def read(self) -> bytes:
-        """Whatever arrived; blocks up to the link's timeout and returns b"" then. Raises `LinkLost`."""
-
-    def write(self, data: bytes) -> None:
-        """Hand over all of `data`. Raises `LinkLost`."""
-
-    def close(self) -> None:
-        """Let go of the transport; may be called twice."""
-
 
 _OPEN_ERRORS: dict[int, tuple[type[DeviceAbsent] | type[DeviceBusy], str]] = {
     errno.ENOENT: (DeviceAbsent, "no such port; plug the controller in, or correct [devices.controller] port"),
@@ -67,6 +52,11 @@ class SerialLink:
             return int(path.read_text())
         except (OSError, ValueError):
             return None
+
+    @property
+    def facts(self) -> dict[str, str | int | None]:
+        """What a run file should say of the connection."""
+        return {"kind": "serial", "port": self.port, "latency_timer_ms": self.latency_timer_ms}
 
     def read(self) -> bytes:
         """Whatever arrived; blocks up to the timeout and returns b"" then. Raises `LinkLost`."""

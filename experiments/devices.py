@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from typing import Any
 
 from daq.errors import InputError
-from daq.rig import ImuDevice, Rig
+from daq.rig import ControllerDevice, ImuDevice, Rig
 from drivers.i2c_bus import open_bus
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
+from drivers.lsm9ds1_mag import ODR_HZ, MagConfig, Magnetometer
 from drivers.serial_link import SerialLink
 
 
@@ -24,18 +26,40 @@ def open_devices(rig: Rig, where: str) -> Iterator[tuple[Lsm9ds1 | None, LegCont
     with ExitStack() as stack:
         # The controller first: opening it stops a motor that somebody left running.
         device = rig.devices.controller
-        controller = stack.enter_context(LegController(SerialLink(device.port, device.baud)))
+        controller = stack.enter_context(connect(device))
         controller.open()
-        imu = None if rig.devices.imu is None else _open_imu(rig.devices.imu, where, stack)
+        imu = None if rig.devices.imu is None else stack.enter_context(open_imu(rig.devices.imu, where))
         yield imu, controller
 
 
-def _open_imu(device: ImuDevice, where: str, stack: ExitStack) -> Lsm9ds1:
+def connect(device: ControllerDevice) -> LegController:
+    """The leg controller on its serial port or CAN bus, not yet greeted. Raises a `DriverError`."""
+    if device.can is None:
+        return LegController(SerialLink(device.port, device.baud))
+    from drivers.can_codec import CanCodec  # python-can and cantools take a while to load
+    from drivers.can_link import CanLink
+
+    config: dict[str, Any] = dict(device.can)
+    return LegController(CanLink(device.node, **config), codec=CanCodec(device.node))
+
+
+@contextmanager
+def open_imu(device: ImuDevice, where: str) -> Iterator[Lsm9ds1]:
+    """The IMU alone, reading; let go of on the way out. Raises `InputError` or a `DriverError`."""
     try:
         config = ImuConfig(device.rate_hz, device.accel_range_g, device.gyro_range_dps)
         imu = Lsm9ds1(open_bus(device.bus), device.address, config, bus_khz=device.bus_khz)
-        stack.callback(imu.close)
-        imu.open()
     except ValueError as error:
-        raise InputError(where, f"[devices.imu]: {error}", "correct the rate or the bus speed") from None
-    return imu
+        raise InputError(where, f"[devices.imu]: {error}", "correct it") from None
+    try:
+        try:
+            imu.open()
+        except ValueError as error:
+            raise InputError(where, f"[devices.imu]: {error}", "correct the rate or the bus speed") from None
+        if device.magnetometer is not None:
+            rate = next((hz for hz in ODR_HZ if hz >= device.slow_hz), max(ODR_HZ))
+            imu.magnetometer = Magnetometer(imu.bus, device.magnetometer, MagConfig(rate))
+            imu.magnetometer.open()
+        yield imu
+    finally:
+        imu.close()

@@ -27,7 +27,7 @@ def emulate(rig: Rig, seed: int, clock: VirtualClock, body: LegBody | None = Non
     c = rig.calibration
     imu = ImuSettings(lever_arm_m=rig.imu.lever_arm_m, gravity_mps2=rig.mechanism.gravity_mps2, mount=c.imu_mount,
                       gyro_bias_radps=_turned(c.gyro_bias_radps, c.imu_mount, hidden.gyro_bias_radps),
-                      accel_bias_mps2=c.accel_bias_mps2)
+                      accel_bias_mps2=c.accel_bias_mps2, accel_matrix=c.accel_matrix)
     controller = rig.devices.controller or ControllerDevice()
     firmware = FirmwareSettings(
         telemetry_hz=round(controller.rate_hz), gear_ratio=rig.motor.gear_ratio, torque_limit_nm=rig.limits.torque_nm,

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.align import align, configured, recorded_rig
+from daq.clock import fit_ticks
 from daq.csv_run import RawTable
 from daq.dataset import FloatArray
 from daq.errors import InputError
 from daq.resample import HOLE_PERIODS
 from daq.rig import Rig
 from daq.runfile import RawRun
+from daq.skew import measure_skew
 from daq.streams import Note
 from drivers.protocol import describe_faults
 from experiments.output import text_table
 
 EVENTS_SHOWN = 20
-HOST_TIME = {"/imu": "drain_before_ns", "/leg/telemetry": "host_ns", "/leg/clock": "host_rx_ns",
+BOUND_S = 1e-3
+"""A clock known less well than this is worth a warning: a leg moves in that time."""
+GOOD_TIMER_MS = 1
+SKEW_RATE_HZ = 200.0
+HOST_TIME = {"/imu": "drain_before_ns", "/imu/slow": "host_ns", "/leg/telemetry": "host_ns", "/leg/clock": "host_rx_ns",
              "/leg/command": "host_ns"}
 
 
@@ -79,7 +86,7 @@ def _streams(raw: RawRun) -> str:
 
 
 def _losses(raw: RawRun) -> list[str]:
-    telemetry, imu = raw.streams["/leg/telemetry"], raw.streams["/imu"]
+    telemetry, imu, slow = raw.streams["/leg/telemetry"], raw.streams["/imu"], raw.streams["/imu/slow"]
     lines = []
     if telemetry.size:
         lines.append(f"telemetry frames lost: {_lost_frames(telemetry)}")
@@ -87,6 +94,9 @@ def _losses(raw: RawRun) -> list[str]:
         lines.append(f"faults seen: {describe_faults(faults)}")
     if imu.size:
         lines.append(f"IMU gaps of unknown length: {int(imu['gap_before'].sum())}")
+    if slow.size:
+        degc = slow["temperature_degc"]
+        lines.append(f"chip temperature: {degc.min():.1f} to {degc.max():.1f} degC (its changes only are meant)")
     return lines
 
 
@@ -100,11 +110,41 @@ def _lost_frames(telemetry: NDArray[np.void]) -> int:
 
 def _clocks(raw: RawRun) -> list[str]:
     try:
-        facts = align(raw, recorded_rig(raw)).sources
+        rig = recorded_rig(raw)
+        facts = align(raw, rig).sources
+        skew = measure_skew(align(raw, rig, SKEW_RATE_HZ))
     except InputError as error:
-        return [f"clocks: {error}"]
-    return [f"{label}: {facts[key]}" for key, label in
-            [("controller_clock", "controller clock"), ("imu_clock", "IMU clock")] if key in facts]
+        return [f"clocks: {error}", *clock_warnings(0.0, configured(raw, "link"))]
+    lines = [f"{label}: {facts[key]}" for key, label in
+             [("controller_clock", "controller clock"), ("imu_clock", "IMU clock")] if key in facts]
+    if skew is not None:
+        lines.append(f"IMU against encoders, by correlation of gyro and pivot: {skew.seconds * 1e3:+.2f} +- "
+                     f"{skew.std_s * 1e3:.2f} ms (positive: the IMU is late)")
+    elif raw.streams["/imu"].size:
+        lines.append("IMU against encoders: not measurable here (no pivot angle, or too little motion)")
+    return lines + clock_warnings(_bound_s(raw), configured(raw, "link"))
+
+
+def _bound_s(raw: RawRun) -> float:
+    """How well the controller's clock is known in the worst boot [s]; 0 without probes."""
+    probes = raw.streams["/leg/clock"]
+    return max((fit_ticks(probes[probes["boot_id"] == boot], int(probes["host_tx_ns"][0])).bound_s
+                for boot in np.unique(probes["boot_id"])), default=0.0)
+
+
+def clock_warnings(bound_s: float, link: Mapping[str, object]) -> list[str]:
+    """What a person should know of a clock bound [s] and of the link's own facts; empty when all is well."""
+    lines = []
+    if bound_s > BOUND_S:
+        lines.append(f"warning: the controller's clock is known to {bound_s * 1e3:.1f} ms only, more than "
+                     f"{BOUND_S * 1e3:g} ms; a skew of that size can pass for friction: use CAN, USB-ACM or a short "
+                     "latency timer")
+    timer = link.get("latency_timer_ms")
+    if isinstance(timer, int) and timer > GOOD_TIMER_MS:
+        port = str(link.get("port", "")).rsplit("/", 1)[-1]
+        lines.append(f"warning: the serial adapter's latency timer was {timer} ms; "
+                     f"echo 1 | sudo tee /sys/bus/usb-serial/devices/{port}/latency_timer")
+    return lines
 
 
 def _rig_lines(raw: RawRun) -> list[str]:
@@ -116,6 +156,9 @@ def _rig_lines(raw: RawRun) -> list[str]:
     firmware = configured(raw, "firmware")
     if firmware:
         lines.append("firmware: " + ", ".join(f"{key} {value}" for key, value in firmware.items()))
+    link = configured(raw, "link")
+    if link:
+        lines.append("link: " + ", ".join(f"{key} {value}" for key, value in link.items() if value is not None))
     if "plan.csv" in raw.files:
         lines.append(f"plan: {raw.files['plan.csv'].count(chr(10)) - 1} torque commands")
     return lines

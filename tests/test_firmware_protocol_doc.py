@@ -35,7 +35,7 @@ def cobs_by_hand(data: bytes) -> bytes:
 def examples() -> dict[str, dict]:
     """name -> {fields: [(name, bytes, value text)], crc, frame}."""
     found = {}
-    for part in TEXT.split("## 9. Examples")[1].split("\n### ")[1:]:
+    for part in TEXT.split("## 9. Examples")[1].split("\n## 10.")[0].split("\n### ")[1:]:
         lines = part.splitlines()
         rows = [m.groups() for line in lines if (m := FIELD.match(line))]
         frame = next(m.group(1) for line in lines if (m := FRAME.match(line)))
@@ -127,6 +127,6 @@ def test_message_table_gives_the_sizes() -> None:
 
 
 def test_fault_table_gives_the_bits() -> None:
-    section = TEXT.split("| bit | fault |")[1]
+    section = TEXT.split("| bit | fault |")[1].split("\n## 9.")[0]
     rows = re.findall(r"^\| (\d+) \| ([A-Z_]+)", section, re.M)
     assert {name: 1 << int(bit) for bit, name in rows} == {f.name: f.value for f in Fault}

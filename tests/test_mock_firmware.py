@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.mock.clock import VirtualClock
-from drivers.mock.firmware import FirmwareEmulator
+from drivers.mock.emulator import FirmwareEmulator
 from drivers.mock.plant import Segment, Snapshot, StillPlant, StillState
 from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings

@@ -21,6 +21,7 @@ class ImuPhysics:
     def __init__(self, chip: MockLsm9ds1, settings: ImuSettings, rng: np.random.Generator) -> None:
         self._chip, self._settings, self._rng = chip, settings, rng
         self._to_chip = np.asarray(settings.mount, float).T
+        self._accel_to_chip = np.linalg.inv(np.asarray(settings.accel_matrix, float)) @ self._to_chip
         self._noise = np.repeat([settings.gyro_noise_radps, settings.accel_noise_mps2], 3)
         self._bias = np.array([*settings.gyro_bias_radps, *settings.accel_bias_mps2])
         self._rate_hz = 0.0
@@ -52,7 +53,7 @@ class ImuPhysics:
         s = self._settings
         accel = (s.lever_arm_m * state.q1dd + s.gravity_mps2 * math.sin(state.q1),
                  -s.lever_arm_m * state.q1d**2 - s.gravity_mps2 * math.cos(state.q1), 0.0)
-        physical = np.concatenate([self._to_chip @ (0.0, 0.0, state.q1d), self._to_chip @ accel])
+        physical = np.concatenate([self._to_chip @ (0.0, 0.0, state.q1d), self._accel_to_chip @ accel])
         physical += self._bias + self._noise * self._rng.standard_normal(6)
         gyro_range, accel_range = self._chip.ranges
         per_lsb = np.repeat([math.radians(reg.GYRO_MDPS_PER_LSB[gyro_range] * 1e-3),

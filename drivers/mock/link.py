@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,33 +19,35 @@ ANSWER_NS = 60_000
 class SerialDevice(Protocol):
     """Whatever stands at the far end of the cable: the firmware emulator, or a recording of one."""
 
-    def receive(self, data: bytes, t_ns: int) -> None:
-        """Bytes that are there now; their last one came in at `t_ns`."""
+    def receive(self, data: Any, t_ns: int) -> None:
+        """A chunk that is there now; its last byte came in at `t_ns`."""
 
-    def post(self, data: bytes, t_ns: int) -> None:
-        """Bytes under way that will be there at `t_ns`."""
+    def post(self, data: Any, t_ns: int) -> None:
+        """A chunk under way that will be there at `t_ns`."""
 
-    def transmit(self, until_ns: int) -> list[tuple[int, bytes]]:
-        """(time, bytes) of what left the device up to `until_ns`, in order, each once."""
+    def transmit(self, until_ns: int) -> list[tuple[int, Any]]:
+        """(time, chunk) of what left the device up to `until_ns`, in order, each once."""
 
 
 class EmulatorLink:
     """A `Link` to a device. `read` waits on the clock, so a virtual one moves while somebody waits.
 
-    Each way takes `delay_s` and an exponential extra of mean `jitter_s`; order is kept.
+    Each way takes `delay_s` and an exponential extra of mean `jitter_s`; order is kept. `nothing` is an empty chunk:
+    `()` for a device on CAN.
     """
 
     def __init__(self, device: SerialDevice, clock: Clock, timeout_s: float = 0.001, delay_s: float = 0.0003,
-                 jitter_s: float = 0.0001, seed: int = 0) -> None:
+                 jitter_s: float = 0.0001, seed: int = 0, nothing: Any = b"") -> None:
         self._device, self._clock, self._timeout_s = device, clock, timeout_s
         self._delay_s, self._jitter_s = delay_s, jitter_s
         self._rng = np.random.default_rng(seed)
-        self._up: deque[tuple[int, bytes]] = deque()
+        self._up: deque[tuple[int, Any]] = deque()
         self._down_last = self._up_last = 0
         self._lost = False
+        self._nothing = nothing
         device.transmit(clock.now_ns())  # said before anybody listened
 
-    def read(self) -> bytes:
+    def read(self) -> Any:
         """What has arrived; waits up to the timeout for something to. Raises `LinkLost` once unplugged."""
         deadline = self._clock.now_ns() + round(self._timeout_s * 1e9)
         while not (data := self._arrived()):
@@ -61,7 +63,7 @@ class EmulatorLink:
             self._clock.sleep((wake - now) * 1e-9)
         return data
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: Any) -> None:
         """On its way to the device. Raises `LinkLost` once unplugged."""
         self._check()
         now = self._clock.now_ns()
@@ -81,9 +83,9 @@ class EmulatorLink:
         if self._lost:
             raise LinkLost("leg controller on the emulated link: the connection is gone; check cable and power")
 
-    def _arrived(self) -> bytes:
+    def _arrived(self) -> Any:
         self._check()
-        now, data = self._clock.now_ns(), b""
+        now, data = self._clock.now_ns(), self._nothing
         self._take(now)
         while self._up and self._up[0][0] <= now:
             data += self._up.popleft()[1]

@@ -37,6 +37,8 @@ class MockLsm9ds1:
                  lock: threading.RLock | None = None) -> None:
         self.address = address
         self.temperature_degc = temperature_degc
+        self.self_test_dps, self.self_test_mg = 500.0, 400.0
+        """What the self-test moves the readings by; zero for a broken chip."""
         self.closed = False
         self._clock, self._advance, self._bus_khz = clock, advance, bus_khz
         self._lock = lock or threading.RLock()
@@ -59,8 +61,8 @@ class MockLsm9ds1:
 
     def push(self, raw: Sequence[int]) -> None:
         """A new sample: gyro x y z, accelerometer x y z [LSB], already clipped to int16."""
-        data = b"".join(int(v).to_bytes(2, "little", signed=True) for v in raw)
-        self._status = 0x03
+        data = b"".join(int(v).to_bytes(2, "little", signed=True) for v in self._deflected(raw))
+        self._status = reg.GDA | reg.XLDA
         if self._fifo_mode == 0:
             self._output = data
             return
@@ -70,6 +72,16 @@ class MockLsm9ds1:
             self._overrun = True
             self._fifo.popleft()
         self._fifo.append(data)
+
+    def _deflected(self, raw: Sequence[int]) -> Sequence[int]:
+        """The sample with what a self-test that is on adds to it, clipped."""
+        on = self._registers[reg.CTRL_REG10]
+        if not on:
+            return raw
+        gyro_range, accel_range = self.ranges
+        gyro = self.self_test_dps * 1e3 / reg.GYRO_MDPS_PER_LSB[gyro_range] if on & reg.ST_G else 0.0
+        accel = self.self_test_mg / reg.ACCEL_MG_PER_LSB[accel_range] if on & reg.ST_XL else 0.0
+        return [max(-32768, min(32767, v + round(added))) for v, added in zip(raw, [gyro] * 3 + [accel] * 3)]
 
     @property
     def streaming(self) -> bool:
@@ -182,7 +194,7 @@ class MockLsm9ds1:
         if register == reg.FIFO_SRC:
             return self._fifo_source()
         if register in (reg.STATUS, reg.STATUS_COPY):
-            return self._status | 0x04
+            return self._status | reg.TDA
         if register in (reg.OUT_TEMP_L, reg.OUT_TEMP_L + 1):
             lsb = round((self.temperature_degc - reg.TEMPERATURE_ZERO_DEGC) * reg.TEMPERATURE_LSB_PER_DEGC)
             return lsb.to_bytes(2, "little", signed=True)[register - reg.OUT_TEMP_L]
@@ -203,11 +215,13 @@ class MockLsm9ds1:
         if self._fifo:
             self._output = self._fifo[0]
         value = self._output[BYTE_OF[register]]
+        if register == reg.OUT_Z_H_G:
+            self._status &= ~reg.GDA
         if register == reg.OUT_Z_H_XL:  # a whole set was read: the FIFO moves on
             if self._fifo:
                 self._fifo.popleft()
             self._overrun = False
-            self._status = 0
+            self._status &= ~reg.XLDA
         return value
 
     def _fifo_source(self) -> int:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from drivers.link import Codec
 from drivers.mock.clock import Clock, RealClock
-from drivers.mock.firmware import FirmwareEmulator
+from drivers.mock.emulator import FirmwareEmulator
 from drivers.mock.imu_physics import ImuPhysics
 from drivers.mock.lsm9ds1 import MockLsm9ds1
 from drivers.mock.plant import Plant, Segment, Snapshot, snapshot
 from drivers.mock.settings import FirmwareSettings, ImuSettings
+from drivers.protocol import Decoder
 
 STEP_NS = 500_000
 
@@ -25,7 +29,7 @@ class MockRig:
 
     def __init__(self, plant: Plant, clock: Clock | None = None, imu: ImuSettings | None = None,
                  firmware: FirmwareSettings | None = None, seed: int = 0, address: int = 0x6B,
-                 bus_khz: float = 400.0) -> None:
+                 bus_khz: float = 400.0, codec: Callable[[], Codec[Any]] = Decoder) -> None:
         self.clock = clock or RealClock()
         self.lock = threading.RLock()
         self._plant = plant
@@ -35,7 +39,8 @@ class MockRig:
         imu_seed, firmware_seed = np.random.SeedSequence(seed).generate_state(2)
         self.imu = MockLsm9ds1(self.clock, self.advance_to, address, bus_khz, imu_settings.temperature_degc, self.lock)
         self._imu_physics = ImuPhysics(self.imu, imu_settings, np.random.default_rng(imu_seed))
-        self.firmware = FirmwareEmulator(firmware, int(firmware_seed), self._t_ns, self.advance_to, self.lock)
+        self.firmware = FirmwareEmulator(firmware, int(firmware_seed), self._t_ns, self.advance_to, self.lock,
+                                         codec)
 
     @property
     def t_ns(self) -> int:

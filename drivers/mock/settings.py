@@ -21,6 +21,8 @@ class ImuSettings:
     gyro_bias_radps: Vector3 = (0.0, 0.0, 0.0)
     accel_bias_mps2: Vector3 = (0.0, 0.0, 0.0)
     """Biases, in the chip's axes."""
+    accel_matrix: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    """What a calibration multiplies the accelerometer's readings by, biases taken off: the chip errs by its inverse."""
     rate_error: float = 0.012
     """The chip's oscillator is fast by this share of the nominal rate."""
     temperature_degc: float = 31.0
@@ -56,6 +58,7 @@ class FirmwareSettings:
     current_limit_a: float = 30.0
     temperature_limit_degc: float = 90.0
     undervoltage_v: float = 18.0
+    overvoltage_v: float = 30.0
     speed_limit_radps: float = 40.0
     clock_error_ppm: float = 40.0
     """The MCU's clock is fast by this."""

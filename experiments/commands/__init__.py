@@ -3,6 +3,6 @@
 A module imports nothing heavy before `run`: `legid --help` answers at once.
 """
 
-COMMANDS = ("demo", "record", "info", "recover", "export", "fit", "validate", "diagnose", "effects", "simulate",
-            "monte_carlo")
+COMMANDS = ("demo", "record", "calibrate", "info", "recover", "export", "fit", "validate", "diagnose", "effects",
+            "simulate", "monte_carlo")
 """Module names, in the order in which `legid --help` lists them."""

@@ -19,6 +19,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Record one run on real devices."""
+    import sys
     from pathlib import Path
 
     from daq.errors import InputError
@@ -27,6 +28,7 @@ def run(args: argparse.Namespace) -> int:
     from daq.rig import load_rig
     from experiments.devices import open_devices
     from experiments.output import progress_to
+    from experiments.run_info import clock_warnings
 
     rig, plan = load_rig(args.rig), read_plan(args.plan)
     if not args.out.lower().endswith(".mcap"):
@@ -34,7 +36,10 @@ def run(args: argparse.Namespace) -> int:
     rig_text = Path(args.rig).read_text(encoding="utf-8")
     with open_devices(rig, args.rig) as (imu, controller), progress_to("recording") as report:
         done = record_run(args.out, rig, rig_text, plan, imu, controller, progress=report)
+        warnings = clock_warnings(done.clock_bound_s, controller.link_facts)
     print(f"{args.out}: {done.duration_s:.1f} s, {done.messages} messages, {done.imu_samples} IMU samples, "
           f"{done.commands} torque commands ({done.late_commands} left out as late), "
           f"controller clock known to {done.clock_bound_s * 1e6:.0f} us")
+    for line in warnings:
+        print(line, file=sys.stderr)
     return 0

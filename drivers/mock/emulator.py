@@ -1,6 +1,6 @@
-"""The leg controller's firmware, emulated: the bytes of firmware_protocol.md in, the bytes out, time in between.
+"""The leg controller's firmware, emulated: the frames of firmware_protocol.md in, frames out, time in between.
 
-Nothing in here knows a port or the driver's objects; `PtyServer` and `EmulatorLink` carry the bytes.
+Nothing in here knows a port or the driver's objects; `PtyServer`, `CanServer` and `EmulatorLink` carry the chunks.
 """
 
 from __future__ import annotations
@@ -9,10 +9,12 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.link import Codec
 from drivers.mock.drive_state import DriveState
 from drivers.mock.motor import Motor
 from drivers.mock.plant import Segment, Snapshot, StillState, snapshot
@@ -23,6 +25,7 @@ from drivers.protocol import (
     Decoder,
     Fault,
     FaultReport,
+    Heartbeat,
     Hello,
     HelloRequest,
     Message,
@@ -31,29 +34,37 @@ from drivers.protocol import (
     Stop,
     Telemetry,
     TorqueCommand,
-    encode,
 )
 
 TURNAROUND_US = 20
 HELLO_EVERY_US = 1_000_000
+BEAT_EVERY_US = 100_000
+LARGEST_VALUE = (2**31 - 1) * 1e-6
+"""What a FaultReport can say; more is sent as invalid."""
 
 
 class FirmwareEmulator:
-    """One controller. `advance(t_ns)` brings the world up to a time before bytes go out."""
+    """One controller. `advance(t_ns)` brings the world up to a time before anything goes out.
+
+    `codec` makes the framing of one boot: serial by default.
+    """
 
     def __init__(self, settings: FirmwareSettings | None = None, seed: int = 0, t_ns: int = 0,
-                 advance: Callable[[int], None] = lambda t_ns: None, lock: threading.RLock | None = None) -> None:
+                 advance: Callable[[int], None] = lambda t_ns: None, lock: threading.RLock | None = None,
+                 codec: Callable[[], Codec[Any]] = Decoder) -> None:
         self.settings = settings or FirmwareSettings()
         self.motor = Motor(self.settings.current_loop_s)
         self.knee_encoder_ok = self.pivot_hall_ok = self.knee_hall_ok = True
         """Set to False: the reading carries the invalid sentinel (and the knee's faults latch)."""
+        self.gate_driver_ok = True
         self.bus_v = self.settings.bus_v
         self.motor_degc = self.settings.ambient_degc
         self._rng = np.random.default_rng(seed)
         self._advance, self._lock = advance, lock or threading.RLock()
-        self._inbox: deque[tuple[int, bytes]] = deque()
-        self._outbox: deque[tuple[int, bytes]] = deque()
-        self._t_ns = t_ns
+        self._new_codec = codec
+        self._inbox: deque[tuple[int, Any]] = deque()
+        self._outbox: deque[tuple[int, Any]] = deque()
+        self._t_ns = self._now_ns = t_ns
         self._state = snapshot(StillState())
         self._boot(t_ns)
 
@@ -61,25 +72,25 @@ class FirmwareEmulator:
         s = self.settings
         self.boot_id = int(self._rng.integers(1, 2**32))
         self.drive = DriveState(s.torque_limit_nm, s.watchdog_limit_ms, self._report)
-        self._decoder = Decoder()
+        self.codec = self._new_codec()
         self._boot_ns = t_ns
         self._frames = 0
         self._mean_from = (float(t_ns), self.motor.impulse_nms)
         self._period_us = round(1e6 / s.telemetry_hz)
         self._due_ns = self._host_ns(self._period_us)
-        self._hello_us = HELLO_EVERY_US
+        self._hello_us, self._beat_us = HELLO_EVERY_US, BEAT_EVERY_US
         self._send(self._hello())
 
-    # -- bytes ---------------------------------------------------------------------------------------------
+    # -- chunks --------------------------------------------------------------------------------------------
 
-    def receive(self, data: bytes, t_ns: int) -> None:
-        """Bytes that are there now; their last one came in at `t_ns`."""
+    def receive(self, data: Any, t_ns: int) -> None:
+        """A chunk that is there now; its last byte came in at `t_ns`."""
         with self._lock:
-            for message in self._decoder.feed(data):
+            for message in self.codec.feed(data):
                 self._obey(message, t_ns)
 
-    def post(self, data: bytes, t_ns: int) -> None:
-        """Bytes under way that will be there at `t_ns`; to be posted in the order in which they arrive."""
+    def post(self, data: Any, t_ns: int) -> None:
+        """A chunk under way that will be there at `t_ns`; to be posted in the order of arrival."""
         with self._lock:
             self._inbox.append((t_ns, data))
 
@@ -88,8 +99,8 @@ class FirmwareEmulator:
             t_ns, data = self._inbox.popleft()
             self.receive(data, t_ns)
 
-    def transmit(self, until_ns: int) -> list[tuple[int, bytes]]:
-        """(time, frame) of what left the controller up to `until_ns`, in order; each is handed out once."""
+    def transmit(self, until_ns: int) -> list[tuple[int, Any]]:
+        """(time, chunk) of what left the controller up to `until_ns`, in order; each is handed out once."""
         with self._lock:
             self._advance(until_ns)
             self._take_in(until_ns)
@@ -99,6 +110,7 @@ class FirmwareEmulator:
         return frames
 
     def _obey(self, message: Message, t_ns: int) -> None:
+        self._now_ns = t_ns
         if isinstance(message, TorqueCommand):
             self.drive.command(message.seq, message.torque_nm, t_ns)
         elif isinstance(message, Arm):
@@ -112,17 +124,18 @@ class FirmwareEmulator:
         elif isinstance(message, Ping):
             rx = self.tick_us(t_ns)
             self._outbox.append((t_ns + TURNAROUND_US * 1000,
-                                 encode(Pong(message.ping_id, rx, (rx + TURNAROUND_US) % 2**32))))
+                                 self.codec.encode(Pong(message.ping_id, rx, (rx + TURNAROUND_US) % 2**32))))
 
     def _send(self, message: Message, t_ns: int | None = None) -> None:
-        self._outbox.append((self._t_ns if t_ns is None else t_ns, encode(message)))
+        self._outbox.append((self._t_ns if t_ns is None else t_ns, self.codec.encode(message)))
 
     def _hello(self) -> Hello:
         s = self.settings
         return Hello(s.version, self.boot_id, s.telemetry_hz, s.gear_ratio, s.torque_limit_nm, s.watchdog_limit_ms)
 
     def _report(self, fault: Fault, value: float) -> None:
-        self._send(FaultReport(self.tick_us(self._t_ns), int(fault), int(self.drive.latched), value))
+        shown = value if abs(value) <= LARGEST_VALUE else math.nan
+        self._send(FaultReport(self.tick_us(self._now_ns), int(fault), int(self.drive.latched), shown))
 
     # -- time ----------------------------------------------------------------------------------------------
 
@@ -141,12 +154,13 @@ class FirmwareEmulator:
         """Mean joint torque [N m] in the physics step that follows."""
         self._t_ns = t0_ns
         self._take_in(t0_ns)
+        self._now_ns = t0_ns
         self.drive.check_watchdog(t0_ns)
         return self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, self.drive.torque_nm)
 
     def observe(self, segment: Segment) -> None:
         """Watch the limits and send the telemetry due within the segment; both run at the telemetry's rate."""
-        self._t_ns = segment.t1_ns
+        self._t_ns = self._now_ns = segment.t1_ns
         while self._due_ns <= segment.t1_ns:
             self._watch(segment.after)
             self._send(self._telemetry(segment, self._due_ns), round(self._due_ns))
@@ -155,6 +169,9 @@ class FirmwareEmulator:
         if self._local_us(segment.t1_ns) >= self._hello_us:
             self._hello_us += HELLO_EVERY_US
             self._send(self._hello())
+        if self.codec.beats and self._local_us(segment.t1_ns) >= self._beat_us:
+            self._beat_us += BEAT_EVERY_US
+            self._send(Heartbeat(self.boot_id, int(self.drive.state), int(self.drive.latched)))
 
     def reboot(self) -> None:
         """As after a brown-out: new boot id, tick and sequence from the start, torque off, nothing latched."""
@@ -209,9 +226,11 @@ class FirmwareEmulator:
             (current > s.current_limit_a, Fault.OVERCURRENT, current),
             (self.motor_degc > s.temperature_limit_degc, Fault.OVERTEMPERATURE, self.motor_degc),
             (self.bus_v < s.undervoltage_v, Fault.UNDERVOLTAGE, self.bus_v),
+            (self.bus_v > s.overvoltage_v, Fault.OVERVOLTAGE, self.bus_v),
             (not self.knee_encoder_ok, Fault.KNEE_ENCODER, math.nan),
             (not self.knee_hall_ok, Fault.KNEE_HALL, math.nan),
             (abs(self._state.q2d) > s.speed_limit_radps, Fault.OVERSPEED, self._state.q2d),
+            (not self.gate_driver_ok, Fault.GATE_DRIVER, math.nan),
         ]
         return [(fault, value) for wrong, fault, value in checks if wrong]
 

@@ -1,0 +1,116 @@
+"""A CAN bus as the controller's transport. python-can below, nothing of the protocol but its identifiers in here.
+
+Interface, channel and bit rate are python-can's own configuration: socketcan, slcan, virtual, udp_multicast or any
+other that it knows. Time stamps of the bus are not used: the controller's tick travels in the frames.
+"""
+
+from __future__ import annotations
+
+import errno
+from typing import Any
+
+import can
+
+from drivers.can_codec import NODE_BITS, NODES, ONE_MESSAGE, CanFrame, Frames
+from drivers.errors import DeviceAbsent, DriverError, LinkLost
+
+SEND_TIMEOUT_S = 0.1
+FRAMES_AT_ONCE = 256
+BUS_OFF = 0x40
+"""Error class in the identifier of an error frame (linux/can/error.h)."""
+DEFAULTS: dict[str, dict[str, Any]] = {"slcan": {"sleep_after_open": 0.2}}
+"""python-can sleeps 2 s on opening a slcan adapter."""
+_DOWN = "is down; bring it up: ip link set {channel} up type can bitrate 1000000"
+_GONE = "is gone; plug the adapter in again"
+_MEANING = {errno.ENETDOWN: _DOWN, errno.ENODEV: _GONE, errno.ENXIO: _GONE,
+            errno.ENOBUFS: "takes no more frames; is anybody else on the bus, and is it terminated?"}
+
+
+class CanLink:
+    """One node's frames on a CAN bus.
+
+    `config` goes to `can.Bus` as it is. Raises `DeviceAbsent` when the bus cannot be opened, `LinkLost` when it goes
+    away later, is taken down, or the controller chip went bus-off.
+    """
+
+    def __init__(self, node: int = 0, timeout_s: float = 0.02, **config: Any) -> None:
+        if not 0 <= node < NODES:
+            raise ValueError(f"CAN node {node} is outside 0 to {NODES - 1}")
+        self.errors = 0
+        """Error frames seen, other than bus-off."""
+        self.foreign = 0
+        """Frames left out: remote, extended or CAN FD."""
+        self.where = f"leg controller on CAN {config.get('channel', '')}".rstrip()
+        self._channel, self._timeout_s = config.get("channel", "can0"), timeout_s
+        self._node = node
+        self._failure: LinkLost | None = None
+        mask = {"can_id": node << NODE_BITS, "can_mask": 0x7FF & ~ONE_MESSAGE, "extended": False}
+        try:
+            self._bus = can.Bus(can_filters=[mask], **{**DEFAULTS.get(config.get("interface", ""), {}), **config})
+        except (can.CanError, OSError, ImportError, ValueError, TypeError) as error:
+            raise self._absent(error) from error
+
+    @property
+    def facts(self) -> dict[str, str | int | None]:
+        """What a run file should say of the connection."""
+        return {"kind": "can", "channel": str(self._channel), "node": self._node}
+
+    def read(self) -> Frames:
+        """The frames that arrived; blocks up to the timeout and returns () then. Raises `LinkLost`."""
+        frames: list[CanFrame] = []
+        try:
+            message = None if self._failure else self._bus.recv(self._timeout_s)
+            while message is not None:
+                self._sort(message, frames)
+                if len(frames) >= FRAMES_AT_ONCE:
+                    break
+                message = self._bus.recv(0)
+        except LinkLost as error:
+            self._failure = error
+        except (can.CanError, OSError, ValueError, TypeError) as error:
+            self._failure = self._lost(error)
+        if self._failure is not None and not frames:
+            raise self._failure
+        return tuple(frames)  # what came before a failure is delivered first: a bus says once that it is down
+
+    def write(self, data: Frames) -> None:
+        """Hand over all frames. Raises `LinkLost`, also when the bus stops taking them."""
+        for frame in data:
+            message = can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
+            try:
+                self._bus.send(message, timeout=SEND_TIMEOUT_S)
+            except (can.CanError, OSError, ValueError, TypeError) as error:
+                raise self._lost(error) from error
+
+    def close(self) -> None:
+        """Let go of the bus; may be called twice."""
+        try:
+            self._bus.shutdown()
+        except (can.CanError, OSError):
+            return  # the adapter went away before: nothing is left to let go of
+
+    def _sort(self, message: can.Message, frames: list[CanFrame]) -> None:
+        if message.is_error_frame:
+            if message.arbitration_id & BUS_OFF:
+                raise LinkLost(f"{self.where}: bus-off, the adapter has left the bus after too many errors; check "
+                               "wiring, termination and bit rate, then take the interface down and up")
+            self.errors += 1
+        elif message.is_remote_frame or message.is_extended_id or message.is_fd:
+            self.foreign += 1
+        else:
+            frames.append(CanFrame(message.arbitration_id, bytes(message.data)))
+
+    def _why(self, error: Exception) -> str:
+        number = getattr(error, "error_code", None) or getattr(error, "errno", None)
+        return _MEANING.get(number or 0, f"fails ({error})").format(channel=self._channel)
+
+    def _absent(self, error: Exception) -> DriverError:
+        number = getattr(error, "error_code", None) or getattr(error, "errno", None)
+        if number in (errno.ENODEV, errno.ENXIO):
+            why = "no such interface; plug the adapter in, or correct [devices.controller.can]"
+        else:
+            why = f"cannot be opened ({error}); correct [devices.controller.can]"
+        return DeviceAbsent(f"{self.where}: {why}")
+
+    def _lost(self, error: Exception) -> LinkLost:
+        return LinkLost(f"{self.where}: the connection is gone: the interface {self._why(error)}")

@@ -1,0 +1,133 @@
+"""A register-level magnetometer of the LSM9DS1, and a bus on which several emulated chips hang."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+from drivers import lsm9ds1_mag as mag
+from drivers.mock.clock import Clock
+from drivers.mock.lsm9ds1 import NO_ACKNOWLEDGE
+
+DEFAULTS = {mag.WHO_AM_I: mag.WHO_AM_I_VALUE, mag.CTRL_REG1: 0x10, mag.CTRL_REG3: 0x03}
+RESET_NS = 200_000
+RATE_HZ = {code: rate for rate, code in mag.ODR_HZ.items()}
+RANGE = {code: full for full, code in mag.FS_CODE.items()}
+POWER_DOWN = 0x02
+
+
+class MockMagnetometer:
+    """The chip: a field that a test sets shows up at the output data rate, and moves under self-test."""
+
+    def __init__(self, clock: Clock, address: int = 0x1E) -> None:
+        self.address = address
+        self.field_gauss = (0.2, 0.0, 0.4)
+        """In the magnetometer's own axes."""
+        self.self_test_mgauss = (2000.0, 2000.0, 500.0)
+        """What the self-test adds; zeros for a broken chip."""
+        self.closed = False
+        self._clock = clock
+        self._failures: deque[int] = deque()
+        self._pointer, self._increment = 0, False
+        self._power_up()
+
+    def fail(self, errno: int, times: int = 1) -> None:
+        """The next `times` transfers raise OSError(errno)."""
+        self._failures.extend([errno] * times)
+
+    def i2c_rdwr(self, *i2c_msgs: Any) -> None:
+        """One transaction of smbus2 messages."""
+        if any(message.addr != self.address for message in i2c_msgs):
+            raise OSError(NO_ACKNOWLEDGE, "no acknowledge")
+        if self._failures:
+            raise OSError(self._failures.popleft(), "injected")
+        for message in i2c_msgs:
+            if message.flags & 1:
+                for i in range(message.len):
+                    message.buf[i] = bytes([self._next_byte()])
+            else:
+                self._receive(bytes(message))
+
+    def close(self) -> None:
+        """The bus handle is let go of."""
+        self.closed = True
+
+    def _power_up(self) -> None:
+        self._registers = bytearray(128)
+        for register, value in DEFAULTS.items():
+            self._registers[register] = value
+        self._reset_until: int | None = None
+        self._started_ns = self._clock.now_ns()
+        self._seen = 0
+
+    @property
+    def _rate_hz(self) -> float:
+        return 0.0 if self._registers[mag.CTRL_REG3] & POWER_DOWN else RATE_HZ[self._registers[mag.CTRL_REG1] >> 2 & 7]
+
+    def _count(self) -> int:
+        """Readings made since it was started."""
+        return int((self._clock.now_ns() - self._started_ns) * 1e-9 * self._rate_hz)
+
+    def _receive(self, data: bytes) -> None:
+        if not data:
+            return
+        self._pointer, self._increment = data[0] & 0x7F, bool(data[0] & mag.AUTO_INCREMENT)
+        for value in data[1:]:
+            self._store(self._pointer, value)
+            self._pointer += self._increment
+
+    def _store(self, register: int, value: int) -> None:
+        if register == mag.WHO_AM_I or mag.STATUS <= register < mag.OUT_X_L + 6:
+            return
+        if register == mag.CTRL_REG2 and value & mag.SOFT_RESET:
+            self._power_up()
+            self._registers[mag.CTRL_REG2] |= mag.SOFT_RESET
+            self._reset_until = self._clock.now_ns() + RESET_NS
+            return
+        self._registers[register] = value
+        if register in (mag.CTRL_REG1, mag.CTRL_REG3):
+            self._started_ns, self._seen = self._clock.now_ns(), 0
+
+    def _next_byte(self) -> int:
+        register = self._pointer
+        self._pointer += self._increment
+        if self._reset_until is not None and self._clock.now_ns() >= self._reset_until:
+            self._registers[mag.CTRL_REG2] &= ~mag.SOFT_RESET & 0xFF
+            self._reset_until = None
+        if register == mag.STATUS:
+            fresh = self._count() - self._seen
+            return (mag.DATA_READY if fresh else 0) | (mag.OVERRUN if fresh > 1 else 0)
+        if mag.OUT_X_L <= register < mag.OUT_X_L + 6:
+            self._seen = self._count()
+            return self._output()[register - mag.OUT_X_L]
+        return self._registers[register]
+
+    def _output(self) -> bytes:
+        on = self._registers[mag.CTRL_REG1] & mag.SELF_TEST
+        per_lsb = mag.MGAUSS_PER_LSB[RANGE[self._registers[mag.CTRL_REG2] >> 5 & 3]]
+        words = [round((1e3 * field + (moved if on else 0.0)) / per_lsb)
+                 for field, moved in zip(self.field_gauss, self.self_test_mgauss)]
+        return b"".join(max(-32768, min(32767, w)).to_bytes(2, "little", signed=True) for w in words)
+
+
+class MockBus:
+    """Several emulated chips on one bus: a transaction goes to the chip of its first message's address."""
+
+    def __init__(self, chips: Sequence[Any]) -> None:
+        self._chips = {chip.address: chip for chip in chips}
+        self._lock = threading.Lock()
+
+    def i2c_rdwr(self, *i2c_msgs: Any) -> None:
+        """Raises OSError 121 where no chip has the address."""
+        chip = self._chips.get(i2c_msgs[0].addr)
+        if chip is None:
+            raise OSError(NO_ACKNOWLEDGE, "no acknowledge")
+        with self._lock:
+            chip.i2c_rdwr(*i2c_msgs)
+
+    def close(self) -> None:
+        """Let go of all chips."""
+        for chip in self._chips.values():
+            chip.close()

@@ -1,0 +1,268 @@
+"""The firmware core in C: alone, against the emulator byte for byte, and serving a port to the real driver."""
+
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.can_codec import CanCodec, CanFrame
+from drivers.errors import DeviceFault
+from drivers.leg_controller import LegController
+from drivers.protocol import (
+    Arm,
+    ClearFaults,
+    Decoder,
+    Fault,
+    FaultReport,
+    Hello,
+    HelloRequest,
+    Ping,
+    Pong,
+    State,
+    Stop,
+    Telemetry,
+    TorqueCommand,
+    encode,
+)
+from drivers.serial_link import SerialLink
+from tests.drivers.c_firmware import SOURCES, STRICT, Answer, Event, Served, as_bytes, compiler, emulate, run_core
+
+LOST = -(2**31)
+UNKNOWN = bytes.fromhex("04 07 17 91 00")
+"""A whole frame of type 0x07, which does not exist."""
+ALONE = {"memcpy", "memset", "memmove", "memcmp"}
+"""What a freestanding C compiler may call by itself."""
+
+
+def rx(t_us: int, *messages) -> Event:
+    return Event(t_us, "rx", b"".join(map(encode, messages)).hex())
+
+
+def compare(script: list[Event], end_us: int, node: int | None = None) -> Answer:
+    expected, boots = emulate(script, end_us, node)
+    got = run_core(script, end_us, boots, node)
+    assert got.sent.hex(" ") == expected.sent.hex(" ")
+    assert got == expected
+    return got
+
+
+def test_core_needs_nothing(tmp_path: Path) -> None:
+    own, missing = set(), set()
+    for source in (SOURCES / name for name in ("leg_codec.c", "leg_core.c", "leg_can.c")):
+        out = tmp_path / f"{source.stem}.o"
+        subprocess.run([compiler(), *STRICT, "-Wconversion", "-ffreestanding", "-c", str(source), "-o", str(out)],
+                       check=True)
+        for line in subprocess.run(["nm", str(out)], capture_output=True, text=True, check=True).stdout.splitlines():
+            *_, kind, name = line.split()
+            (missing if kind == "U" else own).add(name)
+    assert missing - own <= ALONE
+
+
+def test_a_scripted_session_byte_for_byte() -> None:
+    script = [
+        rx(0, HelloRequest(), Ping(7)), rx(1_234, TorqueCommand(0, 0.5)), rx(3_000, Arm(50)),
+        *[rx(4_000 + 1_700 * k, TorqueCommand(k, 0.25 * (k % 5 - 2))) for k in range(20)],
+        rx(40_000, TorqueCommand(19, 1.0), TorqueCommand(3, 1.0), Ping(65535)),  # repeated, late
+        rx(100_000, Arm(50), Stop(), ClearFaults()),  # the watchdog has bitten meanwhile
+        rx(101_001, Arm(1000), TorqueCommand(65535, -0.004)), rx(102_000, TorqueCommand(0, 2.000001)),
+        rx(110_000, ClearFaults(), Stop(), ClearFaults(), Arm(4), Arm(1001), Arm(5)),
+        Event(1_100_000, "reboot"), rx(1_100_000, Arm(100)), rx(1_101_000, TorqueCommand(9, 0.5)),
+    ]
+    end = compare(script, 2_300_000)
+    kinds = [type(m) for m in Decoder().feed(end.sent)]
+    assert kinds.count(Hello) == 5  # boot, asked for, 1 s, second boot, 1 s after it
+    reports = [(m.fault, round(m.value, 6)) for m in Decoder().feed(end.sent) if isinstance(m, FaultReport)]
+    assert [f for f, _ in reports] == [1, 1, 128, 1, 1]
+    assert reports[2] == (128, 2.000001)
+    assert end[1:] == (int(State.FAULT), 0, (0, 0, 0))
+
+
+@pytest.mark.parametrize(("name", "value", "good", "fault", "shown"), [
+    ("bus_mv", 12_000, 24_000, Fault.UNDERVOLTAGE, 12.0), ("bus_mv", 31_000, 24_000, Fault.OVERVOLTAGE, 31.0),
+    ("motor_cdegc", 9_500, 2_500, Fault.OVERTEMPERATURE, 95.0), ("knee", LOST, 0, Fault.KNEE_ENCODER, None),
+    ("knee_hall", LOST, 0, Fault.KNEE_HALL, None), ("pivot_hall", LOST, 0, Fault(0), None),
+    ("knee_speed", -50_000_000, 0, Fault.OVERSPEED, -50.0), ("gate_driver", 1, 0, Fault.GATE_DRIVER, None)])
+def test_every_cause_latches_alike(name: str, value: int, good: int, fault: Fault, shown: float | None) -> None:
+    script = [rx(0, Arm(1000), TorqueCommand(0, 0.5)), Event(10_000, "set", name, value),
+              rx(14_000, Stop(), ClearFaults(), Arm(50)), Event(20_000, "set", name, good),
+              rx(24_000, ClearFaults(), Arm(50))]
+    end = compare(script, 30_000)
+    reports = [m for m in Decoder().feed(end.sent) if isinstance(m, FaultReport)]
+    assert {m.fault for m in reports} == ({int(fault)} if fault else set())
+    if shown is not None:
+        assert {m.value for m in reports} == {shown}
+    assert end.state == State.ARMED
+
+
+def random_script(rng: np.random.Generator, seconds: float) -> list[Event]:
+    """Sense and nonsense: commands in and out of order, broken frames, garbage, lost sensors, reboots."""
+    script, t, seq = [], 0, int(rng.integers(65536))
+    readings = {"bus_mv": (9_000, 24_000, 40_000), "motor_cdegc": (-1_000, 2_500, 9_900),
+                "knee": (0, LOST), "knee_hall": (0, LOST), "pivot_hall": (0, LOST), "gate_driver": (0, 1),
+                "knee_speed": (0, 41_000_000, -45_000_000)}
+    while t < seconds * 1e6:
+        t += int(rng.choice([0, 137, 500, 2_000, 7_500]))
+        dice = rng.random()
+        if dice < 0.05:
+            t = -(-t // 2_000) * 2_000
+            name = str(rng.choice(list(readings)))
+            script.append(Event(t, "set", name, int(rng.choice(readings[name]))))
+            t += 2_000  # a sample sees it before the next frame comes
+        elif dice < 0.06:
+            t = -(-t // 500) * 500
+            script.append(Event(t, "reboot"))
+        elif dice < 0.5:
+            seq += int(rng.choice([1, 1, 1, 1, 0, 2, -3, 40_000]))
+            torque = int(rng.integers(-500_200, 500_200)) * 4e-6
+            script.append(rx(t, TorqueCommand(seq % 65536, torque)))
+        else:
+            down = [Arm(int(rng.choice([4, 5, 20, 100, 1000, 1001]))), Stop(), ClearFaults(), HelloRequest(),
+                    Ping(int(rng.integers(65536)))]
+            known = [*map(encode, down), UNKNOWN]
+            data = b"".join(known[int(i)] for i in rng.integers(len(known), size=rng.integers(1, 4)))
+            if rng.random() < 0.4:
+                data = broken(rng, data)
+            script.append(Event(t, "rx", data.hex()))
+    return script
+
+
+def broken(rng: np.random.Generator, data: bytes) -> bytes:
+    """A few bytes changed, dropped, doubled, or noise in front."""
+    out = bytearray(data)
+    for _ in range(int(rng.integers(1, 4))):
+        at = int(rng.integers(len(out)))
+        kind = rng.integers(4)
+        if kind == 0:
+            out[at] ^= 1 << int(rng.integers(8))
+        elif kind == 1 and len(out) > 1:
+            del out[at]
+        elif kind == 2:
+            out[at:at] = out[at: at + 5]
+        else:
+            out[at:at] = rng.bytes(int(rng.integers(1, 90)))
+    return bytes(out)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_sessions_byte_for_byte(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    script = random_script(rng, 2.5)
+    boots = [event.t_us for event in script if event.verb == "reboot"]
+    # The first frame after a boot may be the tail of one under way, which the emulator does not count.
+    for t in [0, *boots]:
+        script.append(rx(t, Stop()))
+    script.sort(key=lambda event: (event.t_us, event.verb != "reboot", event.what != encode(Stop()).hex()))
+    end = compare(script, 2_600_000)
+    kinds = {type(m) for m in Decoder().feed(end.sent)}
+    assert kinds == {Hello, Telemetry, Pong, FaultReport}
+
+
+def on_can(script: list[Event], rng: np.random.Generator, node: int) -> list[Event]:
+    """The script's whole frames as CAN frames of the node; some unknown, too short, or of another node."""
+    out = []
+    for event in script:
+        if event.verb != "rx":
+            out.append(event)
+            continue
+        for message in Decoder().feed(b"\0" + bytes.fromhex(event.what)):
+            (frame,) = CanCodec(node).encode(message)
+            if rng.random() < 0.25:
+                frame = frame._replace(can_id=int(rng.choice([node << 5 | 7, node + 1 << 5, node << 5 | 31])))
+            elif rng.random() < 0.25:
+                frame = frame._replace(data=(frame.data + b"\1")[:8] if rng.random() < 0.5 else frame.data[:-1])
+            out.append(Event(event.t_us, "rx", as_bytes((frame,)).hex()))
+    return out
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_sessions_on_can_byte_for_byte(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    end = compare(on_can(random_script(rng, 2.5), rng, 3), 2_600_000, 3)
+    assert end.dropped[0] == 0 < end.dropped[2]
+    # every Heartbeat, Hello and part of a Telemetry is there
+    assert {int.from_bytes(end.sent[:2], "big") >> 5} == {3}
+
+
+def test_readings_beyond_their_field_are_invalid_on_can() -> None:
+    script = [Event(0, "set", "knee_hall", LOST), Event(0, "set", "motor_cdegc", 2_500)]
+    end = compare(script, 4_000, 3)
+    (first, *_) = [m for m in CanCodec(3).feed(split(end.sent)) if isinstance(m, Telemetry)]
+    assert np.isnan(first.knee_hall_rad)
+
+
+def split(sent: bytes) -> list[CanFrame]:
+    """leg_host's CAN frames of a stream, by the lengths of leg.dbc."""
+    lengths, frames = {8: 6, 9: 7, 16: 6, 19: 6}, []
+    while sent:
+        can_id = int.from_bytes(sent[:2], "big")
+        size = lengths.get(can_id & 31, 8)
+        frames.append(CanFrame(can_id, sent[2: 2 + size]))
+        sent = sent[2 + size:]
+    return frames
+
+
+def test_the_most_negative_torque_is_beyond_the_limit() -> None:
+    frame = bytearray(b"\x01\x00\x00\x00\x00\x00\x80")
+    crc = 0xFFFF
+    for byte in frame:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x1021) & 0xFFFF if crc & 0x8000 else crc << 1
+    data = bytes(frame) + crc.to_bytes(2, "little")
+    stuffed = b"".join(bytes([len(block) + 1]) + block for block in data.split(b"\0")) + b"\0"
+    end = compare([rx(0, Arm(100)), Event(500, "rx", stuffed.hex())], 4_000)
+    (report,) = [m for m in Decoder().feed(end.sent) if isinstance(m, FaultReport)]
+    assert report.fault == Fault.COMMAND_LIMIT
+    assert np.isnan(report.value)
+    assert end.torque_unm == 0
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    served = Served()
+    yield served
+    served.close()
+
+
+def test_the_driver_works_with_it_over_a_port(served: Served) -> None:
+    with LegController(SerialLink(served.path)) as controller:
+        hello = controller.open()
+        assert (hello.telemetry_hz, hello.gear_ratio, hello.torque_limit_nm) == (500, 50.0, 2.0)
+        controller.arm(1000)
+        received, until = [], time.monotonic() + 10.0
+        sent_ns = {}
+        while time.monotonic() < until and sum(isinstance(m, Pong) for m, _ in received) < 5:
+            controller.command(0.5)
+            ping_id, host_tx_ns = controller.ping()
+            sent_ns[ping_id] = host_tx_ns
+            time.sleep(0.01)
+            received += controller.poll()
+        assert controller.armed
+        assert controller.telemetry is not None
+        assert controller.telemetry.current_a == 0.5
+        for message, host_ns in received:
+            if isinstance(message, Pong):
+                inside = (message.tx_tick_us - message.rx_tick_us) % 2**32
+                assert inside * 1000 <= host_ns - sent_ns[message.ping_id] + 1000
+        assert controller.stats.bad_crc == controller.stats.bad_length == controller.stats.lost == 0
+    end = served.record_until(lambda change: change.state == State.DISARMED)[-1]
+    assert (end.torque_unm, end.faults) == (0, 0)
+
+
+def test_a_host_that_falls_silent_ends_in_the_watchdog(served: Served) -> None:
+    controller = LegController(SerialLink(served.path))
+    controller.open()
+    controller.arm(200)
+    controller.command(1.0)
+    end = served.record_until(lambda change: change.state == State.FAULT)[-1]
+    assert (end.torque_unm, end.faults) == (0, Fault.WATCHDOG)
+    assert 200_000_000 <= end.value <= 200_500_000  # 1e-6 ms, by the firmware's own clock; it looks every 0.5 ms
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline and (controller.telemetry is None or not controller.telemetry.faults):
+        controller.poll()
+    with pytest.raises(DeviceFault, match="watchdog"):
+        controller.arm(200)
+    controller.close()

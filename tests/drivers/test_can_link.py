@@ -1,0 +1,249 @@
+"""The controller on CAN: the same `LegController`, over python-can's own buses and an emulated slcan adapter."""
+
+import itertools
+import os
+import threading
+import time
+import tty
+from collections.abc import Iterator
+
+import can
+import numpy as np
+import pytest
+
+from drivers.can_codec import CanCodec, CanFrame
+from drivers.can_link import CanLink
+from drivers.errors import DeviceAbsent, LinkLost
+from drivers.leg_controller import LegController
+from drivers.mock.can_server import CanServer
+from drivers.mock.clock import VirtualClock
+from drivers.mock.link import EmulatorLink
+from drivers.mock.plant import StillPlant
+from drivers.mock.rig import MockRig
+from drivers.protocol import Pong, State, Stop, Telemetry
+
+PATIENCE_S = 10.0
+channels = (f"legid-{os.getpid()}-{n}" for n in itertools.count())
+
+
+def poll_until(controller: LegController, wanted) -> list:
+    received, deadline = [], time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        received += controller.poll()
+        if wanted(received):
+            return received
+    raise AssertionError("it did not come")
+
+
+def test_on_virtual_time_nothing_is_lost() -> None:
+    clock = VirtualClock()
+    rig = MockRig(StillPlant(), clock, codec=CanCodec)
+    link = EmulatorLink(rig.firmware, clock, delay_s=60e-6, jitter_s=30e-6, nothing=())
+    controller = LegController(link, clock.now_ns, CanCodec())
+    hello = controller.open()
+    assert hello.boot_id == rig.firmware.boot_id
+    controller.arm(50)
+    received, end = [], clock.now_ns() + 2_000_000_000
+    while clock.now_ns() < end:
+        controller.command(0.25)
+        received += controller.poll()
+    frames = [m for m, _ in received if isinstance(m, Telemetry)]
+    assert (np.diff([m.seq for m in frames]) == 1).all()
+    assert len(frames) == pytest.approx(1000, abs=5)
+    assert frames[-1].torque_cmd_nm == 0.25
+    assert controller.armed
+    assert controller.stats.lost == controller.stats.bad_crc == controller.stats.unknown == 0
+    controller.close()
+    clock.sleep(0.01)
+    rig.advance_to(clock.now_ns())
+    rig.firmware.transmit(clock.now_ns())
+    assert rig.firmware.drive.state == State.DISARMED
+
+
+def test_a_reboot_is_noticed_by_the_heartbeat_though_its_hello_was_lost() -> None:
+    clock = VirtualClock()
+    rig = MockRig(StillPlant(), clock, codec=CanCodec)
+    controller = LegController(EmulatorLink(rig.firmware, clock, nothing=()), clock.now_ns, CanCodec())
+    controller.open()
+    rig.firmware.reboot()
+    rig.firmware._outbox.clear()  # what it said at boot did not get through
+    end = clock.now_ns() + 150_000_000
+    while clock.now_ns() < end:
+        controller.poll()
+    assert controller.hello is not None
+    assert controller.hello.boot_id == rig.firmware.boot_id
+    assert controller.stats.reboots == 1
+
+
+@pytest.fixture(params=["virtual", "udp_multicast"])
+def bus(request: pytest.FixtureRequest) -> dict:
+    if request.param == "virtual":
+        return {"interface": "virtual", "channel": next(channels)}
+    return {"interface": "udp_multicast", "channel": "239.74.163.2", "port": 43000 + os.getpid() % 2000}
+
+
+@pytest.fixture
+def rig() -> MockRig:
+    return MockRig(StillPlant(), codec=lambda: CanCodec(3))
+
+
+@pytest.fixture
+def server(rig: MockRig, bus: dict) -> Iterator[CanServer]:
+    try:
+        opened = can.Bus(**bus)
+    except OSError as error:
+        pytest.skip(f"no multicast here: {error}")
+    with CanServer(rig.firmware, opened, rig.clock) as server:
+        yield server
+
+
+def test_handshake_telemetry_torque_and_ping(rig: MockRig, server: CanServer, bus: dict) -> None:
+    with LegController(CanLink(3, **bus), codec=CanCodec(3)) as controller:
+        assert controller.open().boot_id == rig.firmware.boot_id
+        controller.arm(1000)
+        controller.command(0.5)
+        poll_until(controller, lambda r: controller.armed and controller.telemetry.current_a > 0.3)
+        ping_id, tx_ns = controller.ping()
+        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, _ in r))
+        pong, rx_ns = next(r for r in received if isinstance(r.message, Pong))
+        assert pong.ping_id == ping_id
+        middle = rig.firmware.tick_us((tx_ns + rx_ns) / 2)
+        assert abs((pong.rx_tick_us + pong.tx_tick_us) / 2 - middle) <= (rx_ns - tx_ns) / 2000 + 60
+        assert controller.stats.bad_crc == controller.stats.bad_length == controller.stats.unknown == 0
+    deadline = time.monotonic() + PATIENCE_S
+    while rig.firmware.drive.state == State.ARMED and time.monotonic() < deadline:
+        time.sleep(0.005)
+    assert rig.firmware.drive.state == State.DISARMED
+
+
+def test_another_node_does_not_answer() -> None:
+    channel = next(channels)
+    rig = MockRig(StillPlant(), codec=lambda: CanCodec(3))
+    with (CanServer(rig.firmware, can.Bus(interface="virtual", channel=channel), rig.clock),
+          pytest.raises(DeviceAbsent, match=r"no answer within 0.3 s \(0 frames came")):
+        LegController(CanLink(4, interface="virtual", channel=channel), codec=CanCodec(4)).open(0.3)
+
+
+@pytest.mark.parametrize("config", [
+    {"interface": "socketcan", "channel": "nocan9"}, {"interface": "nonsense", "channel": "0"},
+    {"interface": "slcan", "channel": "/dev/does-not-exist"}], ids=lambda c: c["interface"])
+def test_a_bus_that_is_not_there_is_said_in_words(config: dict) -> None:
+    with pytest.raises(DeviceAbsent, match=r"^leg controller on CAN .*devices\.controller\.can\]$") as caught:
+        CanLink(**config)
+    assert "\n" not in str(caught.value)
+
+
+class ScriptedBus:
+    """A bus that hands out what it was given: messages, None, or exceptions."""
+
+    def __init__(self, *script) -> None:
+        self.script, self.sent = list(script), []
+
+    def recv(self, timeout=None):
+        item = self.script.pop(0) if self.script else None
+        if isinstance(item, Exception):
+            raise item
+        return item
+
+    def send(self, message, timeout=None) -> None:
+        item = self.script.pop(0) if self.script else None
+        if isinstance(item, Exception):
+            raise item
+        self.sent.append(message)
+
+    def shutdown(self) -> None:
+        pass
+
+
+def scripted(monkeypatch: pytest.MonkeyPatch, *script) -> CanLink:
+    monkeypatch.setattr(can, "Bus", lambda **_: ScriptedBus(*script))
+    return CanLink(interface="scripted", channel="can0")
+
+
+def data_frame(can_id: int = 1, **kind) -> can.Message:
+    return can.Message(arbitration_id=can_id, data=b"\1", is_extended_id=kind.pop("is_extended_id", False), **kind)
+
+
+def test_only_plain_data_frames_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    link = scripted(monkeypatch, data_frame(), data_frame(is_extended_id=True), data_frame(is_fd=True),
+                    can.Message(arbitration_id=4, is_error_frame=True, data=bytes(8)), data_frame(2))
+    assert link.read() == (CanFrame(1, b"\1"), CanFrame(2, b"\1"))
+    assert (link.foreign, link.errors) == (2, 1)
+
+
+def test_bus_off_is_named_after_what_came_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    link = scripted(monkeypatch, data_frame(), can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+    assert link.read() == (CanFrame(1, b"\1"),)
+    for _ in range(2):  # said once by the bus, lasting here
+        with pytest.raises(LinkLost, match=r"bus-off.*termination"):
+            link.read()
+
+
+@pytest.mark.parametrize(("number", "said"), [(100, "ip link set can0 up"), (19, "is gone"), (6, "is gone"),
+                                              (105, "takes no more frames"), (5, "fails")])
+def test_errors_of_the_bus_are_said_in_words(monkeypatch: pytest.MonkeyPatch, number: int, said: str) -> None:
+    error = can.CanOperationError("broken", error_code=number)
+    for link_call in (lambda link: link.read(), lambda link: link.write(CanCodec().encode(Stop()))):
+        with pytest.raises(LinkLost, match=said):
+            link_call(scripted(monkeypatch, error))
+
+
+class SlcanAdapter:
+    """A serial CAN adapter (Lawicel protocol) with a controller on its bus, on a pseudo-terminal."""
+
+    def __init__(self, rig: MockRig) -> None:
+        self.rig = rig
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        os.set_blocking(self.master, False)
+        self.path = os.ttyname(self.slave)
+        self.commands: list[str] = []
+        self.running = True
+        self.thread = threading.Thread(target=self.serve, daemon=True)
+        self.thread.start()
+
+    def serve(self) -> None:
+        rest = ""
+        while self.running:
+            try:
+                rest += os.read(self.master, 4096).decode()
+            except BlockingIOError:
+                time.sleep(0.0005)
+            *lines, rest = rest.split("\r")
+            for line in lines:
+                if line.startswith("t"):
+                    frame = CanFrame(int(line[1:4], 16), bytes.fromhex(line[5: 5 + 2 * int(line[4])]))
+                    self.rig.firmware.receive((frame,), self.rig.clock.now_ns())
+                elif line:
+                    self.commands.append(line)
+            out = "".join(f"t{f.can_id:03X}{len(f.data)}{f.data.hex().upper()}\r"
+                          for _, chunk in self.rig.firmware.transmit(self.rig.clock.now_ns()) for f in chunk)
+            try:
+                os.write(self.master, out.encode())
+            except BlockingIOError:
+                continue
+
+    def close(self) -> None:
+        self.running = False
+        self.thread.join()
+        os.close(self.master)
+        os.close(self.slave)
+
+
+def test_a_serial_can_adapter_carries_it_too(rig: MockRig) -> None:
+    adapter = SlcanAdapter(rig)
+    try:
+        config = {"interface": "slcan", "channel": adapter.path, "bitrate": 1_000_000, "sleep_after_open": 0.0}
+        with LegController(CanLink(3, **config), codec=CanCodec(3)) as controller:
+            assert controller.open(PATIENCE_S).boot_id == rig.firmware.boot_id
+            controller.arm(1000)
+            controller.command(0.5)
+            poll_until(controller, lambda r: controller.armed and controller.telemetry.current_a > 0.3)
+        assert "S8" in adapter.commands  # 1 Mbit/s
+        assert "O" in adapter.commands
+        deadline = time.monotonic() + PATIENCE_S
+        while rig.firmware.drive.state == State.ARMED and time.monotonic() < deadline:
+            time.sleep(0.005)
+        assert rig.firmware.drive.torque_nm == 0.0
+    finally:
+        adapter.close()

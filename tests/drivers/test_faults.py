@@ -1,0 +1,189 @@
+"""Whatever happens on wire or bus: nothing invented is delivered, nothing missing goes unsaid, nothing hangs."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.can_codec import CanCodec
+from drivers.errors import DriverError, LinkLost
+from drivers.leg_controller import LegController
+from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
+from drivers.mock.clock import VirtualClock
+from drivers.mock.faults import KINDS, FaultyI2C, FaultyLink, FaultyWire, WireFaults
+from drivers.mock.link import EmulatorLink
+from drivers.mock.lsm9ds1 import MockLsm9ds1
+from drivers.mock.plant import StillPlant
+from drivers.mock.rig import MockRig
+from drivers.protocol import Decoder, Telemetry, encode
+
+TELEMETRY = Telemetry(0, 0, 1, 0, 0.5, -0.25, 0.5, 0.125, 24.0, 30.5, 0.125)
+
+
+def numbered(count: int) -> list[Telemetry]:
+    """Messages each of which no other can be mistaken for, in any of its parts."""
+    return [replace(TELEMETRY, seq=k, tick_us=2000 * k, knee_rad=k / 1e3, pivot_hall_rad=-k / 1e3, current_a=k / 1e4)
+            for k in range(count)]
+
+
+def wild(seed: int, share: float = 0.3) -> FaultyWire:
+    return FaultyWire(WireFaults(**{kind: share / len(KINDS) for kind in KINDS}), np.random.default_rng(seed))
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), cut=st.integers(1, 200))
+def test_serial_frames_through_a_wild_wire(seed: int, cut: int) -> None:
+    sent, wire, decoder = numbered(80), wild(seed), Decoder()
+    decoder.feed(b"\0")  # from here on every broken frame counts
+    stream = b"".join(part for m in sent for part in wire.pass_on(encode(m)))
+    stream += b"".join(wire.release()) + b"\0"
+    got = [m for at in range(0, len(stream), cut) for m in decoder.feed(stream[at: at + cut])]
+    assert set(got) <= set(sent)
+    hurt = wire.injected["flip"] + wire.injected["garbage"] + wire.injected["cut"]
+    counted = decoder.bad_crc + decoder.bad_length + decoder.unknown
+    merged = wire.injected["flip"] + wire.injected["garbage"]  # a lost delimiter joins two broken frames into one
+    assert hurt - merged // 2 <= counted + wire.injected["garbage"]
+    assert len(got) >= len(sent) - wire.injected["drop"] - 2 * hurt
+    missing = len(set(sent) - set(got))
+    assert decoder.lost >= missing - 1 - wire.injected["swap"] * 2 - hurt  # none at the ends; swaps hide a step back
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_can_frames_through_a_wild_wire(seed: int) -> None:
+    sent, wire, codec = numbered(80), wild(seed), CanCodec()
+    arrived = [part for m in sent for frame in codec.encode(m) for part in wire.pass_on(frame)] + wire.release()
+    got = codec.feed(arrived)
+    assert {m for m in got if isinstance(m, Telemetry)} <= set(sent)
+    assert len(got) == len(set(got))
+    hurt = sum(wire.injected.values())
+    assert len(got) >= len(sent) - 2 * hurt
+    assert codec.bad_length >= wire.injected["flip"] + wire.injected["cut"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_fault_alone_shows_in_a_count_or_costs_nothing(kind: str) -> None:
+    wire = FaultyWire(WireFaults(**{kind: 0.1}), np.random.default_rng(7))
+    decoder, sent = Decoder(), numbered(2000)
+    decoder.feed(b"\0")
+    got = decoder.feed(b"".join(part for m in sent for part in wire.pass_on(encode(m))) + b"\0")
+    n = wire.injected[kind]
+    assert 150 < n < 250
+    broken = decoder.bad_crc + decoder.bad_length + decoder.unknown
+    if kind in ("duplicate", "swap"):
+        assert broken == 0
+        assert len(got) == 2000 + (n if kind == "duplicate" else 0) - len(wire.release())
+    elif kind == "drop":
+        assert (broken, len(got), decoder.lost) == (0, 2000 - n, n - (sent[-1] not in got) - (sent[0] not in got))
+    else:
+        assert n * 0.8 <= broken <= n * 2.5
+        assert set(got) <= set(sent)
+
+
+def test_a_stalled_device_says_everything_afterwards() -> None:
+    clock = VirtualClock()
+    rig = MockRig(StillPlant(), clock)
+    link = FaultyLink(EmulatorLink(rig.firmware, clock), clock)
+    controller = LegController(link, clock.now_ns)
+    controller.open()
+    link.stall(0.2)
+    silent_until, received = clock.now_ns() + 195_000_000, []
+    while clock.now_ns() < silent_until:
+        received += controller.poll()
+    assert received == []
+    for _ in range(20):
+        received += controller.poll()
+    seqs = [m.seq for m, _ in received if isinstance(m, Telemetry)]
+    assert len(seqs) >= 100
+    assert set(np.diff(seqs)) == {1}
+    assert controller.stats.lost == 0
+
+
+def test_unplugged_and_plugged_in_again_the_drive_is_off_and_the_loss_is_counted() -> None:
+    clock = VirtualClock()
+    rig = MockRig(StillPlant(), clock)
+    link = FaultyLink(EmulatorLink(rig.firmware, clock), clock)
+    controller = LegController(link, clock.now_ns)
+    controller.open()
+    controller.arm(100)
+    for _ in range(50):
+        controller.command(0.5)
+        controller.poll()
+    link.unplug()
+    with pytest.raises(LinkLost):
+        controller.command(0.5)
+    with pytest.raises(LinkLost):
+        controller.poll()
+    clock.sleep(0.3)
+    link.replug()
+    hello = controller.open()  # stops first
+    assert hello.boot_id == rig.firmware.boot_id
+    controller.poll()
+    assert controller.telemetry is not None
+    assert controller.telemetry.torque_cmd_nm == 0.0
+    assert controller.stats.lost > 100
+    t_ns, _, acting = rig.firmware.record
+    assert acting[t_ns > clock.now_ns() - 150_000_000].max() < 1e-9
+
+
+class Numbered:
+    """A chip whose k-th sample is k in all six words, drained through a faulty bus."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self.clock = VirtualClock()
+        self.chip = MockLsm9ds1(self.clock, self.advance)
+        self.schedule: dict = {}
+        self.bus = FaultyI2C(self.chip, self.schedule)
+        self.driver = Lsm9ds1(self.bus, config=ImuConfig(rate_hz), now_ns=self.clock.now_ns, sleep=self.clock.sleep)
+        self.made, self.next_ns = 0, 0.0
+
+    def advance(self, t_ns: int) -> None:
+        rate = self.chip.rate_hz
+        if not rate:
+            self.next_ns = 0.0
+            return
+        self.next_ns = self.next_ns or t_ns
+        while self.next_ns <= t_ns:
+            self.chip.push([self.made % 30000] * 6)
+            self.made += 1
+            self.next_ns += 1e9 / rate
+
+
+ERRNOS = [121, 110, 11, 5, 6, 19]
+happenings = st.one_of(
+    st.tuples(st.just("nack"), st.sampled_from(ERRNOS), st.integers(1, 9)),
+    st.tuples(st.just("partial"), st.sampled_from(ERRNOS), st.integers(1, 380)),
+    st.tuples(st.just("stall"), st.just(0), st.integers(1, 80)),
+    st.tuples(st.just("brown out"), st.just(0), st.just(0)))
+
+
+@settings(max_examples=80, deadline=None)
+@given(rate=st.sampled_from([119.0, 238.0, 952.0]),
+       events=st.lists(st.tuples(st.integers(0, 400), happenings), min_size=1, max_size=5))
+def test_whatever_the_bus_does_no_sample_is_doubled_and_no_gap_goes_unsaid(rate: float, events: list) -> None:
+    bench = Numbered(rate)
+    bench.driver.open()
+    actions = {"nack": lambda number, n: bench.chip.fail(number, times=n),
+               "partial": lambda number, n: bench.chip.fail(number, after_bytes=n),
+               "stall": lambda _, ms: bench.clock.sleep(ms * 1e-3),
+               "brown out": lambda *_: bench.chip.brown_out()}
+    for at, (what, number, n) in events:
+        bench.schedule[bench.bus.transfers + at] = lambda what=what, number=number, n=n: actions[what](number, n)
+    batches, end = [], bench.clock.now_ns() + 3_000_000_000
+    while bench.clock.now_ns() < end:
+        bench.clock.sleep(0.01)
+        try:
+            batches.append(bench.driver.drain())
+        except DriverError as error:
+            assert "\n" not in str(error)
+            break  # a chip that stays away for longer than the retries is said to be away
+    filled = [b for b in batches if len(b.raw)]
+    assert all((b.raw == b.raw[:, :1]).all() for b in filled)  # no sample is put together from two
+    for a, b in pairwise(filled):
+        step = (int(b.raw[0, 0]) - int(a.raw[-1, 0])) % 30000
+        assert 0 < step < 15000
+        assert step == 1 or b.gap_before
+        assert (np.diff(b.raw[:, 0]) == 1).all()

@@ -1,0 +1,258 @@
+"""In the guest: the leg controller on the kernel's SocketCAN, vcan and slcan. Collected by tests/kernel/uml.py only."""
+
+import errno
+import fcntl
+import os
+import subprocess
+import termios
+import threading
+import time
+import tty
+from collections.abc import Iterator
+
+import can
+import pytest
+
+from drivers.can_codec import CanCodec, CanFrame
+from drivers.can_link import CanLink
+from drivers.errors import DeviceAbsent, LinkLost
+from drivers.leg_controller import LegController
+from drivers.mock.can_server import CanServer
+from drivers.mock.plant import StillPlant
+from drivers.mock.rig import MockRig
+from drivers.mock.settings import FirmwareSettings
+from drivers.protocol import Pong, State, Telemetry
+
+PATIENCE_S = 20.0
+VCAN = {"interface": "socketcan", "channel": "vcan0"}
+NODE = 3
+
+
+def ip(*words: str) -> None:
+    subprocess.run(["ip", *words], check=True)
+
+
+def raw(can_id: int, data: bytes = b"\0", **kind) -> can.Message:
+    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False, **kind)
+
+
+def poll_until(controller: LegController, wanted) -> list:
+    received, deadline = [], time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        received += controller.poll()
+        if wanted(received):
+            return received
+    raise AssertionError("it did not come")
+
+
+def settle(rig: MockRig, wanted) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not wanted() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert wanted()
+
+
+@pytest.fixture
+def rig() -> MockRig:
+    # A slow telemetry: a system call costs 50 us in here, and the physics its own.
+    return MockRig(StillPlant(), firmware=FirmwareSettings(telemetry_hz=100), codec=lambda: CanCodec(NODE))
+
+
+@pytest.fixture
+def server(rig: MockRig) -> Iterator[CanServer]:
+    server = CanServer(rig.firmware, can.Bus(**VCAN), rig.clock)
+    yield server
+    try:
+        server.close()
+    except can.CanError:
+        return  # the interface was taken from it, as the test wanted
+
+
+def connect() -> LegController:
+    return LegController(CanLink(NODE, **VCAN), codec=CanCodec(NODE))
+
+
+def test_the_whole_way_from_handshake_to_stop(rig: MockRig, server: CanServer) -> None:
+    with connect() as controller:
+        assert controller.open(PATIENCE_S).boot_id == rig.firmware.boot_id
+        controller.arm(1000)
+        controller.command(0.5)
+        poll_until(controller, lambda r: controller.armed and controller.telemetry.current_a > 0.3)
+        ping_id, tx_ns = controller.ping()
+        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, _ in r))
+        pong, rx_ns = next(r for r in received if isinstance(r.message, Pong))
+        middle = rig.firmware.tick_us((tx_ns + rx_ns) / 2)
+        assert pong.ping_id == ping_id
+        assert abs((pong.rx_tick_us + pong.tx_tick_us) / 2 - middle) <= (rx_ns - tx_ns) / 2000 + 60
+        assert controller.stats.bad_crc == controller.stats.bad_length == controller.stats.unknown == 0
+    settle(rig, lambda: rig.firmware.drive.state == State.DISARMED)
+
+
+def test_the_kernel_filters_other_nodes(rig: MockRig, server: CanServer) -> None:
+    link = CanLink(NODE, **VCAN)
+    with can.Bus(**VCAN) as other:
+        for can_id in (NODE + 1 << 5 | 12, NODE << 5 | 12):
+            other.send(raw(can_id))
+        frames, deadline = [], time.monotonic() + PATIENCE_S
+        while not any(f.data == b"\0" for f in frames) and time.monotonic() < deadline:
+            frames += link.read()
+    assert {f.can_id >> 5 for f in frames} == {NODE}
+    link.close()
+
+
+def test_interface_down_is_said_with_the_remedy_and_the_drive_falls_to_its_watchdog(rig: MockRig,
+                                                                                    server: CanServer) -> None:
+    controller = connect()
+    controller.open(PATIENCE_S)
+    controller.arm(200)
+    controller.command(0.5)
+    poll_until(controller, lambda r: controller.armed)
+    ip("link", "set", "vcan0", "down")
+    try:
+        with pytest.raises(LinkLost, match="interface is down; bring it up: ip link set vcan0 up"):
+            poll_until(controller, lambda r: False)
+        with pytest.raises(LinkLost, match="is down"):
+            controller.command(0.5)
+        controller.close()
+        deadline = time.monotonic() + 1.0
+        while time.monotonic() < deadline:
+            rig.firmware.transmit(rig.clock.now_ns())  # whoever served the bus was cut off with it
+            time.sleep(0.01)
+        assert rig.firmware.drive.torque_nm == 0.0
+        assert rig.firmware.drive.state == State.FAULT
+    finally:
+        ip("link", "set", "vcan0", "up")
+
+
+def test_an_interface_removed_is_gone(rig: MockRig, server: CanServer) -> None:
+    controller = connect()
+    controller.open(PATIENCE_S)
+    ip("link", "del", "vcan0")
+    try:
+        with pytest.raises(LinkLost, match="is gone; plug the adapter in again"):
+            poll_until(controller, lambda r: False)
+        with pytest.raises(LinkLost, match="is gone"):
+            controller.command(0.0)
+        controller.close()
+        with pytest.raises(DeviceAbsent, match="no such interface"):
+            CanLink(NODE, **VCAN)
+    finally:
+        ip("link", "add", "vcan0", "type", "vcan")
+        ip("link", "set", "vcan0", "up")
+
+
+def test_a_flood_loses_frames_in_silence_and_the_codec_counts_them() -> None:
+    link, codec = CanLink(NODE, **VCAN), CanCodec(NODE)
+    telemetry = Telemetry(0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 24.0, 25.0, 0.0)
+    with can.Bus(**VCAN) as other:
+        for seq in range(1500):
+            for frame in CanCodec(NODE).encode(Telemetry(seq, *list(vars(telemetry).values())[1:])):
+                other.send(raw(frame.can_id, frame.data))
+        got, chunk = [], link.read()
+        while chunk:
+            got += codec.feed(chunk)
+            chunk = link.read()
+        for seq in (1500, 1501):
+            for frame in CanCodec(NODE).encode(Telemetry(seq, *list(vars(telemetry).values())[1:])):
+                other.send(raw(frame.can_id, frame.data))
+        got += codec.feed(link.read())
+    seqs = [m.seq for m in got]
+    assert 10 < len(seqs) < 1500
+    assert seqs == sorted(set(seqs))
+    assert seqs[-1] == 1501
+    assert codec.lost == 1502 - len(seqs) - seqs[0]
+    link.close()
+
+
+def test_error_frames_bus_off_ends_the_link_others_are_counted() -> None:
+    link = CanLink(NODE, **VCAN)
+    with can.Bus(**VCAN) as other:
+        other.send(can.Message(arbitration_id=0x04, is_error_frame=True, data=bytes(8)))
+        other.send(raw(NODE << 5 | 16, bytes(6)))
+        assert link.read() == (CanFrame(NODE << 5 | 16, bytes(6)),)
+        assert link.errors == 1
+        other.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+        with pytest.raises(LinkLost, match="bus-off"):
+            link.read()
+    link.close()
+
+
+def test_the_kernels_stamp_is_of_the_arrival() -> None:
+    with can.Bus(**VCAN) as a, can.Bus(**VCAN) as b:
+        before = time.time()
+        a.send(raw(1))
+        sent = time.time()
+        time.sleep(0.2)
+        message = b.recv(PATIENCE_S)
+        assert message is not None
+        assert before - 0.02 < message.timestamp < sent + 0.02
+
+
+class SlcanAdapter:
+    """The far end of a serial CAN adapter: what it hears, and what a test lets it say."""
+
+    def __init__(self) -> None:
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        self.heard = b""
+        self.running = True
+        os.set_blocking(self.master, False)
+        self.thread = threading.Thread(target=self.listen, daemon=True)
+        self.thread.start()
+
+    def listen(self) -> None:
+        while self.running:
+            try:
+                self.heard += os.read(self.master, 4096)
+            except BlockingIOError:
+                time.sleep(0.002)
+
+    def say(self, text: str) -> None:
+        os.write(self.master, text.encode())
+
+    def close(self) -> None:
+        self.running = False
+        self.thread.join()
+        os.close(self.slave)
+        os.close(self.master)
+
+
+def test_slcan_carries_frames_and_says_bus_off() -> None:
+    adapter = SlcanAdapter()
+    try:
+        fcntl.ioctl(adapter.slave, termios.TIOCSETD, (17).to_bytes(4, "little"))  # N_SLCAN
+        name = "slcan0" if os.path.exists("/sys/class/net/slcan0") else "can0"
+        ip("link", "set", name, "up")
+        link = CanLink(NODE, interface="socketcan", channel=name)
+        link.write((CanFrame(NODE << 5, b""),))  # Stop
+        deadline = time.monotonic() + PATIENCE_S
+        while b"t0600\r" not in adapter.heard and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert b"t0600\r" in adapter.heard
+        adapter.say("t0706CDAB34120120\r")  # the Heartbeat of section 10
+        frames: tuple[CanFrame, ...] = ()
+        while not frames and time.monotonic() < deadline:
+            frames = link.read()
+        (beat,) = CanCodec(NODE).feed(frames)
+        assert vars(beat) == {"boot_id": 0x1234ABCD, "faults": 1, "state": 2}
+        adapter.say("sb255255\r")
+        with pytest.raises(LinkLost, match="bus-off"):
+            while time.monotonic() < deadline:
+                link.read()
+        link.close()
+    finally:
+        adapter.close()
+
+
+def test_sending_without_a_reader_ends_in_words_not_in_a_hang() -> None:
+    link = CanLink(NODE, **VCAN)
+    ip("link", "set", "vcan0", "down")
+    try:
+        with pytest.raises(LinkLost) as caught:
+            link.write((CanFrame(NODE << 5, b""),))
+        assert "\n" not in str(caught.value)
+        assert isinstance(caught.value.__cause__, can.CanError)
+        assert caught.value.__cause__.error_code == errno.ENETDOWN
+    finally:
+        ip("link", "set", "vcan0", "up")
+        link.close()
