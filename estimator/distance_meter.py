@@ -17,6 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.dataset import Dataset
+from estimator.errors import FitError
+
 FloatArray = NDArray[np.float64]
 
 
@@ -71,3 +74,19 @@ class DistanceMeter:
         """Noisy readings [m] of a leg at q1 [rad]."""
         distance = self.distance(angle)
         return distance + self.sigma(distance) * rng.normal(size=np.shape(distance))
+
+
+def angle_record(data: Dataset, meter: DistanceMeter) -> tuple[Dataset, float]:
+    """`data` with its column `distance_m` turned to `q1_rad`, and the angle's standard deviation [rad].
+
+    The deviation changes with the distance; what is returned is its root mean square over the record, the level for
+    `FitOptions.noise["encoder1_rad"]`. Raises `FitError` where there are no readings, or beams that missed the ground.
+    """
+    if "distance_m" not in data.columns:
+        raise FitError(f"{data.name} has no column distance_m")
+    distance = data["distance_m"]
+    if not np.isfinite(distance).all():
+        raise FitError(f"{data.name}: the beam missed the ground at {int((~np.isfinite(distance)).sum())} samples")
+    columns = {name: values for name, values in data.columns.items() if name != "distance_m"}
+    angle = Dataset(data.name, data.rate_hz, data.time_s, {**columns, "q1_rad": meter.angle(distance)})
+    return angle, float(np.sqrt(np.mean(meter.angle_sigma(distance) ** 2)))

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from daq.dataset import Dataset
 from estimator.errors import FitError
@@ -13,6 +16,9 @@ from estimator.mle_free import fit_mle_free
 from estimator.options import FitOptions
 from estimator.result import FitResult
 from estimator.rls import fit_rls
+from estimator.search import suits
+from estimator.signalset import split_signals
+from estimator.unexcited import LEAST_POWER, LEAST_POWER_MLE, undetermined_by_design
 from estimator.wls import fit_wls
 
 Estimator = Callable[[Sequence[Dataset], Mechanism, FitOptions], FitResult]
@@ -23,10 +29,32 @@ METHODS = ("mle", "wls", "rls", "hekf")
 def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str = "mle") -> FitResult:
     """Identify `mechanism` from `datasets` by `method`; raises `FitError` where the data cannot answer.
 
+    What the data leaves undetermined is named in the result, or in the error, by the regressor's excitation
+    (`estimator.unexcited`): with noise for motion, methods other than `mle` are sure of what they do not know, and so
+    is an `mle` that estimates its noise levels and has put the torque down to noise. Where all levels are given its
+    covariance can be relied on.
+
     >>> fit([run], leg2(lever_arm=0.2), FitOptions(sensors="imu")).beta  # doctest: +SKIP
     """
+    try:
+        result = estimate(datasets, mechanism, options, method)
+    except FitError as error:
+        names = undetermined_by_design(datasets, mechanism, options)
+        if not names:
+            raise
+        raise FitError(f"this data does not determine {', '.join(names)}: move every joint, or give parameters with "
+                       f"--fix NAME=VALUE ({error})") from None
+    if result.method == "mle" and suits(split_signals(datasets, mechanism, options), mechanism, options):
+        return result
+    sound = result.method == "mle" and result.converged
+    names = undetermined_by_design(datasets, mechanism, options, LEAST_POWER_MLE if sound else LEAST_POWER)
+    return replace(result, undetermined=names or result.undetermined)
+
+
+def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str) -> FitResult:
+    """`fit` without a look at the excitation; for many records of one experiment."""
     if method not in ESTIMATORS:
         raise FitError(f"method {method!r} is none of {', '.join(ESTIMATORS)}")
-    if method == "mle" and options.latent == "free":
-        return fit_mle_free(datasets, mechanism, options)
-    return ESTIMATORS[method](datasets, mechanism, options)
+    run = fit_mle_free if method == "mle" and options.latent == "free" else ESTIMATORS[method]
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that runs away is found out by itself
+        return run(datasets, mechanism, options)

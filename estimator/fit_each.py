@@ -11,7 +11,7 @@ from daq.dataset import Dataset
 from estimator import hekf
 from estimator.batch import BatchProblem, Records
 from estimator.errors import FitError
-from estimator.fit import fit
+from estimator.fit import estimate
 from estimator.latent import LatentProblem
 from estimator.mechanism import Mechanism
 from estimator.mle import result_of, state_of
@@ -26,9 +26,9 @@ Outcome = FitResult | FitError
 
 def fit_each(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
              method: str = "mle") -> list[Outcome]:
-    """`fit` on each of `datasets`, in their order; a record that cannot be fitted gives its `FitError`."""
+    """`estimate` on each of `datasets`, in their order; a record that cannot be fitted gives its `FitError`."""
     out: list[Outcome | None] = [None] * len(datasets)
-    if method in ("mle", "hekf"):
+    if method == "hekf" or (method == "mle" and options.latent != "free"):
         together = _fit_mle if method == "mle" else _fit_hekf
         for where, signals in _alike(datasets, mechanism, options, method):
             for k, outcome in zip(where, together(signals, mechanism, options)):
@@ -36,7 +36,7 @@ def fit_each(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     for k, data in enumerate(datasets):
         if out[k] is None:
             try:
-                out[k] = fit([data], mechanism, options, method)
+                out[k] = estimate([data], mechanism, options, method)
             except FitError as error:
                 out[k] = error
     return [outcome for outcome in out if outcome is not None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -67,6 +68,12 @@ class FitResult:
     trajectories: tuple[Trajectory, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
     """Parameters that were given, not estimated."""
+
+    @property
+    def open_parameters(self) -> frozenset[str]:
+        """Names of the parameters that take part in what is undetermined: their values mean nothing."""
+        words = re.findall(r"[A-Za-z_]\w*", " ".join(self.undetermined))
+        return frozenset(words) & frozenset(self.mechanism.names)
 
     @property
     def std(self) -> FloatArray:

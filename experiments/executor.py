@@ -7,11 +7,12 @@ one picklable argument.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import Any, Protocol, TypeVar
 
 from daq.errors import InputError, WorkError
@@ -39,6 +40,18 @@ class SerialExecutor:
         yield from ((k, function(piece)) for k, piece in enumerate(pieces))
 
 
+def leave_with_parent() -> None:
+    """End this worker when its parent is gone, however it went: after a SIGKILL nobody else tells it to."""
+    parent = parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, name="parent", daemon=True).start()
+
+
 @dataclass(frozen=True)
 class LocalExecutor:
     """Processes on this machine; they start fresh, so nothing of this process's state leaks into a result."""
@@ -50,7 +63,8 @@ class LocalExecutor:
         before = {name: os.environ.get(name) for name in ONE_THREAD}
         os.environ.update(ONE_THREAD)  # read by the libraries of the new processes when they start
         try:
-            with ProcessPoolExecutor(min(self.workers, max(len(pieces), 1)), mp_context=get_context("spawn")) as pool:
+            with ProcessPoolExecutor(min(self.workers, max(len(pieces), 1)), mp_context=get_context("spawn"),
+                                     initializer=leave_with_parent) as pool:
                 futures = {pool.submit(function, piece): k for k, piece in enumerate(pieces)}
                 try:
                     for future in as_completed(futures):

@@ -16,8 +16,13 @@ FIT_SCHEMA = "legid.fit/1"
 
 
 def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, Any]:
-    """`legid.fit/1` of contracts.md, with what is undetermined, warned of and assumed added to it."""
-    rows = zip(result.mechanism.parameters, result.beta, result.std, result.ci95())
+    """`legid.fit/1` of contracts.md, with what is undetermined, warned of and assumed added to it.
+
+    A parameter that takes part in what is undetermined has NaN, null in the file, for numbers.
+    """
+    closed = [p.name not in result.open_parameters for p in result.mechanism.parameters]
+    numbers = (np.where(closed, x.T, np.nan).T for x in (result.beta, result.std, result.ci95()))
+    rows = zip(result.mechanism.parameters, *numbers)
     return {
         "schema": FIT_SCHEMA, "model": settings.model, "method": result.method, "sensors": result.sensors,
         "parameters": [{"name": p.name, "meaning": p.meaning, "unit": p.unit, "value": float(value),

@@ -23,6 +23,9 @@ def parameter_rows(result: FitResult) -> list[list[str]]:
     """name, value, std, 95 % interval, unit, meaning of every parameter."""
     rows = []
     for p, value, std, (low, high) in zip(result.mechanism.parameters, result.beta, result.std, result.ci95()):
+        if p.name in result.open_parameters:
+            rows.append([p.name, "not determined", "", "", p.unit, p.meaning])
+            continue
         if p.name in result.fixed:
             spread, interval = "given", ""
         elif math.isfinite(std):

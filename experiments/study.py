@@ -19,6 +19,7 @@ from estimator.errors import FitError
 from estimator.fit_each import fit_each
 from estimator.options import FitOptions
 from experiments.free_run import free_runs
+from experiments.study_likelihood import likelihood_ratio
 from experiments.walker import MOTOR_ANGLES, Step, motor_mechanism, one_step, true_parameters
 
 FloatArray = NDArray[np.float64]
@@ -29,9 +30,11 @@ TORQUE_VARIANCE = 0.1
 PASSIVE_NM = 0.03
 """Standard deviation that stands for the stance foot's exact zero [N m]: a tenth of the motors' noise. MLE does not
 hinge on it (tests/test_study.py)."""
+METHODS = ("mle", "wls", "rls", "hekf")
+PAPERS_MLE = "mle-free"
+"""The paper's own MLE, with free latents and central differences (`estimator.mle_free`); on request."""
 FLOOR = "floor"
 """Least squares on the true states: only torque noise is left."""
-METHODS = ("mle", "wls", "rls", "hekf")
 
 
 class Case(NamedTuple):
@@ -80,15 +83,18 @@ class BlockResult:
     converged: BoolArray
     failed: BoolArray
     """(R,) no fit, or a free run that could not be carried to its end"""
+    likelihood_ratio: FloatArray
+    """(R,) of the estimate against the truth (`experiments.study_likelihood`); NaN for methods other than mle"""
     seconds: float
-    """spent on the whole block, fits and free runs"""
+    """of the processor spent on the whole block, fits and free runs: other work on the machine does not count"""
 
 
 def blocks(cases: Sequence[Case], methods: Sequence[str], runs: int, seed: int) -> list[Block]:
-    """All work of a study; cheap methods first, so that a table soon has something in every column."""
-    return [Block(case, method, first, min(BLOCK, runs - first), seed)
-            for method in sorted(methods, key=[FLOOR, "wls", "rls", "hekf", "mle"].index)
-            for case in cases for first in range(0, runs, BLOCK)]
+    """All work of a study. Every method and case advances alike, so that the time left can be told from the time
+    spent; within one round the slowest come first, so that workers end together."""
+    slowest = [PAPERS_MLE, "mle", "hekf", "rls", "wls", FLOOR]
+    return [Block(case, method, first, min(BLOCK, runs - first), seed) for first in range(0, runs, BLOCK)
+            for method in sorted(methods, key=slowest.index) for case in reversed(cases)]
 
 
 def noisy_record(step: Step, case: Case, seed: int, run: int) -> Dataset:
@@ -101,35 +107,61 @@ def noisy_record(step: Step, case: Case, seed: int, run: int) -> Dataset:
     return Dataset(f"case {case.number}, run {run}", 1.0 / (step.time_s[1] - step.time_s[0]), step.time_s, columns)
 
 
-def case_options(case: Case) -> FitOptions:
+def noise_free_record(step: Step) -> Dataset:
+    """The same columns as they truly are."""
+    columns = {"q1_rad": step.q[:, 0], "q2_rad": step.q[:, 1], "q3_rad": step.q[:, 2], "tau2_nm": step.torque[:, 1],
+               "tau3_nm": step.torque[:, 2]}
+    return Dataset("no noise", 1.0 / (step.time_s[1] - step.time_s[0]), step.time_s, columns)
+
+
+def case_options(case: Case, method: str = "mle") -> FitOptions:
     """Everything the paper assumes known: noise levels, and the filter of Table II."""
     noise = {"encoder1_rad": float(np.sqrt(case.angle_variance)), "encoder2_rad": 0.0, "encoder3_rad": 0.0,
              "torque_nm": float(np.sqrt(TORQUE_VARIANCE)), "passive_nm": PASSIVE_NM}
     return FitOptions(sensors="encoder", hold="zero", noise=noise, half_power=case.half_power, spacing=case.spacing,
-                      filter_order=5)
+                      filter_order=5, latent="free" if method == PAPERS_MLE else "trajectory")
 
 
 def run_block(block: Block) -> BlockResult:
     """Make the records, fit them, and simulate every model from the true state under the true torque."""
-    started = time.perf_counter()
-    step, mechanism = one_step().in_motor_angles(), motor_mechanism()
+    started = time.process_time()
+    step = one_step().in_motor_angles()
     records = [noisy_record(step, block.case, block.seed, run) for run in range(block.first, block.first + block.count)]
-    beta = np.full((block.count, mechanism.p), np.nan)
-    std, converged = np.full_like(beta, np.nan), np.zeros(block.count, dtype=bool)
-    if block.method == FLOOR:
-        beta, std = _floor(step, records)
-        converged[:] = True
-    else:
-        for k, outcome in enumerate(fit_each(records, mechanism, case_options(block.case), block.method)):
-            if not isinstance(outcome, FitError):
-                beta[k], std[k], converged[k] = outcome.beta, outcome.std, outcome.converged
-    free = free_runs(mechanism, beta, step.q[0], step.qd[0], step.torque, 1.0 / records[0].rate_hz)
+    beta, std, converged = _floor(step, records) if block.method == FLOOR else _fits(block.case, block.method, records)
+    error = simulation_errors(step, beta)
+    ratio = np.full(block.count, np.nan)
+    if block.method == "mle":
+        ratio = likelihood_ratio(records, case_options(block.case), beta, truth(), step)
+    return BlockResult(beta, std, error, converged, np.isnan(error), ratio, time.process_time() - started)
+
+
+def simulation_errors(step: Step, beta: FloatArray) -> FloatArray:
+    """(R,) summed squared errors of the paper's three angles over the free runs of beta (R, 8) [rad^2]; NaN: failed."""
+    free = free_runs(motor_mechanism(), beta, step.q[0], step.qd[0], step.torque, step.time_s[1] - step.time_s[0])
     angles = (free.q - step.q) @ np.linalg.inv(MOTOR_ANGLES).T
-    error = np.where(free.failed, np.nan, np.sum(angles**2, axis=(1, 2)))
-    return BlockResult(beta, std, error, converged, free.failed, time.perf_counter() - started)
+    return np.where(free.failed, np.nan, np.sum(angles**2, axis=(1, 2)))
 
 
-def _floor(step: Step, records: Sequence[Dataset]) -> tuple[FloatArray, FloatArray]:
+def error_of_differences(case: Case) -> float:
+    """Error [rad^2] that WLS-FCD leaves on the record without any noise: the bias of its filter and differences."""
+    step = one_step().in_motor_angles()
+    beta, _, _ = _fits(case, "wls", [noise_free_record(step)])
+    return float(simulation_errors(step, beta)[0])
+
+
+def _fits(case: Case, method: str, records: Sequence[Dataset]) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """beta, std (R, 8) and convergence (R,); NaN where there is no fit."""
+    mechanism = motor_mechanism()
+    beta = np.full((len(records), mechanism.p), np.nan)
+    std, converged = np.full_like(beta, np.nan), np.zeros(len(records), dtype=bool)
+    name = "mle" if method == PAPERS_MLE else method
+    for k, outcome in enumerate(fit_each(records, mechanism, case_options(case, method), name)):
+        if not isinstance(outcome, FitError):
+            beta[k], std[k], converged[k] = outcome.beta, outcome.std, outcome.converged
+    return beta, std, converged
+
+
+def _floor(step: Step, records: Sequence[Dataset]) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Least squares (28) on the true states and accelerations, all rows weighted alike, and its true spread."""
     mechanism = motor_mechanism()
     z = mechanism.regressor(step.q, step.qd, step.qdd).reshape(-1, mechanism.p)
@@ -137,7 +169,7 @@ def _floor(step: Step, records: Sequence[Dataset]) -> tuple[FloatArray, FloatArr
     torque = np.stack([np.column_stack([np.zeros(len(r)), r["tau2_nm"], r["tau3_nm"]]).ravel() for r in records])
     variance = np.tile([0.0, TORQUE_VARIANCE, TORQUE_VARIANCE], len(step.time_s))
     std = np.sqrt((solver**2 * variance).sum(axis=1))
-    return torque @ solver.T, np.tile(std, (len(records), 1))
+    return torque @ solver.T, np.tile(std, (len(records), 1)), np.ones(len(records), dtype=bool)
 
 
 def truth() -> FloatArray:

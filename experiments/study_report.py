@@ -2,62 +2,58 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 import numpy as np
 
 from experiments.figures import BLUE, GREEN, GREY, ORANGE, Line, plot_lines
-from experiments.output import text_table
+from experiments.output import program_version, text_table
 from experiments.report import Picture, Section
 from experiments.report import Table as PageTable
-from experiments.study import FLOOR
-from experiments.study_table import PAPER, Cell, Table
+from experiments.study import BLOCK, FLOOR, METHODS, PAPERS_MLE, Case, truth
+from experiments.study_claims import claims
+from experiments.study_reasons import reasons
+from experiments.study_table import LABELS, PAPER, Cell, Table
+from experiments.walker import motor_mechanism
 
-LABELS = {"mle": "MLE", "wls": "WLS-FCD", "rls": "RLS", "hekf": "HEKF", FLOOR: "floor"}
-COLOURS = {"mle": ORANGE, "wls": BLUE, "rls": GREEN, "hekf": "#8e5cc4", FLOOR: GREY}
-HEADER = ["case", "method", "mean", "paper", "variance", "paper", "failed", "paper", "median", "not converged"]
-WHY = (
-    "The paper does not print its controller, initial state or hold between samples. Here they are the walker of "
-    "Grizzle, Abba and Plestan (2001) just after an impact of its periodic gait, torque held for 10 ms "
-    "(experiments/walker.py). Errors therefore differ in size from the print even where a method is the same.",
-    "The paper's 1.15 to 1.24 is the bias of finite differences: on this record without any noise, differences over "
-    "2 samples leave a free-run error of 1.22 rad². MLE is a hundred times below it because its motion is one "
-    "function whose derivatives are exact, under torque that acts as the hold says.",
-    "Least squares compares a symmetric difference with the mean of the torques held before and after the sample; "
-    "with the held torque of the sample itself its error in case 1 would be 45 rad² without any noise.",
-    "WLS-FCD and RLS in cases 2 to 5 are worse than the print: torque and acceleration change fast just after the "
-    "impact, and differences over 3 to 7 samples on both sides smear that. Many of their models have an inertia "
-    "matrix that becomes singular on the way, which counts as a failed simulation.",
-    "RLS weights the passive joint's equation heavily, as appendix A asks; errors in the angles then pull all "
-    "parameters towards zero.",
-    "HEKF knows the hold and is better than the print where the absolute angle is nearly exact; with more noise its "
-    "linearisation fails as the paper reports.",
-    "A simulation fails where the inertia matrix becomes singular on the way or a rate passes 10^4 rad/s, or where "
-    "there is no fit; the paper does not say what it counted. Means and variances leave failed runs out.",
-    "Case 5 has no filter in the paper and no row in Table III; it is filtered like case 4 here.",
-)
+COLOURS = {"mle": ORANGE, PAPERS_MLE: "#b5485d", "wls": BLUE, "rls": GREEN, "hekf": "#8e5cc4", FLOOR: GREY}
+HEADER = ["method", "mean", "mean, print", "variance", "variance, print", "failed", "failed, print", "median",
+          "not converged"]
+TRUST_HEADER = ["case, method", "mean error / floor", "MSE / bound, mean", "MSE / bound, worst", "coverage of 95 %"]
 
 
-def _number(value: float) -> str:
+def figure(value: float) -> str:
+    """Three digits; powers of ten for the very large and small, a dash for what is not there."""
     if not np.isfinite(value):
         return "-"
-    return f"{value:.4g}" if 1e-3 <= abs(value) < 1e5 or value == 0.0 else f"{value:.2e}"
+    if 1e-3 <= abs(value) < 999.5:
+        return f"{value:#.3g}".rstrip(".")
+    return f"{value:.0f}" if value == 0.0 or 999.5 <= abs(value) < 1e4 else short(f"{value:.2e}")
 
 
-def table_rows(table: Table) -> list[list[str]]:
-    """Table III side by side with the print."""
+def short(text: str) -> str:
+    """1.0e+07 as 1e7."""
+    mantissa, _, exponent = text.partition("e")
+    return f"{float(mantissa):g}e{int(exponent)}" if exponent else text
+
+
+def as_printed(value: float) -> str:
+    """All digits of a figure of the paper."""
+    return f"{value:.7g}" if abs(value) < 1e4 else short(f"{value:.6e}")
+
+
+def table_rows(table: Table, case: Case) -> list[list[str]]:
+    """One case of Table III side by side with the print."""
     rows = []
-    for case in table.cases:
-        for method in table.methods:
-            cell = table.cell(case.number, method)
-            if cell is None:
-                continue
-            printed = PAPER.get(method, ())
-            paper = [_number(v) for v in printed[case.number - 1]] if case.number <= len(printed) else ["-"] * 3
-            rows.append([str(case.number), LABELS[method], _number(cell.mean), paper[0], _number(cell.variance),
-                         paper[1], str(cell.failed), paper[2], _number(cell.median), str(cell.not_converged)])
+    for method in table.methods:
+        cell = table.cell(case.number, method)
+        if cell is None:
+            continue
+        printed = PAPER.get(method, ())[case.number - 1 : case.number]
+        paper = [as_printed(v) for row in printed for v in row] or ["-"] * 3
+        rows.append([LABELS[method], figure(cell.mean), paper[0], figure(cell.variance), paper[1], str(cell.failed),
+                     paper[2], figure(cell.median), str(cell.not_converged)])
     return rows
-
-
-TRUST_HEADER = ["case", "method", "mean error / floor", "parameter MSE / bound", "worst parameter", "coverage of 95 %"]
 
 
 def trust_rows(table: Table) -> list[list[str]]:
@@ -69,58 +65,127 @@ def trust_rows(table: Table) -> list[list[str]]:
             cell = table.cell(case.number, method)
             if cell is None or method == FLOOR:
                 continue
-            ratio = _number(cell.mean / floor.mean) if floor is not None else "-"
-            rows.append([str(case.number), LABELS[method], ratio, _number(cell.mse_over_bound),
-                         _number(cell.worst_over_bound), f"{100.0 * cell.coverage:.1f} %"])
+            ratio = figure(cell.mean / floor.mean) if floor is not None else "-"
+            rows.append([f"{case.number}, {LABELS[method]}", ratio, figure(cell.mean_mse_over_bound),
+                         figure(max(cell.mse_over_bound)), f"{100.0 * cell.coverage:.1f} %"])
     return rows
 
 
 def study_text(table: Table, wall_s: float) -> str:
     """What a person reads after `legid monte-carlo`."""
-    right = set(range(2, len(HEADER)))
-    spent = sum(cell.seconds for cell in table.cells)
-    return "\n".join([
-        f"biped3, {table.runs} runs a case, seed {table.seed}: {wall_s:.0f} s now, {spent:.0f} s of computing in all",
-        "summed squared angle error of the free run [rad^2], beside Table III of the paper", "",
-        text_table(HEADER, table_rows(table), right), "",
-        text_table(TRUST_HEADER, trust_rows(table), set(range(2, len(TRUST_HEADER))))])
+    lines = [f"biped3, {table.runs} runs a case, seed {table.seed}: {wall_s:.0f} s now, {table.seconds:.0f} s of "
+             "processor time in all",
+             "summed squared angle error of the free run [rad^2], beside Table III of the paper", ""]
+    rows = [[str(case.number), *row] for case in table.cases for row in table_rows(table, case)]
+    lines += [text_table(["case", *HEADER], rows, set(range(2, len(HEADER) + 1))), "",
+              text_table(TRUST_HEADER, trust_rows(table), set(range(1, len(TRUST_HEADER)))), ""]
+    lines += [f"{'met' if claim.met else 'NOT MET'}: {claim.demand}: {claim.measured}" for claim in claims(table)]
+    return "\n".join([*lines, _uncertainty(table)])
+
+
+def _uncertainty(table: Table) -> str:
+    """How far chance alone moves the ratios, from the variance of a mean of squared normal errors and of a share."""
+    ratio, share = np.sqrt(2.0 / table.runs), np.sqrt(0.05 * 0.95 / table.runs)
+    return (f"With {table.runs} runs chance alone moves a parameter's ratio to its bound by {100.0 * ratio:.0f} % and "
+            f"its coverage by {100.0 * share:.1f} points (1 sigma).")
 
 
 def study_summary(table: Table) -> str:
-    """One sentence at the top of the page."""
-    ahead = [case.number for case in table.cases if _leads(table, case.number)]
-    return (f"{table.runs} simulated steps of the three-link walker a case, seed {table.seed}. MLE has the lowest "
-            f"mean error in case{'s' if len(ahead) != 1 else ''} {', '.join(map(str, ahead)) or 'none'} of "
-            f"{', '.join(str(case.number) for case in table.cases)}.")
+    """The page's first sentences."""
+    found = claims(table)
+    missed = [claim.demand for claim in found if not claim.met]
+    verdict = "All that was demanded is met." if not missed else f"Not met: {'; '.join(missed)}."
+    return (f"{table.runs} noisy records of one step of the three-link walker in each of {len(table.cases)} cases, "
+            f"each identified by {len([m for m in table.methods if m != FLOOR])} methods; seed {table.seed}. "
+            + (verdict if found else ""))
 
 
-def _leads(table: Table, case: int) -> bool:
-    mle = table.cell(case, "mle")
-    others = [c for c in table.cells if c.case == case and c.method not in ("mle", FLOOR)]
-    return mle is not None and all(mle.mean < other.mean for other in others if np.isfinite(other.mean))
-
-
-def study_sections(table: Table) -> list[Section]:
-    """Everything the page shows."""
-    noise = ", ".join(f"{case.number}: {case.angle_variance:g} rad²" for case in table.cases)
-    return [
-        Section("Table III",
-                ["Sample mean and variance of the summed squared angle error of the identified model, simulated from "
-                 "the true state under the true torque for 0.68 s, beside the paper's print.",
-                 f"Variance of the absolute angle by case: {noise}. Torque variance 0.1 N²m², relative angles free of "
-                 "noise, 100 Hz. Floor: least squares on the true states, so that only torque noise is left."],
-                [PageTable(HEADER, table_rows(table), right=frozenset(range(2, len(HEADER))))]),
-        Section("What the numbers are worth",
-                ["The Cramér-Rao bound is that of the model as posed: exact motion of a rigid walker under held "
-                 "torque, states and true torques unknown. Parameter errors are measured in the bound's own metric, "
-                 "averaged over all directions, and for the single worst parameter. Least squares methods do not "
-                 "account for errors in the angles, so their intervals do not cover."],
-                [PageTable(TRUST_HEADER, trust_rows(table), right=frozenset(range(2, len(TRUST_HEADER))))]),
+def study_sections(table: Table, machine: str, note: str = "") -> list[Section]:
+    """Everything the page shows; `note` is a sentence of whoever ran the study."""
+    sections = []
+    if found := claims(table):
+        rows = [[claim.demand, claim.measured, "yes" if claim.met else "NO"] for claim in found]
+        sections.append(Section(
+            "Demanded and measured",
+            ["Where several values stand in one row, they are in the order of the cases. " + _uncertainty(table)],
+            [PageTable(["demanded", "measured", "met"], rows)]))
+    sections += [_table_iii(table), _trust(table)]
+    if any(cell.method == "mle" for cell in table.cells):
+        sections.append(_parameters(table))
+    sections += [
         Section("Distribution of the errors",
                 ["Share of all runs whose error is below the value on the axis; a curve that ends below 1 has failed "
                  "runs."], pictures=[_distribution(table, case.number) for case in table.cases]),
-        Section("Where numbers differ from the print, and why", notes=list(WHY)),
-    ]
+        Section("Where numbers differ from the print, and why", notes=reasons(table)),
+        _making(table, machine, note)]
+    return sections
+
+
+def _table_iii(table: Table) -> Section:
+    right = frozenset(range(1, len(HEADER)))
+    return Section(
+        "Table III",
+        ["Sample mean and variance of the summed squared angle error [rad²] of the identified model, simulated from "
+         "the true state under the true torque for 0.68 s, beside the paper's print. Variance of both torques 0.1 "
+         "N²m², relative angles free of noise, 100 Hz.",
+         "Floor: the same records with the true states given to least squares (rows weighted alike), so that only "
+         "torque noise is left. "
+         "Failed: no fit, or a simulation that did not reach its end; failed runs are left out of mean, variance and "
+         "median."],
+        [PageTable(HEADER, table_rows(table, case), right=right,
+                   caption=f"Case {case.number}: variance of the absolute angle {figure(case.angle_variance)} rad²")
+         for case in table.cases])
+
+
+def _trust(table: Table) -> Section:
+    return Section(
+        "What the numbers are worth",
+        ["Mean squared error of each parameter over its Cramér-Rao bound: the mean of the eight parameters, and the "
+         "worst one. The bound is that of the model as posed: exact motion of a rigid walker under held torque, states "
+         "and true torques unknown. Least squares takes the angles as exact, so its intervals do not cover."],
+        [PageTable(TRUST_HEADER, trust_rows(table), right=frozenset(range(1, len(TRUST_HEADER))))])
+
+
+def _parameters(table: Table) -> Section:
+    cells = [cell for cell in table.cells if cell.method == "mle"]
+    header = ["", *(f"case {cell.case}" for cell in cells)]
+    right = frozenset(range(1, len(header)))
+    names = motor_mechanism().names
+    ratios = [[f"{name} = {value:g}", *(f"{cell.mse_over_bound[k]:.3f}" for cell in cells)]
+              for k, (name, value) in enumerate(zip(names, truth()))]
+    coverage = [[name, *(f"{100.0 * cell.coverage_by_parameter[k]:.1f} %" for cell in cells)]
+                for k, name in enumerate(names)]
+    joint = [["likelihood ratio, mean (8 is ideal)", *(f"{cell.likelihood_ratio:.2f}" for cell in cells)],
+             ["truth inside the joint 95 % region", *(f"{100.0 * cell.joint_coverage:.1f} %" for cell in cells)],
+             ["false minima", *(str(cell.false_minima) for cell in cells)],
+             ["MSE / bound over all directions", *(figure(cell.mse_over_bound_all_directions) for cell in cells)]]
+    return Section(
+        "MLE, parameter by parameter",
+        ["The likelihood ratio compares how well estimate and truth explain the same record; it does not depend on how "
+         "the model is parametrised. Below zero, the search would have ended in a false minimum. In case 1 it is below "
+         "8 and the joint region too wide because the fit allows the stance foot 0.03 N m that it does not carry; the "
+         "estimates do not hinge on that."],
+        [PageTable(header, ratios, "Mean squared error over the Cramér-Rao bound", right),
+         PageTable(header, coverage, "Share of runs whose 95 % interval holds the truth", right),
+         PageTable(header, joint, "All parameters together", right)])
+
+
+def _making(table: Table, machine: str, note: str) -> Section:
+    by_method = [[LABELS[method], figure(sum(c.seconds for c in table.cells if c.method == method))]
+                 for method in table.methods]
+    methods = [m for m in table.methods if m != FLOOR]
+    options = "" if methods == [m for m in methods if m in METHODS] and len(methods) == len(METHODS) else (
+        f" --methods {','.join(methods)}")
+    cases = [case.number for case in table.cases]
+    options += "" if len(cases) == 5 else f" --cases {','.join(map(str, cases))}"
+    return Section(
+        "How it was made",
+        [f"legid monte-carlo biped3 --runs {table.runs} --seed {table.seed}{options} (legid {program_version()}, "
+         f"{datetime.now(UTC):%Y-%m-%d})",
+         f"Machine that gathered the results: {machine}. Processor time of all work, whichever worker did it: "
+         f"{table.seconds:.0f} s. Noise of a run depends on the seed, the case and the run's number alone; work is cut "
+         f"into blocks of {BLOCK} runs.", *([note] if note else [])],
+        [PageTable(["method", "processor time [s]"], by_method, right=frozenset({1}))])
 
 
 def _distribution(table: Table, case: int) -> Picture:
@@ -133,6 +198,6 @@ def _distribution(table: Table, case: int) -> Picture:
         below = np.searchsorted(np.sort(error[np.isfinite(error)]), 10.0**grid, side="right") / error.size
         lines.append(Line(LABELS[method], below, COLOURS[method], dashed=method == FLOOR))
     cell: Cell | None = table.cell(case, "mle")
-    caption = f"Case {case}." + (f" MLE: median {_number(cell.median)} rad², mean {_number(cell.mean)} rad²."
+    caption = f"Case {case}." + (f" MLE: median {figure(cell.median)} rad², mean {figure(cell.mean)} rad²."
                                  if cell is not None else "")
     return Picture(plot_lines(grid, lines, f"share of runs, case {case}", "log10 of the error [rad²]"), caption)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import zipfile
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +16,16 @@ from experiments.executor import Executor
 from experiments.output import make_directory
 from experiments.study import Block, BlockResult, run_block
 
-FORMAT = 2
-"""Raised whenever the study's data or methods change: files of another format are done again."""
-FIELDS = ("beta", "std", "error", "converged", "failed")
+FIELDS = ("beta", "std", "error", "converged", "failed", "likelihood_ratio")
+STUDY_CODE = ("free_run.py", "study.py", "study_likelihood.py", "walker.py")
+
+
+@lru_cache(maxsize=1)
+def program() -> str:
+    """Fingerprint of the code that makes results: those of other code are done again, never mixed in."""
+    here = Path(__file__).parent
+    sources = [*sorted((here.parent / "estimator").glob("*.py")), *(here / name for name in STUDY_CODE)]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
 
 
 def save_block(folder: Path, block: Block, result: BlockResult) -> None:
@@ -24,16 +33,16 @@ def save_block(folder: Path, block: Block, result: BlockResult) -> None:
     path = folder / f"{block.name}.npz"
     part = path.with_suffix(f".{os.getpid()}.part")
     with part.open("wb") as file:
-        np.savez(file, format=FORMAT, seconds=result.seconds, **{name: getattr(result, name) for name in FIELDS})
+        np.savez(file, program=program(), seconds=result.seconds, **{name: getattr(result, name) for name in FIELDS})
     part.replace(path)
 
 
 def load_block(folder: Path, block: Block) -> BlockResult | None:
-    """None where the block has not been done, or by another format."""
+    """None where the block has not been done, or by other code."""
     path = folder / f"{block.name}.npz"
     try:
         with np.load(path) as file:
-            if int(file["format"]) != FORMAT:
+            if str(file["program"]) != program():
                 return None
             return BlockResult(**{name: file[name] for name in FIELDS}, seconds=float(file["seconds"]))
     except (FileNotFoundError, zipfile.BadZipFile, KeyError, ValueError, EOFError):
@@ -96,6 +105,7 @@ def write_parquet(path: Path, results: dict[Block, BlockResult], names: Sequence
     columns["summed_squared_error_rad2"] = np.concatenate([r.error for _, r in ordered])
     columns["converged"] = np.concatenate([r.converged for _, r in ordered])
     columns["failed"] = np.concatenate([r.failed for _, r in ordered])
+    columns["likelihood_ratio"] = np.concatenate([r.likelihood_ratio for _, r in ordered])
     try:
         parquet.write_table(pa.table(columns), path, compression="zstd")
     except OSError as error:

@@ -8,20 +8,34 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
-from experiments.study import CASES, FLOOR, METHODS, TORQUE_VARIANCE, Block, BlockResult, Case, truth
+from experiments.study import (
+    CASES,
+    FLOOR,
+    PAPERS_MLE,
+    TORQUE_VARIANCE,
+    Block,
+    BlockResult,
+    Case,
+    error_of_differences,
+    truth,
+)
 from experiments.study_bound import exact_bound
 from experiments.walker import motor_mechanism, one_step
 
 FloatArray = NDArray[np.float64]
+LABELS = {"mle": "MLE", PAPERS_MLE: "MLE of the paper", "wls": "WLS-FCD", "rls": "RLS", "hekf": "HEKF", FLOOR: "floor"}
 SCHEMA = "legid.monte-carlo/1"
+FALSE_MINIMUM = 1e-2
+"""An estimate whose sum of squares is higher than the truth's by more than this sits in a false minimum."""
 PAPER: dict[str, tuple[tuple[float, float, int], ...]] = {
     "mle": ((1.242, 0.009, 0), (1.231, 0.010, 0), (1.195, 0.011, 0), (1.149, 2.567, 2)),
     "wls": ((1.753, 0.016, 0), (1.884, 0.055, 0), (2.480, 5.023, 0), (6e4, 1.9e12, 132)),
     "hekf": ((6.804, 455.9, 25), (214.1, 1e7, 228), (1e3, 2e8, 246), (196.1, 2.98e6, 160)),
     "rls": ((1.245, 0.009, 0), (0.5952, 0.0279, 0), (0.5136, 0.1169, 0), (7.1788, 173.1557, 4)),
 }
+PAPER[PAPERS_MLE] = PAPER["mle"]
 """Table III as printed: mean, variance, failed simulations of cases 1 to 4."""
 
 
@@ -38,14 +52,39 @@ class Cell:
     median: float
     failed: int
     not_converged: int
-    mse_over_bound: float
-    """tr(C^-1 M) / p: mean squared parameter error M of all runs over the bound C, averaged over directions"""
-    worst_over_bound: float
-    """the same for the single parameter where it is largest"""
-    coverage: float
-    """share of all parameters of all runs whose 95 % interval holds the truth"""
+    mse_over_bound: tuple[float, ...]
+    """(8,) mean squared error of each parameter over its Cramer-Rao bound"""
+    bias_over_bound: tuple[float, ...]
+    """(8,) mean error of each parameter over the bound's standard deviation"""
+    median_over_truth: tuple[float, ...]
+    """(8,) median estimate of each parameter over its true value"""
+    coverage_by_parameter: tuple[float, ...]
+    """(8,) share of the runs whose 95 % interval holds the truth"""
+    mse_over_bound_all_directions: float
+    """tr(C^-1 M) / 8: the mean squared error M over the bound C, averaged over directions instead of parameters"""
+    likelihood_ratio: float
+    """mean of `experiments.study_likelihood`, 8 for an efficient estimator; NaN for methods other than mle"""
+    joint_coverage: float
+    """share of the runs whose 95 % likelihood region holds the truth"""
+    false_minima: int
+    """runs whose estimate explains the record worse than the truth does"""
     seconds: float
-    """of computing, all workers together"""
+    """of processor time, all workers together"""
+
+    @property
+    def mean_mse_over_bound(self) -> float:
+        """Averaged over the parameters."""
+        return float(np.mean(self.mse_over_bound))
+
+    @property
+    def coverage(self) -> float:
+        """Share of all parameters of all runs whose 95 % interval holds the truth."""
+        return float(np.mean(self.coverage_by_parameter))
+
+    @property
+    def standard_error(self) -> float:
+        """Of `mean`."""
+        return float(np.sqrt(self.variance / max(self.runs - self.failed, 1)))
 
 
 @dataclass(frozen=True)
@@ -57,10 +96,17 @@ class Table:
     cells: tuple[Cell, ...]
     errors: Mapping[tuple[int, str], FloatArray]
     """(case, method) to the errors (R,) of all runs, NaN where one failed."""
+    differences: Mapping[int, float]
+    """Case to the error of WLS-FCD on the record without noise [rad^2]; NaN where that failed."""
 
     def cell(self, case: int, method: str) -> Cell | None:
         """None where the study did not hold it."""
         return next((c for c in self.cells if c.case == case and c.method == method), None)
+
+    @property
+    def seconds(self) -> float:
+        """Of processor time, all workers together."""
+        return sum(cell.seconds for cell in self.cells)
 
     @property
     def cases(self) -> list[Case]:
@@ -68,8 +114,8 @@ class Table:
 
     @property
     def methods(self) -> list[str]:
-        """In the paper's words, the floor last."""
-        return [m for m in (*METHODS, FLOOR) if any(c.method == m for c in self.cells)]
+        """In the paper's order, the floor last."""
+        return [m for m in ("mle", PAPERS_MLE, "wls", "hekf", "rls", FLOOR) if any(c.method == m for c in self.cells)]
 
 
 def bound(case: Case) -> FloatArray:
@@ -88,7 +134,8 @@ def make_table(results: Mapping[Block, BlockResult], seed: int) -> Table:
         found = [result for _, result in sorted(parts, key=lambda part: part[0].first)]
         errors[number, method] = np.concatenate([r.error for r in found])
         cells.append(_cell(number, method, found, bounds[number]))
-    return Table(seed, max((c.runs for c in cells), default=0), tuple(cells), errors)
+    differences = {case.number: error_of_differences(case) for case in CASES if case.number in bounds}
+    return Table(seed, max((c.runs for c in cells), default=0), tuple(cells), errors, differences)
 
 
 def _cell(number: int, method: str, found: list[BlockResult], smallest: FloatArray) -> Cell:
@@ -96,23 +143,44 @@ def _cell(number: int, method: str, found: list[BlockResult], smallest: FloatArr
     good = error[np.isfinite(error)]
     off = np.concatenate([r.beta for r in found]) - truth()
     std = np.concatenate([r.std for r in found])
+    ratio = np.concatenate([r.likelihood_ratio for r in found])
+    ratio = ratio[np.isfinite(ratio)]
     fitted = np.isfinite(off).all(axis=1)
-    moment = off[fitted].T @ off[fitted] / max(int(fitted.sum()), 1)
-    inside = np.abs(off[fitted]) <= float(norm.ppf(0.975)) * std[fitted]
+    off, std = off[fitted], std[fitted]
+    nothing = np.full((1, len(smallest)), np.nan)
+    moment = off.T @ off / len(off) if len(off) else np.diag(nothing[0])
+    spread = np.sqrt(np.diag(smallest))
+    inside = (np.abs(off) <= float(norm.ppf(0.975)) * std).astype(float) if len(off) else nothing
+
+    def each(values: FloatArray) -> tuple[float, ...]:
+        return tuple(float(value) for value in values)
+
     return Cell(
-        number, method, error.size, float(np.mean(good)) if good.size else np.nan,
-        float(np.var(good, ddof=1)) if good.size > 1 else np.nan, float(np.median(good)) if good.size else np.nan,
-        int(sum(int(r.failed.sum()) for r in found)), int(sum(int((~r.converged).sum()) for r in found)),
-        float(np.trace(np.linalg.solve(smallest, moment)) / len(smallest)),
-        float(np.max(np.diag(moment) / np.diag(smallest))), float(np.mean(inside)) if fitted.any() else np.nan,
-        float(sum(r.seconds for r in found)))
+        case=number, method=method, runs=error.size, mean=_mean(good),
+        variance=float(np.var(good, ddof=1)) if good.size > 1 else np.nan,
+        median=float(np.median(good)) if good.size else np.nan,
+        failed=sum(int(r.failed.sum()) for r in found),
+        not_converged=sum(int((~r.converged).sum()) for r in found),
+        mse_over_bound=each(np.diag(moment) / spread**2),
+        bias_over_bound=each((off if len(off) else nothing).mean(axis=0) / spread),
+        median_over_truth=each(1.0 + np.median(off if len(off) else nothing, axis=0) / truth()),
+        coverage_by_parameter=each(inside.mean(axis=0)),
+        mse_over_bound_all_directions=float(np.trace(np.linalg.solve(smallest, moment)) / len(smallest)),
+        likelihood_ratio=_mean(ratio),
+        joint_coverage=_mean(ratio < float(chi2.ppf(0.95, len(smallest)))),
+        false_minima=int(np.sum(ratio < -FALSE_MINIMUM)),
+        seconds=sum(r.seconds for r in found))
 
 
-def table_document(table: Table, wall_s: float) -> dict[str, Any]:
-    """`legid.monte-carlo/1`."""
+def _mean(values: NDArray[np.float64] | NDArray[np.bool_]) -> float:
+    return float(np.mean(values)) if values.size else np.nan
+
+
+def table_document(table: Table, wall_s: float, machine: str = "") -> dict[str, Any]:
+    """`legid.monte-carlo/1`; `wall_s` counts this call alone, `processor_s` all work, also that of earlier calls."""
     rows = []
     for cell in table.cells:
-        row = asdict(cell)
+        row = asdict(cell) | {"coverage": cell.coverage, "standard_error": cell.standard_error}
         printed = PAPER.get(cell.method, ())
         if cell.case <= len(printed):
             mean, variance, failed = printed[cell.case - 1]
@@ -121,5 +189,8 @@ def table_document(table: Table, wall_s: float) -> dict[str, Any]:
         if floor is not None and cell.method != FLOOR:
             row["mean_over_floor"] = cell.mean / floor.mean
         rows.append(row)
+    cases = [{**case._asdict(), "error_of_differences_without_noise": table.differences[case.number],
+              "bound_std": np.sqrt(np.diag(bound(case))).tolist()} for case in table.cases]
     return {"schema": SCHEMA, "model": "biped3", "seed": table.seed, "runs": table.runs, "wall_s": wall_s,
-            "cases": [case._asdict() for case in table.cases], "results": rows}
+            "processor_s": table.seconds, "machine": machine, "truth": truth().tolist(), "cases": cases,
+            "results": rows}

@@ -4,14 +4,19 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from daq.errors import InputError, WorkError
+from experiments.cli import main
 from experiments.executor import ClusterExecutor, LocalExecutor, SerialExecutor, choose_executor
+from experiments.study import CASES, FLOOR, blocks, run_block
+from experiments.study_store import load_block
 
 HERE = Path(__file__).parent
 
@@ -99,6 +104,33 @@ def test_cluster_loses_nothing_when_a_worker_is_killed(cluster: tuple[str, list[
     assert found == {k: k * k for k in pieces}
     assert processes[1].returncode == -signal.SIGKILL
     assert processes[2].poll() is None
+
+
+def test_a_study_on_a_cluster_survives_a_killed_worker(cluster: tuple[str, list[subprocess.Popen]],
+                                                       tmp_path: Path) -> None:
+    """Through the command; the killed worker's blocks are done by the other, with the numbers of a run without both."""
+    address, processes = cluster
+    work = blocks(CASES[1:2], ["mle", FLOOR], 250, 6)
+    kept = tmp_path / "study" / "blocks"
+
+    def kill_half_way() -> None:
+        while len(list(kept.glob("*.npz"))) < len(work) // 3:
+            time.sleep(0.005)
+        processes[1].send_signal(signal.SIGKILL)
+
+    killer = threading.Thread(target=kill_half_way)
+    killer.start()
+    assert main(["monte-carlo", "biped3", "--runs", "250", "--cases", "2", "--methods", "mle", "--seed", "6",
+                 "--cluster", address, "--out", str(tmp_path / "study")]) == 0
+    killer.join(timeout=30)
+    assert processes[1].wait(timeout=30) == -signal.SIGKILL
+    assert processes[2].poll() is None
+    for block in work:
+        assert load_block(kept, block) is not None
+    for block in (work[0], work[-1]):
+        found, alone = load_block(kept, block), run_block(block)
+        np.testing.assert_allclose(found.beta, alone.beta, rtol=1e-9)
+        np.testing.assert_allclose(found.error, alone.error, rtol=1e-6)
 
 
 def test_a_scheduler_that_does_not_answer_is_said_in_one_line() -> None:

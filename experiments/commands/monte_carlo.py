@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 METHODS = ("mle", "wls", "rls", "hekf")
+CHOICES = (*METHODS, "mle-free")
 MOST_RUNS = 1_000_000
 
 
@@ -20,7 +21,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--cases", type=_cases, default=(1, 2, 3, 4, 5), metavar="1,2,...",
                         help="columns of Table II, and 5 for the failing case; default: all")
     parser.add_argument("--methods", type=_methods, default=METHODS, metavar="mle,wls,...",
-                        help="default: mle,wls,rls,hekf")
+                        help="default: mle,wls,rls,hekf; mle-free is the paper's own MLE, with free latents and "
+                             "central differences")
     parser.add_argument("--seed", type=_seed, default=1, help="all noise is drawn from it; default: 1")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=_count, metavar="N", help="local processes; default: one a core")
@@ -29,6 +31,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="where finished work is kept, with runs.parquet and report.html; "
                              "default: monte-carlo-out")
     parser.add_argument("--json", metavar="FILE", help="write the table as JSON (schema legid.monte-carlo/1)")
+    parser.add_argument("--markdown", metavar="FILE", help="write the page as Markdown too, its pictures beside it")
+    parser.add_argument("--note", default="", metavar="TEXT", help="a sentence for the end of the page")
     parser.set_defaults(run=run)
 
 
@@ -54,9 +58,9 @@ def _cases(text: str) -> tuple[int, ...]:
 def _methods(text: str) -> tuple[str, ...]:
     found = text.split(",")
     for part in found:
-        if part not in METHODS:
-            raise argparse.ArgumentTypeError(f"{part!r} is none of {', '.join(METHODS)}")
-    return tuple(m for m in METHODS if m in found)
+        if part not in CHOICES:
+            raise argparse.ArgumentTypeError(f"{part!r} is none of {', '.join(CHOICES)}")
+    return tuple(m for m in CHOICES if m in found)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -65,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from experiments.executor import choose_executor
+    from experiments.machine import machine
+    from experiments.markdown_page import write_markdown
     from experiments.output import work_bar, write_json
     from experiments.report import write_page
     from experiments.study import CASES, FLOOR, blocks
@@ -83,10 +89,13 @@ def run(args: argparse.Namespace) -> int:
     table = make_table(results, args.seed)
     wall_s = time.perf_counter() - started
     print(study_text(table, wall_s))
-    write_page(folder / "report.html", "Simulation study of the three-link walker", study_summary(table),
-               study_sections(table))
+    here = machine()
+    page = "Simulation study of the three-link walker", study_summary(table), study_sections(table, here, args.note)
+    write_page(folder / "report.html", *page)
     write_parquet(folder / "runs.parquet", results, motor_mechanism().names)
     if args.json:
-        write_json(args.json, table_document(table, wall_s))
+        write_json(args.json, table_document(table, wall_s, here))
+    if args.markdown:
+        write_markdown(args.markdown, *page)
     print(f"\nreport: {folder / 'report.html'}\nall runs: {folder / 'runs.parquet'}")
     return 0
