@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -32,9 +33,11 @@ def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
     time_ns, clocks = _telemetry_times(raw, telemetry, epoch_ns)
     channels = _leg_channels(raw, telemetry, time_ns, rig)
     sources = {"file": raw.name, **_clock_facts(clocks)}
+    bound_s = 0.0
     samples = raw.streams["/imu"]
     if samples.size:
         clock = fit_samples(samples, epoch_ns)
+        bound_s = clock.bound_s + max(other.bound_s for other in clocks)
         channels.append(_imu_channel(raw, samples, clock, rig))
         sources["imu_clock"] = f"{clock.rate_hz:.3f} Hz, within {clock.bound_s * 1e6:.0f} us"
     if not raw.complete:
@@ -44,7 +47,7 @@ def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
     dataset = align_channels(raw.name, channels, rig.sampling.rate_hz if rate_hz is None else rate_hz, sources)
     if len(dataset) < MIN_SAMPLES:
         raise _unusable(raw, f"gives {len(dataset)} samples on the grid, at least {MIN_SAMPLES} are needed")
-    return dataset
+    return replace(dataset, clock_bound_s=bound_s)
 
 
 def recorded_rig(raw: RawRun) -> Rig:

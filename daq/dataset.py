@@ -29,6 +29,8 @@ class Dataset:
     """Column name (`q2_rad`, `tau2_nm`, ...) to values, each (n,)."""
     sources: Mapping[str, str] = field(default_factory=dict)
     """Provenance a report may print: file, recording date, firmware; free text."""
+    clock_bound_s: float = 0.0
+    """How far the IMU's time line may be off the controller's [s]; 0 where all share one clock."""
 
     def __post_init__(self) -> None:
         n = self.time_s.shape[0]
@@ -68,4 +70,4 @@ class Dataset:
     def part(self, where: slice) -> Dataset:
         """The samples of `where` as a data set of their own."""
         columns = {name: values[where] for name, values in self.columns.items()}
-        return Dataset(self.name, self.rate_hz, self.time_s[where], columns, self.sources)
+        return Dataset(self.name, self.rate_hz, self.time_s[where], columns, self.sources, self.clock_bound_s)

@@ -111,17 +111,25 @@ def torque_readings(problem: ExtendedProblem, state: State) -> FloatArray:
     return out
 
 
-def resimulate(session: Session, model: Model, run: int, q1: FloatArray | None = None) -> Resimulated:
-    """Free run of a run that the fit has not seen. Raises `FitError` where it diverges."""
+def resimulate(session: Session, model: Model, run: int, q1: FloatArray | None = None,
+               or_still: bool = False) -> Resimulated:
+    """Free run of a run that the fit has not seen.
+
+    Where it diverges raises `FitError`, or with `or_still` takes every sensor's mean instead: whose error a
+    simulation that diverges exceeds.
+    """
     problem, state = smooth(session, model, run)
+    measured = sensors_of(problem, state.x.q[:, 0] if q1 is None else q1)
     drive = problem.torque - torque_readings(problem, state)
     found = free_run(problem, state, drive)
-    if found is None:
+    if found is None and not or_still:
         raise FitError("the free run diverges")
     unit = problem.mechanism.length_unit
-    simulated = {f"q{j + 1}_{unit}": found.readings[f"encoder{j + 1}"] for j in range(problem.n)}
-    simulated["gyro_radps"] = found.readings["gyro"]
-    measured = sensors_of(problem, state.x.q[:, 0] if q1 is None else q1)
+    if found is None:
+        simulated = {k: np.full_like(y, y.mean()) for k, y in measured.items()}
+    else:
+        simulated = {f"q{j + 1}_{unit}": found.readings[f"encoder{j + 1}"] for j in range(problem.n)}
+        simulated["gyro_radps"] = found.readings["gyro"]
     time_s = np.concatenate([s.time_s for s in session.runs[run]])
     return Resimulated(run, time_s, measured, {k: simulated[k] for k in measured},
                        problem.torque - state.x.u - torque_readings(problem, state))
@@ -161,7 +169,7 @@ def measure_gain(session: Session, nominal: Model, extended: Model, rng: np.rand
     for i in session.confirm:
         _, state = smooth(session, extended, i)
         q1 = state.x.q[:, 0]
-        before, after = resimulate(session, nominal, i, q1), resimulate(session, extended, i, q1)
+        before, after = resimulate(session, nominal, i, q1, True), resimulate(session, extended, i, q1)
         floor = floor_errors(session, extended, i, rng)
         traces.append(Trace(session.names[i], after.time_s, after.measured, before.simulated, after.simulated))
         torque.append((np.mean(before.torque_residual**2, axis=0), np.mean(after.torque_residual**2, axis=0)))
@@ -242,13 +250,13 @@ def finding(found: Diagnosis, session: Session, nominal: Model, ties: Sequence[E
     if len(ties) == 1:
         told = "; ".join(f"{c.sentence} ({label(c.effect, c.joint)}: {sizes_text(c)})" for c in rivals[0])
         sentence = f"{told[0].upper()}{told[1:]}."
-        steps = "; ".join(sorted({e.experiment for e in best.model.effects}))
+        steps = "; ".join(sorted({e.experiment for e in best.model.named}))
         return replace(found, verdict="named", sentence=sentence, causes=tuple(causes.values()),
                        next_experiment=f"To measure it better: {steps}.")
     told = " or ".join(" with ".join(f"{c.sentence} ({label(c.effect, c.joint)}: {sizes_text(c)})" for c in r)
                        for r in rivals)
-    steps = "; ".join(f"for {' and '.join(e.key for e in t.model.effects)}: "
-                      f"{'; '.join(e.experiment for e in t.model.effects)}" for t in ties)
+    steps = "; ".join(f"for {' and '.join(e.key for e in t.model.named)}: "
+                      f"{'; '.join(e.experiment for e in t.model.named)}" for t in ties)
     return replace(found, verdict="one_of", sentence=f"One of these, and these runs cannot say which: {told}.",
                    causes=tuple(causes.values()), next_experiment=f"To tell them apart: {steps}.")
 
@@ -262,9 +270,9 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
     found = replace(
         found, extended=dict(zip(names, map(float, model.state.beta[:p]))),
         extended_std=dict(zip(names, map(float, inflation * model.std()[:p]))),
-        effects=tuple(zip(model.effects, model.sizes())), extended_beta=model.state.beta.copy(),
-        extended_covariance=inflation**2 * model.state.covariance,
-        signatures=tuple(s for e in model.effects if (s := signature(session, nominal, model, e)) is not None))
+        effects=tuple(zip(model.named, model.sizes())), extended_beta=model.state.beta[:model.width].copy(),
+        extended_covariance=inflation**2 * model.state.covariance[:model.width, :model.width],
+        signatures=tuple(s for e in model.named if (s := signature(session, nominal, model, e)) is not None))
     try:
         gain = measure_gain(session, nominal, model, rng or np.random.default_rng(0))
     except FitError as error:
@@ -281,7 +289,7 @@ def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Ca
     std = model.std() * widen
     keys, cosines = found.separability
     out = []
-    for effect, size in zip(model.effects, model.sizes()):
+    for effect, size in zip(model.named, model.sizes()):
         parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
         sizes = tuple(SizeEstimate(s.name, s.unit, float(v), (float(v - 1.96 * d), float(v + 1.96 * d)))
                       for s, v, d in zip(parts, size, std[at : at + effect.count]))

@@ -48,11 +48,11 @@ def hold_weights(hold: str) -> FloatArray:
 
 
 def invert_small(matrices: FloatArray) -> FloatArray:
-    """Inverses of many small matrices (N, n, n) with sound pivots, by Gauss-Jordan on all of them at once.
+    """Inverses of many small matrices (n, n, N) with sound pivots, by Gauss-Jordan on all of them at once.
 
     A vanishing pivot gives values that are not finite.
     """
-    a = np.ascontiguousarray(matrices.transpose(1, 2, 0))
+    a = matrices.copy()
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         for k in range(a.shape[0]):
             pivot, column = 1.0 / a[k, k], a[:, k].copy()
@@ -61,7 +61,7 @@ def invert_small(matrices: FloatArray) -> FloatArray:
             a[:, k] = column * -pivot
             a[k] = row
             a[k, k] = pivot
-    return np.ascontiguousarray(a.transpose(2, 0, 1))
+    return a
 
 
 @dataclass(frozen=True)
@@ -109,9 +109,13 @@ class Collocation:
 
     def motion(self, q: FloatArray, v: FloatArray, left: NDArray[np.intp]) -> Motion:
         """Features on the intervals from node left[k] to left[k] + 1; q, v (N, n)."""
-        ends = np.stack([q[left].T, v[left].T, q[left + 1].T, v[left + 1].T])  # (4, n, K)
-        features = np.einsum("gfc,cjk->fjgk", self.basis, ends)
-        return Motion(*features)
+        return self.motion_between(np.stack([q[left].T, v[left].T, q[left + 1].T, v[left + 1].T], axis=1))
+
+    def motion_between(self, ends: FloatArray) -> Motion:
+        """Features from ends (n, 4, K): q, v before and q, v after each interval."""
+        n, _, count = ends.shape
+        features = self.basis.transpose(1, 0, 2).reshape(10, 4) @ ends
+        return Motion(*features.reshape(n, 5, 2, count).swapaxes(0, 1))
 
     def torque(self, u: FloatArray, left: NDArray[np.intp]) -> FloatArray:
         """Torque at the Gauss points (n, 2, K) from samples u (N, n)."""
@@ -125,7 +129,8 @@ class Collocation:
         """
         m = self.mechanism
         t = m.transform
-        theta, thetad, thetadd = (np.tensordot(t, x, axes=1) for x in (motion.angle, motion.rate, motion.accel))
+        theta, thetad, thetadd = ((t @ x.reshape(m.n, -1)).reshape(x.shape)
+                                  for x in (motion.angle, motion.rate, motion.accel))
         z = np.zeros((m.p, m.n, *motion.angle.shape[1:]))
         slopes: list[list[Slope]] = []
         for k, (_, _, _, term, at) in enumerate(m.parameters):
@@ -176,9 +181,9 @@ class Collocation:
 
     def to_joint(self, z: FloatArray) -> FloatArray:
         """Z (p, n, 2, K) with every row a joint's."""
-        out = z.copy()
-        rigid = self._rigid
-        out[rigid] = np.einsum("ij,pigk->pjgk", self.mechanism.transform, z[rigid])
+        out, rigid = z.copy(), z[self._rigid]
+        turned = self.mechanism.transform.T @ rigid.reshape(*rigid.shape[:2], -1)
+        out[self._rigid] = turned.reshape(rigid.shape)
         return out
 
     def jacobian(self, slopes: list[list[Slope]], beta: FloatArray, shape: tuple[int, ...],
@@ -187,43 +192,52 @@ class Collocation:
 
         `added` (n, 5, n, 2, K) are derivatives by features of torque that comes from elsewhere.
         """
-        own = self.feature_slopes(slopes, beta, shape)
+        n, (_, count) = self.mechanism.n, shape
+        own = self._slopes(slopes, beta, shape)
         if added is not None:
-            own = own + added
-        return np.stack([np.tensordot(self.basis[g].T, own[:, :, :, g], axes=(1, 1)) for g in range(2)]
-                        ).transpose(2, 0, 1, 3, 4)
+            own = own + added.transpose(0, 3, 1, 2, 4)
+        jac = self.basis.swapaxes(1, 2) @ own.reshape(n, 2, 5, n * count)
+        return jac.reshape(n, 2, 4, n, count)
 
     def feature_slopes(self, slopes: list[list[Slope]], beta: FloatArray, shape: tuple[int, ...]) -> FloatArray:
         """d(Z beta)/d(features): (n, 5, n, *shape), row joint, feature, its joint."""
-        m = self.mechanism
-        rigid = np.zeros((m.n, 3, m.n, *shape))
-        own = np.zeros((m.n, 5, m.n, *shape))
+        return self._slopes(slopes, beta, shape).transpose(0, 2, 3, 1, 4)
+
+    def _slopes(self, slopes: list[list[Slope]], beta: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+        """(n, S, 5, n, K) of shape (S, K)."""
+        n, t = self.mechanism.n, self.mechanism.transform
+        points, count = shape
+        rigid = np.zeros((n, points, 3, n, count))
+        own = np.zeros((n, points, 5, n, count))
         for k, found in enumerate(slopes):
             target = rigid if self._rigid[k] else own
             for slope in found:
-                target[slope.row, slope.feature, slope.joint] += beta[k] * slope.value
-        t = m.transform
-        own[:, :3] += np.einsum("ia,ifjgk,jb->afbgk", t, rigid, t, optimize=True)
+                target[slope.row, :, slope.feature, slope.joint] += beta[k] * slope.value
+        own[:, :, :3] += t.T @ (t.T @ rigid.reshape(n, -1)).reshape(rigid.shape)
         return own
 
-    def at_samples(self, q: FloatArray, v: FloatArray, u: FloatArray, beta: FloatArray,
-                   added: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Acceleration at the samples themselves, from the equation of motion, with its derivatives.
+    def acceleration(self, q: FloatArray, v: FloatArray, u: FloatArray, beta: FloatArray, joint: int = 0,
+                     added: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Acceleration of one joint at samples, from the equation of motion there, with its derivatives.
 
-        q, v, u (N, n). Returns qdd (N, n) and d(qdd)/dq, /dv (N, n, n), d(qdd)/du = D^-1 (N, n, n) stacked as
-        (3, N, n, n), Z (N, n, p) there, and D^-1. From Z(q, v, qdd) beta = u by implicit differentiation.
-        `added` (n, 5, n, N) are derivatives by features of torque already taken off u.
+        q, v, u (n, N). Returns qdd (N,), its derivatives by q, v and u (3, n, N) and by beta (p, N), and the
+        joint's row of D^-1 (n, N). From Z(q, v, qdd) beta = u by implicit differentiation. `added` (n, 5, n, N)
+        are derivatives by features of torque already taken off u.
         """
-        m = self.mechanism
-        inverse = invert_small(m.inertia_matrix(q, beta))
-        qdd = (inverse @ (u - m.bias_torque(q, v, beta))[..., None])[..., 0]
-        at = (x.T[:, None, :] for x in (q, v, qdd, v, v))
-        z_raw, slopes = self.terms(Motion(*at))
-        own = self.feature_slopes(slopes, beta, (1, q.shape[0]))[:, :, :, 0]  # (n, 5, n, N)
+        shape = (1, q.shape[1])
+        at, rate = q[:, None], v[:, None]
+        z, slopes = self.terms(Motion(at, rate, np.zeros_like(at), rate, rate))
+        inertia = self._slopes(slopes, beta, shape)[:, 0, ACCEL]
+        inverse = invert_small(inertia)
+        excess = u - (beta @ self.to_joint(z).reshape(len(beta), -1)).reshape(u.shape)
+        qdd = np.einsum("ijN,jN->iN", inverse, excess)
+        z, slopes = self.terms(Motion(at, rate, qdd[:, None], rate, rate))
+        own = self._slopes(slopes, beta, shape)[:, 0]  # (n, 5, n, N)
         if added is not None:
             own = own + added
-            inverse = invert_small(own[:, ACCEL].transpose(2, 0, 1))
-        by_angle = -inverse @ own[:, ANGLE].transpose(2, 0, 1)
-        by_rate = -inverse @ (own[:, RATE] + own[:, RATE_FROM] + own[:, RATE_TO]).transpose(2, 0, 1)
-        z = self.to_joint(z_raw)[:, :, 0].transpose(2, 1, 0)
-        return qdd, np.stack([by_angle, by_rate, inverse]), z, inverse
+            inverse = invert_small(own[:, ACCEL])
+        row = inverse[joint]
+        by_angle = np.einsum("jN,jbN->bN", row, own[:, ANGLE])
+        by_rate = np.einsum("jN,jbN->bN", row, own[:, RATE] + own[:, RATE_FROM] + own[:, RATE_TO])
+        by_beta = np.einsum("jN,pjN->pN", row, self.to_joint(z)[:, :, 0])
+        return qdd[joint], np.stack([-by_angle, -by_rate, row]), -by_beta, row

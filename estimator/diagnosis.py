@@ -18,6 +18,7 @@ from daq.dataset import Dataset
 from estimator import account
 from estimator.effects import Effect, library
 from estimator.effects.anonymous import AnonymousReading, AnonymousTorque, battery
+from estimator.effects.timing import SensorTimeSkew
 from estimator.errors import FitError
 from estimator.evidence import (
     Model,
@@ -43,7 +44,7 @@ ALPHA = 0.01
 SINGLES = 5
 """Best effects that are re-fitted one by one."""
 PAIRS = 4
-MATERIAL = 0.003
+MATERIAL = 0.01
 """Least gain of a material effect: this much of twice the log likelihood a sample. Smaller ones can be
 significant in long records (microseconds of skew, a per mille of scale) and change no simulation."""
 LEFT_OVER = 0.03
@@ -52,6 +53,8 @@ LEFT_OVER_CONFIRM = 0.3
 """The same on the confirm runs, where parameters are not re-fitted."""
 LEAST_CLOSED = 0.5
 """Least share of the free-run gap that a named cause closes on the confirm runs."""
+RIVAL = 0.5
+"""An explanation with less than this share of the best one's gain leaves the rest of it unexplained: not a rival."""
 TIE = 0.02
 """Explanations within this share of the best one's gain are not told apart."""
 TIE_GAIN = 8.0
@@ -69,6 +72,11 @@ class Explained:
     """Candidate with the largest remaining gain."""
     best_named_left: int
     closed: bool
+    """What it leaves is little beside its gain."""
+    clean: bool = False
+    """It leaves nothing detectable."""
+    bias: tuple[RunScore, ...] = ()
+    """What its scores are on average when it is right, one a discover run, its own sizes left out."""
 
 
 @dataclass
@@ -82,10 +90,18 @@ class Desk:
     """The first so many candidates are of the library."""
     bias: list[RunScore]
     nominal: Model
+    rng: np.random.Generator
 
     @property
     def trials(self) -> int:
         return len(self.candidates)
+
+    def gain(self, tests: Tests, i: int) -> float:
+        """Of candidate i; nil for a skew that the recorder's clocks leave open anyway."""
+        if (self.candidates[i].effect.name == SensorTimeSkew.name
+                and abs(float(tests.size(self.columns[i])[0])) < self.session.clock_bound_s):
+            return 0.0
+        return tests.gain(self.columns[i])
 
     def material(self, which: Sequence[int]) -> float:
         """Least gain that counts on these runs."""
@@ -121,14 +137,17 @@ def _diagnose(session: Session, rng: np.random.Generator, say: Progress,
     say("scoring the library", 0.15)
     scores = score_discover(session, nominal, candidates)
     say("rehearsing the nominal model", 0.2)
-    bias = rehearsal_scores(session, nominal, candidates, rng)
-    desk = Desk(session, candidates, columns_of(candidates), named, bias, nominal)
+    try:
+        bias = rehearsal_scores(session, nominal, candidates, rng)
+    except FitError:  # a fit that is far wrong can have friction below zero, and its simulation run off
+        bias = [RunScore(np.zeros_like(s.score), s.information) for s in scores]
+    desk = Desk(session, candidates, columns_of(candidates), named, bias, nominal, rng)
     tests = tests_of(session, nominal, scores, bias)
     ranked = rank(desk, tests)
     base = account.base(session, nominal, refused, reference)
     base = replace(base, candidates=ranked, separability=separability(desk, tests))
     least = desk.material(session.discover)
-    if not any(p_of(desk, tests, i) < ALPHA and tests.gain(desk.columns[i]) > least for i in range(desk.trials)):
+    if not any(p_of(desk, tests, i) < ALPHA and desk.gain(tests, i) > least for i in range(desk.trials)):
         return account.nothing(base, desk.session, nominal)
     say("re-fitting the best explanations", 0.4)
     options = explain(desk, tests, say)
@@ -146,9 +165,9 @@ def best_shapes(desk: Desk, tests: Tests, skip: Sequence[str] = ()) -> list[int]
     best: dict[str, int] = {}
     for i in range(desk.named):
         key = desk.candidates[i].effect.key
-        if key not in skip and (key not in best or tests.gain(desk.columns[i]) > tests.gain(desk.columns[best[key]])):
+        if key not in skip and (key not in best or desk.gain(tests, i) > desk.gain(tests, best[key])):
             best[key] = i
-    return sorted(best.values(), key=lambda i: -tests.gain(desk.columns[i]))
+    return sorted(best.values(), key=lambda i: -desk.gain(tests, i))
 
 
 def rank(desk: Desk, tests: Tests) -> tuple[Ranked, ...]:
@@ -158,7 +177,7 @@ def rank(desk: Desk, tests: Tests) -> tuple[Ranked, ...]:
     for i in best_shapes(desk, tests):
         effect, columns = desk.candidates[i].effect, desk.columns[i]
         out.append(Ranked(effect.name, None if effect.joint is None else effect.joint + 1,
-                          float(np.sqrt(max(tests.gain(columns), 0.0))), p_of(desk, tests, i),
+                          float(np.sqrt(max(desk.gain(tests, i), 0.0))), p_of(desk, tests, i),
                           float(tests.size(columns)[0]),
                           tests.detectable(int(columns[0]), ALPHA / desk.trials, least), effect.sizes[0].unit))
     return tuple(out)
@@ -235,26 +254,44 @@ def judge(desk: Desk, explained: Sequence[Explained]) -> list[Explained]:
     """Each with what it leaves over, gains over the scatter that the most likely one leaves."""
     if not explained:
         return []
-    first = judged(desk, explained[0], None)
+    bias = rehearsed(desk, explained[0].model)
+    first = judged(desk, explained[0], bias, None)
     scatter = float(np.median(first.left.inflation))
-    return [first, *(judged(desk, e, scatter) for e in explained[1:])]
+    rivals = [e for e in explained[1:] if e.gain > RIVAL * explained[0].gain]
+    return [first, *(judged(desk, e, bias, scatter) for e in rivals)]
 
 
-def judged(desk: Desk, explained: Explained, scatter: float | None) -> Explained:
+def rehearsed(desk: Desk, model: Model) -> list[RunScore]:
+    """Bias of the scores at `model`, without the entries of its own sizes; the nominal model's where it cannot run.
+
+    Motion and noise of an explanation differ from the nominal fit's, and so does the bias.
+    """
+    p = desk.session.mechanism.p
+    own = np.arange(p, model.problem.parameter_count)
+    try:
+        found = rehearsal_scores(desk.session, model, desk.candidates, desk.rng)
+    except FitError:
+        return desk.bias
+    return [RunScore(np.delete(r.score, own), np.delete(np.delete(r.information, own, 0), own, 1)) for r in found]
+
+
+def judged(desk: Desk, explained: Explained, rehearsals: Sequence[RunScore], scatter: float | None) -> Explained:
     """With what it leaves over on the discover runs, and its gain over the scatter (by default its own)."""
     model = explained.model
     scores = score_discover(desk.session, model, desk.candidates)
-    bias = [padded(b, model.problem.parameter_count - desk.session.mechanism.p, desk.session.mechanism.p)
-            for b in desk.bias]
+    p = desk.session.mechanism.p
+    bias = [padded(b, model.problem.parameter_count - p, p) for b in rehearsals]
     left = tests_of(desk.session, model, scores, bias)
     own = {e.key for e in model.effects}
-    gains = [left.gain(c) if desk.candidates[i].effect.key not in own else 0.0 for i, c in enumerate(desk.columns)]
+    gains = [desk.gain(left, i) if c.effect.key not in own else 0.0 for i, c in enumerate(desk.candidates)]
     best = int(np.argmax(gains))
     best_named = int(np.argmax(gains[: desk.named]))
     gain = explained.gain / (float(np.median(left.inflation)) if scatter is None else scatter)
     small = max(LEFT_OVER * gain, desk.material(desk.session.discover))
-    closed = gain > desk.material(desk.session.discover) and (p_of(desk, left, best) > ALPHA or gains[best] < small)
-    return Explained(model, gain, left, best, best_named, closed)
+    least = desk.material(desk.session.discover)
+    detectable = [g for i, g in enumerate(gains) if g > least and p_of(desk, left, i) < ALPHA]
+    return Explained(model, gain, left, best, best_named, gain > least and max(detectable, default=0.0) < small,
+                     not detectable, tuple(rehearsals))
 
 
 def padded(score: RunScore, added: int, at: int) -> RunScore:
@@ -262,16 +299,16 @@ def padded(score: RunScore, added: int, at: int) -> RunScore:
     return RunScore(np.insert(score.score, [at] * added, 0.0), score.information)
 
 
-def borrowed(desk: Desk, run: RunScore, added: int, at: int) -> RunScore:
+def borrowed(bias: Sequence[RunScore], run: RunScore, added: int, at: int) -> RunScore:
     """Mean bias of the discover runs, scaled column by column to what this run informs of.
 
     A run that never reaches a stop says nothing of it, and has no bias about it either.
     """
-    score = np.mean([b.score for b in desk.bias], axis=0)
-    known = np.mean([np.diag(b.information) for b in desk.bias], axis=0)
+    score = np.mean([b.score for b in bias], axis=0)
+    known = np.mean([np.diag(b.information) for b in bias], axis=0)
     here = np.delete(np.diag(run.information), np.arange(at, at + added))
     share = np.clip(here / np.maximum(known, 1e-100), 0.0, 3.0)
-    return padded(RunScore(score * share, desk.bias[0].information), added, at)
+    return padded(RunScore(score * share, bias[0].information), added, at)
 
 
 def grow(desk: Desk, parents: Sequence[Explained], most: int) -> list[Explained]:
@@ -300,8 +337,9 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
         return account.unexplained(base, session, desk.nominal, best, f"beside it {label} is still detectable", rng)
     fewest = len(closed[0].model.effects)
     rivals = [o for o in closed if len(o.model.effects) == fewest]
-    best = rivals[0]
-    ties = [o for o in rivals if o.gain >= best.gain * (1 - TIE) - TIE_GAIN]
+    near = [o for o in rivals if o.gain >= rivals[0].gain * (1 - TIE) - TIE_GAIN]
+    ties = [o for o in near if o.clean] or near
+    best = ties[0]
     if not confirmed(desk, best):
         return account.unexplained(base, session, desk.nominal, best, "it does not hold on the confirm runs", rng)
     p = max(1e-12, min(1.0, _p_of_gain(best) * desk.trials))
@@ -317,14 +355,28 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
 def sharpened(desk: Desk, explained: Explained) -> Explained:
     """Re-fitted with the rig's own rounding of sign(qd), which its saved model has too; as it was where that fails.
 
-    The wider rounding of the search costs a few per mille on every parameter alike.
+    The wider rounding of the search costs a few per mille on every parameter alike. Where the recorder's clocks
+    leave it open, the IMU's time line is free meanwhile. Dry friction near rest has no known form: what the two
+    roundings make of a parameter differs, and the difference counts as one standard deviation more.
     """
     model = explained.model
+    effects = list(zip(model.effects, model.sizes()))
+    skew = SensorTimeSkew()
+    beside = int(desk.session.has_imu and desk.session.clock_bound_s > 0.0
+                 and skew.key not in {e.key for e in model.effects})
+    if beside:
+        effects.append((skew, np.zeros(1)))
     try:
-        again = refit(desk.session.sharp(), model, list(zip(model.effects, model.sizes())))
+        again = replace(refit(desk.session.sharp(), model, effects), beside=beside)
     except (FitError, np.linalg.LinAlgError):
         return explained
-    return replace(explained, model=again) if again.state.converged else explained
+    if not again.state.converged:
+        return explained
+    between = again.state.beta.copy()
+    between[: model.width] -= model.state.beta[: model.width]
+    between[model.width :] = 0.0
+    again.state.covariance += np.outer(between, between)
+    return replace(explained, model=again)
 
 
 def _p_of_gain(explained: Explained) -> float:
@@ -339,14 +391,14 @@ def confirmed(desk: Desk, explained: Explained) -> bool:
     session, model = desk.session, explained.model
     scores = score_confirm(session, model, desk.candidates)
     p = session.mechanism.p
-    bias = [borrowed(desk, r, model.problem.parameter_count - p, p) for r in scores]
+    bias = [borrowed(explained.bias, r, model.problem.parameter_count - p, p) for r in scores]
     left = tests_of(session, model, scores, bias, explained.left)
     own = {e.key for e in model.effects}
     share = len(session.confirm) / len(session.discover)
     small = max(LEFT_OVER_CONFIRM * explained.gain * share, desk.material(session.confirm))
-    for i, columns in enumerate(desk.columns):
+    for i in range(desk.trials):
         if desk.candidates[i].effect.key in own:
             continue
-        if p_of(desk, left, i) < ALPHA and left.gain(columns) > small:
+        if p_of(desk, left, i) < ALPHA and desk.gain(left, i) > small:
             return False
     return account.confirm_gain(session, desk.nominal, model) > 0.0

@@ -12,7 +12,7 @@ from estimator.effects.base import Effect
 from estimator.errors import FitError
 from estimator.extended import Candidate, ExtendedProblem
 from estimator.latent import Latents, Noise
-from estimator.mle import State, iterate, noise_floors, start_state
+from estimator.mle import State, iterate, start_state
 from estimator.rehearsal import rehearse
 from estimator.scores import RunScore, Tests, project, score_run
 from estimator.session import Session
@@ -22,6 +22,10 @@ FloatArray = NDArray[np.float64]
 REHEARSALS = 2
 SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
 """Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
+LONGER = ((1000.0, 6), (200.0, 6), (40.0, 6), (8.0, 8), (1.0, 30))
+"""... and where that leads to a motion that fits badly."""
+BAD = 3.0
+"""Sum of squares over samples times channels above which a motion is doubted: about 1 where all is well."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,18 @@ class Model:
     effects: tuple[Effect, ...]
     state: State
     problem: ExtendedProblem
+    beside: int = 0
+    """The last so many effects are uncertainties of these records (a clock's), not of the leg."""
+
+    @property
+    def named(self) -> tuple[Effect, ...]:
+        """Effects of the leg."""
+        return self.effects[: len(self.effects) - self.beside]
+
+    @property
+    def width(self) -> int:
+        """Length of the parameter vector as far as it belongs to the leg."""
+        return self.problem.mechanism.p + sum(e.count for e in self.named)
 
     def sizes(self) -> list[FloatArray]:
         """One size vector an effect."""
@@ -48,9 +64,10 @@ def fit_nominal(session: Session) -> tuple[Model, FloatArray]:
     blank = session.problem(session.discover, np.zeros((n, 2)))
     free, beta = free_mask(session.mechanism, session.options)
     state = start_state(blank, signals, session.mechanism, session.options, free, beta)
-    iterate(blank, state, free, session.options, noise_floors(blank, session.mechanism, state.beta))
+    iterate(blank, state, free, session.options, session.floors(blank, state.beta))
     if not state.converged:
         raise FitError("the nominal fit did not converge, so nothing can be said about what it leaves over")
+    session.keep_rest(session.discover, blank)
     reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
     return Model((), state, session.problem(session.discover, reach)), reach
 
@@ -72,7 +89,7 @@ def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatA
     for (effect, _), stop in zip(effects, p + np.cumsum([e.count for e, _ in effects])):
         if hold_shapes or effect.whole_shapes:
             free[stop - len(effect.shapes) : stop] = False
-    floors = None if noise is not None else noise_floors(problem, session.mechanism, state.beta[:p])
+    floors = None if noise is not None else session.floors(problem, state.beta[:p])
     iterate(problem, state, free, session.options, floors, limit)
     return Model(tuple(e for e, _ in effects), state, problem)
 
@@ -103,13 +120,43 @@ def smooth(session: Session, model: Model, run: int, start: Latents | None = Non
         begin = start_state(problem, own, session.mechanism, session.options,
                             np.zeros(session.mechanism.p, dtype=bool), model.state.beta[: session.mechanism.p])
         start = begin.x
+    # a small model error, enforced at once from far off, does not settle; a rehearsal starts at its own motion
+    known, tried = problem.rest, []
+    for path in (SLACK if signals is None else SLACK[-1:], LONGER):
+        try:
+            state = _settle(session, model, problem, start, path, known)
+        except FitError as error:
+            failure = error
+            continue
+        tried.append((_misfit(problem, state), problem.rest, state))
+        if tried[-1][0] < BAD:
+            break
+    if not tried:
+        raise failure
+    _, problem.rest, state = min(tried, key=lambda t: t[0])
+    if signals is None:
+        session.keep_rest([run], problem)
+    return problem, state
+
+
+def _settle(session: Session, model: Model, problem: ExtendedProblem, start: Latents,
+            path: Sequence[tuple[float, int]], known: FloatArray | None) -> State:
+    """The motion that is reached from `start` along a path of slacks; parameters, noise and `known` rest held."""
     noise, held = model.state.noise, np.zeros(model.state.beta.size, dtype=bool)
     state = State(start, model.state.beta.copy(), noise, model.state.covariance)
-    for slack, limit in SLACK:  # a small model error, enforced at once from far off, does not settle
+    for slack, limit in path:
+        problem.rest = known
         torque = noise.torque * np.where(np.isin(np.arange(problem.n), session.mechanism.actuated), 1.0, slack)
         state.noise = replace(noise, torque=torque)
         iterate(problem, state, held, session.options, None, limit)
-    return problem, state
+    return state
+
+
+def _misfit(problem: ExtendedProblem, state: State) -> float:
+    """Sum of squares over samples times channels; inf where it is no number."""
+    channels = problem.n + int(problem.has_encoder.sum()) + (3 if problem.has_imu else 0)
+    value = problem.linearise(state.x, state.beta, state.noise).objective / (channels * problem.total)
+    return value if np.isfinite(value) else np.inf
 
 
 def score_discover(session: Session, model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:

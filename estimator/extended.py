@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,13 @@ class ExtendedProblem(LatentProblem):
         a, b = motion.rate_from, motion.rate_to
         return (a + b) / (np.sqrt(a * a + eps2) + np.sqrt(b * b + eps2))
 
+    @cached_property
+    def _measured(self) -> dict[str, FloatArray]:
+        found = {f"torque{j + 1}": self.torque[:, j] for j in range(self.n)}
+        if self.has_imu:
+            found |= {"gyro": self.gyro, "accel_x": self.ax, "accel_y": self.ay}
+        return found
+
     def split(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """beta (p,) and one size vector an effect, its shapes kept within range."""
         p = self.mechanism.p
@@ -104,7 +112,7 @@ class ExtendedProblem(LatentProblem):
         n, count, total = self.n, self.left.size, self.total
         torque, at_samples = np.zeros((n, 2, count)), np.zeros((n, total))
         readings: dict[str, FloatArray] = {}
-        view = self.view(x, beta)
+        view = replace(self.view(x, beta), measured=self._measured)
         for effect, size in zip(self.effects, sizes):
             got = effect.perturb(view, size)
             if got.torque is not None and got.torque_at_samples is not None:
@@ -113,7 +121,7 @@ class ExtendedProblem(LatentProblem):
             for channel, values in got.readings.items():
                 readings[channel] = readings.get(channel, 0.0) + values
         if self.effects:
-            view = self.view(x, beta, at_samples)
+            view = replace(self.view(x, beta, at_samples), measured=self._measured)
         derivatives: list[Perturbation] = []
         for effect, size in zip(self.effects, sizes):
             derivatives += slopes(effect, view, size)

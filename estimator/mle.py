@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.dataset import Dataset
-from estimator import blocktri
+from estimator import oddeven
 from estimator.batch import BatchProblem, Records
+from estimator.effects.timing import SensorTimeSkew
 from estimator.errors import FitError
+from estimator.extended import ExtendedProblem, Stage
 from estimator.identifiability import undetermined
 from estimator.latent import LatentProblem, Latents, Linearised, Noise
 from estimator.mechanism import Mechanism
@@ -44,8 +46,8 @@ TORQUE_SHARE = 0.4
 PASSIVE_SHARE = 0.1
 """... the least model error of a passive joint as a share of the driven joints' noise. Without both a model that
 is far wrong ends at beta = 0, where the passive joint's equation holds exactly and all torque is noise."""
-SETTLED_NOISE = 3e-3
-"""Noise levels that last moved by less than this share keep the degrees of freedom of the step before."""
+REST_STEPS = 8
+"""Steps in which rest is sought anew; then it is kept, so that the fit can settle."""
 PASSIVE_WAIT = 1
 STEEP = 0.95
 PASSIVE_HASTE = 4.0
@@ -83,7 +85,37 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     floors = noise_floors(problem, mechanism, state.beta)
     iterate(problem, state, free, options, floors)
     _refuse_collapse(problem, state, mechanism)
-    return result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
+    bound_s = max(d.clock_bound_s for d in datasets)
+    found = None
+    if bound_s > 0.0 and problem.has_imu:
+        state, found = _with_skew(problem, state, signals, free, options, floors, bound_s)
+    result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
+    return result if found is None else replace(result, assumptions=(*result.assumptions, found))
+
+
+def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
+               options: FitOptions, floors: Noise, bound_s: float) -> tuple[State, str]:
+    """`state` with the IMU's time line free against the controller's, and a sentence about it.
+
+    Clocks that were put together by messages agree to within a bound only; tens of microseconds cost the pivot's
+    viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
+    the lines stay as they are.
+    """
+    reach = np.zeros((problem.n, 2))
+    blank = (0.0,) * len(signals)
+    wide = ExtendedProblem(signals, problem.mechanism, options.hold,
+                           Stage((0,) * len(signals), blank, blank, reach), (SensorTimeSkew(),))
+    wide.rest = problem.rest
+    again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
+    iterate(wide, again, np.append(free, True), options, floors)
+    skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
+    if not again.converged or std > bound_s:
+        return state, (f"the IMU's time line is taken as it is, though known to {bound_s * 1e6:.0f} us only; the "
+                       "motion does not place it better")
+    told = (f"the IMU is {skew * 1e6:.0f} +- {1.96 * std * 1e6:.0f} us late against the controller, by this motion "
+            f"(clocks: within {bound_s * 1e6:.0f} us); allowed for")
+    return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
+                 state.iterations + again.iterations), told
 
 
 def state_of(found: Searched, record: int, noise: Noise) -> State:
@@ -155,25 +187,28 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     `floors` None keeps the noise levels. Sets `state.converged`; raises `FitError`.
     """
     index = np.flatnonzero(free)
-    settled, share, lowest, change = 0, 1.0, np.inf, np.inf
-    p_diagonal = np.empty(0)
+    settled, share, lowest, change = 0, 1.0, np.inf, 0.0
     before = np.zeros(index.size)
+    finds_rest = problem.rest is None
     for iteration in range(limit):
         state.iterations = iteration + 1
+        if finds_rest and iteration < REST_STEPS:
+            problem.rest = problem.rest_variance(state.x.v, state.beta)
         point = problem.linearise(state.x, state.beta, state.noise)
         try:
-            factored = blocktri.factor(point.diagonal, point.lower)
+            factored = oddeven.factor(point.diagonal, point.lower)
         except np.linalg.LinAlgError:
             raise FitError("the equations of the fit became singular; the motion is not excited enough") from None
-        border = point.border[:, index]
-        solved = blocktri.solve(factored, np.column_stack([point.gradient, border]))
-        direction, eliminated = solved[:, 0], solved[:, 1:]
-        schur = point.corner[np.ix_(index, index)] - border.T @ eliminated
-        score = point.gradient_beta[index] - border.T @ direction
-        information = 0.5 * (schur + schur.T)
+        columns = np.append(0, 1 + index)
+        whole = columns.size == point.right.shape[1]
+        halves = oddeven.halve(factored, point.right if whole else point.right[:, columns])
+        product = halves.product()
+        information = point.corner[np.ix_(index, index)] - product[1:, 1:]
         covariance = _pseudo_inverse(information)
-        step_beta = -covariance @ score
-        step = (-direction - eliminated @ step_beta).reshape(problem.total, problem.block)
+        step_beta = -covariance @ (point.gradient_beta[index] - product[1:, 0])
+        step = -oddeven.finish(factored, halves.combine(np.append(1.0, step_beta)[:, None]))
+        step = step.reshape(problem.total, problem.block)
+        del halves
         if iteration > 2:  # the first steps come from far off and their noise levels are rough
             along = float(step_beta @ information @ before)
             swings = along < -0.25 * float(before @ information @ before)
@@ -188,19 +223,17 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         state.covariance[np.ix_(index, index)] = covariance
         if not np.isfinite(state.beta).all():
             raise FitError("the fit ran away; the starting values are too far from the data")
-        if floors is None:
-            change = 0.0
-        else:
-            if change > SETTLED_NOISE:
-                p_diagonal, _ = blocktri.inverse_band(point.diagonal, point.lower)
+        if floors is not None:
             residuals = problem.residuals_after(point, step, step_beta, index)
-            change = _update_noise(problem, state, point, p_diagonal, residuals, options, floors)
+            change = _update_noise(problem, state, point, oddeven.inverse_diagonal(factored), residuals, options,
+                                   floors)
         std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         moved = damping * float(np.max(np.abs(step_beta) / std, initial=0.0))
         if not index.size:
             moved = float(np.max(np.abs(step[:, : problem.n]))) / ANGLE_TOLERANCE * TOLERANCE
         enough = TOLERANCE if iteration < LOOSE_AFTER else LOOSE
         settled = settled + 1 if moved < enough and change < 0.01 else 0
+        del point, factored  # before the next ones are made: they are large
         if settled >= 2:
             state.converged = True
             break
@@ -244,11 +277,14 @@ def _update_noise(problem: LatentProblem, state: State, point: Linearised, p_dia
     Mixing them with the residuals before it, or after a part of it, makes the levels swing with period two.
     """
     taken = problem.effective_samples(point, p_diagonal, state.noise)
+    weight = problem.torque_weight(state.noise)
     known, old = options.noise, state.noise
     actuated = problem.mechanism.actuated
 
-    def level(r: FloatArray, gamma: float, floor: float, previous: float, haste: float = 1.0) -> float:
-        freedom = max(r.size - gamma, 0.002 * r.size)
+    def level(r: FloatArray, gamma: float, floor: float, previous: float, haste: float = 1.0,
+              count: float | None = None) -> float:
+        size = r.size if count is None else count
+        freedom = max(size - gamma, 0.002 * size)
         ratio = float(np.sqrt(np.sum(r * r) / freedom)) / previous
         value = previous * ratio ** (haste if ratio < STEEP else 1.0)
         return max(floor, float(np.clip(value, previous / 2.0, previous * 3.0)))
@@ -256,18 +292,19 @@ def _update_noise(problem: LatentProblem, state: State, point: Linearised, p_dia
     torque, encoder = old.torque.copy(), old.encoder.copy()
     for j in range(problem.n):
         if ("torque_nm" if j in actuated else "passive_nm") not in known:
-            r = residuals["torque"][:, j]
+            r, count = weight[:, j] * residuals["torque"][:, j], float(weight[:, j].sum())
             haste = 1.0 if j in actuated or state.iterations <= PASSIVE_WAIT else PASSIVE_HASTE
-            torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j], haste)
+            torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j], haste, count)
             if j in actuated:
                 torque[j] = min(torque[j], TORQUE_SHARE * float(np.std(problem.torque[:, j])) + floors.torque[j])
         if problem.has_encoder[j] and options.encoder_noise(int(j)) is None:
             r = residuals["encoder"][:, j]
             encoder[j] = level(r, float(taken["encoder"][j]), floors.encoder[j], old.encoder[j])
     driven = [torque[j] for j in actuated]
+    most = max((TORQUE_SHARE * float(np.std(problem.torque[:, j])) for j in actuated), default=np.inf) or np.inf
     for j in range(problem.n):
         if j not in actuated and driven:
-            torque[j] = max(torque[j], PASSIVE_SHARE * min(driven))
+            torque[j] = min(max(torque[j], PASSIVE_SHARE * min(driven)), most)
     gyro, accel = old.gyro, old.accel
     if problem.has_imu and "gyro_radps" not in known:
         gyro = level(residuals["gyro"], float(taken["gyro"][0]), floors.gyro, old.gyro)

@@ -21,6 +21,8 @@ from estimator.extended import Candidate, ExtendedProblem
 from estimator.mle import State
 
 FloatArray = NDArray[np.float64]
+HIDDEN = 1e-5
+"""A candidate of which the nominal parameters imitate all but this share is not tested: what is left is rounding."""
 PRIOR_RUNS = 8
 """Runs that the pooled scatter counts for beside a candidate's own."""
 
@@ -108,6 +110,9 @@ def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | 
         informations.append(r.information[nuisance:, nuisance:] - cross - cross.T
                             + carry.T @ r.information[:nuisance, :nuisance] @ carry)
     scores, information = np.array(by_run), np.array(informations)
+    hidden = np.einsum("rcc->c", information) < HIDDEN * np.diag(total)[nuisance:]
+    scores[:, hidden] = 0.0
+    information[:, hidden], information[:, :, hidden] = 0.0, 0.0
     pooled = information.sum(axis=0)
     if scatter is not None:
         inflation, freedom = scatter.inflation, scatter.freedom

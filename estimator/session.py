@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +13,9 @@ from daq.dataset import Dataset
 from estimator.effects.base import Effect
 from estimator.errors import FitError
 from estimator.extended import Candidate, ExtendedProblem, Stage
+from estimator.latent import Noise
 from estimator.mechanism import Mechanism
+from estimator.mle import noise_floors
 from estimator.options import FitOptions
 from estimator.signalset import SignalSet, split_signals
 
@@ -43,6 +45,14 @@ class Session:
     """The rig's own rounding of sign(qd); the mechanism here has at least ROUNDING_RADPS."""
     single: bool
     """One run only, cut by time: weaker evidence, for its parts are not independent."""
+    clock_bound_s: float = 0.0
+    """See `Dataset.clock_bound_s`; the largest of all runs."""
+    known: Mapping[str, float] = field(default_factory=dict)
+    """Noise levels that the rig declares: here the least that an estimate may be, for a sensor that errs shows as
+    noise first. (Measured: held at its declared level, a gyro with a bias of 0.1 rad/s drags the fit to beta = 0;
+    free, it takes the bias for noise, and beta stays within 1 %.)"""
+    rest: dict[int, FloatArray] = field(default_factory=dict)
+    """Run to `LatentProblem.rest`, as its first fit found it: all explanations are compared on the same weights."""
 
     @property
     def discover(self) -> tuple[int, ...]:
@@ -55,7 +65,18 @@ class Session:
 
     def sharp(self) -> Session:
         """The same with the rig's own rounding of sign(qd)."""
-        return replace(self, mechanism=replace(self.mechanism, velocity_scale=self.velocity_scale))
+        return replace(self, mechanism=replace(self.mechanism, velocity_scale=self.velocity_scale), rest={})
+
+    def floors(self, problem: ExtendedProblem, beta: FloatArray) -> Noise:
+        """Least noise levels of a fit at beta (p,)."""
+        least, known = noise_floors(problem, self.mechanism, beta), self.known
+        torque, encoder = least.torque.copy(), least.encoder.copy()
+        for j in range(self.mechanism.n):
+            name = "torque_nm" if j in self.mechanism.actuated else "passive_nm"
+            torque[j] = known.get(name, torque[j])
+            if np.isfinite(encoder[j]):
+                encoder[j] = known.get(f"encoder{j + 1}_rad", known.get("encoder_rad", encoder[j]))
+        return Noise(torque, encoder, known.get("gyro_radps", least.gyro), known.get("accel_mps2", least.accel))
 
     def signals(self, which: Sequence[int]) -> list[SignalSet]:
         """All stretches of these runs."""
@@ -68,13 +89,25 @@ class Session:
         begin = [s.time_s[0] - self.runs[i][0].time_s[0] for i in which for s in self.runs[i]]
         stage = Stage(tuple(run), tuple(self.starts_s[i] + b for i, b in zip(run, begin)), tuple(map(float, begin)),
                       reach, self.gear_ratio)
-        return ExtendedProblem(self.signals(which) if signals is None else signals, self.mechanism,
-                               self.options.hold, stage, effects, candidates)
+        problem = ExtendedProblem(self.signals(which) if signals is None else signals, self.mechanism,
+                                  self.options.hold, stage, effects, candidates)
+        if all(i in self.rest for i in which):
+            problem.rest = np.concatenate([self.rest[i] for i in which])
+        return problem
+
+    def keep_rest(self, which: Sequence[int], problem: ExtendedProblem) -> None:
+        """Remember where the joints of these runs rest, unless that is known already."""
+        if problem.rest is None:
+            return
+        lengths = [sum(len(s.time_s) for s in self.runs[i]) for i in which]
+        for i, part in zip(which, np.split(problem.rest, np.cumsum(lengths)[:-1])):
+            self.rest.setdefault(i, part)
 
 
 def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
                  gear_ratio: float = 1.0) -> Session:
     """Split runs: of four in turn two fit, one screens, one confirms. Raises `FitError` where there is too little."""
+    known, options = options.noise, replace(options, noise={})
     own_scale = mechanism.velocity_scale
     mechanism = replace(mechanism, velocity_scale=max(own_scale, ROUNDING_RADPS))
     single = len(datasets) == 1
@@ -94,7 +127,8 @@ def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     screen = [i for i in range(count) if i % 4 == 1 and i not in confirm]
     fit = [i for i in range(count) if i not in confirm and i not in screen]
     return Session(mechanism, options, tuple(d.name for d in datasets), tuple(runs), tuple(map(float, starts)),
-                   tuple(fit), tuple(screen), tuple(confirm), gear_ratio, own_scale, single)
+                   tuple(fit), tuple(screen), tuple(confirm), gear_ratio, own_scale, single,
+                   max(d.clock_bound_s for d in datasets), known)
 
 
 def _parts(data: Dataset) -> list[Dataset]:

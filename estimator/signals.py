@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 FloatArray = NDArray[np.float64]
+
+
+@cache
+def _sections(order: int, share: float) -> FloatArray:
+    """Second-order sections of a Butterworth low pass at this share of the Nyquist rate."""
+    return np.asarray(butter(order, share, output="sos"), dtype=np.float64)
 
 
 def lowpass(x: FloatArray, cutoff_hz: float | None, rate_hz: float, order: int = 4) -> FloatArray:
@@ -16,7 +24,7 @@ def lowpass(x: FloatArray, cutoff_hz: float | None, rate_hz: float, order: int =
     """
     if cutoff_hz is None or cutoff_hz >= 0.475 * rate_hz:
         return x
-    sos = butter(order, 2.0 * cutoff_hz / rate_hz, output="sos")
+    sos = _sections(order, 2.0 * cutoff_hz / rate_hz)
     pad = min(x.shape[0] - 1, int(3 * rate_hz / cutoff_hz))
     return np.asarray(sosfiltfilt(sos, x, axis=0, padlen=pad), dtype=np.float64)
 

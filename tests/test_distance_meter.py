@@ -1,9 +1,16 @@
 """The distance meter against the geometry of a ray and the ground."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from estimator.distance_meter import DistanceMeter
+from daq.dataset import Dataset
+from estimator.distance_meter import DistanceMeter, angle_record
+from estimator.errors import FitError
+from estimator.fit import fit
+from experiments.study import CASES, case_options, noisy_record, truth
+from experiments.walker import motor_mechanism, one_step
 
 METER = DistanceMeter(mount_m=0.6, gamma_rad=0.5, sigma_m=1e-3, sigma_per_m=2e-3)
 
@@ -50,3 +57,29 @@ def test_a_beam_that_misses_the_ground_reads_infinity() -> None:
 def test_impossible_geometry_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError):
         DistanceMeter(**wrong)
+
+
+def test_walker_is_identified_through_the_meter() -> None:
+    """A millimetre and a per cent of growth per metre; errors over their reported deviations are those of chance."""
+    step, mechanism = one_step().in_motor_angles(), motor_mechanism()
+    meter = DistanceMeter(mount_m=0.6, gamma_rad=0.6, sigma_m=5e-4, sigma_per_m=1e-3)
+    off = []
+    for run in range(30):
+        data = noisy_record(step, CASES[0], 17, run)
+        distance = meter.read(step.q[:, 0], np.random.default_rng([18, run]))
+        columns = {name: values for name, values in data.columns.items() if name != "q1_rad"}
+        seen = Dataset(data.name, data.rate_hz, data.time_s, {**columns, "distance_m": distance})
+        record, sigma = angle_record(seen, meter)
+        assert 5e-4 < sigma < 5e-3
+        options = case_options(CASES[2])
+        result = fit([record], mechanism, replace(options, noise={**options.noise, "encoder1_rad": sigma}))
+        off.append((result.beta - truth()) / result.std)
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_beam_that_misses_is_refused() -> None:
+    data = Dataset("run", 100.0, np.arange(3) / 100.0, {"distance_m": np.array([0.7, np.inf, 0.7])})
+    with pytest.raises(FitError, match="missed the ground at 1 sample"):
+        angle_record(data, METER)
+    with pytest.raises(FitError, match="no column distance_m"):
+        angle_record(Dataset("run", 100.0, np.arange(3) / 100.0, {"q1_rad": np.zeros(3)}), METER)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from daq.dataset import Dataset
-from estimator.blocktri import factor, inverse_band, solve
 from estimator.errors import FitError
 from estimator.fit import fit
 from estimator.mechanism import leg2
@@ -122,22 +121,3 @@ def test_simulation_follows_mujoco() -> None:
     q, _, _ = simulate(leg2(), leg.beta(), np.zeros(2), np.zeros(2), tau, 0.01)
     np.testing.assert_allclose(q[:, 0], run["q1_rad"], atol=2e-4)
     np.testing.assert_allclose(q[:, 1], run["q2_rad"], atol=5e-4)
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 6, 9])
-def test_block_tridiagonal_inverse_agrees_with_the_dense_one(n: int) -> None:
-    rng, b = np.random.default_rng(n), 3
-    full = np.eye(n * b)
-    for k in range(n - 1):
-        j = rng.normal(size=(5, 2 * b))
-        full[k * b:(k + 2) * b, k * b:(k + 2) * b] += j.T @ j
-    diagonal = np.stack([full[k * b:(k + 1) * b, k * b:(k + 1) * b] for k in range(n)])
-    lower = np.array([full[(k + 1) * b:(k + 2) * b, k * b:(k + 1) * b] for k in range(n - 1)]).reshape(n - 1, b, b)
-    dense = np.linalg.inv(full)
-    p_diagonal, p_lower = inverse_band(diagonal, lower)
-    for k in range(n):
-        np.testing.assert_allclose(p_diagonal[k], dense[k * b:(k + 1) * b, k * b:(k + 1) * b], atol=1e-12)
-    for k in range(n - 1):
-        np.testing.assert_allclose(p_lower[k], dense[(k + 1) * b:(k + 2) * b, k * b:(k + 1) * b], atol=1e-12)
-    rhs = rng.normal(size=n * b)
-    np.testing.assert_allclose(solve(factor(diagonal, lower), rhs), dense @ rhs, atol=1e-11)

@@ -13,7 +13,7 @@ from estimator.wls import around_samples
 from experiments import study, study_store
 from experiments.cli import main
 from experiments.executor import SerialExecutor
-from experiments.study import CASES, FLOOR, Block, blocks, noisy_record, run_block, truth
+from experiments.study import CASES, FLOOR, PAPERS_MLE, Block, blocks, noisy_record, run_block, truth
 from experiments.study_table import PAPER, bound, make_table, table_document
 from experiments.walker import one_step
 
@@ -50,7 +50,7 @@ def test_mle_is_near_its_bound_and_best_of_four() -> None:
     table = make_table({Block(case, m, 0, 40, 3): r for m, r in found.items()}, 3)
     mle = table.cell(3, "mle")
     assert mle is not None and mle.failed == 0 and mle.not_converged == 0
-    assert mle.mse_over_bound < 1.3
+    assert mle.mean_mse_over_bound < 1.3
     assert 0.9 < mle.coverage < 0.99
     assert all(mle.mean < cell.mean for cell in table.cells if cell.method != "mle")
 
@@ -133,7 +133,8 @@ def test_wrong_arguments_are_refused_in_one_line(arguments: list[str], capsys: p
 
 
 def test_paper_table_has_four_cases_by_method() -> None:
-    assert {method: len(rows) for method, rows in PAPER.items()} == dict.fromkeys(("mle", "wls", "hekf", "rls"), 4)
+    assert {method: len(rows) for method, rows in PAPER.items()} == dict.fromkeys(
+        ("mle", "wls", "hekf", "rls", PAPERS_MLE), 4)
     result = run_block(Block(CASES[0], FLOOR, 0, 5, 1))
     document = table_document(make_table({Block(CASES[0], FLOOR, 0, 5, 1): result}, 1), 1.0)
     assert document["cases"][0]["angle_variance"] == 1e-10

@@ -73,6 +73,12 @@ class View:
     reach: FloatArray
     """(n, 2) smallest and largest angle over all runs."""
     gear_ratio: float = 1.0
+    measured: Mapping[str, FloatArray] | None = None
+    """Channel to (N,) where there is a record; None in a simulation."""
+
+    def torque(self, joint: int) -> FloatArray:
+        """(N,) torque as measured where there is a record: within its noise the true one, and no unknown of a fit."""
+        return self.samples.u[joint] if self.measured is None else self.measured[f"torque{joint + 1}"]
 
     def to_gauss(self, x: FloatArray) -> FloatArray:
         """Values (..., N) at samples to (..., 2, K), linear between samples."""

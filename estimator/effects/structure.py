@@ -75,7 +75,7 @@ class JointElasticity(SensorEffect):
 
     def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
         j = self.joint or 0
-        return {f"encoder{j + 1}": size[0] * smoothed(view.samples.u[j], view)}
+        return {f"encoder{j + 1}": size[0] * smoothed(view.torque(j), view)}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         return "" if self.joint in actuated else "the joint carries no measured torque"
@@ -94,7 +94,7 @@ class Backlash(SensorEffect):
 
     def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
         j = self.joint or 0
-        return {f"encoder{j + 1}": 0.5 * size[0] * np.tanh(smoothed(view.samples.u[j], view) / size[1])}
+        return {f"encoder{j + 1}": 0.5 * size[0] * np.tanh(smoothed(view.torque(j), view) / size[1])}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         return "" if self.joint in actuated else "the joint carries no measured torque"

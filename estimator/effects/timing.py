@@ -31,6 +31,9 @@ class SensorTimeSkew(SensorEffect):
     experiment = "fast reversals of the pivot; a tap seen by both"
 
     def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+        if view.measured is not None:  # x(t - d) - y(t) is x(t) - y(t + d), whose dependence on x is plain
+            return {name: view.measured[name] - shifted(view.measured[name], -size[0], view)
+                    for name in ("gyro", "accel_x", "accel_y")}
         s, m = view.samples, view.mechanism
         ax, ay = accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2)
         true = {"gyro": s.v[0], "accel_x": ax, "accel_y": ay}

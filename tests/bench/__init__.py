@@ -1,0 +1,1 @@
+"""`make bench`: how fast the default fit is, beside what others need for the same leg."""

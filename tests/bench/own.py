@@ -1,0 +1,72 @@
+"""legid's own fit: time, memory, and its floor."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from estimator.fit import fit
+from tests.bench.record import OPTIONS, Posed, Recorded, Watch, pose
+
+
+def best_of(action: Callable[[], object], times: int) -> float:
+    """Least seconds of a few runs: what others do on the machine only ever adds."""
+    found = np.inf
+    for _ in range(times):
+        watch = Watch()
+        action()
+        found = min(found, watch.seconds())
+    return float(found)
+
+
+def peak_memory_mb() -> float:
+    """Of this process so far; Linux's own rusage also counts what was there before the process became Python."""
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return float(status.split("VmHWM:")[1].split()[0]) / 1024
+
+
+def evaluate(posed: Posed) -> Callable[[], None]:
+    """One evaluation of all residuals and their Jacobian, nothing made of them."""
+    p, x, beta, noise = posed.problem, posed.end.x, posed.end.beta, posed.end.noise
+    every = np.arange(p.total)
+
+    def run() -> None:
+        for intervals, here, there in p._pieces(p.left):
+            p._motion_rows(x, beta, noise, intervals, here, there, None)
+        for here, _, _ in p._pieces(every):
+            p._accelerometer_rows(x, beta, here, None)
+
+    return run
+
+
+def solve(recorded: Recorded) -> dict:
+    """Whole fit from measurements to intervals, several times; peak memory of the first."""
+    times = max(2, min(9, 40_000 // len(recorded.data.time_s)))
+
+    def whole() -> object:
+        return fit([recorded.data], recorded.mechanism, OPTIONS)
+
+    result = fit([recorded.data], recorded.mechanism, OPTIONS)
+    memory = peak_memory_mb()
+    seconds = best_of(whole, times)
+    posed = pose(recorded)
+    at = (posed.end.x, posed.end.beta, posed.end.noise)
+    return {"seconds": seconds, "iterations": result.iterations, "beta": result.beta.tolist(), "memory_mb": memory,
+            "evaluation_s": best_of(evaluate(posed), times + 3),
+            "linearise_s": best_of(lambda: posed.problem.linearise(*at), times + 3)}
+
+
+def solve_free(recorded: Recorded) -> dict:
+    """The paper's free latents, by legid's own derivatives: `--latent free`."""
+    from dataclasses import replace
+
+    options = replace(OPTIONS, latent="free")
+    watch = Watch()
+    result = fit([recorded.data], recorded.mechanism, options)
+    return {"seconds": watch.seconds(), "iterations": result.iterations, "beta": result.beta.tolist()}

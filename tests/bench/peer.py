@@ -1,0 +1,51 @@
+"""One peer on one length of the record, in a process of its own: prints what it found as lines of JSON.
+
+    python -m tests.bench.peer PEER RECORD.npz SAMPLES
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from pathlib import Path
+
+from tests.bench.record import Recorded, pose, read_record
+
+PEERS = ("legid", "casadi", "mujoco", "free", "paper")
+
+
+def run(peer: str, recorded: Recorded) -> dict:
+    if peer == "legid":
+        from tests.bench.own import solve
+
+        return solve(recorded)
+    if peer == "free":
+        from tests.bench.own import solve_free
+
+        return solve_free(recorded)
+    if peer == "casadi":
+        from tests.bench import casadi_ipopt
+
+        found = casadi_ipopt.solve(pose(recorded))
+        return {"seconds": found.build_s + found.solve_s, "build_s": found.build_s, "solve_s": found.solve_s,
+                "iterations": found.iterations, "beta": found.beta.tolist()}
+    if peer == "mujoco":
+        from tests.bench import mujoco_sysid
+
+        by = mujoco_sysid.solve(recorded, 1.0 / recorded.data.rate_hz)
+        return {"seconds": by.seconds, "beta": by.beta.tolist()}
+    from tests.bench import paper
+
+    return paper.solve(recorded, tell)
+
+
+def tell(found: dict) -> None:
+    print(json.dumps(found), file=sys.__stdout__, flush=True)
+
+
+if __name__ == "__main__":
+    name, path, samples = sys.argv[1:]
+    with contextlib.redirect_stdout(sys.stderr):  # toolboxes print
+        done = run(name, read_record(Path(path), int(samples)))
+    tell(done)

@@ -1,0 +1,178 @@
+"""Times the default fit of a leg beside its peers and prints ratios, growth, memory and the distance to the floor.
+
+    python -m tests.bench.speed [--page] [--samples 500,2000,10000,60000] [--limit SECONDS] [--peers NAME,...]
+
+Every peer runs in a process of its own, one at a time, and is stopped after the limit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from tests.bench.peer import PEERS
+from tests.bench.record import RATE_HZ, SEED, write_record
+
+SAMPLES = (500, 2000, 6000, 10000, 60000)
+TITLES = {"legid": "legid, whole fit", "casadi": "CasADi with IPOPT", "mujoco": "MuJoCo sysid",
+          "free": "legid `--latent free`", "paper": "the paper's recipe"}
+Table = dict[tuple[str, int], dict]
+
+
+def ask(peer: str, record: Path, samples: int, limit: float) -> dict:
+    """What the peer found, or why it found nothing, with what it had said before."""
+    command = [sys.executable, "-m", "tests.bench.peer", peer, str(record), str(samples)]
+    told: dict = {}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            out, err = process.communicate(timeout=limit)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            out, err = process.communicate()
+            told["failed"] = f"not done after {limit:.0f} s"
+    for line in out.splitlines():
+        told |= json.loads(line)
+    if "seconds" not in told and "failed" not in told:
+        told["failed"] = (err.strip().splitlines() or ["no output"])[-1]
+    return told
+
+
+def measure(record: Path, lengths: list[int], peers: list[str], limit: float) -> Table:
+    """All peers on all lengths; one that did not end on a length is not asked for longer ones."""
+    found: Table = {}
+    for peer in peers:
+        for samples in sorted(lengths):
+            found[peer, samples] = ask(peer, record, samples, limit)
+            print(f"{TITLES[peer]}, {samples}: {cell(found[peer, samples])}", file=sys.stderr, flush=True)
+            if "failed" in found[peer, samples]:
+                break
+    return found
+
+
+def cell(entry: dict | None) -> str:
+    """Seconds, or why there are none."""
+    if entry is None:
+        return "not tried"
+    if "failed" in entry:
+        step = f"; one step of it: {entry['step_s']:,.0f} s, projected" if "step_s" in entry else ""
+        return entry["failed"] + step
+    if "solve_s" in entry:
+        return f"{entry['build_s']:.2f} + {entry['solve_s']:.2f}"
+    return f"{entry['seconds']:.3f}"
+
+
+def exponent(found: Table, lengths: list[int]) -> float:
+    """Of growth between the shortest and longest length that legid was asked for."""
+    first, last = min(lengths), max(lengths)
+    return float(np.log(found["legid", last]["seconds"] / found["legid", first]["seconds"]) / np.log(last / first))
+
+
+def ratio(found: Table, peer: str, samples: int, key: str = "seconds") -> str:
+    """How many times legid's seconds a peer takes."""
+    entry = found.get((peer, samples), {})
+    return f"{entry[key] / found['legid', samples]['seconds']:.0f}" if key in entry else "-"
+
+
+def tables(found: Table, lengths: list[int], peers: list[str]) -> str:
+    """What was measured, as Markdown."""
+    head = "| | " + " | ".join(f"{n:,} samples" for n in lengths) + " |\n| --- |" + " ---: |" * len(lengths)
+    lines = ["Seconds, on the clock or of the processor, whichever are fewer (CasADi: build + solve):", "", head]
+    lines += [f"| {TITLES[p]} | " + " | ".join(cell(found.get((p, n))) for n in lengths) + " |" for p in peers]
+    if "legid" not in peers:
+        return "\n".join(lines)
+    lines += ["", "Times legid's whole fit:", "", head]
+    for peer in peers[1:]:
+        lines.append(f"| {TITLES[peer]} | " + " | ".join(ratio(found, peer, n) for n in lengths) + " |")
+        if peer == "casadi":
+            lines.append("| its solve alone | " + " | ".join(ratio(found, peer, n, "solve_s") for n in lengths) + " |")
+    lines += ["", "legid against its own floor:", "", head]
+    rows = (("iterations", lambda e, n: f"{e['iterations']}"),
+            ("one residual and Jacobian, ms", lambda e, n: f"{1e3 * e['evaluation_s']:.2f}"),
+            ("the same, and its normal equations, ms", lambda e, n: f"{1e3 * e['linearise_s']:.2f}"),
+            ("fit / (residual and Jacobian x iterations)",
+             lambda e, n: f"{e['seconds'] / e['evaluation_s'] / e['iterations']:.1f}"),
+            ("fit / (normal equations x iterations)",
+             lambda e, n: f"{e['seconds'] / e['linearise_s'] / e['iterations']:.1f}"),
+            ("microseconds a sample and iteration", lambda e, n: f"{1e6 * e['seconds'] / e['iterations'] / n:.2f}"),
+            ("peak memory, MB", lambda e, n: f"{e['memory_mb']:.0f}"))
+    for title, show in rows:
+        lines.append(f"| {title} | " + " | ".join(show(found["legid", n], n) for n in lengths) + " |")
+    if len(lengths) > 1:
+        lines += ["", f"Exponent of growth from {min(lengths):,} to {max(lengths):,} samples: "
+                      f"{exponent(found, lengths):.2f}."]
+    if {6000, 60000} <= set(lengths):
+        by = found["legid", 60000]["seconds"] / found["legid", 6000]["seconds"]
+        lines.append(f"60,000 samples take {by:.1f} times what 6,000 take.")
+    return "\n".join(lines)
+
+
+def machine() -> str:
+    """What the figures were measured on."""
+    try:
+        names = [line.split(":", 1)[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines()
+                 if line.startswith("model name")]
+    except OSError:
+        names = []
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "casadi", "mujoco"))
+    return (f"{os.cpu_count()} cores, {names[0] if names else platform.machine()}, Python {platform.python_version()}, "
+            f"{packages}, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'not set')}")
+
+
+PAGE = """# Speed of the default fit, {date}
+
+Written by `make bench`. A leg with IMU and knee encoder, simulated by MuJoCo (seed {seed}, {rate:.0f} Hz); shorter
+records are the beginning of the longest. Each peer ran alone in its own process, at most {limit:.0f} s.
+
+Machine: {machine}.
+Load average when it began {before:.1f}, when it ended {after:.1f}: other work on the machine
+takes away cache and memory, which makes everything slower, and not everything alike.
+
+{tables}
+
+What is compared:
+
+- **legid** finds noise levels and covariance besides parameters and motion. Best of several runs in one process.
+- **CasADi with IPOPT** solves the same sum of squares from the same start with the noise levels given: one interval's
+  equations as a graph, mapped over the record, Gauss-Newton Hessian. `tests/bench/casadi_ipopt.py`.
+- **MuJoCo sysid** fits a free run of the simulation to the sensors, torque taken as exact, masses, a length and the
+  first state given, simulated at the record's own rate. `tests/bench/mujoco_sysid.py`.
+- **legid `--latent free`** is the paper's free latents with exact sparse derivatives; **the paper's recipe** takes them
+  numerically, word for word, as (51) says. `tests/bench/paper.py`.
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--page", action="store_true", help="write docs/bench-YYYY-MM-DD.md too")
+    parser.add_argument("--samples", default=",".join(map(str, SAMPLES)), help="lengths of the record")
+    parser.add_argument("--limit", type=float, default=600.0, help="most seconds for a peer on one length")
+    parser.add_argument("--peers", default=",".join(PEERS), help="of " + ", ".join(PEERS))
+    args = parser.parse_args()
+    lengths, peers = sorted(map(int, args.samples.split(","))), args.peers.split(",")
+    before = os.getloadavg()[0]
+    with tempfile.TemporaryDirectory() as directory:
+        record = Path(directory) / "record.npz"
+        write_record(record, max(lengths))
+        found = measure(record, lengths, peers, args.limit)
+    text = tables(found, lengths, peers)
+    print(text)
+    if args.page:
+        date = datetime.date.today().isoformat()
+        page = Path(__file__).parents[2] / "docs" / f"bench-{date}.md"
+        page.write_text(PAGE.format(date=date, seed=SEED, rate=RATE_HZ, limit=args.limit, machine=machine(),
+                                    before=before, after=os.getloadavg()[0], tables=text), encoding="utf-8")
+        print(f"written to {page}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

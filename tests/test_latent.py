@@ -1,0 +1,92 @@
+"""The likelihood's normal equations: derivatives, pieces, and the minimum that an independent solver finds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mujoco_leg import Leg, record
+
+from daq.dataset import Dataset
+from estimator import latent, mle
+from estimator.latent import LatentProblem, Latents, Noise
+from estimator.mechanism import leg2
+from estimator.options import FitOptions
+from estimator.signalset import split_signals
+from estimator.wls import free_mask
+
+OPTIONS = FitOptions(sensors="imu")
+
+
+@pytest.fixture
+def squares_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sum of squares without the density's other term, which enters the gradient only."""
+    monkeypatch.setattr(LatentProblem, "_inertia_gradient", lambda _, beta, __: np.zeros(beta.size))
+
+
+@pytest.fixture(scope="module")
+def broken() -> tuple[LatentProblem, Latents, np.ndarray, Noise]:
+    """A record with two gaps, at the filtered motion."""
+    leg = Leg()
+    run = record(leg, np.random.default_rng(21), seconds=5)
+    columns = {k: v.copy() for k, v in run.columns.items()}
+    for values in columns.values():
+        values[70:75] = values[230:290] = np.nan
+    mechanism = leg2(lever_arm=leg.lever, rotor_inertia=(1,), torque_offset=(0,))
+    signals = split_signals([Dataset("broken", run.rate_hz, run.time_s, columns)], mechanism, OPTIONS)
+    problem = LatentProblem(signals, mechanism, OPTIONS.hold)
+    free, beta = free_mask(mechanism, OPTIONS)
+    state = mle.start_state(problem, signals, mechanism, OPTIONS, free, beta)
+    return problem, state.x, state.beta, state.noise
+
+
+@pytest.mark.usefixtures("squares_alone")
+def test_gradient_is_the_derivative(broken: tuple[LatentProblem, Latents, np.ndarray, Noise]) -> None:
+    problem, x, beta, noise = broken
+    point = problem.linearise(x, beta, noise)
+    rng = np.random.default_rng(1)
+    gradient = point.gradient.reshape(problem.total, problem.block)
+    for k in [0, 69, 70, problem.total - 1, *rng.choice(problem.total, 6)]:
+        for j in range(problem.block):
+            step = np.zeros((problem.total, problem.block))
+            step[k, j] = 1e-6
+            up, down = (problem.linearise(x.moved(a * step), beta, noise).objective for a in (1.0, -1.0))
+            numeric = (up - down) / 4e-6  # half the gradient of the sum of squares
+            assert gradient[k, j] == pytest.approx(numeric, rel=1e-3, abs=1e-6 * point.objective)
+    for j in range(beta.size):
+        step = np.zeros(beta.size)
+        step[j] = 1e-6
+        up, down = (problem.linearise(x, beta + a * step, noise).objective for a in (1.0, -1.0))
+        assert point.gradient_beta[j] == pytest.approx((up - down) / 4e-6, rel=1e-4)
+
+
+@pytest.mark.parametrize("piece", [1, 37])
+def test_pieces_change_nothing(broken: tuple[LatentProblem, Latents, np.ndarray, Noise], piece: int,
+                               monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, x, beta, noise = broken
+    whole = problem.linearise(x, beta, noise)
+    monkeypatch.setattr(latent, "PIECE", piece)
+    parts = problem.linearise(x, beta, noise)
+    assert parts.objective == pytest.approx(whole.objective, rel=1e-12)
+    for name in ("diagonal", "lower", "right", "corner", "gradient_beta", "accel_rows", "accel_border"):
+        a, b = getattr(whole, name), getattr(parts, name)
+        np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-11 * np.abs(a).max(), err_msg=name)
+
+
+@pytest.mark.usefixtures("squares_alone")
+def test_minimum_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("casadi", reason="needs the extra `bench`")
+    from tests.bench import casadi_ipopt
+    from tests.bench.record import Recorded, pose
+
+    leg = Leg(coulomb=(0.0, 0.0))  # dry friction that changes sign beside a sample makes many minima
+    run = record(leg, np.random.default_rng(22), seconds=4)
+    posed = pose(Recorded(run, leg2(lever_arm=leg.lever), leg.beta(), (leg.m1, leg.m2), leg.l1))
+    state = posed.end
+    monkeypatch.setattr(mle, "TOLERANCE", 1e-6)
+    monkeypatch.setattr(mle, "LOOSE", 1e-6)
+    mle.iterate(posed.problem, state, np.ones(9, dtype=bool), OPTIONS, None, 100)  # noise levels held
+    assert state.converged
+    point = posed.problem.linearise(state.x, state.beta, state.noise)
+    found = casadi_ipopt.solve(posed, 1e-14)
+    assert point.objective == pytest.approx(found.objective, rel=1e-6)
+    np.testing.assert_allclose(state.beta, found.beta, rtol=1e-6, atol=1e-7)
