@@ -225,10 +225,16 @@ def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> 
     if not models:
         return []
     noise = min((m.state.noise for m in models), key=lambda s: account.log_volume(desk.nominal.problem, s))
-    plain = misfit(refit(desk.session, desk.nominal, [], 10, noise))
+    try:
+        plain = misfit(refit(desk.session, desk.nominal, [], 10, noise))
+    except FitError:  # it is too wrong to settle under so little noise; where it stands will do
+        plain = misfit(replace(desk.nominal, state=replace(desk.nominal.state, noise=noise)))
     out = []
     for m in models:
-        again = refit(desk.session, m, list(zip(m.effects, m.sizes())), 8, noise)
+        try:
+            again = refit(desk.session, m, list(zip(m.effects, m.sizes())), 8, noise)
+        except FitError:  # under the noise of the best one it has no fit at all
+            continue
         out.append(Explained(m, plain - misfit(again), _NO_TESTS, -1, -1, False))
     return sorted(out, key=lambda e: -e.gain)
 

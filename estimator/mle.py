@@ -112,6 +112,9 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
     if not again.converged or std > bound_s:
         return state, (f"the IMU's time line is taken as it is, though known to {bound_s * 1e6:.0f} us only; the "
                        "motion does not place it better")
+    if abs(skew) > bound_s:
+        return state, (f"the IMU would fit best {skew * 1e6:.0f} us late against the controller, more than the clocks' "
+                       f"{bound_s * 1e6:.0f} us: not allowed for, for something else is wrong; see legid diagnose")
     told = (f"the IMU is {skew * 1e6:.0f} +- {1.96 * std * 1e6:.0f} us late against the controller, by this motion "
             f"(clocks: within {bound_s * 1e6:.0f} us); allowed for")
     return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
@@ -257,8 +260,11 @@ def _refuse_collapse(problem: LatentProblem, state: State, mechanism: Mechanism)
 
 def _pseudo_inverse(information: FloatArray) -> FloatArray:
     """Inverse of a positive semidefinite matrix with unscaled columns; near-null directions get a huge variance."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-100))
+    scaled = information / np.outer(scale, scale)
+    if not np.isfinite(scaled).all():
+        raise FitError("the fit ran away; the starting values are too far from the data")
+    values, vectors = np.linalg.eigh(scaled)
     values = np.maximum(values, 1e-13)
     return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
 
