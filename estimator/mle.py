@@ -33,7 +33,7 @@ from estimator.wls import free_mask, stack_regressors, weighted_least_squares
 
 FloatArray = NDArray[np.float64]
 MAX_ITERATIONS = 60
-TOLERANCE = 0.02
+TOLERANCE = 0.05
 """Converged when a step moves no parameter by more than this share of its standard deviation."""
 ANGLE_TOLERANCE = 1e-6
 """Converged, where no parameter is free, when no angle moves by more than this [rad]."""
