@@ -13,7 +13,7 @@ from estimator.effects.base import Shape, Size
 from estimator.errors import FitError
 from estimator.evidence import Model, misfit, smooth
 from estimator.extended import ExtendedProblem
-from estimator.freerun import free_run
+from estimator.freerun import FreeRun, free_run
 from estimator.latent import Noise
 from estimator.mle import State
 from estimator.rehearsal import rehearse
@@ -95,8 +95,16 @@ def sensors_of(problem: ExtendedProblem, q1: FloatArray) -> dict[str, FloatArray
     unit = problem.mechanism.length_unit
     out = {f"q{j + 1}_{unit}": problem.angles[:, j] for j in range(problem.n) if problem.has_encoder[j]}
     if problem.has_imu:
-        out |= {"q1_rad": q1, "gyro_radps": problem.gyro}
+        out |= {"q1_rad": q1, "gyro_radps": problem.gyro, "accel_x_mps2": problem.ax, "accel_y_mps2": problem.ay}
     return dict(sorted(out.items()))
+
+
+def sensed(problem: ExtendedProblem, run: FreeRun) -> dict[str, FloatArray]:
+    """What the sensors would read, by column."""
+    unit = problem.mechanism.length_unit
+    out = {f"q{j + 1}_{unit}": run.readings[f"encoder{j + 1}"] for j in range(problem.n)}
+    imu = {"gyro_radps": "gyro", "accel_x_mps2": "accel_x", "accel_y_mps2": "accel_y"}
+    return out | {column: run.readings[channel] for column, channel in imu.items()}
 
 
 def torque_readings(problem: ExtendedProblem, state: State) -> FloatArray:
@@ -124,12 +132,8 @@ def resimulate(session: Session, model: Model, run: int, q1: FloatArray | None =
     found = free_run(problem, state, drive)
     if found is None and not or_still:
         raise FitError("the free run diverges")
-    unit = problem.mechanism.length_unit
-    if found is None:
-        simulated = {k: np.full_like(y, y.mean()) for k, y in measured.items()}
-    else:
-        simulated = {f"q{j + 1}_{unit}": found.readings[f"encoder{j + 1}"] for j in range(problem.n)}
-        simulated["gyro_radps"] = found.readings["gyro"]
+    still = {k: np.full_like(y, y.mean()) for k, y in measured.items()}
+    simulated = still if found is None else sensed(problem, found)
     time_s = np.concatenate([s.time_s for s in session.runs[run]])
     return Resimulated(run, time_s, measured, {k: simulated[k] for k in measured},
                        problem.torque - state.x.u - torque_readings(problem, state))
@@ -144,9 +148,7 @@ def floor_errors(session: Session, model: Model, run: int, rng: np.random.Genera
     truth = free_run(problem, state)
     if found is None or truth is None:
         raise FitError("the rehearsal diverges")
-    unit = problem.mechanism.length_unit
-    simulated = {f"q{j + 1}_{unit}": found.readings[f"encoder{j + 1}"] for j in range(problem.n)}
-    simulated["gyro_radps"] = found.readings["gyro"]
+    simulated = sensed(problem, found)
     measured = sensors_of(again, truth.q[:, 0])
     return {k: (simulated[k] - v) ** 2 for k, v in measured.items()}
 

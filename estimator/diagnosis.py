@@ -51,8 +51,10 @@ LEFT_OVER = 0.03
 """What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
 LEFT_OVER_CONFIRM = 0.3
 """The same on the confirm runs, where parameters are not re-fitted."""
-LEAST_CLOSED = 0.5
-"""Least share of the free-run gap that a named cause closes on the confirm runs."""
+LEAST_CLOSED = 0.1
+"""Least share of the free-run gap that a named cause closes on the confirm runs. A law of another form than the real
+one's (friction that drifts along another curve) may be right and close a quarter; parameters can
+imitate most of a rotor."""
 RIVAL = 0.5
 """An explanation with less than this share of the best one's gain leaves the rest of it unexplained: not a rival."""
 TIE = 0.02

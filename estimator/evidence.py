@@ -58,15 +58,25 @@ class Model:
 
 
 def fit_nominal(session: Session) -> tuple[Model, FloatArray]:
-    """Nominal fit of the discover runs and the reach (n, 2) of each joint. Raises `FitError`."""
+    """Nominal fit of the discover runs and the reach (n, 2) of each joint. Raises `FitError`.
+
+    Where the likelihood of a model that is far wrong does not settle, beta stays at its start, least squares on
+    filtered motion, and only the motion and the noise levels are sought: what is missing shows there too.
+    """
     signals = session.signals(session.discover)
     n = session.mechanism.n
-    blank = session.problem(session.discover, np.zeros((n, 2)))
     free, beta = free_mask(session.mechanism, session.options)
-    state = start_state(blank, signals, session.mechanism, session.options, free, beta)
-    iterate(blank, state, free, session.options, session.floors(blank, state.beta))
-    if not state.converged:
-        raise FitError("the nominal fit did not converge, so nothing can be said about what it leaves over")
+    for freed in (free, np.zeros_like(free)):
+        blank = session.problem(session.discover, np.zeros((n, 2)))
+        state = start_state(blank, signals, session.mechanism, session.options, free, beta)
+        try:
+            iterate(blank, state, freed, session.options, session.floors(blank, state.beta))
+        except FitError:
+            continue
+        if state.converged:
+            break
+    if not np.isfinite(state.beta).all() or blank.rest is None or not np.isfinite(state.x.q).all():
+        raise FitError("the nominal fit leads nowhere, so nothing can be said about what it leaves over")
     session.keep_rest(session.discover, blank)
     reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
     return Model((), state, session.problem(session.discover, reach)), reach

@@ -29,7 +29,7 @@ from estimator.search import EXACT_ENCODER, Searched, known_noise, search, suits
 from estimator.sensors import accelerometer
 from estimator.signals import quantum, white_noise_level
 from estimator.signalset import SignalSet, angle_column, differentiate, split_signals
-from estimator.wls import free_mask, stack_regressors, weighted_least_squares
+from estimator.wls import driven_first, free_mask, stack_regressors, weighted_least_squares
 
 FloatArray = NDArray[np.float64]
 MAX_ITERATIONS = 60
@@ -138,7 +138,11 @@ def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mec
     motions = [differentiate(s, mechanism, min(2.0 * cutoff, 0.4 * rate), options.filter_order, fused=True)
                for s in signals]
     z, tau = stack_regressors(signals, motions, mechanism, cutoff, options.filter_order)
-    beta, covariance, sigma = weighted_least_squares(z, tau, free, beta, 1.0)
+    start = beta
+    beta, covariance, sigma = weighted_least_squares(z, tau, free, start, 1.0)
+    if passive_joints(mechanism) and mechanism.actuated:
+        beta = driven_first(z, tau, free, start, mechanism.actuated)
+        sigma = np.maximum(np.sqrt(np.mean((tau - z @ beta) ** 2, axis=0)), 1e-3 * sigma)
     x = Latents(np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions]),
                 problem.torque.copy())
     known = options.noise

@@ -114,6 +114,8 @@ def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     if single:
         datasets = _parts(datasets[0])
     runs = [tuple(split_signals([d], mechanism, options)) for d in datasets]
+    if not any(np.any(s.torque) for run in runs for s in run):
+        raise FitError("every torque is zero, so the scale of the parameters is not determined")
     rates = {s.rate_hz for run in runs for s in run}
     if len(rates) > 1:
         raise FitError("the runs are on grids of different rates; give one rate_hz under [sampling]")

@@ -66,6 +66,20 @@ def weighted_least_squares(z: FloatArray, tau: FloatArray, free: NDArray[np.bool
     return beta, covariance, sigma
 
 
+def driven_first(z: FloatArray, tau: FloatArray, free: NDArray[np.bool_], beta: FloatArray,
+                 actuated: Sequence[int]) -> FloatArray:
+    """beta (p,) from the equations of the driven joints alone, then the rest of it from those of the passive ones.
+
+    A passive joint's equation is homogeneous: an error in the motion pulls its least squares to beta = 0. Here it
+    only adds the parameters that no driven joint feels, on the scale of the others.
+    """
+    passive = [j for j in range(z.shape[1]) if j not in actuated]
+    felt = free & (np.abs(z[:, list(actuated)]).max(axis=(0, 1)) > 0.0)
+    first, _, _ = weighted_least_squares(z[:, list(actuated)], tau[:, list(actuated)], felt, beta, 1.0)
+    second, _, _ = weighted_least_squares(z[:, passive], tau[:, passive], free & ~felt, first, 1.0)
+    return second
+
+
 def stack_regressors(signals: Sequence[SignalSet], motions: Sequence[Kinematics], mechanism: Mechanism,
                      cutoff_hz: float | None, order: int) -> tuple[FloatArray, FloatArray]:
     """Z (m, n, p) and torque (m, n) of all stretches, both through the same low pass.

@@ -84,8 +84,7 @@ class TorqueDelay(TorqueSensorEffect):
     experiment = "motion at high frequency: phase grows with it"
 
     def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
-        sign = -1.0 if view.measured is not None else 1.0  # u(t - d) - y(t) is u(t) - y(t + d)
-        return {f"torque{j + 1}": sign * (shifted(view.torque(j), sign * size[0], view) - view.torque(j))
+        return {f"torque{j + 1}": shifted(view.samples.u[j], size[0], view) - view.samples.u[j]
                 for j in self._driven(view)}
 
 
