@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 OUT    ?= demo-out
 
-.PHONY: demo test lint test-kernel soak bench clean
+.PHONY: demo test lint test-kernel soak bench blind clean
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed"; exit 1; }
@@ -31,6 +31,28 @@ test-kernel: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-bench.lock
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.bench.speed --page
+
+# Called again it goes on where it stopped; after a change of the program give it a new BLIND_OUT. Without SEEDS and
+# CLASSES it has 102 cases, about an hour on two cores; e.g. CLASSES=none SEEDS=1000-1099 for a hundred negatives.
+BLIND_OUT ?= blind-out
+WORKERS   ?= 2
+LEVELS    ?= moderate
+EFFECTS   ?=
+ifneq ($(SEEDS)$(CLASSES),)
+BLIND_PART = --classes $(or $(CLASSES),none,single,pair,outside,deleted) --seeds $(or $(SEEDS),1000)
+else
+BLIND_PART = --classes none,pair --seeds 1000-1019
+BLIND_REST = --classes single,outside,deleted --seeds 1000
+endif
+BLIND_RUN  = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.blind.run --out $(BLIND_OUT) \
+	--workers $(WORKERS) --levels $(LEVELS) --effects "$(EFFECTS)"
+
+blind: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-blind.lock
+	$(BLIND_RUN) $(BLIND_PART)
+	$(if $(BLIND_REST),$(BLIND_RUN) $(BLIND_REST))
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.blind.baselines $(BLIND_OUT)
+	$(BIN)/python -m tests.blind.page $(BLIND_OUT) $(if $(PAGE),--page $(PAGE))
 
 soak: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.soak --out docs/soak-$$(date -u +%F).md
