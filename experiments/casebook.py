@@ -1,0 +1,214 @@
+"""Case studies on public records: what is published against what the program finds, on one page.
+
+What is known of a data set is in `experiments/rigs/`, never here: `cases.toml` says which runs of which folder to put
+through which rig file, and what is published of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from daq.errors import InputError, WorkError
+from daq.rig import load_rig
+from estimator.errors import FitError
+from estimator.fit import fit
+from estimator.result import FitResult
+from estimator.validation import Validation
+from estimator.verdict import Diagnosis
+from experiments.diagnosing import diagnose_setup
+from experiments.rigs import load_setup
+from experiments.validation import validate_setup
+
+T = TypeVar("T")
+RIGS = Path(__file__).parent / "rigs"
+SCHEMA = "legid.casebook/1"
+
+
+class FitTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One fit, and what is published for it, in the units of the mechanism's parameters."""
+
+    title: str
+    rig: str
+    runs: tuple[str, ...]
+    method: Literal["mle", "wls", "rls", "hekf"] = "mle"
+    fix: dict[str, float] = {}
+    validate: tuple[str, ...] = ()
+    """Runs to simulate that the fit does not see."""
+    published: dict[str, float] = {}
+    relative_error_percent: tuple[float, ...] = ()
+    """By joint: rms of what the model leaves over, as a share of the measured torque's rms."""
+
+
+class DiagnoseTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One diagnosis, and the effects that the publication knows of."""
+
+    rig: str
+    runs: tuple[str, ...]
+    expected: tuple[str, ...] = ()
+
+
+class Case(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One folder of records."""
+
+    title: str
+    folder: str
+    source: str
+    known: str
+    """What is known of it, in a sentence."""
+    fit: tuple[FitTask, ...] = ()
+    diagnose: tuple[DiagnoseTask, ...] = ()
+
+
+class _Cases(Struct, forbid_unknown_fields=True, frozen=True):
+    case: tuple[Case, ...]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What became of a fit: a result, or the line in which it was refused."""
+
+    task: FitTask
+    result: FitResult | None
+    refusal: str
+    validations: Sequence[Validation] = ()
+    validation_refusal: str = ""
+
+    def relative_error_percent(self) -> list[float]:
+        """By joint, see `FitTask`; NaN for a joint without torque."""
+        if self.result is None or not self.result.trajectories:
+            return []
+        tau = np.concatenate([t.tau_measured for t in self.result.trajectories])
+        size = np.sqrt(np.nanmean(tau**2, axis=0))
+        left = np.asarray(self.result.torque_residual_rms)
+        return [float(100.0 * r / s) if s > 0 else float("nan") for r, s in zip(left, size)]
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """What became of a diagnosis."""
+
+    task: DiagnoseTask
+    found: Diagnosis | None
+    refusal: str
+
+    def agrees(self) -> bool | None:
+        """Whether every effect that is published is among the named causes; None where none is published."""
+        if not self.task.expected:
+            return None
+        return set(self.task.expected) <= set(self.named)
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Effects that the diagnosis says are present; none where it leaves a choice."""
+        return tuple(c.effect for c in self.found.causes) if self.found and self.found.verdict == "named" else ()
+
+
+@dataclass(frozen=True)
+class Study:
+    """A case with all that was found."""
+
+    case: Case
+    fits: Sequence[Fitted]
+    diagnoses: Sequence[Diagnosed]
+
+
+def load_cases(path: Path = RIGS / "cases.toml") -> tuple[Case, ...]:
+    """All cases of the file. Raises `InputError`."""
+    try:
+        return msgspec.toml.decode(path.read_bytes(), type=_Cases).case
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "give a file of cases") from None
+    except msgspec.MsgspecError as error:
+        raise InputError(str(path), str(error), "correct the entry named") from None
+
+
+def cases_in(folder: Path, cases: Sequence[Case]) -> list[Case]:
+    """The cases whose folder is in `folder`. Raises `InputError` where there is none."""
+    found = [case for case in cases if (folder / case.folder).is_dir()]
+    if not found:
+        raise InputError(str(folder), "holds none of the known folders " + ", ".join(case.folder for case in cases),
+                         "give the directory that holds them")
+    return found
+
+
+def study_case(case: Case, folder: Path, seed: int = 0) -> Study:
+    """Run all that `case` asks for on the records under `folder`; what is refused is kept as its line."""
+    home = folder / case.folder
+    return Study(case, [_fit(task, home) for task in case.fit], [_diagnose(task, home, seed) for task in case.diagnose])
+
+
+def _fit(task: FitTask, home: Path) -> Fitted:
+    rig = load_rig(RIGS / task.rig)
+
+    def estimate() -> FitResult:
+        setup = load_setup([home / run for run in task.runs], rig, None, task.fix)
+        return fit(setup.datasets, setup.mechanism, setup.options, task.method)
+
+    result, refusal = _attempt(estimate)
+    if result is None or not task.validate:
+        return Fitted(task, result, refusal)
+    beta = result.beta
+
+    def simulate() -> list[Validation]:
+        return validate_setup(load_setup([home / run for run in task.validate], rig, None, task.fix), beta)
+
+    validations, problem = _attempt(simulate)
+    return Fitted(task, result, refusal, validations or (), problem)
+
+
+def _diagnose(task: DiagnoseTask, home: Path, seed: int) -> Diagnosed:
+    rig = load_rig(RIGS / task.rig)
+    found, refusal = _attempt(lambda: diagnose_setup(load_setup([home / run for run in task.runs], rig), rig, seed))
+    return Diagnosed(task, found, refusal)
+
+
+def _attempt(work: Callable[[], T]) -> tuple[T | None, str]:
+    """The result, or the line that says why there is none: a case may be there to be refused."""
+    try:
+        return work(), ""
+    except (InputError, WorkError, FitError) as error:
+        return None, str(error)
+
+
+def casebook_document(studies: Sequence[Study]) -> dict[str, Any]:
+    """`legid.casebook/1`: published against found, verdicts, gains."""
+    return {"schema": SCHEMA, "cases": [
+        {"folder": s.case.folder, "title": s.case.title, "fits": [_fit_entry(f) for f in s.fits],
+         "diagnoses": [_diagnosis_entry(d) for d in s.diagnoses]} for s in studies]}
+
+
+def _fit_entry(f: Fitted) -> dict[str, Any]:
+    entry: dict[str, Any] = {"title": f.task.title, "method": f.task.method, "refused": f.refusal or None,
+                             "published": f.task.published}
+    if f.result is not None:
+        entry |= {"converged": bool(f.result.converged), "undetermined": list(f.result.undetermined),
+                  "found": values(f.result), "std": dict(zip(f.result.mechanism.names, map(float, f.result.std))),
+                  "torque_residual_rms": [float(r) for r in f.result.torque_residual_rms],
+                  "relative_error_percent": f.relative_error_percent(),
+                  "validation_rmse": [{"run": v.run, **{n: float(x) for n, x in v.rmse.items()}}
+                                      for v in f.validations]}
+    return entry
+
+
+def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:
+    entry: dict[str, Any] = {"refused": d.refusal or None, "expected": list(d.task.expected), "agrees": d.agrees()}
+    if d.found is not None:
+        entry |= {"verdict": d.found.verdict, "sentence": d.found.sentence,
+                  "causes": [c.effect for c in d.found.causes],
+                  "free_run_rmse": {name: {"before": g.before, "after": g.after, "floor": g.floor}
+                                    for name, g in d.found.sensors.items()},
+                  "torque_rms": {"before": list(d.found.torque_rms_nm[0]), "after": list(d.found.torque_rms_nm[1])}}
+    return entry
+
+
+def values(result: FitResult) -> Mapping[str, float]:
+    """Parameter to estimate; NaN for one that the data does not determine."""
+    return {name: float("nan") if name in result.open_parameters else float(value)
+            for name, value in zip(result.mechanism.names, result.beta)}

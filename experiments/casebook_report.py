@@ -1,0 +1,167 @@
+"""The casebook as a page and as lines for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from experiments.casebook import Diagnosed, Fitted, Study, values
+from experiments.diagnosis_figures import error_bars, signature_limits, signature_plot, trace_plot
+from experiments.diagnosis_text import gap_text, key_label, size_rows
+from experiments.figures import BLUE, ORANGE, Line, plot_lines, window
+from experiments.fit_text import force_unit, number
+from experiments.report import Picture, Section, Table, write_page
+from experiments.validation_report import validation_rows
+
+SECONDS = 12.0
+
+
+def write_casebook(path: Path | str, studies: Sequence[Study]) -> None:
+    """Write the page. Raises `InputError` where that place cannot be written."""
+    sections = [section for study in studies for section in study_sections(study)]
+    write_page(path, "Casebook: published against found",
+               f"{len(studies)} sets of public records, each put through fit, validate and diagnose with the rig file "
+               "shipped for it.", sections)
+
+
+def study_sections(study: Study) -> list[Section]:
+    """What is known, then every fit, then every diagnosis."""
+    title = study.case.title
+    return [Section(title, [" ".join(study.case.known.split()), f"Source: {study.case.source}."]),
+            *[_fit_section(title, f) for f in study.fits], *_side_by_side(study),
+            *[_diagnosis_section(title, d) for d in study.diagnoses]]
+
+
+def study_text(study: Study) -> str:
+    """A few lines for a terminal."""
+    lines = [f"{study.case.title} ({study.case.folder})"]
+    for f in study.fits:
+        lines.append(f"  {f.task.title}, {f.task.method}: {_fit_words(f)}")
+    for d in study.diagnoses:
+        lines.append(f"  diagnosis with {d.task.rig}: {_verdict_words(d)}")
+    return "\n".join(lines)
+
+
+def worst_departure(f: Fitted) -> tuple[str, float] | None:
+    """Parameter that is farthest from its published value, and by what share; None where nothing can be compared."""
+    if f.result is None or not f.task.published:
+        return None
+    found = values(f.result)
+    off = {name: abs(found[name] / value - 1.0) for name, value in f.task.published.items()}
+    worst = max(off, key=lambda name: np.nan_to_num(off[name], nan=np.inf))
+    return worst, float(off[worst])
+
+
+def _fit_words(f: Fitted) -> str:
+    if f.result is None:
+        return f"refused: {f.refusal}"
+    words = [] if f.result.converged else ["DID NOT CONVERGE"]
+    off = worst_departure(f)
+    words += [] if off is None else [f"within {100 * off[1]:.3g} % of what is published ({off[0]} is farthest)"]
+    errors = [f"{e:.2f}" for e in f.relative_error_percent() if np.isfinite(e)]
+    words += [f"relative error {', '.join(errors)} %"] if errors else []
+    left = ", ".join(f"{r:.3g}" for r in f.result.torque_residual_rms)
+    return "; ".join([*words, f"left over {left} {force_unit(f.result.mechanism)}"])
+
+
+def _verdict_words(d: Diagnosed) -> str:
+    if d.found is None:
+        return f"refused: {d.refusal}"
+    ending = {None: "", True: " What is published is named.",
+              False: f" Published is {', '.join(d.task.expected)}: the program does NOT name it."}[d.agrees()]
+    more = sorted(set(d.named) - set(d.task.expected)) if d.task.expected else []
+    ending += f" Named beyond what is published: {', '.join(more)}." if more else ""
+    return f"{d.found.verdict}. {d.found.sentence}{ending}"
+
+
+def _fit_section(title: str, f: Fitted) -> Section:
+    heading = f"{title}: {f.task.title}"
+    about = f"{f.task.method} with {f.task.rig} on {', '.join(f.task.runs)}. {_fit_words(f)}."
+    if f.result is None:
+        return Section(heading, [about])
+    rows = []
+    found = values(f.result)
+    for p, std in zip(f.result.mechanism.parameters, f.result.std):
+        published, value = f.task.published.get(p.name), found[p.name]
+        known = published is not None
+        given = p.name in f.task.fix
+        rows.append([p.name, f"{published:.5g}" if known else "", number(value, float(std)),
+                     "given" if given else number(float(std), float(std)),
+                     f"{100 * (value / published - 1):+.2f} %" if published else "", p.unit, p.meaning])
+    tables = [Table(["parameter", "published", "found", "std", "departure", "unit", "meaning"], rows,
+                    right=frozenset({1, 2, 3, 4}))]
+    if f.task.relative_error_percent:
+        tables.append(Table(["relative error", "published", "found"], [
+            [f"joint {j + 1}", f"{a:.2f} %", f"{b:.2f} %"]
+            for j, (a, b) in enumerate(zip(f.task.relative_error_percent, f.relative_error_percent()))],
+            right=frozenset({1, 2})))
+    if f.validations:
+        header, lines = validation_rows(f.validations)
+        tables.append(Table(header, lines, "free-run simulation of runs that the fit has not seen",
+                            frozenset(range(1, len(header)))))
+    notes = [f"not determined: {name}" for name in f.result.undetermined]
+    notes += [f"validation refused: {f.validation_refusal}"] if f.validation_refusal else []
+    return Section(heading, [about], tables, _torque_pictures(f), notes)
+
+
+def _side_by_side(study: Study) -> list[Section]:
+    """Fits of one model to the same records that differ in what was given: what each form of it leaves over."""
+    fits = [(f, f.result) for f in study.fits if f.result is not None]
+    if len({(f.task.rig, f.task.runs, f.task.method) for f, _ in fits}) != 1 or len(fits) < 2:
+        return []
+    rows = []
+    for k, parameter in enumerate(fits[0][1].mechanism.parameters):
+        spread = [float(r.std[k]) for _, r in fits]
+        cells = ["given" if parameter.name in f.task.fix
+                 else f"{number(values(r)[parameter.name], std)} ± {number(std, std)}"
+                 for (f, r), std in zip(fits, spread)]
+        rows.append([parameter.name, parameter.meaning, *cells])
+    unit = force_unit(fits[0][1].mechanism)
+    rows += [["", f"left over, joint {j + 1} [{unit}]", *[f"{r.torque_residual_rms[j]:.4g}" for _, r in fits]]
+             for j in range(fits[0][1].mechanism.n)]
+    header = ["parameter", "meaning", *[f.task.title for f, _ in fits]]
+    return [Section(f"{study.case.title}: forms of the model side by side",
+                    ["A friction term below zero would drive the joint: it stands for another form of friction."],
+                    [Table(header, rows, right=frozenset(range(2, len(header))))])]
+
+
+def _torque_pictures(f: Fitted) -> list[Picture]:
+    if f.result is None or not f.result.trajectories:
+        return []
+    path = f.result.trajectories[0]
+    part = window(path.time_s, SECONDS)
+    unit = force_unit(f.result.mechanism)
+    return [Picture(plot_lines(path.time_s[part] - path.time_s[0],
+                               [Line("measured", path.tau_measured[part, j], BLUE, 2.2),
+                                Line("model", path.tau[part, j], ORANGE, 0.9)], f"joint {j + 1} [{unit}]"),
+                    f"What drives joint {j + 1} in {path.run}, measured and as the model has it.")
+            for j in f.result.mechanism.actuated]
+
+
+def _diagnosis_section(title: str, d: Diagnosed) -> Section:
+    heading = f"{title}: diagnosis with {d.task.rig}"
+    about = [f"With {d.task.rig} on {', '.join(d.task.runs)}.", _verdict_words(d)]
+    if d.found is None:
+        return Section(heading, about)
+    found = d.found
+    tables, pictures = [], []
+    sizes = [row for cause in found.causes for row in size_rows(cause)]
+    if sizes:
+        tables.append(Table(["effect", "size", "value", "95 % interval", "unit"], sizes, right=frozenset({2, 3})))
+    if found.sensors:
+        rows = [[name, f"{g.before:.4g}", f"{g.after:.4g}", f"{g.floor:.4g}"] for name, g in found.sensors.items()]
+        rows += [[f"left over, joint {j + 1}", f"{b:.4g}", f"{a:.4g}", ""]
+                 for j, (b, a) in enumerate(zip(*found.torque_rms_nm))]
+        tables.append(Table(["rms error", "nominal", "extended", "noise alone"], rows,
+                            f"on {', '.join(found.confirm_runs)}, which chose nothing. {gap_text(found)}",
+                            frozenset({1, 2, 3})))
+        pictures.append(Picture(error_bars(found.sensors), "Free-run error by sensor."))
+    limits = signature_limits(found.signatures)
+    pictures += [Picture(signature_plot(s, limits[s.x_label, s.y_label]), f"{key_label(s.title)}: what is left over, "
+                         "and what the effect adds.") for s in found.signatures]
+    for trace in found.traces[:1]:
+        pictures += [Picture(trace_plot(trace, column), f"{column} in {trace.run}: measured, nominal, extended.")
+                     for column in trace.measured if column in trace.before and column in trace.after]
+    return Section(heading, about, tables, pictures, [f"Warning: {text}" for text in found.warnings])
