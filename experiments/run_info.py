@@ -89,7 +89,7 @@ def _losses(raw: RawRun) -> list[str]:
     telemetry, imu, slow = raw.streams["/leg/telemetry"], raw.streams["/imu"], raw.streams["/imu/slow"]
     lines = []
     if telemetry.size:
-        lines.append(f"telemetry frames lost: {_lost_frames(telemetry)}")
+        lines.append(f"telemetry frames lost: {lost_frames(telemetry)}")
         faults = int(np.bitwise_or.reduce(telemetry["faults"]))
         lines.append(f"faults seen: {describe_faults(faults)}")
     if imu.size:
@@ -100,7 +100,7 @@ def _losses(raw: RawRun) -> list[str]:
     return lines
 
 
-def _lost_frames(telemetry: NDArray[np.void]) -> int:
+def lost_frames(telemetry: NDArray[np.void]) -> int:
     """Frames missing by their sequence numbers, counted within each boot."""
     seq: NDArray[np.int64] = telemetry["seq"].astype(np.int64)
     steps = (seq[1:] - seq[:-1]) % 65536
@@ -122,10 +122,10 @@ def _clocks(raw: RawRun) -> list[str]:
                      f"{skew.std_s * 1e3:.2f} ms (positive: the IMU is late)")
     elif raw.streams["/imu"].size:
         lines.append("IMU against encoders: not measurable here (no pivot angle, or too little motion)")
-    return lines + clock_warnings(_bound_s(raw), configured(raw, "link"))
+    return lines + clock_warnings(clock_bound_s(raw), configured(raw, "link"))
 
 
-def _bound_s(raw: RawRun) -> float:
+def clock_bound_s(raw: RawRun) -> float:
     """How well the controller's clock is known in the worst boot [s]; 0 without probes."""
     probes = raw.streams["/leg/clock"]
     return max((fit_ticks(probes[probes["boot_id"] == boot], int(probes["host_tx_ns"][0])).bound_s

@@ -4,5 +4,6 @@ A module imports nothing heavy before `run`: `legid --help` answers at once.
 """
 
 COMMANDS = ("demo", "record", "calibrate", "info", "recover", "export", "fit", "validate", "diagnose", "effects",
-            "simulate", "monte_carlo")
+            "simulate", "casebook", "monte_carlo", "doctor",
+            "runs", "init", "excite")
 """Module names, in the order in which `legid --help` lists them."""
