@@ -14,8 +14,8 @@ from estimator.errors import FitError
 from estimator.evidence import Model, misfit, smooth
 from estimator.extended import ExtendedProblem
 from estimator.freerun import FreeRun, free_run
+from estimator.gauss_newton import State
 from estimator.latent import Noise
-from estimator.mle import State
 from estimator.rehearsal import rehearse
 from estimator.session import Session
 from estimator.signature import signature

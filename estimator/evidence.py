@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from estimator.effects.base import Effect
 from estimator.errors import FitError
 from estimator.extended import Candidate, ExtendedProblem
+from estimator.gauss_newton import State, iterate
 from estimator.latent import Latents, Noise
-from estimator.mle import State, iterate, start_state
 from estimator.rehearsal import rehearse
 from estimator.scores import RunScore, Tests, project, score_run
 from estimator.session import Session
+from estimator.start import start_state
 from estimator.wls import free_mask
 
 FloatArray = NDArray[np.float64]
@@ -138,7 +139,7 @@ def smooth(session: Session, model: Model, run: int, start: Latents | None = Non
         except FitError as error:
             failure = error
             continue
-        tried.append((_misfit(problem, state), problem.rest, state))
+        tried.append((per_value(problem, state), problem.rest, state))
         if tried[-1][0] < BAD:
             break
     if not tried:
@@ -156,13 +157,14 @@ def _settle(session: Session, model: Model, problem: ExtendedProblem, start: Lat
     state = State(start, model.state.beta.copy(), noise, model.state.covariance)
     for slack, limit in path:
         problem.rest = known
-        torque = noise.torque * np.where(np.isin(np.arange(problem.n), session.mechanism.actuated), 1.0, slack)
+        torque = noise.torque.copy()
+        torque[list(session.mechanism.passive)] *= slack
         state.noise = replace(noise, torque=torque)
         iterate(problem, state, held, session.options, None, limit)
     return state
 
 
-def _misfit(problem: ExtendedProblem, state: State) -> float:
+def per_value(problem: ExtendedProblem, state: State) -> float:
     """Sum of squares over samples times channels; inf where it is no number."""
     channels = problem.n + int(problem.has_encoder.sum()) + (3 if problem.has_imu else 0)
     value = problem.linearise(state.x, state.beta, state.noise).objective / (channels * problem.total)

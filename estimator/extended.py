@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from estimator.collocation import ACCEL, ANGLE, GAUSS, RATE, Motion
 from estimator.effects.base import Effect, Perturbation, Points, TorqueEffect, View
-from estimator.latent import Extra, LatentProblem, Latents, Linearised, Noise
+from estimator.latent import LatentProblem, Latents, Noise
+from estimator.linearised import Extra, Linearised
 from estimator.mechanism import Mechanism, smooth_sign
 from estimator.signalset import SignalSet
 
@@ -114,12 +115,10 @@ class ExtendedProblem(LatentProblem):
         """What the effects add at (x, parameters), with columns of effects, then of candidates."""
         beta, sizes = self.split(parameters)
         n, count, total = self.n, self.left.size, self.total
-        torque, at_samples = np.zeros((n, 2, count)), np.zeros((n, total))
-        readings: dict[str, FloatArray] = {}
         view = replace(self.view(x, beta), measured=self._measured)
-        for _ in range(PASSES if self.effects else 0):  # what an effect takes changes the acceleration it feels
-            torque, at_samples, readings = self._added(view, sizes)
-            view = replace(self.view(x, beta, at_samples), measured=self._measured)
+        for _ in range(PASSES if self.effects else 1):  # what an effect takes changes the acceleration it feels
+            torque, at_samples, readings = self.added(view, sizes)
+            view = replace(self.view(x, beta, at_samples), measured=self._measured) if self.effects else view
         derivatives: list[Perturbation] = []
         for effect, size in zip(self.effects, sizes):
             derivatives += slopes(effect, view, size)
@@ -137,7 +136,7 @@ class ExtendedProblem(LatentProblem):
         return Extra(torque, at_samples, readings, columns, sample_columns, reading_columns, gauss_slopes,
                      sample_slopes)
 
-    def _added(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
+    def added(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
         """Torque of all effects at Gauss points (n, 2, K) and at samples (n, N), and what they add to readings."""
         torque, at_samples = np.zeros((self.n, 2, self.left.size)), np.zeros((self.n, self.total))
         readings: dict[str, FloatArray] = {}

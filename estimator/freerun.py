@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.extended import ExtendedProblem
+from estimator.gauss_newton import State
 from estimator.latent import Latents
-from estimator.mle import State
 from estimator.sensors import accelerometer
 from estimator.simulation import simulate
 
@@ -47,13 +47,7 @@ def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None =
     for _ in range(PASSES):
         x = Latents(q, v, u)
         if problem.effects:
-            view = problem.view(x, beta, added)
-            new_gauss, new = np.zeros_like(added_gauss), np.zeros_like(added)
-            for effect, size in zip(problem.effects, sizes):
-                got = effect.perturb(view, size)
-                if got.torque is not None and got.torque_at_samples is not None:
-                    new_gauss += got.torque
-                    new += got.torque_at_samples
+            new_gauss, new, _ = problem.added(problem.view(x, beta, added), sizes)
             added_gauss += share * (new_gauss - added_gauss)
             added += share * (new - added)
         next_q, next_v = np.empty_like(q), np.empty_like(v)

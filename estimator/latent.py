@@ -15,7 +15,7 @@ beta; cost grows linearly with samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.collocation import Collocation
+from estimator.linearised import Extra, Linearised
 from estimator.mechanism import Mechanism, smooth_sign
 from estimator.oddeven import gram
 from estimator.sensors import accelerometer
@@ -35,8 +36,6 @@ PIECE = 1024
 TIGHT = 0.1
 """Standard deviation of the equation of motion at a Gauss point, as a share of the joint's torque noise: an
 interval's two points then add half a per cent to the variance of its torque."""
-
-
 REST_SPREAD = 5.0
 """Speeds below about this many times the rounding of sign(qd) may be rest: the estimated speed of a joint that
 sticks is not zero but what its sensors' noise makes it."""
@@ -66,62 +65,6 @@ class Latents:
         """Shifted by step (N, 3 n) in the order q, v, u."""
         n = self.q.shape[1]
         return Latents(self.q + step[:, :n], self.v + step[:, n:2 * n], self.u + step[:, 2 * n:])
-
-
-@dataclass(frozen=True)
-class Extra:
-    """What effects add to the model at one point, and its derivative by their k sizes."""
-
-    torque: FloatArray
-    """(n, 2, K) torque that the motion needs beyond Z beta, at the Gauss points [N m]."""
-    torque_at_samples: FloatArray
-    """(n, N)"""
-    readings: Mapping[str, FloatArray]
-    """Channel (torque1, encoder2, gyro, accel_x, accel_y, ...) to what is added to its reading, (N,)."""
-    torque_columns: FloatArray
-    """(k, n, 2, K)"""
-    sample_columns: FloatArray
-    """(k, n, N)"""
-    reading_columns: Mapping[str, FloatArray]
-    """Channel to (k, N)."""
-    slopes: FloatArray | None = None
-    """(n, 5, n, 2, K) derivative of `torque` by the features of the motion, where it is known."""
-    sample_slopes: FloatArray | None = None
-    """(n, 5, n, N)"""
-
-
-@dataclass(frozen=True)
-class Linearised:
-    """Gauss-Newton normal equations at one point."""
-
-    objective: float
-    diagonal: FloatArray
-    """(N, b, b)"""
-    lower: FloatArray
-    """(N-1, b, b)"""
-    right: FloatArray
-    """(N b, 1 + p) gradient by the latents, then border."""
-    corner: FloatArray
-    """(p, p)"""
-    gradient_beta: FloatArray
-    """(p,)"""
-    accel_rows: FloatArray
-    """(N, 2, b) unscaled accelerometer rows, none without an IMU."""
-    accel_border: FloatArray
-    """(N, 2, p) their derivative by beta."""
-    residuals: dict[str, FloatArray]
-    """Unscaled residuals by channel."""
-    extra: Extra | None = None
-
-    @property
-    def gradient(self) -> FloatArray:
-        """(N b,)"""
-        return self.right[:, 0]
-
-    @property
-    def border(self) -> FloatArray:
-        """(N b, p)"""
-        return self.right[:, 1:]
 
 
 class LatentProblem:
@@ -217,16 +160,12 @@ class LatentProblem:
         At the noise level's own estimate r^2 sums to the samples; more, on the way there, would overshoot.
         """
         out = np.zeros(self.mechanism.p)
-        for j in self._passive:
+        for j in self.mechanism.passive:
             a = self._inertia[:, j]
             m = float(a @ beta)
             if m > 0.0:
                 out += min(misfit[j], self.total) / m * a
         return out
-
-    @cached_property
-    def _passive(self) -> list[int]:
-        return [j for j in range(self.n) if j not in self.mechanism.actuated]
 
     @cached_property
     def _inertia(self) -> FloatArray:

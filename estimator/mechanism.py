@@ -74,6 +74,11 @@ class Mechanism:
     def names(self) -> tuple[str, ...]:
         return tuple(parameter.name for parameter in self.parameters)
 
+    @property
+    def passive(self) -> tuple[int, ...]:
+        """Joints without a motor, 0-based."""
+        return tuple(j for j in range(self.n) if j not in self.actuated)
+
     @cached_property
     def offset_columns(self) -> dict[int, int]:
         """Joint -> column of its constant torque offset."""

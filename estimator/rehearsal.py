@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from estimator.errors import FitError
 from estimator.extended import ExtendedProblem
 from estimator.freerun import free_run
-from estimator.mle import State
+from estimator.gauss_newton import State
 from estimator.signals import quantum
 from estimator.signalset import IMU_COLUMNS, SignalSet
 
@@ -30,9 +30,8 @@ def rehearse(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet
     found. Raises `FitError` where the model's own simulation does not stay with the run.
     """
     drive = state.x.u.copy()
-    for j in range(problem.n):
-        if j not in problem.mechanism.actuated:  # what the fit put there is what the model gets wrong
-            drive[:, j] = state.noise.torque[j] * rng.normal(size=problem.total)
+    for j in problem.mechanism.passive:  # what the fit put there is what the model gets wrong
+        drive[:, j] = state.noise.torque[j] * rng.normal(size=problem.total)
     run = free_run(problem, state, drive)
     if run is None:
         raise FitError("the fitted model's own simulation diverges")

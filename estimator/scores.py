@@ -18,7 +18,7 @@ from scipy.stats import f as fisher
 
 from estimator import blocktri
 from estimator.extended import Candidate, ExtendedProblem
-from estimator.mle import State
+from estimator.gauss_newton import State
 
 FloatArray = NDArray[np.float64]
 HIDDEN = 1e-5

@@ -15,9 +15,9 @@ from estimator.errors import FitError
 from estimator.extended import Candidate, ExtendedProblem, Stage
 from estimator.latent import Noise
 from estimator.mechanism import Mechanism
-from estimator.mle import noise_floors
 from estimator.options import FitOptions
 from estimator.signalset import SignalSet, split_signals
+from estimator.start import noise_floors
 
 FloatArray = NDArray[np.float64]
 ROUNDING_RADPS = 0.02

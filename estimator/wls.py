@@ -67,15 +67,15 @@ def weighted_least_squares(z: FloatArray, tau: FloatArray, free: NDArray[np.bool
 
 
 def driven_first(z: FloatArray, tau: FloatArray, free: NDArray[np.bool_], beta: FloatArray,
-                 actuated: Sequence[int]) -> FloatArray:
+                 mechanism: Mechanism) -> FloatArray:
     """beta (p,) from the equations of the driven joints alone, then the rest of it from those of the passive ones.
 
     A passive joint's equation is homogeneous: an error in the motion pulls its least squares to beta = 0. Here it
     only adds the parameters that no driven joint feels, on the scale of the others.
     """
-    passive = [j for j in range(z.shape[1]) if j not in actuated]
-    felt = free & (np.abs(z[:, list(actuated)]).max(axis=(0, 1)) > 0.0)
-    first, _, _ = weighted_least_squares(z[:, list(actuated)], tau[:, list(actuated)], felt, beta, 1.0)
+    driven, passive = list(mechanism.actuated), list(mechanism.passive)
+    felt = free & (np.abs(z[:, driven]).max(axis=(0, 1)) > 0.0)
+    first, _, _ = weighted_least_squares(z[:, driven], tau[:, driven], felt, beta, 1.0)
     second, _, _ = weighted_least_squares(z[:, passive], tau[:, passive], free & ~felt, first, 1.0)
     return second
 

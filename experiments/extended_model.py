@@ -17,12 +17,13 @@ from daq.errors import WorkError
 from estimator.effects import Effect
 from estimator.extended import ExtendedProblem, Stage
 from estimator.freerun import FreeRun, free_run
+from estimator.gauss_newton import State, iterate
 from estimator.latent import Latents, Noise
 from estimator.mechanism import Mechanism
-from estimator.mle import State, iterate, noise_floors, start_state
 from estimator.options import FitOptions
 from estimator.signalset import IMU_COLUMNS, SignalSet, angle_column, split_signals
 from estimator.simulation import simulate
+from estimator.start import noise_floors, start_state
 from estimator.validation import Validation
 from experiments.effect_library import known_effects
 from experiments.model_file import EffectValue, Model

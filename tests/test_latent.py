@@ -7,11 +7,12 @@ import pytest
 from mujoco_leg import Leg, record
 
 from daq.dataset import Dataset
-from estimator import latent, mle
+from estimator import gauss_newton, latent
 from estimator.latent import LatentProblem, Latents, Noise
 from estimator.mechanism import leg2
 from estimator.options import FitOptions
 from estimator.signalset import split_signals
+from estimator.start import start_state
 from estimator.wls import free_mask
 
 OPTIONS = FitOptions(sensors="imu")
@@ -35,7 +36,7 @@ def broken() -> tuple[LatentProblem, Latents, np.ndarray, Noise]:
     signals = split_signals([Dataset("broken", run.rate_hz, run.time_s, columns)], mechanism, OPTIONS)
     problem = LatentProblem(signals, mechanism, OPTIONS.hold)
     free, beta = free_mask(mechanism, OPTIONS)
-    state = mle.start_state(problem, signals, mechanism, OPTIONS, free, beta)
+    state = start_state(problem, signals, mechanism, OPTIONS, free, beta)
     return problem, state.x, state.beta, state.noise
 
 
@@ -82,9 +83,9 @@ def test_minimum_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
     run = record(leg, np.random.default_rng(22), seconds=4)
     posed = pose(Recorded(run, leg2(lever_arm=leg.lever), leg.beta(), (leg.m1, leg.m2), leg.l1))
     state = posed.end
-    monkeypatch.setattr(mle, "TOLERANCE", 1e-6)
-    monkeypatch.setattr(mle, "LOOSE", 1e-6)
-    mle.iterate(posed.problem, state, np.ones(9, dtype=bool), OPTIONS, None, 100)  # noise levels held
+    monkeypatch.setattr(gauss_newton, "TOLERANCE", 1e-6)
+    monkeypatch.setattr(gauss_newton, "LOOSE", 1e-6)
+    gauss_newton.iterate(posed.problem, state, np.ones(9, dtype=bool), OPTIONS, None, 100)  # noise levels held
     assert state.converged
     point = posed.problem.linearise(state.x, state.beta, state.noise)
     found = casadi_ipopt.solve(posed, 1e-14)

@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.dataset import Dataset
+from estimator.gauss_newton import State, iterate
 from estimator.latent import LatentProblem
 from estimator.mechanism import Mechanism, leg2
-from estimator.mle import State, iterate, noise_floors, start_state
 from estimator.options import FitOptions
 from estimator.signalset import split_signals
+from estimator.start import noise_floors, start_state
 from estimator.wls import free_mask
 
 RATE_HZ = 100.0
