@@ -4,39 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.desk import Explained
 from estimator.effects.base import Shape, Size
 from estimator.errors import FitError
 from estimator.evidence import Model, misfit, smooth
 from estimator.extended import ExtendedProblem
 from estimator.freerun import FreeRun, free_run
 from estimator.gauss_newton import State
-from estimator.latent import Noise
 from estimator.rehearsal import rehearse
 from estimator.session import Session
 from estimator.signature import signature
 from estimator.verdict import Cause, Diagnosis, SensorGain, SizeEstimate, Trace
-
-if TYPE_CHECKING:
-    from estimator.diagnosis import Explained
 
 FloatArray = NDArray[np.float64]
 BLOCK_S = 2.0
 """Length of a block of the gain's bootstrap."""
 DRAWS = 400
 CONFUSABLE = 0.7
-
-
-def log_volume(problem: ExtendedProblem, noise: Noise) -> float:
-    """Sum over samples of the log standard deviations of all channels."""
-    levels = [*noise.torque, *noise.encoder[np.isfinite(noise.encoder)]]
-    if problem.has_imu:
-        levels += [noise.gyro, noise.accel, noise.accel]
-    return problem.total * float(np.sum(np.log(levels)))
 
 
 def base(session: Session, nominal: Model, refused: Mapping[str, str],
@@ -50,6 +38,9 @@ def base(session: Session, nominal: Model, refused: Mapping[str, str],
                         "interval here is approximate; record several runs")
     elif len(session.names) < 6:
         warnings.append(f"{len(session.names)} runs only: the scatter between runs is poorly known; eight are better")
+    if np.isinf(std).any():
+        warnings.append("the nominal fit does not settle: the nominal parameters are least squares on filtered motion "
+                        "and have no intervals")
     if reference:
         warnings += changes(dict(zip(names, zip(nominal.state.beta, std))), reference)
     groups = {"fit": session.fit, "screen": session.screen, "confirm": session.confirm}
@@ -62,7 +53,8 @@ def base(session: Session, nominal: Model, refused: Mapping[str, str],
     return Diagnosis(
         "none", "", confirm_runs=tuple(session.names[i] for i in session.confirm), not_testable=dict(refused),
         nominal=dict(zip(names, map(float, nominal.state.beta))), nominal_std=dict(zip(names, map(float, std))),
-        runs={k: tuple(session.names[i] for i in v) for k, v in groups.items()}, warnings=tuple(warnings), noise=levels)
+        runs={k: tuple(session.names[i] for i in v) for k, v in groups.items()}, warnings=tuple(warnings), noise=levels,
+        reach=nominal.problem.stage.reach)
 
 
 def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tuple[float, float]]) -> list[str]:

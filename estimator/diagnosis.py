@@ -8,28 +8,28 @@ gain on the confirm runs. A cause is named only where nothing detectable is left
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.dataset import Dataset
 from estimator import account
-from estimator.effects import Effect, library
+from estimator.desk import ALPHA, Desk, Explained, best_shapes, p_of
+from estimator.effects import library
 from estimator.effects.anonymous import AnonymousReading, AnonymousTorque, battery
 from estimator.effects.timing import SensorTimeSkew
 from estimator.errors import FitError
 from estimator.evidence import (
-    Model,
     fit_nominal,
-    misfit,
     refit,
     rehearsal_scores,
     score_confirm,
     score_discover,
     tests_of,
 )
+from estimator.explaining import Progress, borrowed, explain
 from estimator.extended import Candidate
 from estimator.mechanism import Mechanism
 from estimator.options import FitOptions
@@ -38,76 +38,17 @@ from estimator.session import Session, open_session
 from estimator.verdict import Diagnosis, Ranked
 
 FloatArray = NDArray[np.float64]
-Progress = Callable[[str, float], None]
-ALPHA = 0.01
-"""p-value, over all candidates tried, below which something is there."""
-SINGLES = 5
-"""Best effects that are re-fitted one by one."""
-PAIRS = 4
-MATERIAL = 0.01
-"""Least gain of a material effect: this much of twice the log likelihood a sample. Smaller ones can be
-significant in long records (microseconds of skew, a per mille of scale) and change no simulation."""
-LEFT_OVER = 0.03
-"""What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
 LEFT_OVER_CONFIRM = 0.3
-"""The same on the confirm runs, where parameters are not re-fitted."""
+"""What a cause may leave for others on the confirm runs, where parameters are not re-fitted, as a share of its own
+gain; see explaining.LEFT_OVER."""
 LEAST_CLOSED = 0.1
 """Least share of the free-run gap that a named cause closes on the confirm runs. A law of another form than the real
 one's (friction that drifts along another curve) may be right and close a quarter; parameters can
 imitate most of a rotor."""
-RIVAL = 0.5
-"""An explanation with less than this share of the best one's gain leaves the rest of it unexplained: not a rival."""
 TIE = 0.02
 """Explanations within this share of the best one's gain are not told apart."""
 TIE_GAIN = 8.0
 """... or within this much of twice the log likelihood."""
-
-
-@dataclass(frozen=True)
-class Explained:
-    """One set of effects, fitted, and what it leaves over on the discover runs."""
-
-    model: Model
-    gain: float
-    left: Tests
-    best_left: int
-    """Candidate with the largest remaining gain."""
-    best_named_left: int
-    closed: bool
-    """What it leaves is little beside its gain."""
-    clean: bool = False
-    """It leaves nothing detectable."""
-    bias: tuple[RunScore, ...] = ()
-    """What its scores are on average when it is right, one a discover run, its own sizes left out."""
-
-
-@dataclass
-class Desk:
-    """What all steps share."""
-
-    session: Session
-    candidates: list[Candidate]
-    columns: list[NDArray[np.intp]]
-    named: int
-    """The first so many candidates are of the library."""
-    bias: list[RunScore]
-    nominal: Model
-    rng: np.random.Generator
-
-    @property
-    def trials(self) -> int:
-        return len(self.candidates)
-
-    def gain(self, tests: Tests, i: int) -> float:
-        """Of candidate i; nil for a skew that the recorder's clocks leave open anyway."""
-        if (self.candidates[i].effect.name == SensorTimeSkew.name
-                and abs(float(tests.size(self.columns[i])[0])) < self.session.clock_bound_s):
-            return 0.0
-        return tests.gain(self.columns[i])
-
-    def material(self, which: Sequence[int]) -> float:
-        """Least gain that counts on these runs."""
-        return MATERIAL * sum(len(s.time_s) for s in self.session.signals(which))
 
 
 def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,
@@ -131,7 +72,7 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 def _diagnose(session: Session, rng: np.random.Generator, say: Progress,
               reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
     say("fitting the nominal model", 0.02)
-    nominal, _ = fit_nominal(session)
+    nominal = fit_nominal(session)
     effects, refused = library(session.mechanism, session.has_imu)
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     named = len(candidates)
@@ -157,21 +98,6 @@ def _diagnose(session: Session, rng: np.random.Generator, say: Progress,
     return conclude(desk, base, options, rng)
 
 
-def p_of(desk: Desk, tests: Tests, i: int) -> float:
-    """p-value of candidate i over all that were tried."""
-    return min(1.0, tests.p_value(desk.columns[i]) * desk.trials)
-
-
-def best_shapes(desk: Desk, tests: Tests, skip: Sequence[str] = ()) -> list[int]:
-    """Library candidates, best shape of each effect, by falling gain."""
-    best: dict[str, int] = {}
-    for i in range(desk.named):
-        key = desk.candidates[i].effect.key
-        if key not in skip and (key not in best or desk.gain(tests, i) > desk.gain(tests, best[key])):
-            best[key] = i
-    return sorted(best.values(), key=lambda i: -desk.gain(tests, i))
-
-
 def rank(desk: Desk, tests: Tests) -> tuple[Ranked, ...]:
     """Every effect of the library as scored."""
     out = []
@@ -192,144 +118,6 @@ def separability(desk: Desk, tests: Tests) -> tuple[tuple[str, ...], FloatArray]
     information = tests.information[np.ix_(first, first)]
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     return tuple(desk.candidates[i].effect.key for i in order), information / np.outer(scale, scale)
-
-
-def explain(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
-    """Fitted explanations, singles first; more effects only where no single closes."""
-    order = best_shapes(desk, tests)
-    promising = [i for i in order[:SINGLES] if p_of(desk, tests, i) < 0.5]
-    starts = [[(desk.candidates[i].effect, start_size(desk, tests, i))] for i in promising]
-    singles = weigh(desk, starts)
-    say("looking at what they leave over", 0.6)
-    singles = judge(desk, singles[:4])
-    if any(s.closed for s in singles) or not singles:
-        return singles
-    say("trying pairs", 0.7)
-    pairs = grow(desk, singles[:2], PAIRS)
-    if any(s.closed for s in pairs) or not pairs:
-        return pairs + singles
-    say("trying three", 0.8)
-    return grow(desk, pairs[:1], 2) + pairs + singles
-
-
-def start_size(desk: Desk, tests: Tests, i: int) -> FloatArray:
-    """One-step sizes of candidate i, with its shape."""
-    return np.concatenate([tests.size(desk.columns[i]), desk.candidates[i].shape])
-
-
-def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> list[Explained]:
-    """Fit every start, compare all under the noise of the best, most likely first."""
-    models = []
-    for start in starts:
-        model = fit_extension(desk, start)
-        if model is not None:
-            models.append(model)
-    if not models:
-        return []
-    noise = min((m.state.noise for m in models), key=lambda s: account.log_volume(desk.nominal.problem, s))
-    try:
-        plain = misfit(refit(desk.session, desk.nominal, [], 10, noise))
-    except FitError:  # it is too wrong to settle under so little noise; where it stands will do
-        plain = misfit(replace(desk.nominal, state=replace(desk.nominal.state, noise=noise)))
-    out = []
-    for m in models:
-        try:
-            again = refit(desk.session, m, list(zip(m.effects, m.sizes())), 8, noise)
-        except FitError:  # under the noise of the best one it has no fit at all
-            continue
-        out.append(Explained(m, plain - misfit(again), _NO_TESTS, -1, -1, False))
-    return sorted(out, key=lambda e: -e.gain)
-
-
-def fit_extension(desk: Desk, start: Sequence[tuple[Effect, FloatArray]]) -> Model | None:
-    """Full re-fit, first with shapes held; None where it fails."""
-    try:
-        held = refit(desk.session, desk.nominal, start, 8, hold_shapes=True)
-    except (FitError, np.linalg.LinAlgError):
-        return None
-    if not any(e.shapes and not e.whole_shapes for e in held.effects) and held.state.converged:
-        return held
-    try:
-        return refit(desk.session, held, list(zip(held.effects, held.sizes())), 12)
-    except (FitError, np.linalg.LinAlgError):
-        return held
-
-
-_NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
-
-
-def judge(desk: Desk, explained: Sequence[Explained]) -> list[Explained]:
-    """Each with what it leaves over, gains over the scatter that the most likely one leaves."""
-    if not explained:
-        return []
-    bias = rehearsed(desk, explained[0].model)
-    first = judged(desk, explained[0], bias, None)
-    scatter = float(np.median(first.left.inflation))
-    rivals = [e for e in explained[1:] if e.gain > RIVAL * explained[0].gain]
-    return [first, *(judged(desk, e, bias, scatter) for e in rivals)]
-
-
-def rehearsed(desk: Desk, model: Model) -> list[RunScore]:
-    """Bias of the scores at `model`, without the entries of its own sizes; the nominal model's where it cannot run.
-
-    Motion and noise of an explanation differ from the nominal fit's, and so does the bias.
-    """
-    p = desk.session.mechanism.p
-    own = np.arange(p, model.problem.parameter_count)
-    try:
-        found = rehearsal_scores(desk.session, model, desk.candidates, desk.rng)
-    except FitError:
-        return desk.bias
-    return [RunScore(np.delete(r.score, own), np.delete(np.delete(r.information, own, 0), own, 1)) for r in found]
-
-
-def judged(desk: Desk, explained: Explained, rehearsals: Sequence[RunScore], scatter: float | None) -> Explained:
-    """With what it leaves over on the discover runs, and its gain over the scatter (by default its own)."""
-    model = explained.model
-    scores = score_discover(desk.session, model, desk.candidates)
-    p = desk.session.mechanism.p
-    bias = [padded(b, model.problem.parameter_count - p, p) for b in rehearsals]
-    left = tests_of(desk.session, model, scores, bias)
-    own = {e.key for e in model.effects}
-    gains = [desk.gain(left, i) if c.effect.key not in own else 0.0 for i, c in enumerate(desk.candidates)]
-    best = int(np.argmax(gains))
-    best_named = int(np.argmax(gains[: desk.named]))
-    gain = explained.gain / (float(np.median(left.inflation)) if scatter is None else scatter)
-    small = max(LEFT_OVER * gain, desk.material(desk.session.discover))
-    least = desk.material(desk.session.discover)
-    detectable = [g for i, g in enumerate(gains) if g > least and p_of(desk, left, i) < ALPHA]
-    return Explained(model, gain, left, best, best_named, gain > least and max(detectable, default=0.0) < small,
-                     not detectable, tuple(rehearsals))
-
-
-def padded(score: RunScore, added: int, at: int) -> RunScore:
-    """A nominal run's bias as one of a model with `added` more parameters after the first `at`."""
-    return RunScore(np.insert(score.score, [at] * added, 0.0), score.information)
-
-
-def borrowed(bias: Sequence[RunScore], run: RunScore, added: int, at: int) -> RunScore:
-    """Mean bias of the discover runs, scaled column by column to what this run informs of.
-
-    A run that never reaches a stop says nothing of it, and has no bias about it either.
-    """
-    score = np.mean([b.score for b in bias], axis=0)
-    known = np.mean([np.diag(b.information) for b in bias], axis=0)
-    here = np.delete(np.diag(run.information), np.arange(at, at + added))
-    share = np.clip(here / np.maximum(known, 1e-100), 0.0, 3.0)
-    return padded(RunScore(score * share, bias[0].information), added, at)
-
-
-def grow(desk: Desk, parents: Sequence[Explained], most: int) -> list[Explained]:
-    """Each parent with one more effect: those that its left-over scores best."""
-    starts = []
-    for parent in parents:
-        own = [e.key for e in parent.model.effects]
-        for i in best_shapes(desk, parent.left, own)[: max(1, most // len(parents))]:
-            if p_of(desk, parent.left, i) < 0.5:
-                begin = list(zip(parent.model.effects, parent.model.sizes()))
-                starts.append([*begin, (desk.candidates[i].effect, start_size(desk, parent.left, i))])
-    unique = {tuple(sorted(e.key for e, _ in s)): s for s in reversed(starts)}
-    return judge(desk, weigh(desk, list(unique.values()))[:3])
 
 
 def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.random.Generator) -> Diagnosis:
@@ -367,18 +155,20 @@ def sharpened(desk: Desk, explained: Explained) -> Explained:
     leave it open, the IMU's time line is free meanwhile. Dry friction near rest has no known form: what the two
     roundings make of a parameter differs, and the difference counts as one standard deviation more.
     """
-    model = explained.model
+    model, bound = explained.model, desk.session.clock_bound_s
     effects = list(zip(model.effects, model.sizes()))
     skew = SensorTimeSkew()
-    beside = int(desk.session.has_imu and desk.session.clock_bound_s > 0.0
-                 and skew.key not in {e.key for e in model.effects})
-    if beside:
-        effects.append((skew, np.zeros(1)))
-    try:
-        again = replace(refit(desk.session.sharp(), model, effects), beside=beside)
-    except (FitError, np.linalg.LinAlgError):
-        return explained
-    if not again.state.converged:
+    ways = [(effects, 0)]
+    if desk.session.has_imu and bound > 0.0 and skew.key not in {e.key for e in model.effects}:
+        ways.insert(0, ([*effects, (skew, np.zeros(1))], 1))
+    for which, beside in ways:
+        try:
+            again = replace(refit(desk.session.sharp(), model, which), beside=beside)
+        except (FitError, np.linalg.LinAlgError):
+            continue
+        if again.state.converged and (not beside or abs(again.state.beta[-1]) <= bound):
+            break
+    else:
         return explained
     between = again.state.beta.copy()
     between[: model.width] -= model.state.beta[: model.width]

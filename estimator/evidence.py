@@ -58,11 +58,12 @@ class Model:
         return np.sqrt(np.maximum(np.diag(self.state.covariance), 0.0))
 
 
-def fit_nominal(session: Session) -> tuple[Model, FloatArray]:
-    """Nominal fit of the discover runs and the reach (n, 2) of each joint. Raises `FitError`.
+def fit_nominal(session: Session) -> Model:
+    """Nominal fit of the discover runs. Raises `FitError`.
 
     Where the likelihood of a model that is far wrong does not settle, beta stays at its start, least squares on
-    filtered motion, and only the motion and the noise levels are sought: what is missing shows there too.
+    filtered motion, and only the motion and the noise levels are sought: what is missing shows there too. Such a
+    beta has no interval: its variances are infinite.
     """
     signals = session.signals(session.discover)
     n = session.mechanism.n
@@ -79,8 +80,10 @@ def fit_nominal(session: Session) -> tuple[Model, FloatArray]:
     if not np.isfinite(state.beta).all() or blank.rest is None or not np.isfinite(state.x.q).all():
         raise FitError("the nominal fit leads nowhere, so nothing can be said about what it leaves over")
     session.keep_rest(session.discover, blank)
+    if freed is not free:
+        state.covariance[free, free] = np.inf
     reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    return Model((), state, session.problem(session.discover, reach)), reach
+    return Model((), state, session.problem(session.discover, reach))
 
 
 def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30,
@@ -108,6 +111,14 @@ def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatA
 def misfit(model: Model) -> float:
     """Objective at the model's state: -2 log likelihood at its noise, up to a constant."""
     return model.problem.linearise(model.state.x, model.state.beta, model.state.noise).objective
+
+
+def log_volume(problem: ExtendedProblem, noise: Noise) -> float:
+    """Sum over samples of the log standard deviations of all channels."""
+    levels = [*noise.torque, *noise.encoder[np.isfinite(noise.encoder)]]
+    if problem.has_imu:
+        levels += [noise.gyro, noise.accel, noise.accel]
+    return problem.total * float(np.sum(np.log(levels)))
 
 
 def run_states(session: Session, model: Model) -> list[State]:

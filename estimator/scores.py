@@ -84,9 +84,11 @@ class Tests:
         return float(fisher.sf(self.gain(columns) / k, k, self.freedom))
 
     def detectable(self, column: int, p: float, gain: float) -> float:
-        """Size of one column that would give this p-value, and this gain, on average."""
+        """Size of one column that would give this p-value, and this gain, on average; inf for a hidden one."""
+        if self.information[column, column] <= 0.0:
+            return float("inf")
         needed = max(float(fisher.isf(p, 1, self.freedom)), gain) * float(self.inflation[column])
-        return float(np.sqrt(needed / max(self.information[column, column], 1e-300)))
+        return float(np.sqrt(needed / self.information[column, column]))
 
 
 def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | None = None,

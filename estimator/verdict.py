@@ -51,6 +51,7 @@ class Ranked:
     size: float
     """One-step estimate of its first size."""
     smallest_detectable: float
+    """Infinite where the nominal parameters imitate it in these runs."""
     unit: str
 
 
@@ -130,4 +131,6 @@ class Diagnosis:
     extended_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(p + sizes, p + sizes)"""
     noise: Mapping[str, float] = field(default_factory=dict)
+    reach: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    """(n, 2) range of each joint's angle over the runs that were fitted: what the effects' sizes refer to."""
     wall_s: float = 0.0

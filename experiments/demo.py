@@ -18,7 +18,8 @@ from estimator.result import FitResult
 from estimator.validation import Validation
 from estimator.verdict import Diagnosis
 from experiments.demo_files import write_results
-from experiments.diagnosing import diagnose_setup, model_to_save
+from experiments.diagnosing import diagnose_setup
+from experiments.diagnosis_json import diagnosed_model
 from experiments.emulated_rig import record_emulated
 from experiments.excitation import random_multisine
 from experiments.hidden_effects import DEFAULT, EFFECTS, NOTHING, Hidden
@@ -92,7 +93,7 @@ def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = D
         result = fit(training.datasets, setup.mechanism, setup.options)
         hall = replace(setup.options, sensors="encoder", cutoff_hz=HALL_CUTOFF_HZ)
         benchmark = fit(training.datasets, setup.mechanism, hall, "wls")
-        model = model_to_save(diagnosis, setup, rig.motor.gear_ratio)
+        model = diagnosed_model(diagnosis, setup, rig.motor.gear_ratio)
     before = validate_setup(held, result.beta)
     after = validate_runs(model, held, "the extended model") if model.effects else before
     truth = dict(zip(setup.mechanism.names, body.beta()))

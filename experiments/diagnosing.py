@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from daq.align import recorded_rig
 from daq.columns import IMU
 from daq.dataset import Dataset
@@ -15,10 +13,7 @@ from daq.errors import InputError
 from daq.rig import Rig
 from daq.runfile import read_run
 from estimator.diagnosis import diagnose
-from estimator.evidence import fit_nominal
-from estimator.session import open_session
 from estimator.verdict import Diagnosis
-from experiments.diagnosis_json import diagnosed_model
 from experiments.effect_library import known_effects
 from experiments.model_file import Model, values_of
 from experiments.rigs import Setup
@@ -90,12 +85,3 @@ def reference_values(model: Model, where: str, setup: Setup) -> dict[str, tuple[
         raise InputError(where, f"is a model of {model.mechanism.model} with other parameters than the rig's",
                          "give a model that was fitted on this rig")
     return values
-
-
-def model_to_save(found: Diagnosis, setup: Setup, gear_ratio: float) -> Model:
-    """The diagnosis as MODEL.json. With effects, the angles' range comes from the nominal fit that they refer to."""
-    if not found.effects:
-        return diagnosed_model(found, setup, gear_ratio, np.zeros((0, 2)))
-    setup = without_benchmark(setup)
-    _, reach = fit_nominal(open_session(setup.datasets, setup.mechanism, setup.options, gear_ratio))
-    return diagnosed_model(found, setup, gear_ratio, reach)

@@ -62,7 +62,12 @@ def _cause(cause: Cause) -> dict[str, Any]:
 def _candidate(candidate: Ranked) -> dict[str, Any]:
     return {"effect": candidate.effect, "joint": contract_joint(candidate.effect, candidate.joint),
             "score": candidate.score, "p_value": candidate.p_value, "size": candidate.size,
-            "smallest_detectable": candidate.smallest_detectable, "unit": candidate.unit}
+            "smallest_detectable": _finite(candidate.smallest_detectable), "unit": candidate.unit}
+
+
+def _finite(value: float) -> float | None:
+    """null for what is not determined: JSON has no infinity."""
+    return value if np.isfinite(value) else None
 
 
 def untestable(found: Diagnosis) -> list[tuple[str, int | None, str]]:
@@ -72,12 +77,8 @@ def untestable(found: Diagnosis) -> list[tuple[str, int | None, str]]:
     return [row for row in rows if not (row[0] in WHOLE_RIG and row[0] in tested)]
 
 
-def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, reach: FloatArray,
-                    date: datetime | None = None) -> Model:
-    """The extended model, or the nominal one where the verdict extends nothing.
-
-    `reach` (n, 2) is the range of each joint's angle over the runs that were fitted, (0, 2) without effects.
-    """
+def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, date: datetime | None = None) -> Model:
+    """The extended model, or the nominal one where the verdict extends nothing."""
     settings, mechanism = setup.settings, build_mechanism(setup.settings)
     p = mechanism.p
     if found.effects:
@@ -91,7 +92,7 @@ def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, reach: Fl
         noise={name: float(level) for name, level in found.noise.items()},
         hold=setup.options.hold,  # type: ignore[arg-type]
         effects=tuple(effect_value(effect, size) for effect, size in found.effects), gear_ratio=gear_ratio,
-        reach=tuple((float(low), float(high)) for low, high in reach),
+        reach=tuple((float(low), float(high)) for low, high in (found.reach if found.effects else ())),
         provenance=Provenance(runs=(*found.runs.get("fit", ()), *found.runs.get("screen", ())), method="mle",
                               sensors=setup.options.sensors,  # type: ignore[arg-type]
                               date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),

@@ -18,11 +18,13 @@ from experiments.diagnosis_figures import (
 from experiments.diagnosis_json import untestable
 from experiments.diagnosis_text import (
     causes_title,
+    detectable_text,
     effect_label,
     gap_text,
     key_label,
     probability,
     size_rows,
+    size_text,
 )
 from experiments.fit_text import number
 from experiments.report import Picture, Section, Table, write_page
@@ -89,7 +91,7 @@ def _candidates(found: Diagnosis) -> Section:
     header = ["effect", "score", "gain", "p", "size", "smallest detectable", "unit", "looks much like"]
     near = _neighbours(found)
     rows = [[effect_label(c.effect, c.joint), f"{c.score:.1f}", f"{c.score**2:.3g}", probability(c.p_value),
-             f"{c.size:.3g}", f"{c.smallest_detectable:.2g}", c.unit, near.get((c.effect, c.joint), "")]
+             size_text(c), detectable_text(c), c.unit, near.get((c.effect, c.joint), "")]
             for c in found.candidates]
     return Section(
         "Candidates",
@@ -184,11 +186,12 @@ def _ruled_out(found: Diagnosis) -> Section:
     gone = [c for c in found.candidates if c.p_value > ALPHA]
     if not gone:
         return Section("Ruled out")
-    rows = [[effect_label(c.effect, c.joint), f"{c.smallest_detectable:.2g}", c.unit] for c in gone]
+    rows = [[effect_label(c.effect, c.joint), detectable_text(c), c.unit] for c in gone]
     return Section(
         "Ruled out",
         ["None of these shows beside the nominal model, down to the size given: smaller ones these runs would not "
-         "show."], [Table(["effect", "smallest detectable", "unit"], rows, right=frozenset({1}))])
+         "show. Where it says none, the nominal parameters imitate the effect, and these runs say nothing of it."],
+        [Table(["effect", "smallest detectable", "unit"], rows, right=frozenset({1}))])
 
 
 def _untestable(found: Diagnosis) -> Section:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import isinf
+
 from estimator.verdict import Cause, Diagnosis, Ranked
 from experiments.diagnosis_json import contract_joint, split_key, untestable
 from experiments.output import text_table
@@ -35,10 +37,20 @@ def size_rows(cause: Cause) -> list[list[str]]:
     return rows
 
 
+def size_text(candidate: Ranked) -> str:
+    """Its one-step size; nothing where the nominal parameters imitate it."""
+    return "" if isinf(candidate.smallest_detectable) else f"{candidate.size:.3g}"
+
+
+def detectable_text(candidate: Ranked) -> str:
+    """The smallest size that these runs would have shown."""
+    return "none" if isinf(candidate.smallest_detectable) else f"{candidate.smallest_detectable:.2g}"
+
+
 def candidate_row(candidate: Ranked) -> list[str]:
     """One row of CANDIDATE_HEADER."""
     return [effect_label(candidate.effect, candidate.joint), f"{candidate.score:.1f}", probability(candidate.p_value),
-            f"{candidate.size:.3g}", f"{candidate.smallest_detectable:.2g}", candidate.unit]
+            size_text(candidate), detectable_text(candidate), candidate.unit]
 
 
 def gap_text(found: Diagnosis) -> str:

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from daq.dataset import Dataset
+from estimator import evidence
+from estimator.account import base
 from estimator.diagnosis import diagnose
 from estimator.effects import CLASSES, library
+from estimator.errors import FitError
+from estimator.evidence import fit_nominal
 from estimator.extended import Candidate, ExtendedProblem, Stage, slopes
+from estimator.gauss_newton import State, iterate
 from estimator.latent import Latents
 from estimator.mechanism import leg2
 from estimator.options import FitOptions
+from estimator.scores import RunScore, project
+from estimator.session import open_session
 from estimator.signalset import split_signals
 from tests.mujoco_leg import Leg, record
 
@@ -72,6 +80,8 @@ def test_a_stiff_pivot_is_named_with_its_size(runs: tuple[Leg, list[Dataset]]) -
     size = causes[("joint_stiffness", 1)].size[0]
     assert size.value == pytest.approx(stiffness, rel=0.25)
     assert found.gap_closed is not None and found.gap_closed > 0.8
+    knee = np.concatenate([run["q2_rad"] for run in hidden if run.name not in found.confirm_runs])
+    assert found.reach[1] == pytest.approx((knee.min(), knee.max()), abs=3e-3)
 
 
 def test_nothing_hidden_is_never_named(runs: tuple[Leg, list[Dataset]]) -> None:
@@ -86,3 +96,31 @@ def test_too_little_data_is_refused_in_words() -> None:
     found = diagnose([run], leg2(lever_arm=0.2), FitOptions(sensors="imu"))
     assert found.verdict == "fit_failed"
     assert "record" in found.sentence
+
+
+def test_what_the_parameters_imitate_has_no_smallest_size() -> None:
+    rng = np.random.default_rng(3)
+    runs = []
+    for _ in range(4):  # column 1 is column 0 twice, column 2 is its own
+        rows = rng.normal(size=(50, 2))
+        jacobian = np.column_stack([rows[:, 0], 2.0 * rows[:, 0], rows[:, 1]])
+        runs.append(RunScore(jacobian.T @ rng.normal(size=50), jacobian.T @ jacobian))
+    tests = project(runs, 1)
+    assert tests.detectable(0, 0.01, 0.0) == np.inf
+    assert 0.0 < tests.detectable(1, 0.01, 0.0) < 1.0
+
+
+def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, list[Dataset]],
+                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    leg, data = runs
+    session = open_session(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+
+    def stuck(problem: ExtendedProblem, state: State, free: NDArray[np.bool_], *rest: object) -> None:
+        if free.any():
+            raise FitError("does not settle")
+        iterate(problem, state, free, *rest)
+
+    monkeypatch.setattr(evidence, "iterate", stuck)
+    nominal = fit_nominal(session)
+    assert np.isinf(nominal.std()[:9]).all() and np.isfinite(nominal.state.beta).all()
+    assert any("no intervals" in warning for warning in base(session, nominal, {}, None).warnings)

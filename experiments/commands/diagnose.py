@@ -37,8 +37,8 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write what was asked for. Raises `WorkError` with the verdict fit_failed."""
     from daq.errors import WorkError
     from daq.rig import load_rig
-    from experiments.diagnosing import diagnose_setup, model_to_save, reference_values, require_one_rig
-    from experiments.diagnosis_json import diagnosis_document
+    from experiments.diagnosing import diagnose_setup, reference_values, require_one_rig
+    from experiments.diagnosis_json import diagnosed_model, diagnosis_document
     from experiments.diagnosis_text import diagnosis_text
     from experiments.model_file import load_model, save_model
     from experiments.output import stages, write_json
@@ -61,5 +61,5 @@ def run(args: argparse.Namespace) -> int:
         raise WorkError(found.sentence)
     print(diagnosis_text(found))
     if args.model_out:
-        save_model(model_to_save(found, setup, rig.motor.gear_ratio), args.model_out)
+        save_model(diagnosed_model(found, setup, rig.motor.gear_ratio), args.model_out)
     return 0

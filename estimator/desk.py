@@ -1,0 +1,83 @@
+"""`Desk`: what the steps of a diagnosis share: session, candidates, nominal model, and when a gain counts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.effects.timing import SensorTimeSkew
+from estimator.evidence import Model
+from estimator.extended import Candidate
+from estimator.scores import RunScore, Tests
+from estimator.session import Session
+
+ALPHA = 0.01
+"""p-value, over all candidates tried, below which something is there."""
+MATERIAL = 0.01
+"""Least gain of a material effect: this much of twice the log likelihood a sample. Smaller ones can be
+significant in long records (microseconds of skew, a per mille of scale) and change no simulation."""
+
+
+@dataclass(frozen=True)
+class Explained:
+    """One set of effects, fitted, and what it leaves over on the discover runs."""
+
+    model: Model
+    gain: float
+    left: Tests
+    best_left: int
+    """Candidate with the largest remaining gain."""
+    best_named_left: int
+    closed: bool
+    """What it leaves is little beside its gain."""
+    clean: bool = False
+    """It leaves nothing detectable."""
+    bias: tuple[RunScore, ...] = ()
+    """What its scores are on average when it is right, one a discover run, its own sizes left out."""
+
+
+@dataclass
+class Desk:
+    """What all steps share."""
+
+    session: Session
+    candidates: list[Candidate]
+    columns: list[NDArray[np.intp]]
+    named: int
+    """The first so many candidates are of the library."""
+    bias: list[RunScore]
+    nominal: Model
+    rng: np.random.Generator
+
+    @property
+    def trials(self) -> int:
+        return len(self.candidates)
+
+    def gain(self, tests: Tests, i: int) -> float:
+        """Of candidate i; nil for a skew that the recorder's clocks leave open anyway."""
+        if (self.candidates[i].effect.name == SensorTimeSkew.name
+                and abs(float(tests.size(self.columns[i])[0])) < self.session.clock_bound_s):
+            return 0.0
+        return tests.gain(self.columns[i])
+
+    def material(self, which: Sequence[int]) -> float:
+        """Least gain that counts on these runs."""
+        return MATERIAL * sum(len(s.time_s) for s in self.session.signals(which))
+
+
+def p_of(desk: Desk, tests: Tests, i: int) -> float:
+    """p-value of candidate i over all that were tried."""
+    return min(1.0, tests.p_value(desk.columns[i]) * desk.trials)
+
+
+def best_shapes(desk: Desk, tests: Tests, skip: Sequence[str] = ()) -> list[int]:
+    """Library candidates, best shape of each effect, by falling gain."""
+    best: dict[str, int] = {}
+    for i in range(desk.named):
+        key = desk.candidates[i].effect.key
+        if key not in skip and (key not in best or desk.gain(tests, i) > desk.gain(tests, best[key])):
+            best[key] = i
+    return sorted(best.values(), key=lambda i: -desk.gain(tests, i))
