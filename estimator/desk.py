@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects.timing import SensorTimeSkew
-from estimator.evidence import Model
+from estimator.evidence import Model, begin_afresh
 from estimator.extended import Candidate
 from estimator.scores import RunScore, Tests
 from estimator.session import Session
@@ -51,6 +52,11 @@ class Desk:
     bias: list[RunScore]
     nominal: Model
     rng: np.random.Generator
+
+    @cached_property
+    def afresh(self) -> Model:
+        """The nominal model at filtered motion, for fits that lead nowhere from its own fit."""
+        return begin_afresh(self.session, self.nominal)
 
     @property
     def trials(self) -> int:

@@ -45,7 +45,7 @@ LEAST_CLOSED = 0.1
 """Least share of the free-run gap that a named cause closes on the confirm runs. A law of another form than the real
 one's (friction that drifts along another curve) may be right and close a quarter; parameters can
 imitate most of a rotor."""
-TIE = 0.02
+TIE = 0.005
 """Explanations within this share of the best one's gain are not told apart."""
 TIE_GAIN = 8.0
 """... or within this much of twice the log likelihood."""

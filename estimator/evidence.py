@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from estimator.effects.base import Effect
 from estimator.errors import FitError
 from estimator.extended import Candidate, ExtendedProblem
-from estimator.gauss_newton import State, iterate
+from estimator.gauss_newton import MAX_ITERATIONS, State, iterate, mistakes_torque
 from estimator.latent import Latents, Noise
 from estimator.rehearsal import rehearse
 from estimator.scores import RunScore, Tests, project, score_run
 from estimator.session import Session
-from estimator.start import start_state
+from estimator.start import gentle_start, start_state
 from estimator.wls import free_mask
 
 FloatArray = NDArray[np.float64]
@@ -27,6 +27,10 @@ LONGER = ((1000.0, 6), (200.0, 6), (40.0, 6), (8.0, 8), (1.0, 30))
 """... and where that leads to a motion that fits badly."""
 BAD = 3.0
 """Sum of squares over samples times channels above which a motion is doubted: about 1 where all is well."""
+
+
+FIRST = 12
+"""Steps of a gentle start in which beta is held, so that motion and noise levels come to it first."""
 
 
 @dataclass(frozen=True)
@@ -61,29 +65,41 @@ class Model:
 def fit_nominal(session: Session) -> Model:
     """Nominal fit of the discover runs. Raises `FitError`.
 
-    Where the likelihood of a model that is far wrong does not settle, beta stays at its start, least squares on
-    filtered motion, and only the motion and the noise levels are sought: what is missing shows there too. Such a
-    beta has no interval: its variances are infinite.
+    A model that is far wrong can take the torque for noise, or not settle; then the fit starts again from slow motion.
+    Where that leads nowhere either beta stays at its start, least squares on filtered motion, and only the motion and
+    the noise levels are sought: what is missing shows there too. Such a beta has no interval: its variances are
+    infinite.
     """
     signals = session.signals(session.discover)
     n = session.mechanism.n
     free, beta = free_mask(session.mechanism, session.options)
-    for freed in (free, np.zeros_like(free)):
+    held = np.zeros_like(free)
+    for begin, steps in ((start_state, (free,)), (gentle_start, (held, free)), (start_state, (held,))):
         blank = session.problem(session.discover, np.zeros((n, 2)))
-        state = start_state(blank, signals, session.mechanism, session.options, free, beta)
+        state = begin(blank, signals, session.mechanism, session.options, free, beta)
+        floors = session.floors(blank, state.beta)
         try:
-            iterate(blank, state, freed, session.options, session.floors(blank, state.beta))
+            for freed in steps:
+                iterate(blank, state, freed, session.options, floors, MAX_ITERATIONS if freed is steps[-1] else FIRST)
         except FitError:
             continue
-        if state.converged:
+        if state.converged and not mistakes_torque(blank, state, floors):
             break
     if not np.isfinite(state.beta).all() or blank.rest is None or not np.isfinite(state.x.q).all():
         raise FitError("the nominal fit leads nowhere, so nothing can be said about what it leaves over")
     session.keep_rest(session.discover, blank)
-    if freed is not free:
+    if freed is held:
         state.covariance[free, free] = np.inf
     reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
     return Model((), state, session.problem(session.discover, reach))
+
+
+def begin_afresh(session: Session, nominal: Model) -> Model:
+    """`nominal` with motion, beta and noise levels as a fit would start from them."""
+    signals = session.signals(session.discover)
+    free, beta = free_mask(session.mechanism, session.options)
+    state = gentle_start(nominal.problem, signals, session.mechanism, session.options, free, beta)
+    return replace(nominal, state=state)
 
 
 def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30,
@@ -105,6 +121,8 @@ def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatA
             free[stop - len(effect.shapes) : stop] = False
     floors = None if noise is not None else session.floors(problem, state.beta[:p])
     iterate(problem, state, free, session.options, floors, limit)
+    if floors is not None and mistakes_torque(problem, state, floors):
+        raise FitError("the fit takes the torque for noise")
     return Model(tuple(e for e, _ in effects), state, problem)
 
 

@@ -19,6 +19,8 @@ Progress = Callable[[str, float], None]
 SINGLES = 5
 """Best effects that are re-fitted one by one."""
 PAIRS = 4
+HELD_STEPS, FREE_STEPS = 12, 24
+"""Most steps of a re-fit with shapes held, and then with all free."""
 LEFT_OVER = 0.03
 """What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
 _NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
@@ -74,17 +76,22 @@ def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> 
 
 
 def fit_extension(desk: Desk, start: Sequence[tuple[Effect, FloatArray]]) -> Model | None:
-    """Full re-fit, first with shapes held; None where it fails."""
-    try:
-        held = refit(desk.session, desk.nominal, start, 8, hold_shapes=True)
-    except (FitError, np.linalg.LinAlgError):
-        return None
-    if not any(e.shapes and not e.whole_shapes for e in held.effects) and held.state.converged:
-        return held
-    try:
-        return refit(desk.session, held, list(zip(held.effects, held.sizes())), 12)
-    except (FitError, np.linalg.LinAlgError):
-        return held
+    """Full re-fit, first with shapes held; None where it fails.
+
+    A large effect spoils the nominal fit's motion: where a fit fails from there, it starts again from filtered motion.
+    """
+    for again in (False, True):
+        try:
+            held = refit(desk.session, desk.afresh if again else desk.nominal, start, HELD_STEPS, hold_shapes=True)
+        except (FitError, np.linalg.LinAlgError):
+            continue
+        if not any(e.shapes and not e.whole_shapes for e in held.effects) and held.state.converged:
+            return held
+        try:
+            return refit(desk.session, held, list(zip(held.effects, held.sizes())), FREE_STEPS)
+        except (FitError, np.linalg.LinAlgError):
+            return held
+    return None
 
 
 def judge(desk: Desk, explained: Sequence[Explained]) -> list[Explained]:

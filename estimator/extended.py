@@ -15,15 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.collocation import ACCEL, ANGLE, GAUSS, RATE, Motion
-from estimator.effects.base import Effect, Perturbation, Points, TorqueEffect, View
+from estimator.effects.base import SLOW_GYRO, Effect, Perturbation, Points, TorqueEffect, View
 from estimator.latent import LatentProblem, Latents, Noise
 from estimator.linearised import Extra, Linearised
 from estimator.mechanism import Mechanism, smooth_sign
+from estimator.signals import lowpass
 from estimator.signalset import SignalSet
 
 FloatArray = NDArray[np.float64]
 
 
+SLOW_HZ = 12.0
 PASSES = 3
 """Evaluations of the effects at the samples: of a rotor a tenth of the link's inertia they leave a thousandth."""
 
@@ -102,7 +104,8 @@ class ExtendedProblem(LatentProblem):
     def _measured(self) -> dict[str, FloatArray]:
         found = {f"torque{j + 1}": self.torque[:, j] for j in range(self.n)}
         if self.has_imu:
-            found |= {"gyro": self.gyro, "accel_x": self.ax, "accel_y": self.ay}
+            slow = [lowpass(part, SLOW_HZ, 1.0 / self.dt) for part in np.split(self.gyro, self.ends[:-1])]
+            found |= {"gyro": self.gyro, "accel_x": self.ax, "accel_y": self.ay, SLOW_GYRO: np.concatenate(slow)}
         return found
 
     def split(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:

@@ -17,6 +17,12 @@ from estimator.simulation import simulate
 FloatArray = NDArray[np.float64]
 PASSES = 60
 SETTLED_RAD = 2e-5
+LOOSE_RAD = 0.02
+"""What may still move after PASSES."""
+HOPELESS = 12
+"""Passes after which plain iteration that still moves that much gives way to mixing of ..."""
+DEPTH = 12
+"""... so many steps."""
 
 
 @dataclass(frozen=True)
@@ -36,38 +42,13 @@ def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None =
     `torque` (N, n) drives it, by default the true torque in `state`. What effects add to the equation of
     motion is found by repeated simulation, each with the effects' torque of the one before.
     """
-    m, c = problem.mechanism, problem.collocation
+    m = problem.mechanism
     beta, sizes = problem.split(state.beta)
     u = state.x.u if torque is None else torque
-    q, v = state.x.q.copy(), state.x.v.copy()
-    parts = np.split(np.arange(problem.total), problem.ends[:-1])
-    added_gauss = np.zeros((m.n, 2, problem.left.size))
-    added = np.zeros((m.n, problem.total))
-    share, before = 1.0, np.inf
-    for _ in range(PASSES):
-        x = Latents(q, v, u)
-        if problem.effects:
-            new_gauss, new, _ = problem.added(problem.view(x, beta, added), sizes)
-            added_gauss += share * (new_gauss - added_gauss)
-            added += share * (new - added)
-        next_q, next_v = np.empty_like(q), np.empty_like(v)
-        for where in parts:
-            here = np.flatnonzero((problem.left >= where[0]) & (problem.left < where[-1]))
-            next_q[where], next_v[where], _ = simulate(
-                m, beta, state.x.q[where[0]], state.x.v[where[0]], u[where], c.dt, c.hold,
-                guess=(q[where], v[where]), taken=added_gauss[:, :, here])
-        if not np.isfinite(next_q).all():
-            return None
-        moved = float(np.max(np.abs(next_q - q)))
-        q, v = next_q, next_v
-        if not problem.effects or moved < SETTLED_RAD:
-            break
-        if moved > 0.9 * before:
-            share = max(0.2, 0.7 * share)
-        before = moved
-    else:
-        if moved > 0.02:
-            return None
+    found = _relaxed(problem, state, u, 0) or (_relaxed(problem, state, u, DEPTH) if problem.effects else None)
+    if found is None:
+        return None
+    q, v, added = found
     view = problem.view(Latents(q, v, u), beta, added)
     s = view.samples
     readings = {f"torque{j + 1}": u[:, j].copy() for j in range(m.n)}
@@ -78,3 +59,65 @@ def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None =
         for channel, value in effect.perturb(view, size).readings.items():
             readings[channel] = readings[channel] + value
     return FreeRun(q, v, readings)
+
+
+def _relaxed(problem: ExtendedProblem, state: State, u: FloatArray, depth: int
+             ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """q, v (N, n) and what the effects take at the samples (n, N), by fixed-point iteration; None where it diverges.
+
+    With `depth` steps mixed by Anderson's method, which settles where an effect feels itself with a gain above one
+    (a base near its resonance); laws with a sign are better off without.
+    """
+    m, c = problem.mechanism, problem.collocation
+    beta, sizes = problem.split(state.beta)
+    q, v = state.x.q.copy(), state.x.v.copy()
+    parts = np.split(np.arange(problem.total), problem.ends[:-1])
+    edge = m.n * 2 * problem.left.size
+    taken = np.zeros(edge + m.n * problem.total)
+    mixer, share, before = Anderson(depth), 1.0, np.inf
+    for k in range(PASSES):
+        gauss, samples = taken[:edge].reshape(m.n, 2, -1), taken[edge:].reshape(m.n, -1)
+        if problem.effects:
+            with np.errstate(all="ignore"):
+                new_gauss, new, _ = problem.added(problem.view(Latents(q, v, u), beta, samples), sizes)
+            wanted = np.concatenate([new_gauss.ravel(), new.ravel()])
+            if not np.isfinite(wanted).all():
+                return None
+            taken = mixer.next(taken, wanted) if depth else taken + share * (wanted - taken)
+            gauss, samples = taken[:edge].reshape(m.n, 2, -1), taken[edge:].reshape(m.n, -1)
+        next_q, next_v = np.empty_like(q), np.empty_like(v)
+        for where in parts:
+            here = np.flatnonzero((problem.left >= where[0]) & (problem.left < where[-1]))
+            next_q[where], next_v[where], _ = simulate(
+                m, beta, state.x.q[where[0]], state.x.v[where[0]], u[where], c.dt, c.hold,
+                guess=(q[where], v[where]), taken=gauss[:, :, here])
+        if not np.isfinite(next_q).all():
+            return None
+        moved = float(np.max(np.abs(next_q - q)))
+        q, v = next_q, next_v
+        if not problem.effects or moved < SETTLED_RAD:
+            return q, v, samples
+        if not depth and k >= HOPELESS and moved > LOOSE_RAD:
+            return None
+        if moved > 0.9 * before:
+            share = max(0.2, 0.7 * share)
+        before = moved
+    return (q, v, samples) if moved <= LOOSE_RAD else None
+
+
+class Anderson:
+    """Anderson's mixing for x = g(x): the next x from the last `depth` steps (Walker and Ni 2011, type II)."""
+
+    def __init__(self, depth: int) -> None:
+        self.depth = depth
+        self.points: list[FloatArray] = []
+        self.errors: list[FloatArray] = []
+
+    def next(self, x: FloatArray, wanted: FloatArray) -> FloatArray:
+        """x to evaluate next, after g(x) came out as `wanted`."""
+        self.points, self.errors = [*self.points, x][-self.depth:], [*self.errors, wanted - x][-self.depth:]
+        steps, errors = np.diff(self.points, axis=0), np.diff(self.errors, axis=0)
+        if not len(steps):
+            return wanted
+        weights = np.linalg.lstsq(errors.T, self.errors[-1], rcond=1e-8)[0]
+        return np.asarray(wanted - weights @ (steps + errors))

@@ -112,6 +112,16 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
             break
 
 
+def most_noise(problem: LatentProblem, joint: int, floors: Noise) -> float:
+    """Highest noise level that a driven joint's measured torque is allowed."""
+    return TORQUE_SHARE * float(np.std(problem.torque[:, joint])) + float(floors.torque[joint])
+
+
+def mistakes_torque(problem: LatentProblem, state: State, floors: Noise) -> bool:
+    """Whether the fit took as much of a driven joint's torque for noise as it is allowed: no model of the rig."""
+    return any(state.noise.torque[j] > 0.99 * most_noise(problem, j, floors) for j in problem.mechanism.actuated)
+
+
 def _pseudo_inverse(information: FloatArray) -> FloatArray:
     """Inverse of a positive semidefinite matrix with unscaled columns; near-null directions get a huge variance."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-100))
@@ -156,7 +166,7 @@ def _update_noise(problem: LatentProblem, state: State, point: Linearised, p_dia
             haste = 1.0 if j in actuated or state.iterations <= PASSIVE_WAIT else PASSIVE_HASTE
             torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j], haste, count)
             if j in actuated:
-                torque[j] = min(torque[j], TORQUE_SHARE * float(np.std(problem.torque[:, j])) + floors.torque[j])
+                torque[j] = min(torque[j], most_noise(problem, j, floors))
         if problem.has_encoder[j] and options.encoder_noise(int(j)) is None:
             r = residuals["encoder"][:, j]
             encoder[j] = level(r, float(taken["encoder"][j]), floors.encoder[j], old.encoder[j])

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from estimator.mechanism import Mechanism
 
 FloatArray = NDArray[np.float64]
+SLOW_GYRO = "gyro below 12 Hz"
+"""Among `View.measured`: the gyro, low-passed above any motion of a leg's links."""
 
 
 class Size(NamedTuple):
