@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -46,6 +47,16 @@ class FitTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """By joint: rms of what the model leaves over, as a share of the measured torque's rms."""
 
 
+class SweepTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """The same fit at several bandwidths of `[filter] cutoff_hz`, by several methods."""
+
+    rig: str
+    runs: tuple[str, ...]
+    cutoffs_hz: tuple[float, ...]
+    published: dict[str, float]
+    methods: tuple[Literal["mle", "wls"], ...] = ("mle", "wls")
+
+
 class DiagnoseTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """One diagnosis, and the effects that the publication knows of."""
 
@@ -63,6 +74,7 @@ class Case(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     known: str
     """What is known of it, in a sentence."""
     fit: tuple[FitTask, ...] = ()
+    sweep: tuple[SweepTask, ...] = ()
     diagnose: tuple[DiagnoseTask, ...] = ()
 
 
@@ -91,6 +103,19 @@ class Fitted:
 
 
 @dataclass(frozen=True)
+class Swept:
+    """What became of a sweep: (method, cutoff) to the published parameters' estimates, or to the line of a refusal."""
+
+    task: SweepTask
+    found: Mapping[tuple[str, float], Mapping[str, float] | str]
+
+    def departure(self, method: str, cutoff_hz: float) -> dict[str, float]:
+        """Share by which each published parameter is missed; empty where the fit was refused."""
+        found = self.found[method, cutoff_hz]
+        return {} if isinstance(found, str) else {n: found[n] / v - 1.0 for n, v in self.task.published.items()}
+
+
+@dataclass(frozen=True)
 class Diagnosed:
     """What became of a diagnosis."""
 
@@ -116,6 +141,7 @@ class Study:
 
     case: Case
     fits: Sequence[Fitted]
+    sweeps: Sequence[Swept]
     diagnoses: Sequence[Diagnosed]
 
 
@@ -141,7 +167,8 @@ def cases_in(folder: Path, cases: Sequence[Case]) -> list[Case]:
 def study_case(case: Case, folder: Path, seed: int = 0) -> Study:
     """Run all that `case` asks for on the records under `folder`; what is refused is kept as its line."""
     home = folder / case.folder
-    return Study(case, [_fit(task, home) for task in case.fit], [_diagnose(task, home, seed) for task in case.diagnose])
+    return Study(case, [_fit(task, home) for task in case.fit], [_sweep(task, home) for task in case.sweep],
+                 [_diagnose(task, home, seed) for task in case.diagnose])
 
 
 def _fit(task: FitTask, home: Path) -> Fitted:
@@ -163,6 +190,21 @@ def _fit(task: FitTask, home: Path) -> Fitted:
     return Fitted(task, result, refusal, validations or (), problem)
 
 
+def _sweep(task: SweepTask, home: Path) -> Swept:
+    rig = load_rig(RIGS / task.rig)
+    found: dict[tuple[str, float], Mapping[str, float] | str] = {}
+    for cutoff in task.cutoffs_hz:
+        narrow = msgspec.structs.replace(rig, filter=msgspec.structs.replace(rig.filter, cutoff_hz=cutoff))
+        setup = load_setup([home / run for run in task.runs], narrow)
+        for method in task.methods:
+            result, refusal = _attempt(partial(fit, setup.datasets, setup.mechanism, setup.options, method))
+            if result is None:
+                found[method, cutoff] = refusal
+            else:  # also what is not determined: what a method makes of noise is what a sweep shows
+                found[method, cutoff] = {n: float(result.beta[result.mechanism.names.index(n)]) for n in task.published}
+    return Swept(task, found)
+
+
 def _diagnose(task: DiagnoseTask, home: Path, seed: int) -> Diagnosed:
     rig = load_rig(RIGS / task.rig)
     found, refusal = _attempt(lambda: diagnose_setup(load_setup([home / run for run in task.runs], rig), rig, seed))
@@ -181,7 +223,8 @@ def casebook_document(studies: Sequence[Study]) -> dict[str, Any]:
     """`legid.casebook/1`: published against found, verdicts, gains."""
     return {"schema": SCHEMA, "cases": [
         {"folder": s.case.folder, "title": s.case.title, "fits": [_fit_entry(f) for f in s.fits],
-         "diagnoses": [_diagnosis_entry(d) for d in s.diagnoses]} for s in studies]}
+         "sweeps": [_sweep_entry(w) for w in s.sweeps], "diagnoses": [_diagnosis_entry(d) for d in s.diagnoses]}
+        for s in studies]}
 
 
 def _fit_entry(f: Fitted) -> dict[str, Any]:
@@ -195,6 +238,13 @@ def _fit_entry(f: Fitted) -> dict[str, Any]:
                   "validation_rmse": [{"run": v.run, **{n: float(x) for n, x in v.rmse.items()}}
                                       for v in f.validations]}
     return entry
+
+
+def _sweep_entry(w: Swept) -> dict[str, Any]:
+    return {"published": w.task.published, "fits": [
+        {"method": method, "cutoff_hz": cutoff, **({"refused": found} if isinstance(found, str) else
+                                                   {"found": dict(found)})}
+        for (method, cutoff), found in w.found.items()]}
 
 
 def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.casebook import Diagnosed, Fitted, Study, values
+from experiments.casebook import Diagnosed, Fitted, Study, Swept, values
 from experiments.diagnosis_figures import error_bars, signature_limits, signature_plot, trace_plot
 from experiments.diagnosis_text import gap_text, key_label, size_rows
 from experiments.figures import BLUE, ORANGE, Line, plot_lines, window
@@ -31,6 +31,7 @@ def study_sections(study: Study) -> list[Section]:
     title = study.case.title
     return [Section(title, [" ".join(study.case.known.split()), f"Source: {study.case.source}."]),
             *[_fit_section(title, f) for f in study.fits], *_side_by_side(study),
+            *[_sweep_section(title, w) for w in study.sweeps],
             *[_diagnosis_section(title, d) for d in study.diagnoses]]
 
 
@@ -39,6 +40,7 @@ def study_text(study: Study) -> str:
     lines = [f"{study.case.title} ({study.case.folder})"]
     for f in study.fits:
         lines.append(f"  {f.task.title}, {f.task.method}: {_fit_words(f)}")
+    lines += [f"  {_sweep_words(w, method)}" for w in study.sweeps for method in w.task.methods]
     for d in study.diagnoses:
         lines.append(f"  diagnosis with {d.task.rig}: {_verdict_words(d)}")
     return "\n".join(lines)
@@ -104,6 +106,33 @@ def _fit_section(title: str, f: Fitted) -> Section:
     notes = [f"not determined: {name}" for name in f.result.undetermined]
     notes += [f"validation refused: {f.validation_refusal}"] if f.validation_refusal else []
     return Section(heading, [about], tables, _torque_pictures(f), notes)
+
+
+def _sweep_words(w: Swept, method: str) -> str:
+    """How far a method misses what is published over all bandwidths."""
+    off = [w.departure(method, cutoff) for cutoff in w.task.cutoffs_hz]
+    low, high = min(w.task.cutoffs_hz), max(w.task.cutoffs_hz)
+    if not all(off):
+        return f"{method} from {low:g} to {high:g} Hz: refused at one bandwidth or more"
+    return (f"{method} from {low:g} to {high:g} Hz: within "
+            f"{100 * max(abs(v) for o in off for v in o.values()):.3g} % of what is published")
+
+
+def _sweep_section(title: str, w: Swept) -> Section:
+    names = list(w.task.published)
+    rows = []
+    for method in w.task.methods:
+        for cutoff in w.task.cutoffs_hz:
+            found, off = w.found[method, cutoff], w.departure(method, cutoff)
+            cells = [found, *[""] * (len(names) - 1)] if isinstance(found, str) else \
+                [f"{100 * off[n]:+.1f} %" for n in names]
+            rows.append([method, f"{cutoff:g} Hz", *cells])
+    about = (f"With {w.task.rig} on {', '.join(w.task.runs)}: departure from what is published by the bandwidth of "
+             f"[filter] cutoff_hz. {'; '.join(_sweep_words(w, m) for m in w.task.methods)}. Least squares on filtered "
+             "motion shrinks as the noise in the motion grows; where the errors of the motion are estimated with it, "
+             "the filter only makes the start.")
+    return Section(f"{title}: bandwidth", [about],
+                   [Table(["method", "cutoff", *names], rows, right=frozenset(range(1, len(names) + 2)))])
 
 
 def _side_by_side(study: Study) -> list[Section]:

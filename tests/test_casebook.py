@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec import structs
 
 from daq.errors import InputError
 from daq.rig import load_rig
 from estimator.verdict import Cause, Diagnosis
-from experiments.casebook import RIGS, Diagnosed, DiagnoseTask, cases_in, load_cases
+from experiments.casebook import RIGS, Diagnosed, DiagnoseTask, cases_in, load_cases, study_case
+from experiments.casebook_report import study_text
 from experiments.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -25,7 +27,7 @@ needs_records = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real re
 
 
 def test_every_rig_file_shipped_is_valid_and_used() -> None:
-    asked = {task.rig for case in load_cases() for task in (*case.fit, *case.diagnose)}
+    asked = {task.rig for case in load_cases() for task in (*case.fit, *case.sweep, *case.diagnose)}
     shipped = {path.name for path in RIGS.glob("*.toml")} - {"cases.toml"}
     assert asked == shipped
     for name in shipped:
@@ -122,3 +124,18 @@ def test_the_page_says_where_the_program_disagrees(book: tuple[dict[str, Any], s
             if found["agrees"] is False:
                 assert f"Published is {', '.join(found['expected'])}: the program does NOT name it." in page
     assert "<script" not in page
+
+
+@needs_records
+@pytest.mark.parametrize("folder", ["dfki_c0", "dfki_a0"])
+def test_the_default_method_does_not_shrink_as_the_bandwidth_grows(folder: str) -> None:
+    (case,) = (case for case in load_cases() if case.folder == folder)
+    (task,) = case.sweep
+    wide = structs.replace(task, cutoffs_hz=(5.0, 30.0))
+    study = study_case(structs.replace(case, fit=(), diagnose=(), sweep=(wide,)), DATA)
+    (swept,) = study.sweeps
+    for cutoff in (5.0, 30.0):
+        assert max(abs(v) for v in swept.departure("mle", cutoff).values()) < 0.1
+    assert swept.departure("wls", 30.0)["beta1"] < -0.5  # what least squares on filtered motion makes of the same
+    text = study_text(study)
+    assert "mle from 5 to 30 Hz: within" in text
