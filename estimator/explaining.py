@@ -21,9 +21,11 @@ SINGLES = 5
 PAIRS = 4
 HELD_STEPS, FREE_STEPS = 12, 24
 """Most steps of a re-fit with shapes held, and then with all free."""
+WEIGH_STEPS = 25
+"""... and of one under the noise levels of the best explanation."""
 LEFT_OVER = 0.03
 """What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
-_NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0)
+_NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
 RIVAL = 0.5
 """An explanation with less than this share of the best one's gain leaves the rest of it unexplained: not a rival."""
 
@@ -62,13 +64,13 @@ def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> 
         return []
     noise = min((m.state.noise for m in models), key=lambda s: log_volume(desk.nominal.problem, s))
     try:
-        plain = misfit(refit(desk.session, desk.nominal, [], 10, noise))
+        plain = misfit(refit(desk.session, desk.nominal, [], WEIGH_STEPS, noise))
     except FitError:  # it is too wrong to settle under so little noise; where it stands will do
         plain = misfit(replace(desk.nominal, state=replace(desk.nominal.state, noise=noise)))
     out = []
     for m in models:
         try:
-            again = refit(desk.session, m, list(zip(m.effects, m.sizes())), 8, noise)
+            again = refit(desk.session, m, list(zip(m.effects, m.sizes())), WEIGH_STEPS, noise)
         except FitError:  # under the noise of the best one it has no fit at all
             continue
         out.append(Explained(m, plain - misfit(again), _NO_TESTS, -1, -1, False))

@@ -51,6 +51,8 @@ class State:
     covariance: FloatArray
     converged: bool = False
     iterations: int = 0
+    lowest: float = np.inf
+    """Least objective met by the last search where it held the noise levels: near rest the last steps swing."""
 
 
 def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions,
@@ -63,11 +65,14 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     settled, share, lowest, change = 0, 1.0, np.inf, 0.0
     before = np.zeros(index.size)
     finds_rest = problem.rest is None
+    state.lowest = np.inf
     for iteration in range(limit):
         state.iterations = iteration + 1
         if finds_rest and iteration < REST_STEPS:
             problem.rest = problem.rest_variance(state.x.v, state.beta)
         point = problem.linearise(state.x, state.beta, state.noise)
+        if floors is None:
+            state.lowest = min(state.lowest, point.objective)
         try:
             factored = oddeven.factor(point.diagonal, point.lower)
         except np.linalg.LinAlgError:

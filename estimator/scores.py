@@ -22,7 +22,8 @@ from estimator.gauss_newton import State
 
 FloatArray = NDArray[np.float64]
 HIDDEN = 1e-5
-"""A candidate of which the nominal parameters imitate all but this share is not tested: what is left is rounding."""
+"""A candidate that the nominal parameters imitate but for this share is not tested: what is left is rounding. Nor is
+a combination of its sizes: on one run a drift over the session and one within the run are the same."""
 PRIOR_RUNS = 8
 """Runs that the pooled scatter counts for beside a candidate's own."""
 
@@ -63,6 +64,8 @@ class Tests:
     """(c,) how much the scores scatter between runs over what white noise would make them."""
     freedom: float
     """Degrees of freedom of `inflation`."""
+    before: FloatArray
+    """(c,) information before the nuisance parameters were projected out."""
 
     def gain(self, columns: NDArray[np.intp]) -> float:
         """Twice the log likelihood that these columns would gain, over the scatter's inflation."""
@@ -72,9 +75,9 @@ class Tests:
     def size(self, columns: NDArray[np.intp]) -> FloatArray:
         """One-step estimate of the sizes of these columns."""
         information = self.information[np.ix_(columns, columns)]
-        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        scale = np.sqrt(np.maximum(self.before[columns], 1e-300))
         values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-        good = values > 1e-8
+        good = values > np.maximum(HIDDEN, 1e-8 * values[-1])
         projected = vectors[:, good].T @ (self.score[columns] / scale)
         return np.asarray((vectors[:, good] / values[good]) @ projected / scale)
 
@@ -120,7 +123,7 @@ def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | 
         inflation, freedom = scatter.inflation, scatter.freedom
     else:
         inflation, freedom = _inflation(scores, information)
-    return Tests(scores, information, scores.sum(axis=0), pooled, inflation, freedom)
+    return Tests(scores, information, scores.sum(axis=0), pooled, inflation, freedom, np.diag(total)[nuisance:].copy())
 
 
 def _inflation(scores: FloatArray, information: FloatArray) -> tuple[FloatArray, float]:

@@ -22,6 +22,11 @@ SLOW_GYRO = "gyro below 12 Hz"
 """Among `View.measured`: the gyro, low-passed above any motion of a leg's links."""
 
 
+CONSTANT = "constant torque"
+"""`Effect.alike`: a constant torque on a joint that slides, shared out between two directions of friction, a preload or
+an offset. They differ near rest only, where no friction law is exact."""
+
+
 class Size(NamedTuple):
     """One parameter of an effect."""
 
@@ -117,6 +122,8 @@ class Effect(ABC):
     experiment: ClassVar[str]
     """What run would show it best."""
     per_joint: ClassVar[bool] = False
+    alike: ClassVar[str] = ""
+    """Effects of one such group cannot be told apart by small differences: these stem from what no model has right."""
     whole_shapes: ClassVar[bool] = False
     """Shapes are whole numbers: held where the grid has them, not re-fitted."""
 

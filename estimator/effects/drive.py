@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects.base import Points, SensorEffect, Shape, Size, TorqueEffect, View
+from estimator.effects.base import CONSTANT, Points, SensorEffect, Shape, Size, TorqueEffect, View
 from estimator.effects.timing import shifted
 from estimator.mechanism import Mechanism
 
@@ -60,6 +60,7 @@ class TorqueOffset(TorqueSensorEffect):
     """reading = u + c."""
 
     name = "torque_offset"
+    alike = CONSTANT
     sizes = (Size("offset", "N m", 0.01),)
     sentence = "the measured torque has an offset (shunt zero)"
     reference = "contracts: torque from the current shunt"

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
-from estimator.effects.base import Effect, Perturbation, Points, Shape, Size, TorqueEffect, View
+from estimator.effects.base import CONSTANT, Effect, Perturbation, Points, Shape, Size, TorqueEffect, View
 from estimator.mechanism import Mechanism
 
 FloatArray = NDArray[np.float64]
@@ -31,6 +31,7 @@ class AsymmetricFriction(TorqueEffect):
     """Extra Coulomb and viscous friction while v > 0: F max(s, 0) + B max(v, 0)."""
 
     name = "asymmetric_friction"
+    alike = CONSTANT
     sizes = (Size("coulomb_difference", "N m", 0.01), Size("viscous_difference", "N m s/rad", 0.01))
     sentence = "friction differs between the two directions of motion"
     reference = "Janot, Gautier, Brunot 2019 (EMPS)"
@@ -74,16 +75,18 @@ class QuadraticDrag(TorqueEffect):
 
 
 class FrictionDrift(TorqueEffect):
-    """Coulomb level that changes in the course of the session and of each run."""
+    """Coulomb level that settles in the course of the session, C (1 - exp(-t / tau)), and drifts within each run."""
 
     name = "friction_drift"
-    sizes = (Size("change_per_minute_of_session", "N m", 0.005), Size("change_per_minute_within_runs", "N m", 0.01))
+    sizes = (Size("change", "N m", 0.005), Size("change_per_minute_within_runs", "N m", 0.01))
+    shapes = (Shape("time_constant", "s", (30.0, 100.0, 300.0)),)
     sentence = "the friction level drifts with time (warming up, running in)"
     reference = "Simoni, Beschi, Legnani, Visioli 2015"
     experiment = "the same run repeated cold and warm, temperature recorded"
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
-        return (size[0] * at.session_s + size[1] * at.time_s) / 60.0 * at.sign[self.joint or 0]
+        level = -size[0] * np.expm1(-at.session_s / size[2]) + size[1] * at.time_s / 60.0
+        return level * at.sign[self.joint or 0]
 
 
 class PreslidingFriction(Effect):

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimator.effects.base import (
+    CONSTANT,
     SLOW_GYRO,
     Effect,
     Perturbation,
@@ -26,6 +27,7 @@ class JointStiffness(TorqueEffect):
     """k q - c: a spring at the joint, c = k q0 its torque at the zero angle."""
 
     name = "joint_stiffness"
+    alike = CONSTANT
     sizes = (Size("stiffness", "N m/rad", 0.05), Size("preload", "N m", 0.01))
     sentence = "a spring acts at the joint (cable, seal, hose)"
     reference = "linear spring"
