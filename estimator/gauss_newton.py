@@ -23,6 +23,8 @@ TOLERANCE = 0.05
 """Converged when a step moves no parameter by more than this share of its standard deviation."""
 ANGLE_TOLERANCE = 1e-6
 """Converged, where no parameter is free, when no angle moves by more than this [rad]."""
+ROUGH = 0.5
+"""As TOLERANCE, once, where only a start for a longer record is wanted: its standard deviations are smaller."""
 LOOSE_AFTER = 15
 LOOSE = 0.15
 """After so many steps this share of a standard deviation will do: a joint that reverses, or rests, close to a
@@ -39,6 +41,8 @@ STEEP = 0.95
 PASSIVE_HASTE = 4.0
 """Where a passive joint's model error is nil its level falls by a constant factor a step; after PASSIVE_WAIT
 steps a fall steeper than STEEP is taken to this power."""
+MARGIN = 1.1
+"""On the misfit that a step foresees at the samples: the Gauss points add to it, and it may still grow."""
 
 
 @dataclass
@@ -51,18 +55,21 @@ class State:
     covariance: FloatArray
     converged: bool = False
     iterations: int = 0
+    misfit: FloatArray | None = None
+    """(n,) of each joint's torque at a sample, in variances of its noise, as the last step foresaw it."""
 
 
 def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions,
-            floors: Noise | None, limit: int = MAX_ITERATIONS) -> None:
+            floors: Noise | None, limit: int = MAX_ITERATIONS, rough: bool = False) -> None:
     """Gauss-Newton on latents and the `free` parameters together, noise levels renewed each step.
 
-    `floors` None keeps the noise levels. Sets `state.converged`; raises `FitError`.
+    `floors` None keeps the noise levels; `rough` ends the search at ROUGH. Sets `state.converged`; raises `FitError`.
     """
     index = np.flatnonzero(free)
     settled, share, lowest, change = 0, 1.0, np.inf, 0.0
     before = np.zeros(index.size)
     finds_rest = problem.rest is None
+    problem.foreseen = None if state.misfit is None else MARGIN * problem.total * state.misfit
     for iteration in range(limit):
         state.iterations = iteration + 1
         if finds_rest and iteration < REST_STEPS:
@@ -96,20 +103,24 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         state.covariance[np.ix_(index, index)] = covariance
         if not np.isfinite(state.beta).all():
             raise FitError("the fit ran away; the starting values are too far from the data")
+        residuals = problem.residuals_after(point, step, step_beta, index)
         if floors is not None:
-            residuals = problem.residuals_after(point, step, step_beta, index)
             change = _update_noise(problem, state, point, oddeven.inverse_diagonal(factored), residuals, options,
                                    floors)
+        state.misfit = np.minimum(
+            np.mean(residuals["torque"] ** 2 / problem.torque_variance(state.noise), axis=0), 1.0)
+        problem.foreseen = MARGIN * problem.total * state.misfit
         std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         moved = damping * float(np.max(np.abs(step_beta) / std, initial=0.0))
         if not index.size:
             moved = float(np.max(np.abs(step[:, : problem.n]))) / ANGLE_TOLERANCE * TOLERANCE
-        enough = TOLERANCE if iteration < LOOSE_AFTER else LOOSE
-        settled = settled + 1 if moved < enough and change < 0.01 else 0
+        enough = ROUGH if rough else TOLERANCE if iteration < LOOSE_AFTER else LOOSE
+        settled = settled + 1 if moved < enough and change < (0.1 if rough else 0.01) else 0
         del point, factored  # before the next ones are made: they are large
-        if settled >= 2:
+        if settled >= (1 if rough else 2):
             state.converged = True
             break
+    problem.foreseen = None
 
 
 def _pseudo_inverse(information: FloatArray) -> FloatArray:
