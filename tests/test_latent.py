@@ -7,7 +7,7 @@ import pytest
 from mujoco_leg import Leg, random_leg, record
 
 from daq.dataset import Dataset
-from estimator import gauss_newton, latent
+from estimator import compiled, gauss_newton, latent
 from estimator.fit import fit
 from estimator.latent import LatentProblem, Latents, Noise
 from estimator.mechanism import leg2
@@ -105,3 +105,17 @@ def test_a_fit_ends_where_a_stricter_one_does(monkeypatch: pytest.MonkeyPatch) -
     strict = fit([run], mechanism, OPTIONS)
     assert found.converged and strict.converged
     assert np.max(np.abs(found.beta - strict.beta) / strict.std) < 0.2
+
+
+def test_a_fit_by_compiled_kernels_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba", reason="needs the extra `fast`")
+    leg = Leg()
+    run, mechanism = record(leg, np.random.default_rng(23), seconds=6), leg2(lever_arm=leg.lever)
+    fits = []
+    for worth in (10**12, -1):
+        monkeypatch.setattr(compiled, "LOAD_WORTH", worth)
+        fits.append(fit([run], mechanism, FitOptions(sensors="imu", fixed={"beta9": 0.05})))
+    plain, fast = fits
+    assert fast.iterations == plain.iterations
+    np.testing.assert_allclose(fast.beta, plain.beta, rtol=1e-7)
+    np.testing.assert_allclose(fast.covariance, plain.covariance, rtol=1e-7, atol=1e-7 * np.abs(plain.covariance).max())
