@@ -1,6 +1,7 @@
 """`iterate`: the most likely motion, parameters and noise levels together, by Gauss-Newton.
 
-Each step eliminates the latents exactly (odd-even Cholesky) and renews the noise levels from the residuals.
+Each step eliminates the latents exactly (odd-even Cholesky, or one compiled sweep) and renews the noise levels from
+the residuals.
 """
 
 from __future__ import annotations
@@ -11,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import oddeven
+from estimator import compiled, oddeven, sweep
 from estimator.errors import FitError
 from estimator.latent import LatentProblem, Latents, Noise
-from estimator.linearised import Linearised
 from estimator.options import FitOptions
 
 FloatArray = NDArray[np.float64]
@@ -23,6 +23,10 @@ TOLERANCE = 0.05
 """Converged when a step moves no parameter by more than this share of its standard deviation."""
 ANGLE_TOLERANCE = 1e-6
 """Converged, where no parameter is free, when no angle moves by more than this [rad]."""
+ROUGH = 0.5
+"""As TOLERANCE, once, where only a start for a longer record is wanted: its standard deviations are smaller."""
+SAME_NOISE = 0.003
+"""Noise levels that changed by less than this share leave what the latents take of each channel as it was."""
 LOOSE_AFTER = 15
 LOOSE = 0.15
 """After so many steps this share of a standard deviation will do: a joint that reverses, or rests, close to a
@@ -39,6 +43,8 @@ STEEP = 0.95
 PASSIVE_HASTE = 4.0
 """Where a passive joint's model error is nil its level falls by a constant factor a step; after PASSIVE_WAIT
 steps a fall steeper than STEEP is taken to this power."""
+MARGIN = 1.1
+"""On the misfit that a step foresees at the samples: the Gauss points add to it, and it may still grow."""
 
 
 @dataclass
@@ -53,19 +59,23 @@ class State:
     iterations: int = 0
     lowest: float = np.inf
     """Least objective met by the last search where it held the noise levels: near rest the last steps swing."""
+    misfit: FloatArray | None = None
+    """(n,) of each joint's torque at a sample, in variances of its noise, as the last step foresaw it."""
 
 
 def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions,
-            floors: Noise | None, limit: int = MAX_ITERATIONS) -> None:
+            floors: Noise | None, limit: int = MAX_ITERATIONS, rough: bool = False) -> None:
     """Gauss-Newton on latents and the `free` parameters together, noise levels renewed each step.
 
-    `floors` None keeps the noise levels. Sets `state.converged`; raises `FitError`.
+    `floors` None keeps the noise levels; `rough` ends the search at ROUGH. Sets `state.converged`; raises `FitError`.
     """
     index = np.flatnonzero(free)
     settled, share, lowest, change = 0, 1.0, np.inf, 0.0
     before = np.zeros(index.size)
+    taken: Mapping[str, FloatArray] | None = None
     finds_rest = problem.rest is None
     state.lowest = np.inf
+    problem.foreseen = None if state.misfit is None else MARGIN * problem.total * state.misfit
     for iteration in range(limit):
         state.iterations = iteration + 1
         if finds_rest and iteration < REST_STEPS:
@@ -73,20 +83,18 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         point = problem.linearise(state.x, state.beta, state.noise)
         if floors is None:
             state.lowest = min(state.lowest, point.objective)
-        try:
-            factored = oddeven.factor(point.diagonal, point.lower)
-        except np.linalg.LinAlgError:
-            raise FitError("the equations of the fit became singular; the motion is not excited enough") from None
+        chain = sweep if compiled.in_use(problem.total) else oddeven
         columns = np.append(0, 1 + index)
         whole = columns.size == point.right.shape[1]
-        halves = oddeven.halve(factored, point.right if whole else point.right[:, columns])
-        product = halves.product()
+        try:
+            solved = chain.eliminate(point.diagonal, point.lower, point.right if whole else point.right[:, columns])
+        except np.linalg.LinAlgError:
+            raise FitError("the equations of the fit became singular; the motion is not excited enough") from None
+        product = solved.product()
         information = point.corner[np.ix_(index, index)] - product[1:, 1:]
         covariance = _pseudo_inverse(information)
         step_beta = -covariance @ (point.gradient_beta[index] - product[1:, 0])
-        step = -oddeven.finish(factored, halves.combine(np.append(1.0, step_beta)[:, None]))
-        step = step.reshape(problem.total, problem.block)
-        del halves
+        step = -solved.solution(np.append(1.0, step_beta))
         if iteration > 2:  # the first steps come from far off and their noise levels are rough
             along = float(step_beta @ information @ before)
             swings = along < -0.25 * float(before @ information @ before)
@@ -101,20 +109,25 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         state.covariance[np.ix_(index, index)] = covariance
         if not np.isfinite(state.beta).all():
             raise FitError("the fit ran away; the starting values are too far from the data")
+        residuals = problem.residuals_after(point, step, step_beta, index)
         if floors is not None:
-            residuals = problem.residuals_after(point, step, step_beta, index)
-            change = _update_noise(problem, state, point, oddeven.inverse_diagonal(factored), residuals, options,
-                                   floors)
+            if taken is None or change > SAME_NOISE:
+                taken = problem.effective_samples(point, solved.inverse_diagonal(), state.noise)
+            change = _update_noise(problem, state, taken, residuals, options, floors)
+        state.misfit = np.minimum(
+            np.mean(residuals["torque"] ** 2 / problem.torque_variance(state.noise), axis=0), 1.0)
+        problem.foreseen = MARGIN * problem.total * state.misfit
         std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         moved = damping * float(np.max(np.abs(step_beta) / std, initial=0.0))
         if not index.size:
             moved = float(np.max(np.abs(step[:, : problem.n]))) / ANGLE_TOLERANCE * TOLERANCE
-        enough = TOLERANCE if iteration < LOOSE_AFTER else LOOSE
-        settled = settled + 1 if moved < enough and change < 0.01 else 0
-        del point, factored  # before the next ones are made: they are large
-        if settled >= 2:
+        enough = ROUGH if rough else TOLERANCE if iteration < LOOSE_AFTER else LOOSE
+        settled = settled + 1 if moved < enough and change < (0.1 if rough else 0.01) else 0
+        del point, solved  # before the next ones are made: they are large
+        if settled >= (1 if rough else 2):
             state.converged = True
             break
+    problem.foreseen = None
 
 
 def most_noise(problem: LatentProblem, joint: int, floors: Noise) -> float:
@@ -144,14 +157,13 @@ def _shortest(angles: FloatArray, share: float) -> float:
     return share if biggest < 0.5 else share * 0.5 / biggest
 
 
-def _update_noise(problem: LatentProblem, state: State, point: Linearised, p_diagonal: FloatArray,
+def _update_noise(problem: LatentProblem, state: State, taken: Mapping[str, FloatArray],
                   residuals: Mapping[str, FloatArray], options: FitOptions, floors: Noise) -> float:
-    """sigma^2 = sum r^2 / (samples - those taken by the latents); returns the largest relative change.
+    """sigma^2 = sum r^2 / (samples - those `taken` by the latents); returns the largest relative change.
 
     `residuals` are those after a whole step: they belong to the same noise levels as the degrees of freedom do.
     Mixing them with the residuals before it, or after a part of it, makes the levels swing with period two.
     """
-    taken = problem.effective_samples(point, p_diagonal, state.noise)
     weight = problem.torque_weight(state.noise)
     known, old = options.noise, state.noise
     actuated = problem.mechanism.actuated

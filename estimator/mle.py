@@ -18,6 +18,7 @@ from daq.dataset import Dataset
 from estimator.batch import BatchProblem, Records
 from estimator.effects.timing import SensorTimeSkew
 from estimator.errors import FitError
+from estimator.excerpt import from_excerpt
 from estimator.extended import ExtendedProblem, Stage
 from estimator.gauss_newton import State, iterate
 from estimator.identifiability import undetermined
@@ -48,6 +49,7 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         return result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
     state = start_state(problem, signals, mechanism, options, free, beta)
     floors = noise_floors(problem, mechanism, state.beta)
+    state = from_excerpt(problem, signals, options, free, state) or state
     iterate(problem, state, free, options, floors)
     _refuse_collapse(problem, state, mechanism)
     bound_s = max(d.clock_bound_s for d in datasets)

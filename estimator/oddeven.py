@@ -79,6 +79,35 @@ class Halves:
         return Halves(tuple(y @ weights for y in self.levels), self.last @ weights)
 
 
+@dataclass(frozen=True)
+class Eliminated:
+    """H factored and its right sides half solved: the interface that `estimator.sweep` has too."""
+
+    factor: Factor
+    halves: Halves
+
+    def product(self) -> FloatArray:
+        """rhs^T H^-1 rhs (m, m)."""
+        return self.halves.product()
+
+    def solution(self, weights: FloatArray) -> FloatArray:
+        """H^-1 rhs weights (N, b) for weights (m,)."""
+        return finish(self.factor, self.halves.combine(weights[:, None])).reshape(-1, self.factor.block)
+
+    def inverse_diagonal(self) -> FloatArray:
+        """Blocks P[k, k] (N, b, b) of P = H^-1."""
+        return inverse_diagonal(self.factor)
+
+
+def eliminate(diagonal: FloatArray, lower: FloatArray, right: FloatArray) -> Eliminated:
+    """H with blocks diagonal (N, b, b) and lower (N-1, b, b) = H[k+1, k]; right sides (N b, m).
+
+    Raises numpy.linalg.LinAlgError where H is not positive definite.
+    """
+    factored = factor(diagonal, lower)
+    return Eliminated(factored, halve(factored, right))
+
+
 def gram(matrices: FloatArray) -> FloatArray:
     """A^T A of each of many small matrices (m, r, c); on A itself numpy takes a routine that is slow on small ones."""
     return np.asarray(matrices.swapaxes(1, 2) @ matrices.copy())

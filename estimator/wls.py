@@ -49,21 +49,29 @@ def weighted_least_squares(z: FloatArray, tau: FloatArray, free: NDArray[np.bool
     covariance = np.zeros((beta.size, beta.size))
     if not free.any():
         return beta, covariance, np.maximum(np.std(tau - known, axis=0), 1e-9 * (1.0 + np.max(np.abs(tau))))
+    floor, samples = 1e-9 * (1.0 + float(np.max(np.abs(tau)))), len(tau)
+    rows, right = _triangles(z[:, :, free], tau - known)
     for _ in range(3):
-        a = (z[:, :, free] / sigma[:, None]).reshape(-1, int(free.sum()))
-        y = ((tau - known) / sigma).ravel()
+        a = (rows / sigma[:, None, None]).reshape(-1, rows.shape[2])
+        y = (right / sigma[:, None]).ravel()
         scale = np.linalg.norm(a, axis=0)
         scale[scale == 0.0] = 1.0
         u, s, vt = np.linalg.svd(a / scale, full_matrices=False)
         keep = s > 1e-12 * s[0]
         inverse = (vt[keep].T / s[keep]) @ u[:, keep].T
         beta[free] = (inverse @ y) / scale
-        residual = tau - z @ beta
-        sigma = np.maximum(np.sqrt(np.mean(residual**2, axis=0)), 1e-9 * (1.0 + np.max(np.abs(tau))))
+        sigma = np.maximum(np.sqrt(np.sum((right - rows @ beta[free]) ** 2, axis=1) / samples), floor)
         sigma = np.maximum(sigma, WEIGHT_SHARE * np.max(sigma))
         spread = (vt[keep].T / s[keep] ** 2) @ vt[keep] / np.outer(scale, scale)
         covariance[np.ix_(free, free)] = samples_per_dof * spread
     return beta, covariance, sigma
+
+
+def _triangles(z: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """z (m, n, p) and tau (m, n) as n joints' (n, r, p) and (n, r) with the same sums of squares, r <= p + 1."""
+    both = np.concatenate([z, tau[:, :, None]], axis=2).swapaxes(0, 1)
+    small: FloatArray = np.asarray(np.linalg.qr(both, mode="r"))
+    return small[:, :, :-1], small[:, :, -1]
 
 
 def driven_first(z: FloatArray, tau: FloatArray, free: NDArray[np.bool_], beta: FloatArray,

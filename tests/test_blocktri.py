@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator import blocktri
+from estimator import blocktri, oddeven, sweep
 from estimator.oddeven import DENSE, PIECE, factor, finish, halve, inverse_diagonal
 
 
@@ -58,3 +58,25 @@ def test_a_matrix_that_is_not_positive_definite_is_refused(n: int) -> None:
     for by in (factor, blocktri.factor):
         with pytest.raises(np.linalg.LinAlgError):
             by(diagonal, lower)
+
+
+@pytest.mark.parametrize(("n", "b"), [(1, 6), (2, 6), (3, 6), (80, 6), (PIECE + 5, 6), (40, 3)])
+def test_one_compiled_sweep_finds_what_odd_even_order_finds(n: int, b: int) -> None:
+    pytest.importorskip("numba", reason="needs the extra `fast`")
+    _, diagonal, lower = chain(n, b) if n < 200 else short_chains(n, b)
+    rhs, weights = np.random.default_rng(2).normal(size=(n * b, 5)), np.array([1.0, 0.5, -2.0, 0.0, 3.0])
+    swept, plain = sweep.eliminate(diagonal, lower, rhs), oddeven.eliminate(diagonal, lower, rhs)
+    for found, known in ((swept.product(), plain.product()), (swept.solution(weights), plain.solution(weights)),
+                         (swept.inverse_diagonal(), plain.inverse_diagonal())):
+        np.testing.assert_allclose(found, known, rtol=0.0, atol=1e-10 * np.abs(known).max())
+    diagonal[n // 2] -= 100.0 * np.eye(b)
+    with pytest.raises(np.linalg.LinAlgError):
+        sweep.eliminate(diagonal, lower, rhs)
+
+
+def short_chains(n: int, b: int) -> tuple[None, np.ndarray, np.ndarray]:
+    """Blocks of a long chain that repeats a short one; no dense matrix of it."""
+    _, diagonal, lower = chain(20, b)
+    lower = np.concatenate([lower, np.zeros((1, b, b))])
+    times = n // 20 + 1
+    return None, np.tile(diagonal, (times, 1, 1))[:n].copy(), np.tile(lower, (times, 1, 1))[: n - 1].copy()

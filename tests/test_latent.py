@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mujoco_leg import Leg, record
+from mujoco_leg import Leg, random_leg, record
 
 from daq.dataset import Dataset
-from estimator import gauss_newton, latent
+from estimator import compiled, gauss_newton, latent
+from estimator.fit import fit
 from estimator.latent import LatentProblem, Latents, Noise
 from estimator.mechanism import leg2
 from estimator.options import FitOptions
@@ -91,3 +92,30 @@ def test_minimum_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
     found = casadi_ipopt.solve(posed, 1e-14)
     assert point.objective == pytest.approx(found.objective, rel=1e-6)
     np.testing.assert_allclose(state.beta, found.beta, rtol=1e-6, atol=1e-7)
+
+
+def test_a_fit_ends_where_a_stricter_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A coarse encoder and a passive pivot: the first steps' misfit once kept beta 2.9 standard deviations high."""
+    rng = np.random.default_rng(903)
+    leg = random_leg(rng)
+    run, mechanism = record(leg, rng, seconds=60, counts=2048), leg2(lever_arm=leg.lever)
+    found = fit([run], mechanism, OPTIONS)
+    monkeypatch.setattr(gauss_newton, "TOLERANCE", 0.002)
+    monkeypatch.setattr(gauss_newton, "LOOSE", 0.002)
+    strict = fit([run], mechanism, OPTIONS)
+    assert found.converged and strict.converged
+    assert np.max(np.abs(found.beta - strict.beta) / strict.std) < 0.2
+
+
+def test_a_fit_by_compiled_kernels_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba", reason="needs the extra `fast`")
+    leg = Leg()
+    run, mechanism = record(leg, np.random.default_rng(23), seconds=6), leg2(lever_arm=leg.lever)
+    fits = []
+    for worth in (10**12, -1):
+        monkeypatch.setattr(compiled, "LOAD_WORTH", worth)
+        fits.append(fit([run], mechanism, FitOptions(sensors="imu", fixed={"beta9": 0.05})))
+    plain, fast = fits
+    assert fast.iterations == plain.iterations
+    np.testing.assert_allclose(fast.beta, plain.beta, rtol=1e-7)
+    np.testing.assert_allclose(fast.covariance, plain.covariance, rtol=1e-7, atol=1e-7 * np.abs(plain.covariance).max())

@@ -23,7 +23,7 @@ import numpy as np
 from tests.bench.peer import PEERS
 from tests.bench.record import RATE_HZ, SEED, write_record
 
-SAMPLES = (500, 2000, 6000, 10000, 60000)
+SAMPLES = (500, 2000, 5000, 6000, 10000, 60000)
 TITLES = {"legid": "legid, whole fit", "casadi": "CasADi with IPOPT", "mujoco": "MuJoCo sysid",
           "free": "legid `--latent free`", "paper": "the paper's recipe"}
 Table = dict[tuple[str, int], dict]
@@ -87,7 +87,11 @@ def tables(found: Table, lengths: list[int], peers: list[str]) -> str:
     """What was measured, as Markdown."""
     head = "| | " + " | ".join(f"{n:,} samples" for n in lengths) + " |\n| --- |" + " ---: |" * len(lengths)
     lines = ["Seconds, on the clock or of the processor, whichever are fewer (CasADi: build + solve):", "", head]
-    lines += [f"| {TITLES[p]} | " + " | ".join(cell(found.get((p, n))) for n in lengths) + " |" for p in peers]
+    for peer in peers:
+        lines.append(f"| {TITLES[peer]} | " + " | ".join(cell(found.get((peer, n))) for n in lengths) + " |")
+        if peer == "legid":
+            for title, key in (("the same by numpy alone", "plain_s"), ("the first fit of a process", "first_s")):
+                lines.append(f"| {title} | " + " | ".join(f"{found[peer, n][key]:.3f}" for n in lengths) + " |")
     if "legid" not in peers:
         return "\n".join(lines)
     lines += ["", "Times legid's whole fit:", "", head]
@@ -104,6 +108,7 @@ def tables(found: Table, lengths: list[int], peers: list[str]) -> str:
             ("fit / (normal equations x iterations)",
              lambda e, n: f"{e['seconds'] / e['linearise_s'] / e['iterations']:.1f}"),
             ("microseconds a sample and iteration", lambda e, n: f"{1e6 * e['seconds'] / e['iterations'] / n:.2f}"),
+            ("of that, residual and Jacobian", lambda e, n: f"{1e6 * e['evaluation_s'] / n:.2f}"),
             ("peak memory, MB", lambda e, n: f"{e['memory_mb']:.0f}"))
     for title, show in rows:
         lines.append(f"| {title} | " + " | ".join(show(found["legid", n], n) for n in lengths) + " |")
@@ -116,6 +121,15 @@ def tables(found: Table, lengths: list[int], peers: list[str]) -> str:
     return "\n".join(lines)
 
 
+def loading(found: Table, lengths: list[int]) -> str:
+    """What it costs a process to fetch the compiled kernels, as the end of a sentence."""
+    times = [found["legid", n]["load_s"] for n in lengths]
+    if None in times:
+        return ", which was not at hand."
+    return (f": a process needs {np.median(times):.1f} s once to fetch it ({max(times):.1f} s where this run had to "
+            "compile it first), and uses it only after it has fitted for about as long.")
+
+
 def machine() -> str:
     """What the figures were measured on."""
     try:
@@ -123,7 +137,7 @@ def machine() -> str:
                  if line.startswith("model name")]
     except OSError:
         names = []
-    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "casadi", "mujoco"))
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "casadi", "mujoco"))
     return (f"{os.cpu_count()} cores, {names[0] if names else platform.machine()}, Python {platform.python_version()}, "
             f"{packages}, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'not set')}")
 
@@ -141,7 +155,10 @@ takes away cache and memory, which makes everything slower, and not everything a
 
 What is compared:
 
-- **legid** finds noise levels and covariance besides parameters and motion. Best of several runs in one process.
+- **legid** finds noise levels and covariance besides parameters and motion. Best of several runs in one process, with
+  the compiled elimination of the extra `fast`{loading}
+  The first fit of a process, and all where the extra is not installed, go by numpy alone. Iterations are those on the
+  whole record; those on an excerpt of it, before them, are in the time.
 - **CasADi with IPOPT** solves the same sum of squares from the same start with the noise levels given: one interval's
   equations as a graph, mapped over the record, Gauss-Newton Hessian. `tests/bench/casadi_ipopt.py`.
 - **MuJoCo sysid** fits a free run of the simulation to the sensors, torque taken as exact, masses, a length and the
@@ -170,7 +187,8 @@ def main() -> None:
         date = datetime.date.today().isoformat()
         page = Path(__file__).parents[2] / "docs" / f"bench-{date}.md"
         page.write_text(PAGE.format(date=date, seed=SEED, rate=RATE_HZ, limit=args.limit, machine=machine(),
-                                    before=before, after=os.getloadavg()[0], tables=text), encoding="utf-8")
+                                    before=before, after=os.getloadavg()[0], tables=text,
+                                    loading=loading(found, lengths)), encoding="utf-8")
         print(f"written to {page}", file=sys.stderr)
 
 

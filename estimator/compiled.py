@@ -1,0 +1,47 @@
+"""`compiled`: a function made machine code by Numba, where the extra `fast` is installed.
+
+To import Numba and fetch its kernels from disk takes about a second, as long as a fit of a hundred thousand samples
+without them. So a process uses them only after it has worked for about as long as they cost.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+LOAD_WORTH = 500_000
+"""Samples, counted once a step of a fit, that a process goes through before it loads the kernels: they save 2 us on
+each."""
+_done = 0
+
+
+@cache
+def _numba() -> Any:
+    """The module, or None where it is not installed or does not suit this numpy."""
+    try:
+        return importlib.import_module("numba")
+    except ImportError:
+        return None
+
+
+def at_hand() -> bool:
+    """Whether there are kernels at all."""
+    return _numba() is not None
+
+
+def in_use(samples: int) -> bool:
+    """Whether a step over so many samples is one for kernels; counts them."""
+    global _done
+    _done += samples
+    return _done > LOAD_WORTH and at_hand()
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`function` as machine code, kept on disk for the next process. Only where they are `in_use`."""
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
+    try:
+        return _numba().njit(cache=True, **options)(function)
+    except RuntimeError:  # no directory to keep it in
+        return _numba().njit(**options)(function)
