@@ -42,7 +42,7 @@ class Trip(NamedTuple):
         return f"limit {self.limit} tripped: {self.what} is {self.value:.4g}, allowed is {self.bound:.4g}"
 
 
-_WATCHED: tuple[tuple[str, str, str], ...] = (
+WATCHED: tuple[tuple[str, str, str], ...] = (
     ("torque_nm", "torque_nm", "knee torque in N m"),
     ("torque_cmd_nm", "torque_nm", "commanded torque in N m"),
     ("q1_speed_radps", "speed_radps", "pivot speed in rad/s"),
@@ -72,7 +72,7 @@ class Supervisor:
 
     def watched(self, sample: Sample) -> Iterator[Trip]:
         """Everything that is checked of this sample, passed or not."""
-        for name, limit, what in _WATCHED:
+        for name, limit, what in WATCHED:
             value = getattr(sample, name)
             if value is not None:
                 yield Trip(limit, what, value, getattr(self.limits, limit))

@@ -48,13 +48,17 @@ def _group(port: Path) -> str:
 
 
 def holders(port: Path) -> list[str]:
-    """Other processes that have the port open, `name (pid)`; those of other users are seen by root only."""
+    """Other processes that have the port open, `name (pid)`; those of other users are seen by root only.
+
+    Whoever serves a pseudo-terminal (an emulated rig) has its far end open too, and is no rival.
+    """
     target, found = str(port.resolve()), []
     for process in PROC.glob("[0-9]*"):
         if process.name == str(os.getpid()):
             continue
         try:
-            if any(os.readlink(handle) == target for handle in (process / "fd").iterdir()):
+            opened = {os.readlink(handle) for handle in (process / "fd").iterdir()}
+            if target in opened and not (target.startswith("/dev/pts/") and "/dev/ptmx" in opened):
                 found.append(f"{(process / 'comm').read_text().strip()} ({process.name})")
         except OSError:
             continue
