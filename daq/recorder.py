@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -187,9 +187,9 @@ class Recorder:
             stopped = "stop sent"
         except DriverError as error:
             stopped = f"stop not sent ({error}): the firmware's watchdog stops the motor"
-        if self._remote is not None:
-            self._remote.motor = self._confirm_off() or stopped
         self._workers.stop()
+        if self._remote is not None:
+            self._remote.motor = self._confirm_off() or f"{stopped.split(' (')[0]}, the firmware's watchdog stops it"
         try:
             self._queue.drain()
         finally:
@@ -197,14 +197,12 @@ class Recorder:
 
     def _confirm_off(self) -> str:
         """What the controller itself says of the torque after the Stop; empty when it says nothing in time."""
-        asked_ns, self._supervising = self._now_ns(), False
-        try:
+        asked_ns = self._now_ns()
+        with suppress(DriverError):
             while self._now_ns() < asked_ns + _ns(CONFIRM_S):
-                self._keep(self._now_ns() + _ns(_TURN_S))
+                self._leg.poll()  # no thread does any more
                 if self._leg.telemetry is not None and self._leg.heard_ns > asked_ns and not self._armed():
                     return f"torque off, the controller says {State(self._leg.telemetry.state).name}"
-        except (DriverError, WorkError, OSError):
-            return ""
         return ""
 
     def _close(self, why: str, stopped: str) -> None:

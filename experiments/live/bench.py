@@ -65,8 +65,16 @@ class Bench:
         if self.session.running:
             return "a recording is running"
         if self.busy is not None:
-            return f"{self.busy.kind} is running"
+            return f"{self.busy.name.lower()} is running"
         return ""
+
+    def why_not_record(self) -> str:
+        """Why no recording may start now; empty when one may. A fit goes on beside it, behind it in priority."""
+        if self.session.latched:
+            return "the emergency stop is pressed"
+        if self.session.running:
+            return "a recording is running"
+        return "a check has the devices open" if self.busy is not None and self.busy.on_devices else ""
 
     def start_job(self, kind: Kind, runs: Sequence[Path]) -> None:
         """Start a job unless something else is on."""

@@ -26,10 +26,12 @@ def options(chart: Chart) -> dict[str, Any]:
     return {
         "animation": False,
         "grid": {"left": 52, "right": 12, "top": 34, "bottom": 40},
-        "legend": {"show": len(chart.series) > 1, "top": 2, "left": 48, "itemWidth": 18, "selectedMode": False},
+        "legend": {"show": len(chart.series) > 1, "top": 2, "left": 48, "itemWidth": 22, "selectedMode": False,
+                   "icon": "roundRect", "itemHeight": 4},
         "xAxis": {"type": "value", "name": "time [s]", "nameLocation": "middle", "nameGap": 22, "min": 0, "max": 20,
                   "axisLabel": {"hideOverlap": True}},
         "yAxis": {"type": "value", "scale": True, "splitNumber": 4},
-        "series": [{"type": "line", "name": name, "showSymbol": False, "silent": True, "lineStyle": {"width": 1.6},
-                    "data": []} for name, _ in chart.series],
+        "series": [{"type": "line", "name": name, "showSymbol": False, "silent": True, "data": [],
+                    "lineStyle": {"width": 1.6, "type": "dashed" if name == "commanded" else "solid"}}
+                   for name, _ in chart.series],
     }

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO
 
 ROOT = Path(__file__).parents[2]
-NICE = 10
+NICE = 5
 
 
 async def start(arguments: Sequence[str], *, pass_fds: Sequence[int] = (), stderr: int | IO[bytes] | None = None,

@@ -17,7 +17,7 @@ import msgspec
 
 from experiments.live import children
 
-Kind = Literal["fit", "diagnose", "doctor"]
+Kind = Literal["fit", "diagnose", "doctor", "clear"]
 _BAR = re.compile(r"^(?P<what>.*?)\s+(?P<percent>\d{1,3})%\|")
 """What tqdm draws: the stage, the share done."""
 
@@ -40,13 +40,25 @@ class Job:
         self._json: Path | None = None
         self._child: asyncio.subprocess.Process | None = None
         stem = out / f"{'diagnosis' if kind == 'diagnose' else kind}-{datetime.now():%Y%m%d-%H%M%S}"
-        self._arguments = [kind, *map(str, runs), "--rig", str(rig)]
-        if kind == "doctor":
-            self._arguments += ["--out", str(out)]
+        if self.on_devices:
+            self._arguments = ["doctor", "--rig", str(rig), "--out", str(out)]
+            self._arguments += ["--clear-faults"] if kind == "clear" else []
         else:
+            self._arguments = [kind, *map(str, runs), "--rig", str(rig)]
             self._json, self._page = stem.with_suffix(".json"), stem.with_suffix(".html")
             self._arguments += ["--json", str(self._json), "--html", str(self._page),
                                 "--model-out", f"{stem}-model.json"]
+
+    @property
+    def name(self) -> str:
+        """For a person."""
+        return {"fit": "Fit", "diagnose": "Diagnosis", "doctor": "Check of the devices",
+                "clear": "Clearing of faults"}[self.kind]
+
+    @property
+    def on_devices(self) -> bool:
+        """It opens the devices: no recording can, meanwhile."""
+        return self.kind in ("doctor", "clear")
 
     @property
     def seconds(self) -> float:
@@ -60,7 +72,7 @@ class Job:
             termios.tcsetwinsize(far, (24, 100))
             with open(far, "wb", buffering=0) as terminal:
                 self._child = await children.start(self._arguments, stdout=asyncio.subprocess.PIPE, stderr=terminal,
-                                                   nice=True)
+                                                   nice=not self.on_devices)
             os.set_blocking(near, False)
             loop, said = asyncio.get_running_loop(), Tail()
             loop.add_reader(near, self._read, near, said, loop)
@@ -106,7 +118,7 @@ class Job:
         if self._json is not None:
             with suppress(OSError, msgspec.DecodeError):
                 document = msgspec.json.decode(self._json.read_bytes())
-        if self.kind == "doctor":
+        if self.on_devices:
             return self.lines[-1] if code == 0 and self.lines else said
         if self.kind == "diagnose" and "verdict" in document:
             return f"{document['verdict']}: {document['sentence']}"

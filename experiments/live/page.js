@@ -61,7 +61,7 @@
     else if (performance.now() - pressed > 5000) put(by("estop-said"), "Ready. Esc or Space does the same.");
   }
 
-  setInterval(() => by("cut").hidden = !lastShown || performance.now() - lastShown < STALE_MS, 500);
+  setInterval(() => { if (lastShown) by("cut").hidden = performance.now() - lastShown < STALE_MS; }, 500);
 
   // -- plots
   const charts = () => [...document.querySelectorAll("[data-columns]")].map((box) => {

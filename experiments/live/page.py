@@ -32,6 +32,7 @@ class Page:
         self._shown_rows = 0
         self._drawn = (-1, Phase.IDLE, False, "")
         self._checked: dict[Path, bool] = {}
+        self._listed: list[Path] = []
 
     def build(self) -> None:
         """The page's elements."""
@@ -73,16 +74,17 @@ class Page:
                   '<div class="soft">Time in the plan: <span id="time"></span></div><div id="silence"></div>')
 
     def _devices(self) -> None:
-        with _card("Devices"):
-            names = {"controller": "Leg controller", "imu": "IMU", "motor": "Motor", "clock": "Clock known to",
+        with _card("Devices", "late"):
+            names = {"controller": "Leg controller", "imu": "IMU", "motor": "Motor", "clock": "Clock bound",
                      "drops": "Drops"}
             _html('<dl class="facts">' + "".join(f'<dt>{label}</dt><dd id="{key}"></dd>'
                                                  for key, label in names.items()) + "</dl>")
             with ui.element("div").classes("live-buttons"):
                 self._doctor = _button("Check the devices", lambda: self._bench.start_job("doctor", []), "doctor")
+                self._clear = _button("Clear faults", lambda: self._bench.start_job("clear", []), "clear")
 
     def _limits(self) -> None:
-        with _card("Limits"):
+        with _card("Limits", "last"):
             rows = "".join(
                 f'<tr><th scope="row">{html.escape(what)}<div class="track"><div id="{key}-bar"></div></div></th>'
                 f'<td id="{key}"></td><td>{bound:g}</td></tr>'
@@ -100,7 +102,7 @@ class Page:
                     ui.echart(options(chart))
 
     def _analysis(self) -> None:
-        with _card("Runs and what they say"):
+        with _card("Runs and what they say", "late"):
             with ui.element("div").classes("live-runs") as self._runs_box:
                 pass
             with ui.element("div").classes("live-buttons"):
@@ -115,7 +117,7 @@ class Page:
     # -- what goes on --------------------------------------------------------------------------------------
 
     async def _on_start(self) -> None:
-        if self._plan.value is not None:
+        if self._plan.value is not None and not self._bench.why_not_record():
             await self._session.start(Path(self._plan.value))
 
     def _tick(self) -> None:
@@ -136,10 +138,11 @@ class Page:
         if session.phase is Phase.FINISHED:
             self._next_plan()
         self._draw_runs()
-        self._start.set_enabled(not session.running and not session.latched and self._plan.value is not None)
+        self._start.set_enabled(not self._bench.why_not_record() and self._plan.value is not None)
         self._stop.set_enabled(session.running and session.phase is not Phase.STOPPING)
         self._release.set_visibility(session.latched and not session.running)
         self._doctor.set_enabled(not why_not)
+        self._clear.set_enabled(not why_not)
         self._enable_analysis()
 
     def _enable_analysis(self) -> None:
@@ -163,13 +166,13 @@ class Page:
         runs = [path for path in self._bench.runs() if path != writing]
         for path in self._session.finished:
             self._checked.setdefault(path, True)
-        wanted = {path: self._checked.get(path, False) for path in runs}
-        if wanted.keys() == self._checked.keys() and self._runs_box.default_slot.children:
+        self._checked = {path: self._checked.get(path, False) for path in runs}
+        if runs == self._listed:
             return
-        self._checked = wanted
+        self._listed = runs
         self._runs_box.clear()
         with self._runs_box:
-            for path, chosen in wanted.items():
+            for path, chosen in self._checked.items():
                 note = "" if path in self._session.finished else "  (of an earlier session, or ended early)"
                 ui.checkbox(f"{path.name}{note}", value=chosen, on_change=lambda e, p=path: self._check(p, e.value))
 
@@ -212,9 +215,8 @@ class JobView:
         job = self._job
         if self._complete:
             return
-        what = {"fit": "Fit", "diagnose": "Diagnosis", "doctor": "Check of the devices"}[job.kind]
         count = f" of {len(job.runs)} run{'s' if len(job.runs) != 1 else ''}" if job.runs else ""
-        self._title.set_text(f"{what}{count}: {job.state}, {job.seconds:.0f} s")
+        self._title.set_text(f"{job.name}{count}: {job.state}, {job.seconds:.0f} s")
         if job.state == "running":
             self._words.set_text(job.progress)
             self._bar.set_value(job.fraction or 0.0)
@@ -226,12 +228,13 @@ class JobView:
         with self.box:
             if job.report is not None:
                 ui.link("Open the report", f"/report/{job.report.name}", new_tab=True)
-            if job.kind == "doctor":
-                _html(f"<pre>{html.escape(chr(10).join(job.lines))}</pre>")
+            if job.on_devices:
+                _html(f'<div class="checks">{"".join(map(_check, job.lines))}</div>')
 
 
-def _card(title: str) -> ui.element:
-    card = ui.element("section").classes("card")
+def _card(title: str, place: str = "") -> ui.element:
+    """A part of the page; on a phone those that are late come after the plots."""
+    card = ui.element("section").classes(f"card {place}")
     with card:
         _html(f"<h2>{title}</h2>")
     return card
@@ -240,6 +243,15 @@ def _card(title: str) -> ui.element:
 def _button(text: str, action: object, name: str, look: str = "") -> ui.button:
     button = ui.button(text, on_click=action, color=None)  # type: ignore[arg-type]
     return button.props(f'id="{name}" unelevated no-caps').classes(f"live-button {look}")
+
+
+def _check(line: str) -> str:
+    """A line of `legid doctor`: status, name, words."""
+    status, *rest = html.escape(line).split(maxsplit=1)
+    if status not in ("ok", "warn", "FAIL") or not rest:
+        return ""
+    name, _, words = rest[0].partition("  ")
+    return f'<div><b class="{status}">{status}</b> <b>{name}</b> {words.strip()}</div>'
 
 
 def _html(text: str) -> None:

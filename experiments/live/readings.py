@@ -69,8 +69,8 @@ def _devices(session: Session, rig: Rig) -> dict[str, str]:
         if quiet > STALE_S:
             text["silence"] = f"The recorder has said nothing for {quiet:.0f} s: what is shown is old."
     elif lost:
-        device = "imu" if "imu" in session.words.lower() else "controller"
-        text[device] = "LOST"
+        words = session.words.lower()
+        text["imu" if "imu" in words or "lsm9ds1" in words else "controller"] = "LOST"
     return text
 
 
@@ -92,4 +92,4 @@ def _limits(session: Session, rig: Rig) -> tuple[dict[str, float], dict[str, str
 
 def _figure(value: float) -> str:
     """Enough digits to read while they change."""
-    return f"{value:.1f}" if abs(value) >= 10 else f"{value:.3f}" if abs(value) >= 0.01 or not value else f"{value:.1e}"
+    return f"{value:.1f}" if abs(value) >= 10 else f"{value:.3f}" if abs(value) >= 0.01 else f"{value:.4f}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
@@ -35,7 +35,8 @@ def serve(path: Path, rig: Rig, plans: Path, out: Path, host: str, port: int) ->
     config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=LEAVE_S, ws_ping_interval=5.0)
     where = _address(host) + f":{bound}/" + (f"?token={token}" if token else "")
     print(f"legid live: http://{where} (Ctrl-C ends it)", flush=True)
-    _Server(config, bench).run(sockets=[listener])
+    with suppress(KeyboardInterrupt):  # uvicorn raises it again when all is closed
+        _Server(config, bench).run(sockets=[listener])
 
 
 def build_app(bench: Bench) -> FastAPI:

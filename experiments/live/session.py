@@ -34,7 +34,7 @@ class Phase(Enum):
     RECORDING = "Recording"
     STOPPING = "Stopping"
     FINISHED = "Finished"
-    STOPPED = "Stopped by you"
+    STOPPED = "Stopped"
     LIMIT = "Stopped by a limit"
     LOST = "Device lost"
     FAILED = "Failed"
@@ -181,7 +181,7 @@ class Session:
             self.finished.append(path)
             self.words = f"{path.name} is recorded to its end."
         else:
-            self.words = f"{ended.why[:1].upper()}{ended.why[1:]}."
+            self.words = f"{ended.why[:1].upper()}{ended.why[1:]}.".replace(f"{self.out}/", "")
 
     async def _beat(self, line: socket.socket) -> None:
         """Say that the dashboard is there: a recorder that does not hear it stops."""
