@@ -15,7 +15,7 @@ from experiments.live.jobs import Job
 from experiments.live.readings import limit_rows, readings
 from experiments.live.session import Phase
 
-SHOW_EVERY_S = 0.2
+SHOW_EVERY_S = 0.22
 """At most five times a second."""
 ESTOP = """<div id="estop-bar"><div id="estop-said" class="said" role="status" aria-live="assertive">Ready.</div>
 <button id="estop" type="button" aria-keyshortcuts="Escape Space">EMERGENCY STOP</button></div>"""
