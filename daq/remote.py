@@ -92,6 +92,7 @@ class Remote:
         """How the run ended, as far as the recorder knows."""
         self.motor = "never driven"
         self._line = line
+        self._thread = threading.Thread(target=self._listen, name="remote", daemon=True)
         self._stop_motor: Callable[[], None] = lambda: None
         self._rows: list[Row] = []
         self._row_due_ns = self._status_due_ns = self._first_ns = 0
@@ -100,7 +101,7 @@ class Remote:
 
     def listen(self) -> None:
         """Start the thread that hears the watcher."""
-        threading.Thread(target=self._listen, name="remote", daemon=True).start()
+        self._thread.start()
 
     def attach(self, stop_motor: Callable[[], None], status: Callable[[], Status]) -> None:
         """What to call at an emergency, from the listening thread, and where a status comes from."""
@@ -130,6 +131,9 @@ class Remote:
         with suppress(OSError):
             select.select([], [self._line], [], LAST_WORD_S)
         self._send(ended)
+        with suppress(OSError):
+            self._line.shutdown(socket.SHUT_RD)  # which ends the listening thread
+        self._thread.join(LAST_WORD_S)
 
     def _send(self, message: Status | Ended) -> None:
         with suppress(OSError):  # full: the watcher is slow; closed: the listening thread sees to it

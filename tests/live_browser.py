@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 import pytest
@@ -159,6 +159,13 @@ class Live:
             self.child.send_signal(number)
         _, said = self.child.communicate(timeout=PATIENCE_S)
         return self.child.returncode, said
+
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
 
 
 @contextmanager

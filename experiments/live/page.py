@@ -63,8 +63,8 @@ class Page:
 
     def _experiment(self) -> None:
         with _card("Experiment"):
-            self._plan = ui.select(self._plan_labels(), label="Torque plan").props("outlined dense options-dense") \
-                .style("width: 100%")
+            self._plan = ui.select(self._plan_labels(), label="Torque plan").style("width: 100%")
+            self._plan.props("for=plan outlined dense options-dense")
             self._plan.value = next(iter(self._plan.options), None)
             with ui.element("div").classes("live-buttons"):
                 self._start = _button("Start", self._on_start, "start", "go")
@@ -110,7 +110,7 @@ class Page:
                 self._diagnose = _button("Diagnose", lambda: self._bench.start_job("diagnose", self._chosen()),
                                          "diagnose")
             self._why = ui.label().classes("soft")
-            with ui.element("div") as self._jobs_box:
+            with ui.element("div").props('id="jobs"') as self._jobs_box:
                 pass
         self._job_views: dict[int, JobView] = {}
 

@@ -78,6 +78,7 @@ def listen(host: str, port: int) -> socket.socket:
         listener = socket.socket(family, kind, protocol)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
+        listener.listen()  # who opens the printed address at once waits, and is not refused
     except socket.gaierror:
         raise InputError("--host", f"{host} is no address", "give one of this machine's, e.g. 0.0.0.0") from None
     except OSError as error:

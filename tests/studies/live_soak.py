@@ -52,6 +52,11 @@ def zero_after(t_ns: Any, commanded: Any, from_ns: int) -> tuple[float, int | No
     return float(commanded[at]), int(t_ns[driven[-1]] + STEP_NS)
 
 
+def served(rig: Path, folder: Path, name: str) -> Live:
+    """The dashboard over one plan, with a folder of its own for the runs."""
+    return Live("--rig", str(rig), "--plans", str(folder / name), "--out", str(folder / f"{name}-out"))
+
+
 class Press(NamedTuple):
     """One emergency stop."""
 
@@ -122,7 +127,8 @@ def stream(browser: Browser, live: Live, seconds: float) -> tuple[list[Look], fl
         time.sleep(LOOK_EVERY_S)
         if looks[-1].at_s > seconds + 60.0:
             raise AssertionError("the recording does not end")
-    browser.phase("Finished")
+    if browser.text("phase") != "Finished":
+        raise AssertionError(f"after {looks[-1].at_s:.0f} s: {browser.text('phase')}: {browser.text('words')}")
     took = time.monotonic() - began
     return looks, (sum(server.cpu_times()[:2]) - cpu) / took, browser.js("window.shows") / took
 
@@ -150,21 +156,17 @@ def page(args: argparse.Namespace, folder: Path) -> str:
                    folder / name / f"{name}.csv")
     presses, outgoing, complaints = [], [], []
     try:
-        live = Live("--rig", str(rig_path), "--plans", str(folder / "press"), "--out", str(folder / "press-out"))
-        with open_page(live) as browser:
+        with served(rig_path, folder, "press") as live, open_page(live) as browser:
             rng = np.random.default_rng(args.seed)
             presses = [press_once(browser, here, rng, k % 4 == 3) for k in range(args.presses)]
             outgoing += browser.outgoing()
             complaints += browser.complaints()
-        live.end()
-        live = Live("--rig", str(rig_path), "--plans", str(folder / "soak"), "--out", str(folder / "soak-out"))
-        with open_page(live) as browser:
+        with served(rig_path, folder, "soak") as live, open_page(live) as browser:
             looks, share, shows = stream(browser, live, args.minutes * 60.0)
             drops = browser.text("drops")
             outgoing += browser.outgoing()
             complaints += browser.complaints()
             asked = len(browser.requests)
-        live.end()
     finally:
         here.send(None)
         rig.join(10.0)
