@@ -70,6 +70,10 @@ class Status(Struct, tag="status"):
     """Key under `[limits]`, what is limited in words, its value, the limit."""
 
 
+class Heard(Struct, tag="heard"):
+    """The emergency stop was heard, and the motor's Stop is sent."""
+
+
 class Ended(Struct, tag="ended"):
     """The recorder's last word."""
 
@@ -135,7 +139,7 @@ class Remote:
             self._line.shutdown(socket.SHUT_RD)  # which ends the listening thread
         self._thread.join(LAST_WORD_S)
 
-    def _send(self, message: Status | Ended) -> None:
+    def _send(self, message: Status | Heard | Ended) -> None:
         with suppress(OSError):  # full: the watcher is slow; closed: the listening thread sees to it
             self._line.send(msgspec.json.encode(message), socket.MSG_DONTWAIT)
 
@@ -149,6 +153,7 @@ class Remote:
             if packet == EMERGENCY:
                 self.emergency, self.asked = True, "the emergency stop"
                 self._stop()
+                self._send(Heard())
             elif packet == STOP:
                 self.asked = self.asked or "the dashboard"
             elif not packet:

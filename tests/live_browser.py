@@ -152,13 +152,14 @@ class Live:
         if not line.startswith("legid live: http://"):
             raise AssertionError(f"did not start: {line}{self.child.communicate(timeout=10)[1]}")
         self.url = line.split()[2]
+        self._said = ""
 
     def end(self, number: int = signal.SIGINT) -> tuple[int, str]:
-        """Exit status, and what it had to complain about."""
+        """Exit status, and what it had to complain about; may be called twice."""
         if self.child.poll() is None:
             self.child.send_signal(number)
-        _, said = self.child.communicate(timeout=PATIENCE_S)
-        return self.child.returncode, said
+            self._said = self.child.communicate(timeout=PATIENCE_S)[1]
+        return self.child.returncode, self._said
 
 
     def __enter__(self) -> Self:

@@ -18,7 +18,7 @@ from smbus2 import i2c_msg
 from daq.errors import InputError, WorkError
 from daq.plan import Plan
 from daq.recorder import record_run
-from daq.remote import ALIVE, EMERGENCY, PACKET_BYTES, STOP, Ended, Remote, Row, Status, watched_by
+from daq.remote import ALIVE, EMERGENCY, PACKET_BYTES, STOP, Ended, Heard, Remote, Row, Status, watched_by
 from daq.rig import parse_rig
 from daq.runfile import read_run
 from drivers.errors import DeviceAbsent
@@ -57,7 +57,7 @@ class Bench:
         self.path = folder / "run.mcap"
         self.watcher, self.line = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.watcher.setblocking(False)
-        self.packets: list[Status | Ended] = []
+        self.packets: list[Status | Heard | Ended] = []
 
     def record(self, happens: Callable[[float, Remote], None] = lambda now_s, remote: None) -> None:
         """Under `watched_by`, as the command does it; `happens` is called before every command of the plan."""
@@ -67,7 +67,7 @@ class Bench:
             record_run(self.path, parse_rig(RIG), RIG, self.plan, self.imu, self.controller, self.clock.now_ns,
                        threaded=False, progress=lambda now_s, _: happens(now_s, remote), remote=remote)
 
-    def read(self) -> list[Status | Ended]:
+    def read(self) -> list[Status | Heard | Ended]:
         """Everything that the watcher was told."""
         while True:
             try:
@@ -76,7 +76,7 @@ class Bench:
                 return self.packets
             if not packet:
                 return self.packets
-            self.packets.append(msgspec.json.decode(packet, type=Status | Ended))
+            self.packets.append(msgspec.json.decode(packet, type=Status | Heard | Ended))
 
 
 def until(condition: Callable[[], object]) -> None:
@@ -134,6 +134,7 @@ def test_stop_ramps_and_an_emergency_does_not(tmp_path: Path) -> None:
         ended = bench.read()[-1]
         assert isinstance(ended, Ended) and ended.kind == kind
         assert ended.motor == "torque off, the controller says DISARMED"
+        assert (Heard() in bench.packets) is (kind == "emergency")
         commanded = read_run(bench.path).streams["/leg/command"]["torque_nm"]
         between = commanded[(commanded > 0) & (commanded < 0.4)]
         assert bool(between.size) is (kind == "stopped")  # a ramp, or none
@@ -342,5 +343,5 @@ def test_what_ends_a_run_before_it_began_reaches_the_watcher(error: Exception, k
             raise error
         packets = []
         while select.select([watcher], [], [], 1.0)[0] and (packet := watcher.recv(PACKET_BYTES)):
-            packets.append(msgspec.json.decode(packet, type=Status | Ended))
+            packets.append(msgspec.json.decode(packet, type=Status | Heard | Ended))
     assert packets[-1] == Ended(kind, str(error), "never driven")  # type: ignore[arg-type]

@@ -37,13 +37,23 @@ class Bench:
         self.path, self.rig, self.out = path, rig, out
         self.session = Session(path, out)
         self.jobs: list[Job] = []
-        self._plans = plans
+        self._plans_folder = plans
+        self._plans = self._scan()
         self._tasks: set[asyncio.Task[None]] = set()
 
+    @property
     def plans(self) -> list[PlanChoice]:
-        """Every CSV file of the folder that is a plan."""
+        """Every CSV file of the folder that is a plan, as of the last look."""
+        return self._plans
+
+    async def look_for_plans(self) -> None:
+        """Look anew, beside the event loop, which an emergency stop needs; not while something is recorded."""
+        if not self.session.running:
+            self._plans = await asyncio.to_thread(self._scan)
+
+    def _scan(self) -> list[PlanChoice]:
         found = []
-        for path in sorted(self._plans.glob("*.csv"), key=lambda p: (len(p.name), p.name)):
+        for path in sorted(self._plans_folder.glob("*.csv"), key=lambda p: (len(p.name), p.name)):
             try:
                 plan = read_plan(path)
             except (InputError, ValueError):

@@ -51,6 +51,7 @@ class Page:
         self._client = ui.context.client
         self._client.run_javascript("legid.paint()")
         ui.timer(SHOW_EVERY_S, self._tick)
+        ui.timer(0.0, self._look_for_plans, once=True)
 
     # -- parts ---------------------------------------------------------------------------------------------
 
@@ -152,9 +153,15 @@ class Page:
         text = f"Not now: {why_not}." if why_not else f"{chosen} runs chosen." if chosen != 1 else "1 run chosen."
         self._why.set_text(text if self._checked else "No runs yet: start an experiment.")
 
+    async def _look_for_plans(self) -> None:
+        await self._bench.look_for_plans()
+        labels = self._plan_labels()
+        chosen = self._plan.value if self._plan.value in labels else next(iter(labels), None)
+        self._plan.set_options(labels, value=chosen)
+        self._draw_controls()
+
     def _next_plan(self) -> None:
         """The first plan that this session has not recorded to its end."""
-        self._plan.set_options(self._plan_labels())
         done = {path.stem.split("-", 3)[-1] for path in self._session.finished}
         fresh = [path for path in self._plan.options if Path(path).stem not in done]
         if fresh:
@@ -196,7 +203,7 @@ class Page:
             self._job_views.pop(key).box.delete()
 
     def _plan_labels(self) -> dict[str, str]:
-        return {str(plan.path): plan.label for plan in self._bench.plans()}
+        return {str(plan.path): plan.label for plan in self._bench.plans}
 
 
 class JobView:

@@ -15,14 +15,14 @@ from typing import Any
 
 import msgspec
 
-from daq.remote import ALIVE, EMERGENCY, PACKET_BYTES, STOP, Ended, Row, Status
+from daq.remote import ALIVE, EMERGENCY, PACKET_BYTES, STOP, Ended, Heard, Row, Status
 from experiments.live import children
 
 BEAT_S = 0.5
 WINDOW_ROWS = 500
 """20 s of plots."""
 KILL_AFTER_S = 1.0
-"""A recorder that has not ended by then after an emergency stop is killed: the firmware's watchdog stops the motor."""
+"""A recorder that has not heard an emergency stop by then is killed: the firmware's watchdog stops the motor."""
 LEAVE_S = 3.0
 
 
@@ -44,7 +44,7 @@ class Phase(Enum):
 RUNNING = {Phase.OPENING, Phase.RECORDING, Phase.STOPPING}
 _ENDINGS = {"done": Phase.FINISHED, "stopped": Phase.STOPPED, "emergency": Phase.EMERGENCY, "limit": Phase.LIMIT,
             "lost": Phase.LOST, "failed": Phase.FAILED}
-_PACKET = msgspec.json.Decoder(Status | Ended)
+_PACKET = msgspec.json.Decoder(Status | Heard | Ended)
 READY = "No recording is running."
 
 
@@ -75,6 +75,7 @@ class Session:
         self._child: asyncio.subprocess.Process | None = None
         self._line: socket.socket | None = None
         self._ended: Ended | None = None
+        self._heard = False
         self._tasks: set[asyncio.Task[None]] = set()
 
     @property
@@ -87,7 +88,7 @@ class Session:
         if self.running or self.latched:
             return
         self.phase, self.words, self.motor = Phase.OPENING, f"Plan {plan.name}", ""
-        self.status, self._ended = None, None
+        self.status, self._ended, self._heard = None, None, False
         self.rows.clear()
         self.rows_seen = 0
         self.run_number += 1
@@ -99,7 +100,13 @@ class Session:
             arguments = ["record", "--rig", str(self.rig), "--plan", str(plan), "--out", str(path),
                          "--watched-by", str(theirs.fileno())]
             self._line = ours
-            self._child = await children.start(arguments, pass_fds=[theirs.fileno()])
+            try:
+                self._child = await children.start(arguments, pass_fds=[theirs.fileno()])
+            except OSError as error:
+                self._line = None
+                ours.close()
+                self.phase, self.words = Phase.FAILED, f"The recorder could not be started: {error.strerror}."
+                return
         if self.latched:  # pressed while the process was being made
             self._send(EMERGENCY)
         self._keep(self._follow(self._child, ours, path))
@@ -162,6 +169,9 @@ class Session:
         if isinstance(message, Ended):
             self._ended = message
             return
+        if isinstance(message, Heard):
+            self._heard, self.words = True, "The recorder has sent the motor's Stop."
+            return
         self.rows.extend(message.rows)
         self.rows_seen += len(message.rows)
         message.rows = []
@@ -190,9 +200,8 @@ class Session:
             await asyncio.sleep(BEAT_S)
 
     async def _kill_late(self, child: asyncio.subprocess.Process) -> None:
-        try:
-            await asyncio.wait_for(child.wait(), KILL_AFTER_S)
-        except TimeoutError:
+        await asyncio.sleep(KILL_AFTER_S)
+        if not self._heard and child.returncode is None:
             with suppress(ProcessLookupError):
                 child.kill()
 
