@@ -17,6 +17,7 @@ from live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser, Live, open_pa
 from daq.plan import Plan, write_plan
 from daq.rig import load_rig
 from daq.runfile import RawRun, read_run
+from daq.workers import real_time
 from drivers.mock.rig import STEP_NS
 from drivers.protocol import Fault, State
 from experiments.excitation import random_multisine
@@ -33,7 +34,8 @@ class Rig:
     """The emulated rig with its dashboard."""
 
     def __init__(self, folder: Path) -> None:
-        self.served = ServedRig(folder / "rig")
+        with real_time():  # what it starts here is not late, where that is granted
+            self.served = ServedRig(folder / "rig")
         self.out = folder / "out"
         once = random_multisine(1, 5.0, 0.7)
         write_plan(once, folder / "rig" / "short.csv")
@@ -43,6 +45,10 @@ class Rig:
 
     def start(self, *more: str) -> Live:
         return Live("--rig", str(self.served.rig_path), "--out", str(self.out), *more)
+
+    def plug_in(self) -> None:
+        with real_time():
+            self.served.plug_in()
 
     def commanded(self) -> tuple[np.ndarray, np.ndarray]:
         """(host time [ns], torque commanded [N m]) of every step of the emulated firmware."""
@@ -90,7 +96,7 @@ def window(rig: Rig) -> Iterator[Browser]:
 @pytest.fixture
 def page(rig: Rig, window: Browser) -> Iterator[Browser]:
     """Nothing runs, nothing is latched; afterwards the browser has nothing to complain of."""
-    rig.served.plug_in()
+    rig.plug_in()
     window.wait(lambda: window.text("phase") not in ("Opening devices", "Recording", "Stopping"), "nothing runs")
     if window.text("phase") == "EMERGENCY STOP":
         window.click("release")
@@ -193,7 +199,7 @@ def test_a_lost_controller_is_named_its_faults_cleared_and_the_next_run_stopped(
     assert page.text("imu") == "closed"
     assert "check cable and power" in page.text("words") and "watchdog stops it" in page.text("motor")
     assert rig.newest().complete
-    rig.served.plug_in()
+    rig.plug_in()
     page.wait(lambda: rig.served.mock.firmware.drive.latched == Fault.WATCHDOG, "the watchdog")
     page.click("clear")
     page.wait(lambda: "Clearing of faults" in page.text("jobs") and ": running" not in page.text("jobs"), "cleared")
