@@ -8,8 +8,11 @@ import multiprocessing
 import os
 import platform
 import signal
+import subprocess
+import sys
 import tempfile
 import time
+from contextlib import suppress
 from datetime import UTC, datetime
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -20,22 +23,25 @@ import psutil
 
 from daq.plan import Plan, write_plan
 from daq.runfile import read_run
-from daq.workers import real_time
 from drivers.mock.rig import STEP_NS
 from experiments.excitation import random_multisine
 from experiments.run_info import lost_frames
 from experiments.served_rig import ServedRig
-from tests.live_browser import Browser, Live, open_page
+from tests.live_browser import ROOT, Browser, Live, open_page
 
 WARM_UP_S = 60.0
 LOOK_EVERY_S = 10.0
+ALONE_S = 120.0
+RIG_PRIORITY = 20
 MIB = 2**20
 
 
 def serve(folder: Path, line: Connection) -> None:
-    """The emulated rig as a process of its own, ahead of others: a rig of metal is not late either."""
+    """The emulated rig as a process of its own, ahead of all others: a rig of metal is not late either."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with real_time(), ServedRig(folder) as rig:
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(RIG_PRIORITY))
+    with ServedRig(folder) as rig:
         line.send(str(rig.rig_path))
         while (asked := line.recv()) is not None:
             with rig.mock.lock:
@@ -100,6 +106,8 @@ class Look(NamedTuple):
     server_mib: float
     renderer_mib: float
     heap_mib: float
+    load: float
+    """Average of the machine's last minute: processes that run or wait."""
 
 
 def look(at_s: float, server: psutil.Process, browser: Browser) -> Look:
@@ -109,7 +117,7 @@ def look(at_s: float, server: psutil.Process, browser: Browser) -> Look:
     renderers = [p for p in psutil.Process(browser.driver.service.process.pid).children(recursive=True)
                  if "--type=renderer" in p.cmdline()]
     return Look(at_s, server.memory_info().rss / MIB, max(p.memory_info().rss for p in renderers) / MIB,
-                metrics["JSHeapUsedSize"] / MIB)
+                metrics["JSHeapUsedSize"] / MIB, os.getloadavg()[0])
 
 
 def stream(browser: Browser, live: Live, seconds: float) -> tuple[list[Look], float, float]:
@@ -123,7 +131,6 @@ def stream(browser: Browser, live: Live, seconds: float) -> tuple[list[Look], fl
     cpu = sum(server.cpu_times()[:2])
     while browser.text("phase") in ("Opening devices", "Recording"):
         looks.append(look(time.monotonic() - began, server, browser))
-        browser.collect()
         time.sleep(LOOK_EVERY_S)
         if looks[-1].at_s > seconds + 60.0:
             raise AssertionError("the recording does not end")
@@ -142,51 +149,67 @@ def growth(looks: list[Look], field: str) -> str:
             f"{values.max():.1f} | {slope:+.3f}")
 
 
+def recorded(path: Path) -> str:
+    """What a recorder did and lost, in a line."""
+    raw = read_run(path)
+    telemetry, imu = raw.streams["/leg/telemetry"], raw.streams["/imu"]
+    return (f"{imu.size} IMU samples, {int(imu['gap_before'].sum())} gaps; {telemetry.size} telemetry frames, "
+            f"{lost_frames(telemetry)} lost; {raw.streams['/leg/command'].size} torque commands sent; the file is "
+            f"{'whole' if raw.complete else 'CUT OFF'}")
+
+
+def write_plans(folder: Path, minutes: float) -> None:
+    """Ten seconds of excitation again and again: to press in, to record without a page, to stream."""
+    once = random_multisine(5, 10.0, 0.7)
+    for name, seconds in (("press", 60.0), ("alone", ALONE_S), ("soak", 60.0 * minutes)):
+        count = round(seconds / 10.0)
+        (folder / name).mkdir()
+        write_plan(Plan(np.arange(count * len(once.time_s)) / 100.0, np.tile(once.torque_nm, count)),
+                   folder / name / f"{name}.csv")
+
+
 def page(args: argparse.Namespace, folder: Path) -> str:
     """The whole study, as a page of figures."""
     here, there = multiprocessing.get_context("spawn").Pipe()
     rig = multiprocessing.get_context("spawn").Process(target=serve, args=(folder / "rig", there))
     rig.start()
     rig_path = Path(here.recv())
-    once = random_multisine(5, 10.0, 0.7)
-    many = round(args.minutes * 6)
-    for name, count in (("press", 6), ("soak", many)):
-        (folder / name).mkdir()
-        write_plan(Plan(np.arange(count * len(once.time_s)) / 100.0, np.tile(once.torque_nm, count)),
-                   folder / name / f"{name}.csv")
-    presses, outgoing, complaints = [], [], []
+    write_plans(folder, args.minutes)
     try:
         with served(rig_path, folder, "press") as live, open_page(live) as browser:
             rng = np.random.default_rng(args.seed)
             presses = [press_once(browser, here, rng, k % 4 == 3) for k in range(args.presses)]
-            outgoing += browser.outgoing()
-            complaints += browser.complaints()
-        with served(rig_path, folder, "soak") as live, open_page(live) as browser:
+            outgoing, complaints, asked = browser.outgoing(), browser.complaints(), len(browser.requests)
+        subprocess.run([sys.executable, "-m", "experiments.cli", "record", "--rig", rig_path, "--plan",
+                        folder / "alone" / "alone.csv", "--out", folder / "alone.mcap"], cwd=ROOT, check=True,
+                       stdout=subprocess.DEVNULL)
+        with served(rig_path, folder, "soak") as live, open_page(live, network=False) as browser:
             looks, share, shows = stream(browser, live, args.minutes * 60.0)
             drops = browser.text("drops")
-            outgoing += browser.outgoing()
             complaints += browser.complaints()
-            asked = len(browser.requests)
     finally:
         here.send(None)
         rig.join(10.0)
-    raw = read_run(next((folder / "soak-out").glob("*.mcap")))
-    telemetry, imu = raw.streams["/leg/telemetry"], raw.streams["/imu"]
     took = np.array([press.latency_ms for press in presses])
-    clicked = [press.latency_ms for press in presses if press.way == "click"]
+    keys = sum(press.way == "Esc" for press in presses)
+    loads = [one.load for one in looks]
     lines = [
         f"# The dashboard over {args.minutes:g} minutes, {datetime.now(UTC):%Y-%m-%d}", "",
         f"By `python -m tests.studies.live_soak --minutes {args.minutes:g} --presses {args.presses}`, seed "
-        f"{args.seed}, on {platform.machine()}, {os.cpu_count()} cores (shared with other work), {platform.system()} "
-        f"{platform.release()}, Python {platform.python_version()}. Rig, recorder, dashboard and browser (Chromium, "
-        "headless) are a process each; the rig is the emulated one of `legid emulate`: an LSM9DS1 at 476 Hz, a "
-        "controller at 500 Hz.", "",
+        f"{args.seed}, on {platform.machine()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}, "
+        "Python "
+        f"{platform.python_version()}. The machine was shared with other work: while the page streamed, its load "
+        f"average was {np.mean(loads):.1f} in the mean and {max(loads):.1f} at most (these processes included). Rig, "
+        "recorder, dashboard and browser (Chromium, headless) are a process each; the rig is the emulated one of "
+        "`legid emulate`: an LSM9DS1 at 476 Hz, a controller at 500 Hz.", "",
         f"## {len(presses)} emergency stops", "",
-        f"From just before the browser is told to press ({len(clicked)} clicks, {len(presses) - len(clicked)} times "
-        "Esc; the tool's own delay is in it) until the emulator's commanded torque is zero and stays zero; the torque "
-        f"commanded at the press was {min(abs(p.before_nm) for p in presses):.2f} to "
-        f"{max(abs(p.before_nm) for p in presses):.2f} N m. Median {np.median(took):.0f} ms, worst {took.max():.0f} "
-        f"ms; over 100 ms: {int((took > 100).sum())}.", "",
+        f"From just before the browser is told to press ({len(presses) - keys} clicks, {keys} times Esc; the tool's "
+        "own delay is in it) until the emulator's commanded torque is zero and stays zero; the torque commanded at "
+        f"the press was {min(abs(p.before_nm) for p in presses):.2f} to {max(abs(p.before_nm) for p in presses):.2f} "
+        f"N m. Median {np.median(took):.0f} ms, worst {took.max():.0f} ms; over 100 ms: {int((took > 100).sum())}.", "",
+        f"The network meanwhile: {asked} requests, of which to another machine: {len(outgoing)}. Errors and warnings "
+        f"on the console, here and while it streamed: {len(complaints)}.",
+        *[f"- {line}" for line in [*sorted(set(outgoing)), *complaints][:20]], "",
         f"## {args.minutes:g} minutes of streaming", "",
         f"Memory in MiB, from {WARM_UP_S:g} s on, looked at every {LOOK_EVERY_S:g} s.", "",
         "| | first minute | last minute | largest | slope per minute |", "| --- | --- | --- | --- | --- |",
@@ -194,13 +217,10 @@ def page(args: argparse.Namespace, folder: Path) -> str:
         f"| the browser's renderer (resident) | {growth(looks, 'renderer_mib')} |",
         f"| its JavaScript heap | {growth(looks, 'heap_mib')} |", "",
         f"The page was refreshed {shows:.2f} times a second; the page's process took {share:.1%} of one core.", "",
-        f"The recorder: {imu.size} IMU samples, {int(imu['gap_before'].sum())} gaps; {telemetry.size} telemetry "
-        f"frames, {lost_frames(telemetry)} lost; the file is {'whole' if raw.complete else 'CUT OFF'}. The page said: "
-        f"{drops}.",
-        "", "## The network", "",
-        f"{asked} requests of the page that streamed; requests to another machine: {len(set(outgoing))}; errors and "
-        f"warnings on the console: {len(complaints)}."]
-    return "\n".join(lines + [f"- {line}" for line in [*sorted(set(outgoing)), *complaints][:20]]) + "\n"
+        f"The recorder: {recorded(next((folder / 'soak-out').glob('*.mcap')))}. The page said: {drops}.", "",
+        f"The same recorder for {ALONE_S:g} s just before, with no dashboard: {recorded(folder / 'alone.mcap')} "
+        f"(of {ALONE_S * 100:.0f} in the plan)."]
+    return "\n".join(lines) + "\n"
 
 
 def main() -> None:
