@@ -97,6 +97,8 @@ class Recorder:
         check_plan(plan, self._rig, self._controller)
         try:
             with self._signals(), real_time() if self._threaded else nullcontext(False) as granted:
+                if granted and self._remote is not None:
+                    self._remote.hurry()
                 self._sink.config(self._now_ns(), "priority", msgspec.json.encode({"real_time": granted}).decode())
                 self._start_threads()
                 self._run(plan)
