@@ -18,7 +18,7 @@ import numpy as np
 from daq.errors import InputError, WorkError
 from daq.intake import ControllerIntake, ImuIntake, Sink
 from daq.plan import Plan
-from daq.remote import Ending, Remote, Status
+from daq.remote import LOST, Ending, Remote, Status
 from daq.rig import ControllerDevice, Rig
 from daq.runfile import RunWriter
 from daq.supervisor import Sample, Supervisor
@@ -142,7 +142,8 @@ class Recorder:
             raise WorkError("IMU: no sample within a second; power-cycle it")
 
     def _arm(self) -> None:
-        self._controller.arm(self._watchdog_ms)
+        if not self._emergency:
+            self._controller.arm(self._watchdog_ms)
         deadline = self._now_ns() + _ns(ARM_TIMEOUT_S)
         self._command(0.0)
         while not self._armed():
@@ -322,7 +323,7 @@ class Recorder:
             return "stopped"
         if trip is not None:
             return "lost" if trip.limit == "staleness_s" else "limit"
-        return "lost" if isinstance(error, DriverError) else "failed"
+        return "lost" if isinstance(error, LOST) else "failed"
 
     def _start_threads(self) -> None:
         if not self._threaded:

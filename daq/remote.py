@@ -19,7 +19,7 @@ from msgspec import Struct
 
 from daq.supervisor import Sample, Trip
 from daq.workers import hurry
-from drivers.errors import DriverError
+from drivers.errors import DeviceAbsent, DriverError, LinkLost
 
 ROW_EVERY_NS = 40_000_000
 STATUS_EVERY_NS = 200_000_000
@@ -29,6 +29,8 @@ LAST_WORD_S = 1.0
 ALIVE, STOP, EMERGENCY = b"alive", b"stop", b"emergency"
 """Packets of the watcher."""
 PACKET_BYTES = 65536
+LOST = (DeviceAbsent, LinkLost)
+"""Errors that say that a device is not there; the others say that it is, and does not do what it should."""
 Ending = Literal["done", "stopped", "emergency", "limit", "lost", "failed"]
 
 
@@ -183,7 +185,7 @@ def watched_by(descriptor: int | None) -> Iterator[Remote | None]:
         try:
             yield remote
         except BaseException as error:
-            kind: Ending = remote.kind or ("lost" if isinstance(error, DriverError) else "failed")
+            kind: Ending = remote.kind or ("lost" if isinstance(error, LOST) else "failed")
             remote.end(Ended(kind, str(error) or type(error).__name__, remote.motor))
             raise
         remote.end(Ended("done", "", remote.motor))

@@ -22,7 +22,7 @@ from daq.recorder import record_run
 from daq.remote import ALIVE, EMERGENCY, PACKET_BYTES, STOP, Ended, Heard, Remote, Row, Status, watched_by
 from daq.rig import parse_rig
 from daq.runfile import read_run
-from drivers.errors import DeviceAbsent
+from drivers.errors import DeviceAbsent, DeviceBusy
 from drivers.i2c_bus import open_bus
 from drivers.i2c_socket import SocketBus
 from drivers.leg_controller import LegController
@@ -342,7 +342,8 @@ def test_bad_arguments_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 @pytest.mark.parametrize(("error", "kind"), [
     (InputError("plan.csv, line 3", "time runs backwards", "sort it"), "failed"),
-    (DeviceAbsent("leg controller on /dev/x: no such port; plug it in"), "lost")])
+    (DeviceAbsent("leg controller on /dev/x: no such port; plug it in"), "lost"),
+    (DeviceBusy("leg controller on /dev/x: another program holds the port; close it"), "failed")])
 def test_what_ends_a_run_before_it_began_reaches_the_watcher(error: Exception, kind: str) -> None:
     watcher, line = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with watcher:

@@ -109,6 +109,7 @@ class Session:
                 return
         if self.latched:  # pressed while the process was being made
             self._send(EMERGENCY)
+            self._keep(self._kill_late(self._child))
         self._keep(self._follow(self._child, ours, path))
         self._keep(self._beat(ours))
 
