@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 OUT    ?= demo-out
 
-.PHONY: demo test lint test-kernel soak bench blind clean
+.PHONY: demo test lint test-kernel soak live-soak bench blind clean
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed"; exit 1; }
@@ -56,6 +56,10 @@ blind: $(STAMP)
 
 soak: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.soak --out docs/soak-$$(date -u +%F).md
+
+# Half an hour; needs chromium and its chromedriver.
+live-soak: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.live_soak --out docs/live-$$(date -u +%F).md
 
 clean:
 	rm -rf $(VENV) $(OUT) build *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -100,7 +100,7 @@ class ImuClock:
     """Host times of IMU samples."""
 
     time_ns: FloatArray
-    """(n,) [ns after epoch] for the samples given; NaN where a stretch was too short to time."""
+    """(n,) [ns after epoch] for the samples given; NaN where a stretch was too short, or too disturbed, to time."""
     rate_hz: float
     """Measured with the host's clock."""
     bound_s: float
@@ -131,11 +131,16 @@ def fit_samples(samples: NDArray[np.void], epoch_ns: int) -> ImuClock:
     for part, (index, looked, took) in zip(parts, drains):
         if index.size < 2:
             continue
-        curve, low, high, spread = _envelope(index, looked, period)
+        found = _envelope(index, looked, period)
+        if found is None:
+            continue
+        curve, low, high, spread = found
         time_ns[part] = curve(samples["index"][part].astype(float)) + 0.5 * (low + high)
         bounds.append(0.5 * abs(high - low) + spread + 0.5 * float(np.median(took)))
     i = samples["index"][parts[longest]].astype(float)
     t = time_ns[parts[longest]]
+    if np.isnan(t[-1]):
+        return ImuClock(np.full(samples.shape, np.nan), float("nan"), float("inf"))
     rate = float((i[-1] - i[0]) / (t[-1] - t[0]) * 1e9)
     return ImuClock(time_ns, rate, max(bounds) * 1e-9)
 
@@ -148,14 +153,19 @@ def _drains(samples: NDArray[np.void], epoch_ns: int) -> tuple[FloatArray, Float
     return chosen["index"].astype(float), (chosen["drain_before_ns"] - epoch_ns) + 0.5 * took, took
 
 
-def _envelope(index: FloatArray, looked: FloatArray, period: float) -> tuple[Curve, float, float, float]:
-    """Curve of sample time over index, the ends between which its offset lies, and the curve's own error [ns]."""
+def _envelope(index: FloatArray, looked: FloatArray, period: float) -> tuple[Curve, float, float, float] | None:
+    """Curve of sample time over index, the ends between which its offset lies, and the curve's own error [ns].
+
+    None where the drains of a short stretch contradict each other.
+    """
     middle = looked - 0.5 * period
     keep = np.ones(index.shape, bool)
     for _ in range(3):  # drains held up between reading the time and the FIFO's level stand out: drop them
         curve, parameters = _curve(index[keep], middle[keep], period)
         residual = middle - curve(index)
         keep = np.abs(residual - np.median(residual[keep])) < 0.75 * period
+        if keep.sum() < 2:
+            return None
     late = looked[keep] - curve(index[keep])
     # `late` fills [0, period) with the drains' phases. 0.5 % at either end is left to jitter.
     low, high = np.quantile(late, 0.995) - period, np.quantile(late, 0.005)

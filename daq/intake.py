@@ -136,7 +136,9 @@ class ImuIntake:
         """Host time of the last drain that brought a sample."""
         self.gyro_radps = math.nan
         """Newest pivot speed [rad/s]; NaN before any sample."""
-        self.samples = 0
+        self.accel_mps2 = (math.nan, math.nan)
+        """Newest acceleration of the IMU [m/s2], tangential and along the link; NaN before any sample."""
+        self.samples = self.gaps = 0
         self._imu, self._sink, self._calibration = imu, sink, calibration
         self._now_ns, self._slow_every_ns, self._slow_due_ns = now_ns, 1e9 / slow_hz if slow_hz else math.inf, 0
 
@@ -159,6 +161,7 @@ class ImuIntake:
         batch = self._imu.drain()
         gap = batch.gap_before and self.samples > 0  # what the FIFO lost before the first sample belongs to no record
         if gap:
+            self.gaps += 1
             self._sink.event(batch.t_before_ns, "imu gap", batch.reason)
         if not len(batch.raw):
             return
@@ -168,4 +171,6 @@ class ImuIntake:
                            int(gap and i == 0), sequence=index % 2**32)
         self.samples += len(batch.raw)
         self.heard_ns = batch.t_after_ns
-        self.gyro_radps = float(imu_columns(batch.raw[-1:], self._imu.scale, self._calibration)["gyro_radps"][0])
+        newest = imu_columns(batch.raw[-1:], self._imu.scale, self._calibration)
+        self.gyro_radps = float(newest["gyro_radps"][0])
+        self.accel_mps2 = float(newest["accel_x_mps2"][0]), float(newest["accel_y_mps2"][0])

@@ -7,9 +7,10 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from daq.errors import InputError, WorkError
 from daq.intake import ControllerIntake, ImuIntake, Sink
 from daq.plan import Plan
+from daq.remote import LOST, Ending, Remote, Status
 from daq.rig import ControllerDevice, Rig
 from daq.runfile import RunWriter
 from daq.supervisor import Sample, Supervisor
@@ -30,6 +32,7 @@ LEAD_IN_S = 1.0
 LEAD_OUT_S = 0.3
 RAMP_S = 0.1
 ARM_TIMEOUT_S = 0.5
+CONFIRM_S = 0.2
 PING_EVERY_S = 0.25
 LEAD_PING_EVERY_S = 0.05
 """Probes come faster before the start: the clock must be known by then."""
@@ -60,10 +63,10 @@ class Recorder:
 
     def __init__(self, rig: Rig, imu: Lsm9ds1 | None, controller: LegController, writer: RunWriter,
                  supervisor: Supervisor | None = None, now_ns: Callable[[], int] = time.monotonic_ns,
-                 threaded: bool = True, progress: Progress | None = None) -> None:
+                 threaded: bool = True, progress: Progress | None = None, remote: Remote | None = None) -> None:
         self.supervisor = supervisor or Supervisor(rig.limits)
         self._rig, self._controller, self._writer = rig, controller, writer
-        self._now_ns, self._threaded, self._progress = now_ns, threaded, progress
+        self._now_ns, self._threaded, self._progress, self._remote = now_ns, threaded, progress, remote
         self._workers = Workers()
         self._queue = QueuedSink(writer)
         self._sink: Sink = self._queue if threaded else writer
@@ -80,7 +83,10 @@ class Recorder:
         self._ping_every_s = LEAD_PING_EVERY_S
         self._commands = self._late = 0
         self._interrupt = ""
+        self._start_ns, self._total_s = 0, 0.0
         self._describe_devices(imu)
+        if remote is not None:
+            remote.attach(controller.stop, self._status)
 
     def record(self, plan: Plan) -> RecordReport:
         """Lead in, arm, command the plan, stop, close the file.
@@ -91,12 +97,16 @@ class Recorder:
         check_plan(plan, self._rig, self._controller)
         try:
             with self._signals(), real_time() if self._threaded else nullcontext(False) as granted:
+                if granted and self._remote is not None:
+                    self._remote.hurry()
                 self._sink.config(self._now_ns(), "priority", msgspec.json.encode({"real_time": granted}).decode())
                 self._start_threads()
                 self._run(plan)
         except (WorkError, DriverError, KeyboardInterrupt) as error:
             why = "stopped by Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
             self._finish(why)
+            if self._remote is not None:
+                self._remote.kind = self._kind(error)
             raise WorkError(f"{why}; what was recorded until then is kept in {self._writer.path}") from None
         except BaseException as error:
             self._finish(f"internal error: {error!r}")
@@ -119,7 +129,8 @@ class Recorder:
             self._sink.event(self._now_ns(), "stop", "plan done")
             self._keep(self._now_ns() + _ns(LEAD_OUT_S))
         except (_Tripped, _Interrupted) as error:
-            self._ramp_down()
+            if not self._emergency:
+                self._ramp_down()
             raise WorkError(str(error)) from None
 
     def _check_heard(self) -> None:
@@ -131,7 +142,8 @@ class Recorder:
             raise WorkError("IMU: no sample within a second; power-cycle it")
 
     def _arm(self) -> None:
-        self._controller.arm(self._watchdog_ms)
+        if not self._emergency:
+            self._controller.arm(self._watchdog_ms)
         deadline = self._now_ns() + _ns(ARM_TIMEOUT_S)
         self._command(0.0)
         while not self._armed():
@@ -143,7 +155,8 @@ class Recorder:
         self._sink.event(self._now_ns(), "start", f"armed, watchdog {self._watchdog_ms} ms")
 
     def _follow(self, plan: Plan) -> None:
-        start_ns = self._now_ns()
+        start_ns = self._start_ns = self._now_ns()
+        self._total_s = plan.duration_s
         due = [start_ns + offset for offset in plan.offset_ns]
         end_ns = start_ns + _ns(plan.duration_s)
         for k, torque in enumerate(plan.torque_nm.tolist()):
@@ -178,10 +191,22 @@ class Recorder:
         except DriverError as error:
             stopped = f"stop not sent ({error}): the firmware's watchdog stops the motor"
         self._workers.stop()
+        if self._remote is not None:
+            self._remote.motor = self._confirm_off() or f"{stopped.split(' (')[0]}, the firmware's watchdog stops it"
         try:
             self._queue.drain()
         finally:
             self._close(why, stopped)
+
+    def _confirm_off(self) -> str:
+        """What the controller itself says of the torque after the Stop; empty when it says nothing in time."""
+        asked_ns = self._now_ns()
+        with suppress(DriverError):
+            while self._now_ns() < asked_ns + _ns(CONFIRM_S):
+                self._leg.poll()  # no thread does any more
+                if self._leg.telemetry is not None and self._leg.heard_ns > asked_ns and not self._armed():
+                    return f"torque off, the controller says {State(self._leg.telemetry.state).name}"
+        return ""
 
     def _close(self, why: str, stopped: str) -> None:
         """How well the clock was known, the last event where something went wrong, and the end of the file."""
@@ -224,9 +249,14 @@ class Recorder:
             self._command(self._torque_nm)  # held: a quarter of the watchdog's time without a new one
 
     def _supervise(self) -> None:
+        if self._remote is not None and self._remote.asked:
+            self._interrupt = self._interrupt or self._remote.asked
         if self._interrupt:
             raise _Interrupted(f"stopped by {self._interrupt}")
-        trip = self.supervisor.check(self._sample())
+        sample = self._sample()
+        trip = self.supervisor.check(sample)
+        if self._remote is not None:
+            self._show(self._remote, sample)
         if trip is not None:
             raise _Tripped(str(trip))
         if self._leg.boot_id != self._leg.first_boot_id:
@@ -253,12 +283,47 @@ class Recorder:
     def _armed(self) -> bool:
         return self._leg.telemetry is not None and self._leg.telemetry.state == State.ARMED
 
+    @property
+    def _emergency(self) -> bool:
+        return self._remote is not None and self._remote.emergency
+
     def _command(self, torque_nm: float) -> None:
+        if self._emergency:
+            return  # the Stop has gone out; nothing may follow it
         now = self._now_ns()
         seq = self._controller.command(torque_nm)
         self._torque_nm, self._commanded_ns = torque_nm, now
         self._commands += 1
         self._sink.add("/leg/command", now, now, torque_nm, seq, sequence=seq)
+
+    def _show(self, remote: Remote, sample: Sample) -> None:
+        """What a watcher sees of this turn."""
+        remote.see(self._now_ns(), sample, self._imu.accel_mps2 if self._imu else None, self.supervisor.watched(sample))
+
+    def _status(self) -> Status:
+        """For a watcher: how far the run is, how the controller is, what was lost."""
+        telemetry, stats, imu = self._leg.telemetry, self._controller.stats, self._imu
+        drive = State(telemetry.state).name.lower() if telemetry else "silent"
+        if telemetry is not None and telemetry.faults:
+            drive = f"{drive}: {describe_faults(telemetry.faults)}"
+        done_s = (self._now_ns() - self._start_ns) * 1e-9 if self._start_ns else 0.0
+        phase: Literal["waiting", "driving", "ending"] = "waiting"
+        if self._start_ns:
+            phase = "driving" if self._driving else "ending"
+        return Status(phase, [], min(done_s, self._total_s), self._total_s, drive,
+                      imu_samples=imu.samples if imu else 0, imu_gaps=imu.gaps if imu else 0, frames_lost=stats.lost,
+                      frames_bad=stats.bad_crc + stats.bad_length, late_commands=self._late)
+
+    def _kind(self, error: BaseException) -> Ending:
+        """How the run ended, for a watcher."""
+        trip = self.supervisor.trip
+        if self._emergency:
+            return "emergency"
+        if self._interrupt or isinstance(error, KeyboardInterrupt):
+            return "stopped"
+        if trip is not None:
+            return "lost" if trip.limit == "staleness_s" else "limit"
+        return "lost" if isinstance(error, LOST) else "failed"
 
     def _start_threads(self) -> None:
         if not self._threaded:
@@ -317,7 +382,7 @@ def check_plan(plan: Plan, rig: Rig, controller: LegController) -> None:
 
 def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9ds1 | None, controller: LegController,
                now_ns: Callable[[], int] = time.monotonic_ns, threaded: bool = True,
-               progress: Progress | None = None) -> RecordReport:
+               progress: Progress | None = None, remote: Remote | None = None) -> RecordReport:
     """Record `plan` over open devices into a new run file that holds all that a later refit needs."""
     facts = {"started_unix_ns": str(time.time_ns()), "started_monotonic_ns": str(now_ns()),
              "calibration": msgspec.json.encode(rig.calibration).decode(), "python": platform.python_version(),
@@ -325,7 +390,7 @@ def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9d
     check_plan(plan, rig, controller)
     writer = RunWriter(path, {"rig.toml": rig_text, "plan.csv": plan.text()}, facts)
     try:
-        recorder = Recorder(rig, imu, controller, writer, None, now_ns, threaded, progress)
+        recorder = Recorder(rig, imu, controller, writer, None, now_ns, threaded, progress, remote)
         return recorder.record(plan)
     finally:
         writer.close()

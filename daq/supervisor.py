@@ -29,12 +29,12 @@ class Sample(NamedTuple):
 
 
 class Trip(NamedTuple):
-    """A limit that was passed."""
+    """A quantity beside its limit."""
 
     limit: str
     """Key under `[limits]` in rig.toml."""
     what: str
-    """What passed it, in words."""
+    """What is limited, in words."""
     value: float
     bound: float
 
@@ -42,7 +42,7 @@ class Trip(NamedTuple):
         return f"limit {self.limit} tripped: {self.what} is {self.value:.4g}, allowed is {self.bound:.4g}"
 
 
-_WATCHED: tuple[tuple[str, str, str], ...] = (
+WATCHED: tuple[tuple[str, str, str], ...] = (
     ("torque_nm", "torque_nm", "knee torque in N m"),
     ("torque_cmd_nm", "torque_nm", "commanded torque in N m"),
     ("q1_speed_radps", "speed_radps", "pivot speed in rad/s"),
@@ -70,11 +70,16 @@ class Supervisor:
             self.trip = next(self._trips(sample), None)
         return self.trip
 
-    def _trips(self, sample: Sample) -> Iterator[Trip]:
-        for name, limit, what in _WATCHED:
+    def watched(self, sample: Sample) -> Iterator[Trip]:
+        """Everything that is checked of this sample, passed or not."""
+        for name, limit, what in WATCHED:
             value = getattr(sample, name)
-            bound = getattr(self.limits, limit)
+            if value is not None:
+                yield Trip(limit, what, value, getattr(self.limits, limit))
+
+    def _trips(self, sample: Sample) -> Iterator[Trip]:
+        for trip in self.watched(sample):
             # A temperature below zero is no danger; every other quantity counts by its size.
-            size = value if value is None or limit == "temperature_degc" else abs(value)
-            if size is not None and not size <= bound:  # so written that NaN trips
-                yield Trip(limit, what, value, bound)
+            size = trip.value if trip.limit == "temperature_degc" else abs(trip.value)
+            if not size <= trip.bound:  # so written that NaN trips
+                yield trip

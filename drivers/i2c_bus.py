@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import errno
 import fcntl
+from pathlib import Path
 from typing import Any, Protocol
 
 from smbus2 import SMBus, i2c_msg
 
 from drivers.errors import DeviceAbsent, DeviceBusy, DriverError
+from drivers.i2c_socket import SocketBus
 
 
 class I2CBus(Protocol):
@@ -46,7 +48,13 @@ def explain(error: OSError, where: str) -> DriverError:
 
 
 def open_bus(path: str) -> I2CBus:
-    """The bus at `path` (`/dev/i2c-1`). Raises `DeviceAbsent` naming the remedy."""
+    """The bus at `path`: `/dev/i2c-1`, or the socket of an emulated one. Raises `DeviceAbsent` naming the remedy."""
+    if Path(path).is_socket():
+        try:
+            return SocketBus(path)
+        except OSError as error:
+            raise DeviceAbsent(f"I2C bus {path}: nobody serves this socket ({error.strerror}); start the emulated rig "
+                               "again") from error
     bus = SMBus()
     try:
         bus.open(path)

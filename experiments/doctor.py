@@ -58,10 +58,12 @@ class Heard:
     """Telemetry missing by its sequence numbers."""
 
 
-def examine(rig: Rig, rig_text: str, where: str, folder: Path, move_s: float | None = None) -> list[Check]:
+def examine(rig: Rig, rig_text: str, where: str, folder: Path, move_s: float | None = None,
+            clear_faults: bool = False) -> list[Check]:
     """All checks that this rig can have; with `move_s` somebody swings the leg by hand for so long.
 
-    An empty `rig_text` says that `rig` is a guess, which nothing need agree with.
+    With `clear_faults` the controller is first told to forget what it latched; a cause that is still there stays. An
+    empty `rig_text` says that `rig` is a guess, which nothing need agree with.
     """
     from experiments import devices, doctor_bus, doctor_link, doctor_signals
 
@@ -74,6 +76,8 @@ def examine(rig: Rig, rig_text: str, where: str, folder: Path, move_s: float | N
             try:
                 controller = stack.enter_context(devices.connect(device))
                 controller.open()
+                if clear_faults:
+                    doctor_link.clear_faults(controller)
                 checks += doctor_link.after_opening(controller, rig, device, told=bool(rig_text))
             except (DriverError, InputError) as error:
                 controller = None

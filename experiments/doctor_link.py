@@ -18,6 +18,7 @@ PROC = Path("/proc")
 GEAR_TOLERANCE = 1e-3
 IP_TIMEOUT_S = 5.0
 TELEMETRY_WAIT_S = 1.0
+CLEAR_WAIT_S = 0.5
 
 
 def before_opening(device: ControllerDevice) -> list[Check]:
@@ -48,13 +49,17 @@ def _group(port: Path) -> str:
 
 
 def holders(port: Path) -> list[str]:
-    """Other processes that have the port open, `name (pid)`; those of other users are seen by root only."""
+    """Other processes that have the port open, `name (pid)`; those of other users are seen by root only.
+
+    Whoever serves a pseudo-terminal (an emulated rig) has its far end open too, and is no rival.
+    """
     target, found = str(port.resolve()), []
     for process in PROC.glob("[0-9]*"):
         if process.name == str(os.getpid()):
             continue
         try:
-            if any(os.readlink(handle) == target for handle in (process / "fd").iterdir()):
+            opened = {os.readlink(handle) for handle in (process / "fd").iterdir()}
+            if target in opened and not (target.startswith("/dev/pts/") and "/dev/ptmx" in opened):
                 found.append(f"{(process / 'comm').read_text().strip()} ({process.name})")
         except OSError:
             continue
@@ -130,6 +135,14 @@ def _latency(controller: LegController, device: ControllerDevice) -> list[Check]
     return [Check("latency timer", "ok", f"{timer} ms")]
 
 
+def clear_faults(controller: LegController) -> None:
+    """Have latched faults forgotten, and wait for telemetry that says so; what is older still shows them."""
+    controller.clear_faults()
+    deadline = time.monotonic() + CLEAR_WAIT_S
+    while time.monotonic() < deadline and (controller.telemetry is None or controller.telemetry.faults):
+        controller.poll()
+
+
 def _faults(controller: LegController) -> Check:
     """A drive that has latched a fault will not arm."""
     deadline = time.monotonic() + TELEMETRY_WAIT_S
@@ -139,6 +152,6 @@ def _faults(controller: LegController) -> Check:
     if telemetry is None:
         return Check("drive", "FAIL", "answers, but sends no telemetry; check the firmware")
     if telemetry.faults or telemetry.state == State.FAULT:
-        return Check("drive", "FAIL", f"has latched: {describe_faults(telemetry.faults)}; remove the cause, then clear "
-                                      "the faults or power-cycle the drive")
+        return Check("drive", "FAIL", f"has latched: {describe_faults(telemetry.faults)}; remove the cause, then "
+                                      "legid doctor --clear-faults, or power-cycle the drive")
     return Check("drive", "ok", f"disarmed, no fault, supply {telemetry.bus_v:.1f} V")

@@ -10,7 +10,7 @@ from daq.recorder import RecordReport, record_run
 from daq.rig import ControllerDevice, ImuDevice, Matrix3, Rig, Vector3
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
-from drivers.mock.clock import VirtualClock
+from drivers.mock.clock import Clock, VirtualClock
 from drivers.mock.link import EmulatorLink
 from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings, ImuSettings
@@ -18,7 +18,7 @@ from experiments.hidden_effects import NOTHING, Hidden
 from experiments.plant import LegBody
 
 
-def emulate(rig: Rig, seed: int, clock: VirtualClock, body: LegBody | None = None,
+def emulate(rig: Rig, seed: int, clock: Clock, body: LegBody | None = None,
             hidden: Hidden = NOTHING) -> MockRig:
     """The rig that `rig` describes, hanging at rest, with the errors that its calibration takes out.
 

@@ -101,3 +101,19 @@ def test_a_loss_of_unknown_length_starts_a_count_of_its_own() -> None:
     lost["gap_before"][cut.start] = 1
     clock = fit_samples(lost, EPOCH)
     np.testing.assert_allclose(clock.time_ns * 1e-9, np.delete(true, cut), atol=200e-6)
+
+
+def test_a_short_stretch_of_drains_that_contradict_each_other_is_left_out() -> None:
+    samples, true = drains(np.random.default_rng(6), 20.0, 241.0)
+    ends = np.flatnonzero(np.diff(samples["drain_before_ns"])) + 1  # where a drain begins
+    first, middle, last = ends[100], ends[101], ends[102]
+    samples["gap_before"][[first, last]] = 1
+    for part in (slice(first, middle), slice(middle, last)):
+        late_ns = -12_000_000 if part.start == first else 12_000_000  # held up after the time was read
+        samples["drain_before_ns"][part] += late_ns
+        samples["drain_after_ns"][part] += late_ns
+    clock = fit_samples(samples, EPOCH)
+    assert np.isnan(clock.time_ns[first:last]).all()
+    rest = np.delete(np.arange(true.size), np.arange(first, last))
+    np.testing.assert_allclose(clock.time_ns[rest] * 1e-9, true[rest], atol=clock.bound_s)
+    assert clock.bound_s < 1e-3

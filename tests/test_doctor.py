@@ -231,6 +231,11 @@ def test_a_latched_fault(bench: Bench, capsys: pytest.CaptureFixture[str]) -> No
     bench.mock.firmware.drive.trip(Fault.OVERTEMPERATURE, 95.0)
     assert bench.check() == 1
     assert "overtemperature" in lines(capsys)["drive"]
+    assert bench.check("--clear-faults") == 0
+    assert "no fault" in lines(capsys)["drive"]
+    bench.mock.firmware.gate_driver_ok = False
+    assert bench.check("--clear-faults") == 1  # its cause is still there
+    assert "gate" in lines(capsys)["drive"]
 
 
 def test_a_clock_bound_that_is_not_met(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,

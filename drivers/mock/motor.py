@@ -39,6 +39,11 @@ class Motor:
         self.impulse_nms += mean * dt_s
         return mean
 
+    def forget(self, keep: int) -> None:
+        """Drop all of the record but the last `keep` steps: a rig that runs for days must not grow."""
+        for column in (self._t_ns, self._commanded, self._mean):
+            del column[:-keep]
+
     @property
     def record(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """(t_ns at the step's start, torque commanded, mean torque acting), each (steps,), [N m]."""

@@ -5,5 +5,5 @@ A module imports nothing heavy before `run`: `legid --help` answers at once.
 
 COMMANDS = ("demo", "record", "calibrate", "info", "recover", "export", "fit", "validate", "diagnose", "effects",
             "simulate", "casebook", "monte_carlo", "doctor",
-            "runs", "init", "excite")
+            "runs", "init", "excite", "emulate", "live")
 """Module names, in the order in which `legid --help` lists them."""

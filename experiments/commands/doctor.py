@@ -14,6 +14,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--rig", help="the rig's TOML file; default: devices at their usual places")
     parser.add_argument("--move", metavar="SECONDS", nargs="?", type=_seconds, const=10.0,
                         help="swing the leg by hand for so long (default 10): do encoders and IMU agree?")
+    parser.add_argument("--clear-faults", action="store_true",
+                        help="have the controller forget the faults it has latched, once their cause is removed")
     parser.add_argument("--out", metavar="DIR", default=".", help="where runs will be recorded (default: here)")
     parser.set_defaults(run=run)
 
@@ -38,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
     rig = load_rig(args.rig) if args.rig else default_rig()
     text = Path(args.rig).read_text(encoding="utf-8") if args.rig else ""
-    checks = examine(rig, text, args.rig or "the usual places", Path(args.out), args.move)
+    checks = examine(rig, text, args.rig or "the usual places", Path(args.out), args.move, args.clear_faults)
     print(checks_text(checks))
     failed = [check.name for check in checks if check.status == "FAIL"]
     if failed:

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from daq.workers import real_time
+from daq.workers import hurry, real_time
 
 
 def test_threads_started_meanwhile_have_it_and_it_is_given_back() -> None:
@@ -32,3 +32,17 @@ def test_it_is_given_back_when_something_fails() -> None:
     with pytest.raises(ZeroDivisionError), real_time():
         _ = 1 / 0
     assert os.sched_getscheduler(0) == before
+
+
+def test_a_thread_that_was_there_before_can_have_it_too() -> None:
+    ending = threading.Event()
+    thread = threading.Thread(target=ending.wait)
+    hurry(thread)  # not started: nobody else is given it
+    before = os.sched_getscheduler(0)
+    thread.start()
+    with real_time() as granted:
+        hurry(thread)
+    assert os.sched_getscheduler(thread.native_id or -1) == (os.SCHED_RR if granted else before)
+    assert os.sched_getscheduler(0) == before
+    ending.set()
+    thread.join()

@@ -1,0 +1,108 @@
+"""`Bench`: what all open pages share: the session, the plans, the runs and the jobs on them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq.errors import InputError
+from daq.plan import read_plan
+from daq.rig import Rig
+from experiments.live.jobs import Job, Kind
+from experiments.live.session import Session
+
+JOBS_KEPT = 20
+RUNS_SHOWN = 40
+
+
+@dataclass(frozen=True)
+class PlanChoice:
+    """A torque plan that can be started."""
+
+    path: Path
+    seconds: float
+    peak_nm: float
+
+    @property
+    def label(self) -> str:
+        return f"{self.path.name}: {self.seconds:.0f} s, up to {self.peak_nm:.2f} N m"
+
+
+class Bench:
+    """One rig, one folder of plans, one of runs."""
+
+    def __init__(self, path: Path, rig: Rig, plans: Path, out: Path) -> None:
+        self.path, self.rig, self.out = path, rig, out
+        self.session = Session(path, out)
+        self.jobs: list[Job] = []
+        self._plans_folder = plans
+        self._plans = self._scan()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def plans(self) -> list[PlanChoice]:
+        """Every CSV file of the folder that is a plan, as of the last look."""
+        return self._plans
+
+    async def look_for_plans(self) -> None:
+        """Look anew, beside the event loop, which an emergency stop needs; not while something is recorded."""
+        if not self.session.running:
+            self._plans = await asyncio.to_thread(self._scan)
+
+    def _scan(self) -> list[PlanChoice]:
+        found = []
+        for path in sorted(self._plans_folder.glob("*.csv"), key=lambda p: (len(p.name), p.name)):
+            try:
+                plan = read_plan(path)
+            except (InputError, ValueError):
+                continue
+            found.append(PlanChoice(path, plan.duration_s, plan.peak_nm))
+        return found
+
+    def runs(self) -> list[Path]:
+        """Recorded runs, newest first."""
+        return sorted(self.out.glob("*.mcap"), key=lambda p: p.stat().st_mtime, reverse=True)[:RUNS_SHOWN]
+
+    @property
+    def busy(self) -> Job | None:
+        """The job that is running."""
+        return next((job for job in self.jobs if job.state == "running"), None)
+
+    def why_not(self) -> str:
+        """Why no job may start now; empty when one may."""
+        if self.session.running:
+            return "a recording is running"
+        if self.busy is not None:
+            return f"{self.busy.name.lower()} is running"
+        return ""
+
+    def why_not_record(self) -> str:
+        """Why no recording may start now; empty when one may. A fit goes on beside it, behind it in priority."""
+        if self.session.latched:
+            return "the emergency stop is pressed"
+        if self.session.running:
+            return "a recording is running"
+        return "a check has the devices open" if self.busy is not None and self.busy.on_devices else ""
+
+    def start_job(self, kind: Kind, runs: Sequence[Path]) -> None:
+        """Start a job unless something else is on."""
+        if self.why_not():
+            return
+        job = Job(kind, self.path, runs, self.out)
+        self.jobs = [job, *self.jobs][:JOBS_KEPT]
+        task = asyncio.create_task(job.run())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def report(self, name: str) -> Path | None:
+        """A report page of the runs' folder by its file name."""
+        path = self.out / name
+        return path if path.parent == self.out and path.suffix == ".html" and path.is_file() else None
+
+    async def close(self) -> None:
+        """Stop the recorder, end the job."""
+        if self.busy is not None:
+            self.busy.cancel()
+        await self.session.close()

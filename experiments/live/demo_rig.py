@@ -1,0 +1,39 @@
+"""An emulated rig beside the dashboard, in a process of its own that ends with it."""
+
+from __future__ import annotations
+
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from daq.errors import WorkError
+from experiments.hidden_effects import DEFAULT
+from experiments.live.children import ROOT
+
+STARTED_S = 30.0
+
+
+@contextmanager
+def started_demo_rig(folder: Path) -> Iterator[Path]:
+    """The rig file of an emulated rig that is being served. Raises `WorkError` when it does not come up."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    child = subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli", "emulate", "--out", str(folder), "--effect", DEFAULT, "--until-eof"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, env=os.environ | {"PYTHONPATH": path})
+    assert child.stdin is not None and child.stdout is not None
+    try:
+        ready, _, _ = select.select([child.stdout], [], [], STARTED_S)
+        if not ready or not child.stdout.readline():
+            raise WorkError("the emulated rig did not start; try legid emulate")
+        yield folder / "rig.toml"
+    finally:
+        child.stdin.close()
+        try:
+            child.wait(5.0)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()

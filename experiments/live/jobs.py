@@ -1,0 +1,153 @@
+"""`Job`: a fit, a diagnosis or a check of the devices as a process of its own, with its progress and its verdict."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import termios
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from experiments.live import children
+
+Kind = Literal["fit", "diagnose", "doctor", "clear"]
+_BAR = re.compile(r"^(?P<what>.*?)\s+(?P<percent>\d{1,3})%\|")
+"""What tqdm draws: the stage, the share done."""
+
+
+class Job:
+    """One command. `progress` and `verdict` are for a person; `report` is the page it wrote."""
+
+    def __init__(self, kind: Kind, rig: Path, runs: Sequence[Path], out: Path) -> None:
+        self.kind, self.runs = kind, list(runs)
+        self.state: Literal["running", "done", "failed"] = "running"
+        self.progress = "starting"
+        self.fraction: float | None = None
+        """Share done; None where nobody can tell."""
+        self.verdict = ""
+        self.report: Path | None = None
+        self.lines: list[str] = []
+        """What the command printed."""
+        self._began_s = time.monotonic()
+        self._took_s: float | None = None
+        self._json: Path | None = None
+        self._child: asyncio.subprocess.Process | None = None
+        stem = out / f"{'diagnosis' if kind == 'diagnose' else kind}-{datetime.now():%Y%m%d-%H%M%S}"
+        if self.on_devices:
+            self._arguments = ["doctor", "--rig", str(rig), "--out", str(out)]
+            self._arguments += ["--clear-faults"] if kind == "clear" else []
+        else:
+            self._arguments = [kind, *map(str, runs), "--rig", str(rig)]
+            self._json, self._page = stem.with_suffix(".json"), stem.with_suffix(".html")
+            self._arguments += ["--json", str(self._json), "--html", str(self._page),
+                                "--model-out", f"{stem}-model.json"]
+
+    @property
+    def name(self) -> str:
+        """For a person."""
+        return {"fit": "Fit", "diagnose": "Diagnosis", "doctor": "Check of the devices",
+                "clear": "Clearing of faults"}[self.kind]
+
+    @property
+    def on_devices(self) -> bool:
+        """It opens the devices: no recording can, meanwhile."""
+        return self.kind in ("doctor", "clear")
+
+    @property
+    def seconds(self) -> float:
+        """How long it has been running, or ran [s]."""
+        return (time.monotonic() - self._began_s) if self._took_s is None else self._took_s
+
+    async def run(self) -> None:
+        """Run to its end. Its progress bar is drawn on a pseudo-terminal and read from there."""
+        near, far = os.openpty()
+        try:
+            termios.tcsetwinsize(far, (24, 100))
+            with open(far, "wb", buffering=0) as terminal:
+                self._child = await children.start(self._arguments, stdout=asyncio.subprocess.PIPE, stderr=terminal,
+                                                   nice=not self.on_devices)
+            os.set_blocking(near, False)
+            loop, said = asyncio.get_running_loop(), Tail()
+            loop.add_reader(near, self._read, near, said, loop)
+            assert self._child.stdout is not None
+            output = (await self._child.stdout.read()).decode(errors="replace")
+            code = await self._child.wait()
+            loop.remove_reader(near)
+            self._read(near, said, None)
+        finally:
+            os.close(near)
+        self._took_s = time.monotonic() - self._began_s
+        self.lines = output.strip().splitlines()
+        self.state = "done" if code == 0 else "failed"
+        self.verdict = self._judge(code, said.line)
+        if self._json is not None and self._page.exists():
+            self.report = self._page
+
+    def cancel(self) -> None:
+        """End it early."""
+        if self._child is not None and self._child.returncode is None:
+            with suppress(ProcessLookupError):
+                self._child.terminate()
+
+    def _read(self, near: int, said: Tail, loop: asyncio.AbstractEventLoop | None) -> None:
+        try:
+            data = os.read(near, 65536)
+        except BlockingIOError:
+            return
+        except OSError:  # nobody has the terminal open any more
+            if loop is not None:
+                loop.remove_reader(near)
+            return
+        for piece in said.feed(data.decode(errors="replace")):
+            if bar := _BAR.match(piece):
+                self.progress, self.fraction = bar["what"].strip(" :"), int(bar["percent"]) / 100
+            elif " ... " in piece:
+                self.progress = piece.partition(" ... ")[0]
+
+    def _judge(self, code: int, said: str) -> str:
+        if code < 0:
+            return "Ended early."
+        document: dict[str, Any] = {}
+        if self._json is not None:
+            with suppress(OSError, msgspec.DecodeError):
+                document = msgspec.json.decode(self._json.read_bytes())
+        if self.on_devices:
+            return self.lines[-1] if code == 0 and self.lines else said
+        if self.kind == "diagnose" and "verdict" in document:
+            return f"{document['verdict']}: {document['sentence']}"
+        if self.kind == "fit" and document.get("converged"):
+            return fit_verdict(document)
+        return said or f"ended with status {code}"
+
+
+class Tail:
+    """Terminal output as it comes, cut where a line begins anew; `line` is the last that is no progress bar."""
+
+    def __init__(self) -> None:
+        self.line = ""
+        self._rest = ""
+
+    def feed(self, text: str) -> list[str]:
+        """Pieces that are there now, the unfinished one too: tqdm ends its lines when it draws the next."""
+        *whole, self._rest = re.split(r"[\r\n]|\x1b\[[0-9;]*[A-Za-z]", self._rest + text)
+        pieces = [piece.strip() for piece in [*whole, self._rest] if piece.strip()]
+        for piece in pieces:
+            if not _BAR.match(piece) and " ... " not in piece:
+                self.line = piece
+        return pieces
+
+
+def fit_verdict(document: dict[str, Any]) -> str:
+    """A converged fit in one line."""
+    open_ones = document.get("undetermined") or []
+    determined = "every parameter is determined" if not open_ones else f"not determined: {', '.join(open_ones)}"
+    rms = ", ".join(f"{value:.3g}" for value in document["torque_residual_rms_nm"])
+    return (f"Converged in {document['iterations']} iterations on {document['samples']} samples; {determined}; "
+            f"torque residual by joint {rms} N m rms.")

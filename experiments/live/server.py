@@ -1,0 +1,110 @@
+"""The dashboard's web server: one page, the emergency stop, the reports."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from types import FrameType
+
+import uvicorn
+from fastapi import FastAPI, HTTPException
+from fastapi.responses import FileResponse
+from nicegui import ui
+
+from daq.errors import InputError
+from daq.rig import Rig
+from experiments.live.access import Access, is_loopback, new_token
+from experiments.live.bench import Bench
+from experiments.live.page import Page
+
+HISTORY = 100
+"""Messages kept for a browser that comes back."""
+LEAVE_S = 2
+
+
+def serve(path: Path, rig: Rig, plans: Path, out: Path, host: str, port: int) -> None:
+    """Serve the dashboard of the rig at `path` until a signal. Raises `InputError` when the port cannot be had."""
+    listener = listen(host, port)
+    bound = listener.getsockname()[1]
+    token = None if is_loopback(host) else new_token()
+    bench = Bench(path, rig, plans, out)
+    app = Access(build_app(bench), token, bound)
+    config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=LEAVE_S, ws_ping_interval=5.0)
+    where = _address(host) + f":{bound}/" + (f"?token={token}" if token else "")
+    print(f"legid live: http://{where} (Ctrl-C ends it)", flush=True)
+    with suppress(KeyboardInterrupt):  # uvicorn raises it again when all is closed
+        _Server(config, bench).run(sockets=[listener])
+
+
+def build_app(bench: Bench) -> FastAPI:
+    """All routes."""
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        yield
+        await bench.close()
+
+    app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
+
+    @app.post("/emergency")
+    async def emergency() -> dict[str, str]:
+        """Does not wait for anything: the recorder is told before the answer is written."""
+        bench.session.emergency()
+        return {"phase": bench.session.phase.value}
+
+    @app.get("/report/{name}")
+    async def report(name: str) -> FileResponse:
+        found = bench.report(name)
+        if found is None:
+            raise HTTPException(404, "no such report")
+        return FileResponse(found, media_type="text/html")
+
+    @ui.page("/")
+    def index() -> None:
+        Page(bench).build()
+
+    ui.run_with(app, title="legid live", dark=None, tailwind=False, reconnect_timeout=3.0,
+                message_history_length=HISTORY, show_welcome_message=False, binding_refresh_interval=None)
+    return app
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A listening socket. Raises `InputError` naming the remedy."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, kind, protocol)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen()  # who opens the printed address at once waits, and is not refused
+    except socket.gaierror:
+        raise InputError("--host", f"{host} is no address", "give one of this machine's, e.g. 0.0.0.0") from None
+    except OSError as error:
+        raise InputError("--port", f"cannot listen on {host} port {port}: {error.strerror}",
+                         "give another, or 0 for any that is free") from None
+    return listener
+
+
+class _Server(uvicorn.Server):
+    """A signal stops the motor first."""
+
+    def __init__(self, config: uvicorn.Config, bench: Bench) -> None:
+        super().__init__(config)
+        self._bench = bench
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        self._bench.session.stop()
+        super().handle_exit(sig, frame)
+
+
+def _address(host: str) -> str:
+    """As it stands in a URL; for 'every address' the machine's name."""
+    try:
+        number = ipaddress.ip_address(host)
+    except ValueError:
+        return host
+    if number.is_unspecified:
+        return socket.gethostname()
+    return f"[{host}]" if number.version == 6 else host

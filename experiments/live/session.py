@@ -1,0 +1,217 @@
+"""`Session`: one recorder at a time, what it says, and the ways to stop it. No device is opened here."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from collections import deque
+from collections.abc import Coroutine
+from contextlib import suppress
+from datetime import datetime
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from daq.remote import ALIVE, EMERGENCY, PACKET_BYTES, STOP, Ended, Heard, Row, Status
+from experiments.live import children
+
+BEAT_S = 0.5
+WINDOW_ROWS = 500
+"""20 s of plots."""
+KILL_AFTER_S = 1.0
+"""A recorder that has not heard an emergency stop by then is killed: the firmware's watchdog stops the motor."""
+LEAVE_S = 3.0
+
+
+class Phase(Enum):
+    """What the page says first."""
+
+    IDLE = "Idle"
+    OPENING = "Opening devices"
+    RECORDING = "Recording"
+    STOPPING = "Stopping"
+    FINISHED = "Finished"
+    STOPPED = "Stopped"
+    LIMIT = "Stopped by a limit"
+    LOST = "Device lost"
+    FAILED = "Failed"
+    EMERGENCY = "EMERGENCY STOP"
+
+
+RUNNING = {Phase.OPENING, Phase.RECORDING, Phase.STOPPING}
+_ENDINGS = {"done": Phase.FINISHED, "stopped": Phase.STOPPED, "emergency": Phase.EMERGENCY, "limit": Phase.LIMIT,
+            "lost": Phase.LOST, "failed": Phase.FAILED}
+_PACKET = msgspec.json.Decoder(Status | Heard | Ended)
+READY = "No recording is running."
+
+
+class Session:
+    """The recorder's other end. Belongs to one event loop; pages read its fields."""
+
+    def __init__(self, rig: Path, out: Path) -> None:
+        self.rig, self.out = rig, out
+        self.phase = Phase.IDLE
+        self.words = READY
+        """One line beside the phase."""
+        self.motor = ""
+        """What the recorder last knew of the motor; empty before any run."""
+        self.latched = False
+        """The emergency stop was pressed and not released."""
+        self.status: Status | None = None
+        """The newest of the run that is on or was last."""
+        self.heard_s = 0.0
+        """Monotonic time of the last packet [s]."""
+        self.rows: deque[Row] = deque(maxlen=WINDOW_ROWS)
+        self.rows_seen = 0
+        """Rows of this run so far; those older than the window are gone."""
+        self.run_number = 0
+        """Counts the runs, so that a page sees that one began."""
+        self.run_path: Path | None = None
+        self.finished: list[Path] = []
+        """Run files of this session that were done to the end, oldest first."""
+        self._child: asyncio.subprocess.Process | None = None
+        self._line: socket.socket | None = None
+        self._ended: Ended | None = None
+        self._heard = False
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def running(self) -> bool:
+        """A recorder process exists."""
+        return self.phase in RUNNING
+
+    async def start(self, plan: Path) -> None:
+        """Start a recorder on `plan`; does nothing while one runs or the emergency stop is latched."""
+        if self.running or self.latched:
+            return
+        self.phase, self.words, self.motor = Phase.OPENING, f"Plan {plan.name}", ""
+        self.status, self._ended, self._heard = None, None, False
+        self.rows.clear()
+        self.rows_seen = 0
+        self.run_number += 1
+        stamp = f"{datetime.now():%Y%m%d-%H%M%S}"
+        path = self.run_path = self.out / f"run-{stamp}-{plan.stem}.mcap"
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.setblocking(False)
+        with theirs:
+            arguments = ["record", "--rig", str(self.rig), "--plan", str(plan), "--out", str(path),
+                         "--watched-by", str(theirs.fileno())]
+            self._line = ours
+            try:
+                self._child = await children.start(arguments, pass_fds=[theirs.fileno()])
+            except OSError as error:
+                self._line = None
+                ours.close()
+                self.phase, self.words = Phase.FAILED, f"The recorder could not be started: {error.strerror}."
+                return
+        if self.latched:  # pressed while the process was being made
+            self._send(EMERGENCY)
+            self._keep(self._kill_late(self._child))
+        self._keep(self._follow(self._child, ours, path))
+        self._keep(self._beat(ours))
+
+    def stop(self) -> None:
+        """Ask for a controlled stop: the torque ramps down in a tenth of a second."""
+        if self.running and self.phase is not Phase.STOPPING:
+            self.phase, self.words = Phase.STOPPING, "The torque ramps down."
+            self._send(STOP)
+
+    def emergency(self) -> None:
+        """Torque off at once; nothing starts until `release`."""
+        self.latched = True
+        if not self.running:
+            self.phase, self.words = Phase.EMERGENCY, "No recording was running. Nothing starts until you release it."
+            return
+        self._send(EMERGENCY)
+        self.phase, self.words = Phase.STOPPING, "Emergency stop sent."
+        if self._child is not None:
+            self._keep(self._kill_late(self._child))
+
+    def release(self) -> None:
+        """Allow starting again."""
+        if self.latched and not self.running:
+            self.latched, self.phase, self.words = False, Phase.IDLE, READY
+
+    async def close(self) -> None:
+        """The dashboard ends: so does its recorder, in a controlled way first."""
+        child, line = self._child, self._line
+        if child is None or child.returncode is not None:
+            return
+        self._send(STOP)
+        try:
+            await asyncio.wait_for(child.wait(), LEAVE_S)
+        except TimeoutError:
+            child.kill()
+        if line is not None:
+            line.close()
+
+    # -- the recorder's process ----------------------------------------------------------------------------
+
+    async def _follow(self, child: asyncio.subprocess.Process, line: socket.socket, path: Path) -> None:
+        """Hear the recorder until it ends, then say how."""
+        assert child.stderr is not None
+        said = asyncio.create_task(child.stderr.read())
+        loop = asyncio.get_running_loop()
+        with suppress(OSError):
+            while packet := await loop.sock_recv(line, PACKET_BYTES):
+                self._hear(packet)
+        await child.wait()
+        self._line = None
+        line.close()
+        lines = (await said).decode(errors="replace").strip().splitlines()
+        self._end(child.returncode or 0, lines[-1] if lines else "", path)
+
+    def _hear(self, packet: bytes) -> None:
+        message = _PACKET.decode(packet)
+        self.heard_s = time.monotonic()
+        if isinstance(message, Ended):
+            self._ended = message
+            return
+        if isinstance(message, Heard):
+            self._heard, self.words = True, "The recorder has sent the motor's Stop."
+            return
+        self.rows.extend(message.rows)
+        self.rows_seen += len(message.rows)
+        message.rows = []
+        self.status = message
+        if message.phase != "opening" and self.phase is Phase.OPENING:
+            self.phase = Phase.RECORDING
+
+    def _end(self, code: int, said: str, path: Path) -> None:
+        ended = self._ended
+        if ended is None:
+            how = f"was killed by signal {-code}" if code < 0 else f"ended without a word: {said}"
+            ended = Ended("failed", f"the recorder {how}; legid recover mends its file",
+                          "the firmware's watchdog stops it; look at the leg before you go on")
+        self.motor = ended.motor
+        self.phase = Phase.EMERGENCY if self.latched else _ENDINGS[ended.kind]
+        if ended.kind == "done":
+            self.finished.append(path)
+            self.words = f"{path.name} is recorded to its end."
+        else:
+            self.words = f"{ended.why[:1].upper()}{ended.why[1:]}.".replace(f"{self.out}/", "")
+
+    async def _beat(self, line: socket.socket) -> None:
+        """Say that the dashboard is there: a recorder that does not hear it stops."""
+        while self._line is line:
+            self._send(ALIVE)
+            await asyncio.sleep(BEAT_S)
+
+    async def _kill_late(self, child: asyncio.subprocess.Process) -> None:
+        await asyncio.sleep(KILL_AFTER_S)
+        if not self._heard and child.returncode is None:
+            with suppress(ProcessLookupError):
+                child.kill()
+
+    def _send(self, packet: bytes) -> None:
+        if self._line is not None:
+            with suppress(OSError):  # it has ended, which `_follow` sees
+                self._line.send(packet)
+
+    def _keep(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
