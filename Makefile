@@ -63,5 +63,10 @@ soak: $(STAMP)
 tutorial: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.tutorial
 
+docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-docs.lock
+	$(BIN)/python -m sphinx -W -q -b html -d build/doctrees docs site
+	@echo "open site/index.html in a browser"
+
 clean:
-	rm -rf $(VENV) $(OUT) build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(OUT) site docs/generated build *.egg-info .pytest_cache .mypy_cache .ruff_cache
