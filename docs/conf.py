@@ -9,6 +9,7 @@ from typing import Any
 
 from docutils import nodes
 from latex2mathml.converter import convert
+from sphinx.util.inspect import TypeAliasForwardRef
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
@@ -36,7 +37,8 @@ html_theme_options = {"footer_icons": [], "top_of_page_buttons": []}
 
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
-autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_default_options = {"members": True}
+autodoc_type_aliases = {name: name for name in ("FloatArray", "BoolArray", "Index", "Samples", "Progress")}
 maximum_signature_line_length = 80
 suppress_warnings = ["ref.python"]  # Model, Problem and others are names of several classes
 
@@ -88,6 +90,7 @@ def escaped(line: str) -> str:
 
 def setup(app: Any) -> None:
     """What Sphinx calls first."""
+    TypeAliasForwardRef.__repr__ = lambda alias: str(alias.name)  # dict[str, FloatArray], not its machinery
     write_pages(HERE / "generated")
     app.add_html_math_renderer("mathml", (inline_formula, None), (display_formula, None))
     app.connect("autodoc-process-docstring", plain_docstring)

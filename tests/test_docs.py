@@ -13,8 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from daq.rig import ControllerDevice, Devices, ImuDevice, Mechanism, Rig, parse_rig
+
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 HOLE = "\N{HORIZONTAL ELLIPSIS}"
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
@@ -50,13 +53,20 @@ def test_every_page_is_in_the_contents() -> None:
                                                 re.MULTILINE), page.name
 
 
+def test_the_rig_s_defaults_are_those_that_the_readme_shows() -> None:
+    (shown,) = re.findall(r"```toml\n(\[mechanism\].*?)```", README, re.DOTALL)
+    rig = parse_rig(shown)
+    assert rig == Rig(mechanism=Mechanism(model="leg2", actuated=(2,)),
+                      devices=Devices(imu=ImuDevice(), controller=ControllerDevice()))
+
+
 @pytest.mark.slow
 def test_the_how_to_s_effect_is_found_in_simulated_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The README's class, installed as pip would leave it, and docs/own_effect.py."""
     import runpy
     import tempfile
 
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     (tmp_path / "my_effects.py").write_text(code)
     info = tmp_path / "my_effects-1.0.dist-info"
     info.mkdir()
@@ -78,44 +88,38 @@ def test_example_s_output_is_of_the_example() -> None:
         "run1.mcap", *(f"beta{k}" for k in range(1, 10)), "nominal", "named", "extended", "simulated"]
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The built site."""
-    if find_spec("sphinx") is None or find_spec("furo") is None or find_spec("myst_parser") is None:
-        pytest.skip("the documentation's tools are not installed: make docs")
-    out = tmp_path_factory.mktemp("site")
-    done = subprocess.run([sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", "-d", str(out / "trees"),
-                           str(DOCS), str(out / "html")], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    return out / "html"
-
-
 @pytest.mark.slow
-def test_pages_load_nothing_from_elsewhere(site: Path) -> None:
-    """By the text: what a browser would fetch is in the site itself."""
+def test_the_site_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
+    """Built anew; every page by its text, and from file:// in a browser, by its logs of network and console."""
+    if any(find_spec(tool) is None for tool in ("sphinx", "furo", "myst_parser", "latex2mathml")):
+        pytest.skip("the documentation's tools are not installed: make docs")
+    site = tmp_path / "html"
+    done = subprocess.run([sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", "-d", str(tmp_path / "trees"),
+                           str(DOCS), str(site)], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
     pages = sorted(site.rglob("*.html"))
     assert len(pages) >= 18
     for page in pages:
-        text = page.read_text(encoding="utf-8")
-        for address in re.findall(r'<(?:link|script|img|source|iframe)[^>]*?(?:href|src)="([^"]+)"', text):
-            assert not re.match(r"(https?:)?//", address), (page.name, address)
-            if not address.startswith("data:"):
-                assert (page.parent / re.sub(r"[?#].*", "", address)).exists(), (page.name, address)
+        look_at_text(page)
     for sheet in site.rglob("*.css"):
         assert not re.search(r"url\([\"']?(https?:)?//|@import", sheet.read_text(encoding="utf-8")), sheet
     formulas = (site / "theory.html").read_text(encoding="utf-8")
     assert formulas.count("<math") > 60 and "\\frac" not in formulas and "<merror" not in formulas
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no browser")
-def test_a_browser_asks_for_nothing_and_complains_of_nothing(site: Path, tmp_path: Path) -> None:
-    """Every page from file://, by the browser's own log of its network and its console."""
-    pages = [f"file://{page}" for page in sorted(site.rglob("*.html"))]
-    for address in [*pages, f"file://{site / 'search.html'}?q=friction"]:
+    if BROWSER is None:
+        pytest.skip("no browser; the pages' text alone was looked at")
+    for address in [*(f"file://{page}" for page in pages), f"file://{site / 'search.html'}?q=friction"]:
         dom, console, asked = browse(address, tmp_path)
         assert "</html>" in dom and console == [] and asked == set(), address
     assert "matching the search query" in dom
+
+
+def look_at_text(page: Path) -> None:
+    """What a browser would fetch is in the site itself."""
+    text = page.read_text(encoding="utf-8")
+    for address in re.findall(r'<(?:link|script|img|source|iframe)[^>]*?(?:href|src)="([^"]+)"', text):
+        assert not re.match(r"(https?:)?//", address), (page.name, address)
+        if not address.startswith("data:"):
+            assert (page.parent / re.sub(r"[?#].*", "", address)).exists(), (page.name, address)
 
 
 @pytest.mark.slow
