@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 OUT    ?= demo-out
 
-.PHONY: demo test lint test-kernel soak live-soak bench blind clean
+.PHONY: install demo test lint test-kernel soak live-soak bench blind tutorial docs clean
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed"; exit 1; }
@@ -14,6 +14,8 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
 	touch $@
+
+install: $(STAMP)
 
 demo: $(STAMP)
 	$(BIN)/legid demo --out $(OUT)
@@ -61,5 +63,14 @@ soak: $(STAMP)
 live-soak: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.live_soak --out docs/live-$$(date -u +%F).md
 
+# After a change of what commands print: the tutorial's outputs and figures anew.
+tutorial: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.tutorial
+
+docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-docs.lock
+	$(BIN)/python -m sphinx -W -q -b html -d build/doctrees docs site
+	@echo "open site/index.html in a browser"
+
 clean:
-	rm -rf $(VENV) $(OUT) build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(OUT) site docs/generated build *.egg-info .pytest_cache .mypy_cache .ruff_cache

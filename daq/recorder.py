@@ -382,14 +382,20 @@ def check_plan(plan: Plan, rig: Rig, controller: LegController) -> None:
 
 def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9ds1 | None, controller: LegController,
                now_ns: Callable[[], int] = time.monotonic_ns, threaded: bool = True,
-               progress: Progress | None = None, remote: Remote | None = None) -> RecordReport:
-    """Record `plan` over open devices into a new run file that holds all that a later refit needs."""
+               progress: Progress | None = None, remark: str = "", remote: Remote | None = None) -> RecordReport:
+    """Record `plan` over open devices into a new run file that holds all that a later refit needs.
+
+    `remark` is the file's first event: what whoever reads it should know of this recording. `remote` watches it and can
+    stop it.
+    """
     facts = {"started_unix_ns": str(time.time_ns()), "started_monotonic_ns": str(now_ns()),
              "calibration": msgspec.json.encode(rig.calibration).decode(), "python": platform.python_version(),
              "numpy": np.__version__, "system": platform.platform()}
     check_plan(plan, rig, controller)
     writer = RunWriter(path, {"rig.toml": rig_text, "plan.csv": plan.text()}, facts)
     try:
+        if remark:
+            writer.event(now_ns(), "remark", remark)
         recorder = Recorder(rig, imu, controller, writer, None, now_ns, threaded, progress, remote)
         return recorder.record(plan)
     finally:

@@ -17,6 +17,8 @@ from drivers.mock.settings import FirmwareSettings, ImuSettings
 from experiments.hidden_effects import NOTHING, Hidden
 from experiments.plant import LegBody
 
+REMARK = "recorded from an emulated leg"
+
 
 def emulate(rig: Rig, seed: int, clock: Clock, body: LegBody | None = None,
             hidden: Hidden = NOTHING) -> MockRig:
@@ -46,7 +48,10 @@ def _turned(bias: Vector3, mount: Matrix3, added: float) -> Vector3:
 def record_emulated(path: Path, rig: Rig, rig_text: str, plan: Plan, seed: int, body: LegBody | None = None,
                     hidden: Hidden = NOTHING,
                     progress: Callable[[float, float], None] | None = None) -> RecordReport:
-    """One run on the emulated rig, through the drivers and the recorder that a real one uses."""
+    """One run on the emulated rig, through the drivers and the recorder that a real one uses.
+
+    The run file says that it is emulated, and not what is hidden.
+    """
     clock = VirtualClock()
     mock = emulate(rig, seed, clock, body, hidden)
     device = rig.devices.imu or ImuDevice()
@@ -56,4 +61,5 @@ def record_emulated(path: Path, rig: Rig, rig_text: str, plan: Plan, seed: int, 
         controller.open()
         imu = Lsm9ds1(mock.imu, device.address, config, clock.now_ns, device.bus_khz, clock.sleep)
         imu.open()
-        return record_run(path, rig, rig_text, plan, imu, controller, clock.now_ns, threaded=False, progress=progress)
+        return record_run(path, rig, rig_text, plan, imu, controller, clock.now_ns, threaded=False, progress=progress,
+                          remark=REMARK)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.errors import WorkError
 from estimator.result import FitResult
 from experiments.model_file import MechanismSettings, Model, ParameterValue, Provenance
 from experiments.output import program_version
@@ -34,6 +35,21 @@ def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, An
         "wall_s": float(result.wall_s), "undetermined": list(result.undetermined),
         "warnings": list(result.warnings), "assumptions": list(result.assumptions),
     }
+
+
+def check_sound(result: FitResult, for_model: bool) -> None:
+    """Raises `WorkError` for a fit that did not converge or that knows nothing; `for_model`, for one that is not sure
+    of every parameter too."""
+    missing = f"this data does not determine {', '.join(result.undetermined)}" if result.undetermined else ""
+    if not result.converged:
+        raise WorkError(f"did not converge after {result.iterations} iterations; the values above are not to be used, "
+                        + ("no model was written" if for_model else "record more, or richer, motion")
+                        + (f"; {missing}" if missing else ""))
+    if missing and result.open_parameters >= {p.name for p in result.mechanism.parameters} - set(result.fixed):
+        raise WorkError(f"{missing}; move every joint")
+    if missing and for_model:
+        raise WorkError(f"no model was written: {missing}; record richer motion, or give parameters with "
+                        "--fix NAME=VALUE")
 
 
 def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Sequence[str],

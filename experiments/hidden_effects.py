@@ -10,6 +10,7 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+from daq.errors import InputError
 from drivers.mock.plant import Plant
 from experiments.plant import HiddenTorque, LegBody, LegPlant, Motion
 
@@ -94,3 +95,11 @@ EFFECTS: dict[str, Hidden] = {hidden.effect: hidden for hidden in (
     Hidden("sensor_time_skew", None, "an IMU that is 4 ms late", imu_late_s=0.004),
 )}
 DEFAULT = "joint_stiffness"
+
+
+def find_hidden(name: str) -> Hidden:
+    """The effect called `name`, or `none`. Raises `InputError`."""
+    known = {NOTHING.effect: NOTHING} | EFFECTS
+    if name not in known:
+        raise InputError("emulate", f"{name!r} cannot be hidden", f"it can be {', '.join(known)}")
+    return known[name]

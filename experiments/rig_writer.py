@@ -53,7 +53,7 @@ def rig_toml(facts: RigFacts) -> str:
     def line(key: str, value: str, note: str, field: str | None = None) -> str:
         """`field`: where the value is one that must be known, and is marked when nobody gave it."""
         mark = f"  {ASSUMED}" if field is not None and field not in facts.known else ""
-        return f"{key} = {value}".ljust(34) + f"# {note}{mark}"
+        return f"{key} = {value}".ljust(33) + f" # {note}{mark}"
 
     parts = ["# A rig of legid, written by legid init. Check every line marked ASSUMED, then run: legid doctor --rig "
              "this file", "", "[mechanism]",

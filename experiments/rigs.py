@@ -31,8 +31,17 @@ class Setup:
 def load_setup(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
                fixed: Mapping[str, float] | None = None, latent: str = "trajectory") -> Setup:
     """Runs read and aligned, mechanism and options by the rig. Raises `InputError`."""
-    datasets = tuple(prepare(load_run(path, rig), rig)
-                     for path in progress(list(paths), "reading runs", unit="run"))
+    return setup_of(load_runs(paths, rig), rig, sensors, fixed, latent)
+
+
+def load_runs(paths: Sequence[Path | str], rig: Rig) -> tuple[Dataset, ...]:
+    """Runs read, aligned, with the input that the mechanism is driven by. Raises `InputError`."""
+    return tuple(prepare(load_run(path, rig), rig) for path in progress(list(paths), "reading runs", unit="run"))
+
+
+def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
+             fixed: Mapping[str, float] | None = None, latent: str = "trajectory") -> Setup:
+    """Mechanism and options by the rig, for runs that are in memory. Raises `InputError`."""
     settings = mechanism_settings(rig, prismatic=any("q1_m" in d and "q1_rad" not in d for d in datasets))
     try:
         mechanism = build_mechanism(settings)
@@ -43,7 +52,7 @@ def load_setup(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None
             raise InputError("--fix", f"{settings.model} has no parameter {name}",
                              f"it has {', '.join(mechanism.names)}")
     options = fit_options(rig, choose_sensors(rig, datasets, sensors), fixed or {}, latent)
-    return Setup(settings, mechanism, options, datasets)
+    return Setup(settings, mechanism, options, tuple(datasets))
 
 
 def prepare(data: Dataset, rig: Rig) -> Dataset:

@@ -34,7 +34,7 @@ def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = N
     q0 = np.zeros(mechanism.n) if start is None else np.array(start, dtype=float)
     if q0.shape != (mechanism.n,) or not np.isfinite(q0).all():
         raise InputError("--start", f"needs {mechanism.n} finite angles", "give one for every joint")
-    rate = rate_hz or 1.0 / float(np.median(np.diff(plan.time_s)))
+    rate = rate_hz or round(1.0 / float(np.median(np.diff(plan.time_s))), 6)
     time_s = np.arange(max(round(plan.duration_s * rate), 2)) / rate
     command = plan.torque_nm[np.searchsorted(plan.time_s - plan.time_s[0], time_s + 1e-9, side="right") - 1]
     tau = np.zeros((time_s.size, mechanism.n))

@@ -284,3 +284,17 @@ def test_record_without_devices_says_what_is_missing(tmp_path: Path, capsys: pyt
     absent.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n')
     assert "devices.controller" in fails(capsys, 2, "record", "--rig", absent, *args)
     assert not (tmp_path / "r.mcap").exists()
+
+
+def test_record_from_an_emulated_leg_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing of the rig's devices is opened; what is hidden is not in the file."""
+    write_plan(random_multisine(1, 4.0, 0.3), tmp_path / "plan.csv")
+    start = ["record", "--rig", RIG, "--plan", tmp_path / "plan.csv", "--out", tmp_path / "run.mcap"]
+    assert legid(*start, "--emulate", "quadratic_drag", "--seed", 3) == 0
+    assert legid("info", tmp_path / "run.mcap") == 0
+    said = capsys.readouterr().out
+    assert "recorded from an emulated leg" in said and "drag" not in said
+    raw = read_run(tmp_path / "run.mcap")
+    assert raw.streams["/imu"].size > 1900 and raw.files["rig.toml"] == RIG.read_text()
+    assert "exists" in fails(capsys, 2, *start, "--emulate")
+    assert "invalid choice" in fails(capsys, 2, *start, "--emulate", "ghosts")

@@ -119,3 +119,18 @@ def test_what_cannot_be_is_one_line(folder: Path, tmp_path: Path, capsys: pytest
     assert len(errors) == 5
     assert "odd harmonics" in errors[0] and "give a model of this rig" in errors[3] and "widen [limits]" in errors[4]
     assert not (folder / "x.csv").exists() and not (tmp_path / "x.csv").exists()
+
+
+def test_a_first_plan_needs_no_model_and_is_gentle(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    start = ["excite", "--rig", str(folder / "rig.toml"), "--out", str(folder / "first.csv")]
+    assert main([*start, "--seconds", "8"]) == 0
+    first = read_plan(folder / "first.csv")
+    assert first.peak_nm == pytest.approx(0.1 * 1.5) and first.duration_s == pytest.approx(8.0)
+    assert main([*start, "--seconds", "8", "--peak", "0.7", "--seed", "1"]) == 0
+    second = read_plan(folder / "first.csv").torque_nm
+    assert np.abs(second).max() == pytest.approx(0.7) and not np.allclose(second / 0.7, first.torque_nm / 0.15)
+    assert main([*start, "--peak", "2"]) == 2
+    assert main([*start, "--peak", "1", "--model", str(folder / "model.json")]) == 2
+    assert main([*start, "--seconds", "3"]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 3 and "limit of 1.5 N m" in errors[0] and "leave out --peak" in errors[1]

@@ -20,7 +20,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help=f"what is hidden in the leg: {', '.join(HIDEABLE)}; default: joint_stiffness")
     parser.add_argument("--runs", metavar="N", type=_runs, default=8, help="number of runs; default: 8")
     parser.add_argument("--seconds", metavar="S", type=_seconds, default=10.0, help="length of each run; default: 10")
-    parser.add_argument("--seed", metavar="N", type=_seed, default=1,
+    parser.add_argument("--seed", metavar="N", type=parse_seed, default=1,
                         help="noise and excitation are drawn from it; default: 1")
     parser.set_defaults(run=run)
 
@@ -41,7 +41,8 @@ def _runs(text: str) -> int:
     return int(text)
 
 
-def _seed(text: str) -> int:
+def parse_seed(text: str) -> int:
+    """A seed from the command line."""
     if not text.isdecimal() or int(text) >= 2**20:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number below {2**20}")
     return int(text)

@@ -71,13 +71,12 @@ def _run_each(args: argparse.Namespace) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit, print, write what was asked for. Raises `WorkError` when the fit did not converge."""
+    """Fit, print, write what was asked for. Raises `WorkError` where the fit is no use."""
     if args.each:
         return _run_each(args)
-    from daq.errors import WorkError
     from daq.rig import load_rig
     from estimator.fit import fit
-    from experiments.fit_json import fit_document, model_of
+    from experiments.fit_json import check_sound, fit_document, model_of
     from experiments.fit_text import fit_text
     from experiments.output import busy, write_json
     from experiments.rigs import load_setup
@@ -94,17 +93,8 @@ def run(args: argparse.Namespace) -> int:
 
         title = f"Fit of {setup.settings.model}: {', '.join(d.name for d in setup.datasets)}"
         write_page(args.html, title, fit_summary(result, setup.settings.model), fit_sections(result))
-    missing = f"this data does not determine {', '.join(result.undetermined)}" if result.undetermined else ""
-    if not result.converged:
-        raise WorkError(f"did not converge after {result.iterations} iterations; the values above are not to be used, "
-                        + ("no model was written" if args.model_out else "record more, or richer, motion")
-                        + (f"; {missing}" if missing else ""))
-    if missing and result.open_parameters >= {p.name for p in result.mechanism.parameters} - set(result.fixed):
-        raise WorkError(f"{missing}; move every joint")
+    check_sound(result, bool(args.model_out))
     if args.model_out:
-        if missing:
-            raise WorkError(f"no model was written: {missing}; record richer motion, or give parameters with "
-                            "--fix NAME=VALUE")
         from experiments.model_file import save_model
 
         save_model(model_of(result, setup.settings, setup.options.hold, [d.name for d in setup.datasets]),

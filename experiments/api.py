@@ -1,0 +1,157 @@
+"""The commands' verbs as functions, for scripts and notebooks.
+
+    from experiments.api import diagnose, fit, load, validate
+
+    runs = load(["run1.mcap", "run2.mcap"], "rig.toml")
+    result = fit(runs, "rig.toml")
+    print(result.mechanism.names, result.beta, result.ci95())
+
+A `rig` is the path of a rig.toml or the `Rig` that `load_rig` makes of it. Runs are `Dataset` objects: columns of
+contract names in SI units on one uniform grid, NaN where a sample is missing. Nothing is printed but a progress bar
+where stderr is a terminal. What cannot be used raises `InputError`; what cannot be done on this data or device raises
+`WorkError`, `FitError` or a `DriverError`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq.dataset import Dataset
+from daq.errors import InputError, WorkError
+from daq.plan import Plan, read_plan, write_plan
+from daq.recorder import RecordReport
+from daq.rig import Rig, load_rig
+from drivers.errors import DriverError
+from estimator import fit as fitting
+from estimator.errors import FitError
+from estimator.result import FitResult
+from estimator.validation import Validation
+from estimator.verdict import Diagnosis
+from experiments import simulated_run, validation
+from experiments.diagnosing import diagnose_setup, reference_values
+from experiments.diagnosis_json import diagnosed_model
+from experiments.excitation import random_multisine
+from experiments.fit_json import check_sound, model_of
+from experiments.model_file import Model, load_model, save_model
+from experiments.recording import record_plan
+from experiments.rigs import load_runs, setup_of
+
+__all__ = ["Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError", "Model", "Plan", "Recording",
+           "Rig", "Validation", "WorkError", "diagnose", "fit", "load", "load_model", "load_rig", "model", "multisine",
+           "read_plan", "record", "save_model", "simulate", "validate", "write_plan"]
+
+RigLike = Rig | Path | str
+multisine = random_multisine
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A finished recording."""
+
+    run: Dataset
+    """What was recorded, as `load` gives it."""
+    report: RecordReport
+    """Duration [s], commands sent and left out, IMU samples, bound of the controller's clock [s]."""
+    warnings: tuple[str, ...]
+    """What made the clock less certain than it could be, one line each."""
+
+
+def load(runs: Path | str | Sequence[Path | str], rig: RigLike) -> tuple[Dataset, ...]:
+    """Runs from .mcap, .csv or .csv.gz files, on the uniform grid of the rig's `[sampling] rate_hz`.
+
+    One `Dataset` a file, in the order given, each column (n,) in SI units, angles and IMU axes by the contract
+    (README, "A run as CSV"). Raises `InputError` naming file, line and column.
+    """
+    paths = [runs] if isinstance(runs, Path | str) else list(runs)
+    return load_runs(paths, _rig(rig))
+
+
+def fit(runs: Sequence[Dataset], rig: RigLike, method: str = "mle", sensors: str | None = None,
+        fixed: Mapping[str, float] | None = None, latent: str = "trajectory") -> FitResult:
+    """Identify the parameters of the rig's mechanism from `runs`, all together.
+
+    `method`: mle (maximum likelihood along one motion, the default), wls (section III of Dolinsky and Celikovsky,
+    IEEE TCST 26(4), 2018), rls, hekf (its appendices). `sensors`: imu or encoder, what gives the pivot's angle; None
+    takes the IMU where all runs have it. `fixed`: parameters that are given, by name. `latent="free"`: the paper's own
+    maximum likelihood, section IV.
+
+    The result has `beta` (p,) in the order of `mechanism.parameters`, which hold the units (kg m^2, kg m, N m s/rad,
+    N m), `covariance` (p, p), `ci95()` (p, 2), `noise`, and the estimated motion. It may not have `converged`, or
+    name what is `undetermined`: look, or let `model` refuse it. Raises `InputError`, or `FitError` where the data
+    cannot answer.
+    """
+    setup = setup_of(runs, _rig(rig), sensors, fixed, latent)
+    return fitting.fit(setup.datasets, setup.mechanism, setup.options, method)
+
+
+def validate(model: Model, runs: Sequence[Dataset], rig: RigLike, sensors: str | None = None) -> list[Validation]:
+    """Free-run simulation of `model` against runs that it was not fitted to (Table V of the paper).
+
+    Each gap-free stretch is simulated from its first state under its measured torque alone. One `Validation` a
+    stretch: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold effects. Raises
+    `InputError` for a model of another mechanism, `FitError` where a first state cannot be estimated.
+    """
+    return validation.validate_runs(model, setup_of(runs, _rig(rig), sensors), "the model")
+
+
+def diagnose(runs: Sequence[Dataset], rig: RigLike, seed: int = 0, reference: Model | None = None,
+             progress: Callable[[str, float], None] | None = None) -> Diagnosis:
+    """What the simulation of the rig's model gets wrong on `runs`, why, and what extending it gains.
+
+    Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good. Of four in turn two
+    are fitted, one helps to choose, one is opened once at the end. `seed` draws rehearsals and intervals; `reference`
+    is an earlier model whose parameters are compared; `progress` is called with (stage, fraction done).
+
+    The result's `verdict` is none, named, one_of, unexplained or fit_failed; `causes` have sizes with units and 95 %
+    intervals. Raises `InputError` for runs that do not belong together.
+    """
+    rig = _rig(rig)
+    setup = setup_of(runs, rig)
+    values = None if reference is None else reference_values(reference, "reference", setup)
+    return diagnose_setup(setup, rig, seed, values, progress)
+
+
+def model(found: FitResult | Diagnosis, runs: Sequence[Dataset], rig: RigLike) -> Model:
+    """A fit, or a diagnosis with its effects, as the model that `validate`, `simulate` and `save_model` take.
+
+    `runs` and `rig` are those it was made from. Raises `WorkError` for a fit that did not converge or left parameters
+    undetermined, and for a diagnosis that failed.
+    """
+    rig = _rig(rig)
+    setup = setup_of(runs, rig)
+    if isinstance(found, Diagnosis):
+        if found.verdict == "fit_failed":
+            raise WorkError(found.sentence)
+        return diagnosed_model(found, setup, rig.motor.gear_ratio)
+    check_sound(found, for_model=True)
+    return model_of(found, setup.settings, setup.options.hold, [run.name for run in runs])
+
+
+def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = None, seed: int = 1,
+           progress: Callable[[float, float], None] | None = None) -> Recording:
+    """Run `plan` on the real leg under the rig's limits and record it into the new file `out` (.mcap).
+
+    `rig` is a path: a copy of that file goes into the run. `emulate` names an effect hidden in an emulated leg instead
+    ("none": nothing), whose noise is drawn from `seed`; no device is opened then. `progress` is called with (done,
+    total) in seconds. Ctrl-C stops the motor. Raises `InputError` for a plan beyond the limits, `WorkError` naming the
+    limit that ended the run (what was recorded is kept), a `DriverError` for a device.
+    """
+    report, warnings = record_plan(rig, plan, out, emulate, seed, progress)
+    (run,) = load(out, rig)
+    return Recording(run, report, tuple(warnings))
+
+
+def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequence[float] | None = None,
+             noise_seed: int | None = None) -> Dataset:
+    """The run that `model` would give under `plan`, from rest at the angles `start` (joints,) [rad], default zero.
+
+    Columns (n,) as a recorded run has them, at `rate_hz` (default: the plan's). `noise_seed` adds the model's own
+    noise levels. Raises `InputError` where the plan does not fit, `WorkError` where the motion runs away.
+    """
+    return simulated_run.simulate_run(model, plan, "the model", rate_hz, start, noise_seed)
+
+
+def _rig(rig: RigLike) -> Rig:
+    return rig if isinstance(rig, Rig) else load_rig(rig)
