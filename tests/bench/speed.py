@@ -126,8 +126,8 @@ def loading(found: Table, lengths: list[int]) -> str:
     times = [found["legid", n]["load_s"] for n in lengths]
     if None in times:
         return ", which was not at hand."
-    return (f": a process needs {np.median(times):.1f} s once to fetch it ({max(times):.1f} s where this run had to "
-            "compile it first), and uses it only after it has fitted for about as long.")
+    return (f".\n  A process needs {np.median(times):.1f} s once to fetch it, the first on a machine, which compiles, "
+            f"{max(times):.1f} s; only one\n  that has fitted for about as long uses it.")
 
 
 def machine() -> str:
@@ -180,6 +180,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as directory:
         record = Path(directory) / "record.npz"
         write_record(record, max(lengths))
+        os.environ["NUMBA_CACHE_DIR"] = directory  # so that the first process of this run compiles
         found = measure(record, lengths, peers, args.limit)
     text = tables(found, lengths, peers)
     print(text)
