@@ -41,6 +41,8 @@ FloatArray = NDArray[np.float64]
 LEFT_OVER_CONFIRM = 0.3
 """What a cause may leave for others on the confirm runs, where parameters are not re-fitted, as a share of its own
 gain; see explaining.LEFT_OVER."""
+ANOTHER = 0.25
+"""Share, beside three standard deviations, by which a sharper rounding may move a size; more is another explanation."""
 LEAST_CLOSED = 0.1
 """Least share of the free-run gap that a named cause closes on the confirm runs. A law of another form than the real
 one's (friction that drifts along another curve) may be right and close a quarter; parameters can
@@ -142,7 +144,9 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
     if not confirmed(desk, best):
         return account.unexplained(base, session, desk.nominal, best, "it does not hold on the confirm runs", rng)
     p = max(1e-12, min(1.0, _p_of_gain(best) * desk.trials))
-    session, ties = session.sharp(), [sharpened(desk, ties[0]), *ties[1:]]
+    sharp = sharpened(desk, best)
+    if sharp is not best:  # else what was found under the search's rounding is measured under it, too
+        session, ties = session.sharp(), [sharp, *ties[1:]]
     found = account.finding(base, session, desk.nominal, ties, p, rng)
     if found.gap_closed is None or found.gap_closed < LEAST_CLOSED:
         closed_share = "an unknown share" if found.gap_closed is None else f"{100 * found.gap_closed:.0f} %"
@@ -159,7 +163,8 @@ def alike(one: Explained, other: Explained) -> bool:
 
 
 def sharpened(desk: Desk, explained: Explained) -> Explained:
-    """Re-fitted with the rig's own rounding of sign(qd), which its saved model has too; as it was where that fails.
+    """Re-fitted with the rig's own rounding of sign(qd), which its saved model has too; as it was where that fails or
+    leads elsewhere.
 
     The wider rounding of the search costs a few per mille on every parameter alike. Where the recorder's clocks
     leave it open, the IMU's time line is free meanwhile. Dry friction near rest has no known form: what the two
@@ -179,6 +184,9 @@ def sharpened(desk: Desk, explained: Explained) -> Explained:
         if again.state.converged and (not beside or abs(again.state.beta[-1]) <= bound):
             break
     else:
+        return explained
+    moved = np.abs(np.concatenate(again.sizes()[: len(model.effects)]) - np.concatenate(model.sizes()))
+    if np.any(moved > ANOTHER * np.abs(np.concatenate(model.sizes())) + 3.0 * model.std()[desk.session.mechanism.p :]):
         return explained
     between = again.state.beta.copy()
     between[: model.width] -= model.state.beta[: model.width]

@@ -17,7 +17,7 @@ class StribeckFriction(TorqueEffect):
 
     name = "stribeck_friction"
     sizes = (Size("excess_torque", "N m", 0.01),)
-    shapes = (Shape("stribeck_velocity", "rad/s", (0.05, 0.1, 0.2, 0.4, 0.8)),)
+    shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.2, 0.4, 0.8)),)  # slower is the rounding of sign(v)
     sentence = "friction is higher near standstill than in motion (Stribeck)"
     reference = "Stribeck 1902; Armstrong-Helouvry 1991"
     experiment = "slow reversals: a multisine below 0.3 Hz at small amplitude"
