@@ -1,4 +1,4 @@
-"""Writes measured calibration into the text of a rig.toml; everything else in it, comments too, stays as it is."""
+"""Writes measured values into the text of a rig.toml; everything else in it, comments too, stays as it is."""
 
 from __future__ import annotations
 
@@ -8,46 +8,65 @@ from collections.abc import Mapping
 import msgspec
 
 from daq.errors import InputError
-from daq.rig import Calibration, parse_rig
+from daq.rig import Rig, parse_rig
 
-TABLE = "[calibration]"
+ASSUMED = "ASSUMED, please measure"
+"""What `legid init` writes behind a value that nobody gave; it goes when the value is set."""
 
 
 def set_calibration(text: str, values: Mapping[str, object], where: str = "rig.toml") -> str:
     """`text` with these keys of `[calibration]` set. Raises `InputError` when the file is written in another way."""
+    return set_values(text, {"calibration": values}, where)
+
+
+def set_values(text: str, tables: Mapping[str, Mapping[str, object]], where: str = "rig.toml") -> str:
+    """`text` with these keys of these tables set. Raises `InputError` when the file is written in another way."""
+    new = text
+    for table, values in tables.items():
+        if values:
+            new = _set_table(new, table, values)
+    _check(text, new, tables, where)
+    return new
+
+
+def _set_table(text: str, table: str, values: Mapping[str, object]) -> str:
     lines = text.splitlines()
-    start = next((k for k, line in enumerate(lines) if line.split("#")[0].strip() == TABLE), None)
+    start = next((k for k, line in enumerate(lines) if line.split("#")[0].strip() == f"[{table}]"), None)
     if start is None:
-        lines += ["", TABLE] if lines and lines[-1].strip() else [TABLE]
+        lines += ["", f"[{table}]"] if lines and lines[-1].strip() else [f"[{table}]"]
         start = len(lines) - 1
     end = next((k for k in range(start + 1, len(lines)) if re.match(r"\s*\[", lines[k])
                 and not _inside_array(lines[start + 1: k])), len(lines))
     body = lines[start + 1: end]
-    for key in values:
-        body = _without(body, key)
     while body and not body[-1].strip():
         body.pop()
-    body += [f"{key} = {_toml(value)}" for key, value in values.items()]
-    new = "\n".join([*lines[: start + 1], *body, *([""] if end < len(lines) else []), *lines[end:]]) + "\n"
-    _check(text, new, values, where)
-    return new
+    for key, value in values.items():
+        body = _with(body, key, f"{key} = {_toml(value)}")
+    return "\n".join([*lines[: start + 1], *body, *([""] if end < len(lines) else []), *lines[end:]]) + "\n"
 
 
-def _check(old: str, new: str, values: Mapping[str, object], where: str) -> None:
+def _check(old: str, new: str, tables: Mapping[str, Mapping[str, object]], where: str) -> None:
     """The new text says what the old one said, but for the values."""
+    keys = ", ".join(key for values in tables.values() for key in values)
     try:
         before, after = parse_rig(old, where), parse_rig(new, where)
     except InputError as error:
-        raise InputError(where, f"cannot be changed by program ({error})", f"set {', '.join(values)} by hand") from None
-    wanted = msgspec.convert({**msgspec.to_builtins(before.calibration), **values}, Calibration)
-    if after != msgspec.structs.replace(before, calibration=wanted):
-        raise InputError(where, "its [calibration] is written in a way that cannot be changed by program",
-                         f"set {', '.join(values)} by hand")
+        raise InputError(where, f"cannot be changed by program ({error})", f"set {keys} by hand") from None
+    wanted = msgspec.to_builtins(before)
+    for table, values in tables.items():
+        wanted[table] |= values
+    if after != msgspec.convert(wanted, Rig):
+        raise InputError(where, f"its [{', '.join(tables)}] is written in a way that cannot be changed by program",
+                         f"set {keys} by hand")
 
 
-def _without(body: list[str], key: str) -> list[str]:
-    """The table's lines without this key and its value, which may go over several lines."""
+def _with(body: list[str], key: str, entry: str) -> list[str]:
+    """The table's lines with this key's entry in place of an old one, which may go over several lines, or at the end.
+
+    The comment behind an old value of one line stays, the mark of an assumed value does not.
+    """
     out: list[str] = []
+    placed = False
     rest = iter(body)
     for line in rest:
         if not re.match(rf"\s*{re.escape(key)}\s*=", line):
@@ -59,7 +78,10 @@ def _without(body: list[str], key: str) -> list[str]:
             if more is None:
                 break
             seen.append(more)
-    return out
+        comment = line.partition("#")[2].replace(ASSUMED, "").strip() if len(seen) == 1 else ""
+        out.append(f"{entry:33} # {comment}" if comment else entry)
+        placed = True
+    return out if placed else [*out, entry]
 
 
 def _inside_array(lines: list[str]) -> bool:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from daq.errors import InputError
 from daq.rig import JOINTS, parse_rig
+from daq.rig_text import ASSUMED
 
-ASSUMED = "ASSUMED, please measure"
 Line = Callable[..., str]
 
 

@@ -1,4 +1,4 @@
-"""`legid calibrate imu`: bias, noise and scales of the IMU, from records at rest."""
+"""`legid calibrate`: what rig.toml's [calibration] and the lever arm need, from records with the motor off."""
 
 from __future__ import annotations
 
@@ -9,51 +9,128 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from daq.imu_calibration import StillRecord
     from daq.rig import Rig
+    from daq.runfile import RawRun
+    from experiments.calibration_outcome import Outcome
+    from experiments.model_file import Model
+    from experiments.motor_off import Wanted
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
     parser = subparsers.add_parser(
-        "calibrate", help="calibrate the IMU from records at rest",
-        description="Gyro bias and noise (Allan deviation) from a record of an IMU that lies still; with six, each "
-                    "with another axis of the chip up or down, accelerometer bias and scales too. Without RUN the chip "
-                    "itself is read. The result goes into the [calibration] table of the rig file.")
-    parser.add_argument("what", choices=["imu"], help="what to calibrate")
-    parser.add_argument("runs", metavar="RUN", nargs="*", help="one or six .mcap files recorded at rest")
-    parser.add_argument("--rig", required=True, help="the rig's TOML file; its [calibration] is written")
-    parser.add_argument("--seconds", type=float, default=60.0, help="length of each record from the chip (default 60)")
-    parser.add_argument("--six-positions", action="store_true", help="ask for six positions of the chip, one by one")
-    parser.add_argument("--self-test", action="store_true", help="first let the chip test itself; keep it still")
-    parser.add_argument("--dry-run", action="store_true", help="print only, leave the rig file as it is")
+        "calibrate", help="calibrate IMU, knee encoder, mount and shunt from records with the motor off",
+        description="Measure what the rig file must know and write it there; comments stay. Without RUN the devices of "
+                    "the rig file are read, the motor stays off. Every figure comes with its 95 % interval.")
+    steps = parser.add_subparsers(title="what to calibrate", metavar="WHAT", required=True, dest="what")
+    imu = _step(steps, "imu", "biases, noise and scales of the IMU, from records at rest",
+                "Gyro bias and noise (Allan deviation) from a record of an IMU that lies still; with six, each with "
+                "another axis of the chip up or down, accelerometer bias and scales too.",
+                "one or six .mcap files recorded at rest", 60.0)
+    imu.add_argument("--six-positions", action="store_true", help="ask for six positions of the chip, one by one")
+    imu.add_argument("--self-test", action="store_true", help="first let the chip test itself; keep it still")
+    mount = _step(steps, "mount", "how the IMU sits on link 1, and its lever arm, from rest and swing",
+                  "Mount matrix and lever arm by maximum likelihood of the swing and the chip's six readings; where "
+                  "q1 = 0 is, comes from the leg hanging at rest.", ".mcap files: the leg at rest, and swinging", 20.0)
+    encoder = _step(steps, "encoder", "the knee encoder's reading at a straight knee",
+                    "From a leg hanging free, whose knee stops anywhere in its friction's cone about the vertical, or "
+                    "held straight (--straight).", ".mcap files at rest, each another stop of the leg", 10.0)
+    encoder.add_argument("--straight", action="store_true", help="the leg is held or clamped straight")
+    encoder.add_argument("--records", metavar="N", type=int, help="so many stops from the devices")
+    for step in (mount, encoder):
+        step.add_argument("--model", metavar="MODEL.json", help="an identified leg: how far its friction holds it")
+    _step(steps, "shunt", "offset of the current shunt, motor off and leg at rest",
+          "Mean current while the motor is off, with its drift.", ".mcap files with the motor off", 20.0)
     parser.set_defaults(run=run)
+
+
+def _step(steps: argparse._SubParsersAction[argparse.ArgumentParser], name: str, about: str, more: str, runs: str,
+          seconds: float) -> argparse.ArgumentParser:
+    step = steps.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}. {more}")
+    step.add_argument("runs", metavar="RUN", nargs="*", help=runs)
+    step.add_argument("--rig", required=True, help="the rig's TOML file; what is found is written into it")
+    step.add_argument("--seconds", type=float, default=seconds,
+                      help=f"length of each record from the devices (default {seconds:g})")
+    step.add_argument("--dry-run", action="store_true", help="print only, leave the rig file as it is")
+    return step
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure, say, store."""
-    from pathlib import Path
+    import sys
 
-    from daq.errors import InputError
     from daq.rig import load_rig
-    from daq.rig_text import set_calibration
-    from experiments import calibrating
+    from experiments.calibration_outcome import store
 
     rig = load_rig(args.rig)
-    text = Path(args.rig).read_text(encoding="utf-8")
+    outcome = STEPS[args.what](args, rig)
+    print(outcome.text)
+    for warning in outcome.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print(store(outcome, args.rig, args.dry_run))
+    return 0
+
+
+def _imu(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from experiments import calibrating
+    from experiments.calibration_outcome import Outcome
+
     records = _recorded(args.runs) if args.runs else _measured(args, rig)
     gyro, accel = calibrating.calibrate(records, rig.mechanism.gravity_mps2)
-    values = calibrating.calibration_values(gyro, accel)
-    print(calibrating.calibration_text(gyro, accel))
-    if args.dry_run:
-        print(f"{args.rig} left as it is; it would say:")
-        print("\n".join(f"  {key} = {value}" for key, value in values.items()))
-        return 0
-    new = set_calibration(text, values, args.rig)
-    try:
-        Path(args.rig).write_text(new, encoding="utf-8")
-    except OSError as error:
-        raise InputError(args.rig, error.strerror or str(error), "give a place that can be written") from None
-    print(f"{args.rig}: [calibration] {', '.join(values)} written")
-    return 0
+    return Outcome(calibrating.calibration_text(gyro, accel),
+                   {"calibration": calibrating.calibration_values(gyro, accel)})
+
+
+def _encoder(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from daq.errors import InputError
+    from experiments import calibrating_leg as leg
+
+    model = _model(args)
+    if args.records is not None and args.records < 1:
+        raise InputError("--records", f"is {args.records}", "give 1 or more")
+    count = args.records or (1 if args.straight else leg.fewest_stops(model))
+    wishes = leg.straight_wishes(count) if args.straight else leg.hanging_wishes(count)
+    return leg.calibrate_knee(_records(args, rig, wishes), rig, args.straight, model)
+
+
+def _mount(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from experiments.calibrating_mount import WISHES, calibrate_mount
+
+    model = _model(args)
+    return calibrate_mount(_records(args, rig, WISHES, controller=False), rig, model)
+
+
+def _shunt(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from experiments.calibrating_leg import calibrate_shunt, shunt_wishes
+
+    return calibrate_shunt(_records(args, rig, shunt_wishes()), rig)
+
+
+STEPS = {"imu": _imu, "mount": _mount, "encoder": _encoder, "shunt": _shunt}
+
+
+def _records(args: argparse.Namespace, rig: Rig, wishes: Sequence[Wanted], controller: bool = True) -> list[RawRun]:
+    """From the files given, else from the devices."""
+    from pathlib import Path
+
+    from experiments.motor_off import read_records, record_off
+
+    if args.runs:
+        return read_records(args.runs)
+    text = Path(args.rig).read_text(encoding="utf-8")
+    return record_off(rig, text, args.rig, wishes, args.seconds, controller)
+
+
+def _model(args: argparse.Namespace) -> Model | None:
+    """The identified leg, where one is given."""
+    from daq.errors import InputError
+    from experiments.model_file import load_model
+
+    if args.model is None:
+        return None
+    model = load_model(args.model)
+    if model.mechanism.model != "leg2":
+        raise InputError(args.model, f"is a model of {model.mechanism.model}", "give that of a leg2")
+    return model
 
 
 def _recorded(paths: Sequence[str]) -> list[StillRecord]:
@@ -73,6 +150,7 @@ def _measured(args: argparse.Namespace, rig: Rig) -> list[StillRecord]:
     from daq.errors import InputError, WorkError
     from experiments.calibrating import SIX, record_still, self_test_text
     from experiments.devices import open_imu
+    from experiments.motor_off import answer
 
     if rig.devices.imu is None:
         raise InputError(args.rig, "has no [devices.imu]", "describe the IMU, or give records as RUN")
@@ -86,7 +164,7 @@ def _measured(args: argparse.Namespace, rig: Rig) -> list[StillRecord]:
             imu.open()
         for position in range(SIX if args.six_positions else 1):
             if args.six_positions:
-                input(f"position {position + 1} of {SIX}: lay the chip on another face, then press Enter ")
+                answer(f"position {position + 1} of {SIX}: lay the chip on another face, then press Enter ")
             print(f"keep still for {args.seconds:g} s", flush=True)
             records.append(record_still(imu, args.seconds, f"record {position + 1}"))
     return records

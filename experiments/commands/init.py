@@ -26,9 +26,10 @@ def run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from daq.errors import InputError
+    from daq.rig_text import ASSUMED
     from experiments.rig_probe import probe
     from experiments.rig_questions import ask_facts
-    from experiments.rig_writer import ASSUMED, RigFacts, already_there, write_rig
+    from experiments.rig_writer import RigFacts, already_there, write_rig
 
     path = Path(args.rig)
     if path.exists():
