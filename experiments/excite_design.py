@@ -9,8 +9,10 @@ speeds, which leave a joint's Coulomb level at 1.7 times the error it would have
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize
@@ -22,7 +24,7 @@ from daq.rig import Limits, Rig
 from estimator.mechanism import Mechanism
 from experiments.model_file import Model
 from experiments.plan_information import Moved, PlanInformation
-from experiments.plan_limits import as_large_as_allowed, bounds, peaks
+from experiments.plan_limits import as_large_as_allowed, bounds, neighbours, peaks
 from experiments.rigs import build_mechanism
 
 RATE_HZ = 100.0
@@ -34,6 +36,8 @@ TAPER_S = 0.5
 """Torque comes and goes over this time: a step would shake the leg."""
 USUAL_NOISE = {"gyro_radps": 0.005, "accel_mps2": 0.05, "torque_nm": 0.02, "encoder_rad": 4e-4}
 """Where the prior model names no level."""
+DOUBT = 0.1
+"""Share by which the prior's parameters may be off: models that far away must keep the limits too."""
 CRITERIA = {"d": 0.5, "worst": 0.95}
 """Share of the worst relative standard error in what is made small; the rest is the mean of all of them, both as
 logarithms. The mean alone is D-optimality: it gives up the worst parameter where the others gain more."""
@@ -109,14 +113,21 @@ class Design:
 
 
 def standard_errors(information: FloatArray) -> FloatArray:
-    """(p,) of a fit with this information."""
-    return np.sqrt(np.diag(np.linalg.inv(information)))
+    """(p,) of a fit with this information; infinite where it leaves any parameter open."""
+    try:
+        np.linalg.cholesky(information)
+        variance = np.diag(np.linalg.inv(information))
+    except np.linalg.LinAlgError:
+        return np.full(len(information), np.inf)
+    return np.sqrt(np.where(variance > 0, variance, np.inf))
 
 
 def condition_number(information: FloatArray) -> float:
     """Square root of that of the parameters' correlation matrix: how well they can be told apart."""
+    std = standard_errors(information)
+    if not np.isfinite(std).all():
+        return float("inf")
     covariance = np.linalg.inv(information)
-    std = np.sqrt(np.diag(covariance))
     level = np.linalg.eigvalsh(covariance / np.outer(std, std))
     return float(np.sqrt(level[-1] / max(level[0], 1e-300)))
 
@@ -124,8 +135,8 @@ def condition_number(information: FloatArray) -> float:
 class Bench:
     """A prior model on a rig: where plans are tried."""
 
-    def __init__(self, model: Model, rig: Rig, where: str) -> None:
-        """`where` names the model in errors. Raises `InputError` for a rig that a plan does not fit."""
+    def __init__(self, model: Model, rig: Rig, where: str, doubt: float = DOUBT) -> None:
+        """`where` names the model in errors; `doubt` see `DOUBT`. Raises `InputError` for a rig that no plan fits."""
         self.mechanism: Mechanism = build_mechanism(model.mechanism)
         if len(self.mechanism.actuated) != 1 or self.mechanism.n > 2 or model.mechanism.prismatic:
             raise InputError(where, "is no mechanism of one or two rotary joints of which one is driven",
@@ -140,6 +151,7 @@ class Bench:
         self._noise_hz = rig.sampling.rate_hz
         self._has_imu = model.mechanism.model == "leg2" and model.provenance.sensors == "imu"
         self.fine = self.prior(RATE_HZ)
+        self.others = neighbours(self.fine, doubt)
 
     def prior(self, rate_hz: float) -> PlanInformation:
         """The information of plans sampled at this rate, of the fit that the rig's own rate would give."""
@@ -147,20 +159,12 @@ class Bench:
         noise = {name: scale * level for name, level in self._noise.items() if name != "passive_joint_nm"}
         return PlanInformation(self.mechanism, self.beta, noise, rate_hz, self._has_imu)
 
-    def judged(self, moved: Moved) -> Candidate | None:
-        """What a motion at RATE_HZ tells; None where it leaves parameters undetermined."""
-        try:
-            information = self.fine.eliminated(moved).information
-            if np.linalg.slogdet(information)[0] <= 0 or not (np.diag(np.linalg.inv(information)) > 0).all():
-                return None
-        except np.linalg.LinAlgError:
-            return None
-        return Candidate(moved.torque, information, peaks(moved))
-
     def sized(self, shape: FloatArray, margin: float, largest_nm: float | None = None) -> Candidate | None:
         """The shape at RATE_HZ, of peak one, as large as the limits allow, judged; None where that cannot be."""
-        moved = as_large_as_allowed(self.fine, shape, self.limits, margin, largest_nm)
-        return None if moved is None else self.judged(moved)
+        moved = as_large_as_allowed(self.fine, shape, self.limits, margin, largest_nm, self.others)
+        if moved is None:
+            return None
+        return Candidate(moved.torque, self.fine.eliminated(moved).information, peaks(moved))
 
 
 class Series:
@@ -179,7 +183,8 @@ class Series:
         """(2 h, N) sines, then cosines."""
         t = np.arange(round(self.band.seconds * rate_hz)) / rate_hz
         angle = 2.0 * np.pi * self.hz[:, None] * t
-        return np.concatenate([np.sin(angle), np.cos(angle)]) * np.clip(np.minimum(t, t[-1] - t) / TAPER_S, 0.0, 1.0)
+        taper = np.clip(np.minimum(t, t[-1] - t) / TAPER_S, 0.0, 1.0)
+        return np.asarray(np.concatenate([np.sin(angle), np.cos(angle)]) * taper)
 
 
 def design(bench: Bench, band: Band, search: Search,
@@ -194,28 +199,36 @@ def design(bench: Bench, band: Band, search: Search,
     coarse = bench.prior(max(COARSE_HZ, min(SAMPLES_A_PERIOD * band.high_hz, RATE_HZ)))
     for k in range(search.tries):
         start = rng.standard_normal(2 * series.hz.size) / np.tile(1.0 + (series.hz / START_KNEE_HZ) ** 2, 2)
-        found = _bettered(bench, coarse, series, start, search, None if progress is None else
-                          lambda done, k=k: progress(k + done, float(search.tries)))  # type: ignore[misc]
+        found = _bettered(bench, coarse, series, start, search, partial(_tell, progress, k, search))
         if found is None:
             continue
         torque = found @ fine
         largest = float(np.abs(torque).max())
         candidate = bench.sized(torque / largest, search.margin, largest) if largest > 0 else None
+        if candidate is None:
+            continue
         first = first or candidate
-        if candidate is not None and (best is None or _merit(candidate.information, bench.beta, search) <
-                                      _merit(best.information, bench.beta, search)):
-            best = candidate
+        best = min(best or first, candidate, key=lambda c: _worth(c, bench, search))
     if first is None or best is None:
         raise WorkError("no excitation within the limits was found; widen [limits], or lower --high")
     return Design(first, best, bench.mechanism.names, bench.beta)
+
+
+def _tell(progress: Callable[[float, float], None] | None, done: int, search: Search, step: int) -> None:
+    """Starts done, and steps of the present one, as starts out of all."""
+    if progress is not None:
+        progress(done + step / search.steps, float(search.tries))
 
 
 def _unit(wave: FloatArray) -> FloatArray:
     return np.asarray(wave / np.max(np.abs(wave)))
 
 
-def _merit(information: FloatArray, beta: FloatArray, search: Search) -> float:
-    return merit(information, beta, CRITERIA[search.criterion])[0]
+def _worth(candidate: Candidate, bench: Bench, search: Search) -> float:
+    try:
+        return merit(candidate.information, bench.beta, CRITERIA[search.criterion])[0]
+    except np.linalg.LinAlgError:
+        return np.inf
 
 
 def merit(information: FloatArray, beta: FloatArray, share: float) -> tuple[float, FloatArray]:
@@ -237,7 +250,7 @@ def merit(information: FloatArray, beta: FloatArray, share: float) -> tuple[floa
 
 
 def _bettered(bench: Bench, prior: PlanInformation, series: Series, start: FloatArray, search: Search,
-              progress: Callable[[float], None] | None) -> FloatArray | None:
+              progress: Callable[[int], None]) -> FloatArray | None:
     """Coefficients (2 h,) that the optimiser comes to; None where it cannot begin."""
     basis = series.basis(prior.rate_hz)
     torque_most, speed_most, angle_most = bounds(bench.limits, INNER * search.margin, bench.mechanism.n)
@@ -246,7 +259,7 @@ def _bettered(bench: Bench, prior: PlanInformation, series: Series, start: Float
     if begin is None:
         return None
     last: list[Moved] = [begin]
-    steps = [0]
+    steps = itertools.count(1)
 
     def value(x: FloatArray) -> tuple[float, FloatArray]:
         torque = x @ basis
@@ -256,7 +269,7 @@ def _bettered(bench: Bench, prior: PlanInformation, series: Series, start: Float
         try:
             at = prior.eliminated(moved)
             worth, slope = merit(at.information, bench.beta, CRITERIA[search.criterion])
-            weights = np.linalg.cholesky(slope)
+            weights = np.asarray(np.linalg.cholesky(slope), dtype=np.float64)
         except np.linalg.LinAlgError:
             return FALLEN, np.zeros_like(x)
         last[0] = moved
@@ -269,10 +282,8 @@ def _bettered(bench: Bench, prior: PlanInformation, series: Series, start: Float
         by_torque += 2 * PENALTY * over_u * np.sign(torque) / torque_most
         return worth, basis @ by_torque
 
-    def count(_: FloatArray) -> None:
-        steps[0] += 1
-        if progress is not None:
-            progress(steps[0] / search.steps)
+    def count(xk: FloatArray) -> None:  # the name that minimize calls it by
+        progress(next(steps))
 
     size = START_SHARE * float(np.abs(begin.torque).max()) / scale
     found = minimize(value, size * start, jac=True, method="L-BFGS-B", callback=count,

@@ -14,6 +14,7 @@ carries it to the torque. One value and gradient cost a few simulations, however
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,6 +69,12 @@ class PlanInformation:
         for k, parameter in enumerate(mechanism.parameters):
             if parameter.term == "coulomb":
                 self.dry[parameter.at[0]] = beta[k]
+
+    def with_beta(self, beta: FloatArray) -> PlanInformation:
+        """The same for other parameters (p,), for its motion only: what dry friction leaves open stays."""
+        other = copy(self)
+        other.beta = beta
+        return other
 
     def move(self, torque: FloatArray, guess: Moved | None = None) -> Moved | None:
         """The motion under torque (N,), each sample held to the next; None where it runs away."""
@@ -149,7 +156,7 @@ class PlanInformation:
         slopes = self.collocation.terms(motion)[1]
         jac = self.collocation.jacobian(slopes, beta, motion.angle.shape[1:])
         n = self.n
-        return np.einsum("jgeiK,Kjg->Kei", jac, r.reshape(-1, n, 2))
+        return np.asarray(np.einsum("jgeiK,Kjg->Kei", jac, r.reshape(-1, n, 2)))
 
     def by_torque(self, at: Eliminated, by_q: FloatArray, by_v: FloatArray) -> FloatArray:
         """Gradient by the driven joint's torque (N,) of what has these gradients by the motion: the adjoint."""
