@@ -18,7 +18,8 @@ SLOW_HZ, FAST_HZ = (0.05, 0.3), (3.0, 8.0)
 MICRO_HZ, MICRO_SHARE = 0.7, 0.12
 KICK_S = (0.25, 0.6)
 """Width of a kick is drawn from here."""
-SWINGS = 3
+SWING_S = 6.0
+"""Least time from kick to kick."""
 EDGE_S = 0.5
 
 Shape = Callable[[FloatArray, np.random.Generator], FloatArray]
@@ -57,8 +58,9 @@ def steady(t: FloatArray, rng: np.random.Generator) -> FloatArray:
 def swing(t: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Kicks, and the torque zero after each until it has died down."""
     out = np.zeros_like(t)
-    for k in range(SWINGS):
-        _kick(out, t, EDGE_S + k * t[-1] / SWINGS, rng)
+    swings = max(1, int(t[-1] / SWING_S))
+    for k in range(swings):
+        _kick(out, t, EDGE_S + k * t[-1] / swings, rng)
     return out
 
 

