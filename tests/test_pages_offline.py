@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 truth_section(result.mechanism, estimates(result), truth), *fit_sections(result)])
     fit = FitTask(title="all", rig="r.toml", runs=("a.csv",), published=dict(zip(result.mechanism.names, result.beta)))
     diagnose = DiagnoseTask(rig="r.toml", runs=("a.csv",), expected=("stribeck_friction",))
-    write_casebook(out / "casebook.html", [Study(load_cases()[0], [Fitted(fit, result, "")],
+    write_casebook(out / "casebook.html", [Study(load_cases()[0], [Fitted(fit, result, "")], [],
                                                  [Diagnosed(diagnose, found, "")])])
     save_model(model_of(result, mechanism_settings(load_rig(RIG)), "zero", ["a"]), out / "model.json")
     write_plan(random_multisine(1, 5.0, 0.3), out / "plan.csv")
