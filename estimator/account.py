@@ -25,6 +25,8 @@ BLOCK_S = 2.0
 """Length of a block of the gain's bootstrap."""
 DRAWS = 400
 CONFUSABLE = 0.7
+NO_GAP = ("a free run cannot show the gain: noise alone, added up over a run, leaves about as much error as the nominal "
+          "model has; what speaks for the extension is the likelihood of the confirm runs")
 
 
 def base(session: Session, nominal: Model, refused: Mapping[str, str],
@@ -150,8 +152,9 @@ class Gain:
     """Free-run errors on the confirm runs."""
 
     sensors: dict[str, SensorGain]
-    closed: float
-    ci95: tuple[float, float]
+    closed: float | None
+    """Share of the gap that the extension closes; None where noise alone leaves as much as the nominal model's error."""
+    ci95: tuple[float, float] | None
     torque: tuple[tuple[float, ...], tuple[float, ...]]
     traces: tuple[Trace, ...]
 
@@ -179,21 +182,24 @@ def measure_gain(session: Session, nominal: Model, extended: Model, rng: np.rand
     closed = _closed(table, np.arange(len(next(iter(table.values())))))
     count = len(next(iter(table.values())))
     draws = [_closed(table, rng.integers(0, count, count)) for _ in range(DRAWS)]
-    low, high = np.quantile(draws, [0.025, 0.975])
+    shares = np.array([d for d in draws if d is not None])
+    known = closed is not None and len(shares) > DRAWS / 2
+    low, high = np.quantile(shares, [0.025, 0.975]) if known else (0.0, 0.0)
     rms = np.sqrt(np.mean(np.array(torque), axis=0))
-    return Gain(sensors, closed, (float(low), float(high)),
+    return Gain(sensors, closed if known else None, (float(low), float(high)) if known else None,
                 (tuple(map(float, rms[0])), tuple(map(float, rms[1]))), tuple(traces))
 
 
-def _closed(table: Mapping[str, FloatArray], which: NDArray[np.intp]) -> float:
-    """Share of the gap in mean squared error, sensors weighted by their floor, that the extension closes."""
+def _closed(table: Mapping[str, FloatArray], which: NDArray[np.intp]) -> float | None:
+    """Share of the gap in mean squared error, sensors weighted by their floor, that the extension closes; None where
+    there is no gap."""
     before = after = floor = 0.0
     for values in table.values():
         b, a, f = values[which].mean(axis=0)
         scale = values[:, 2].mean()
         before, after, floor = before + b / scale, after + a / scale, floor + f / scale
     gap = before - floor
-    return float(np.clip((before - after) / gap, -1.0, 1.5)) if gap > 0 else 0.0
+    return float(np.clip((before - after) / gap, -1.0, 1.5)) if gap > 0 else None
 
 
 def confirm_gain(session: Session, nominal: Model, extended: Model) -> float:
@@ -271,6 +277,8 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
         gain = measure_gain(session, nominal, model, rng or np.random.default_rng(0))
     except FitError as error:
         return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
+    if gain.closed is None:
+        found = replace(found, warnings=(*found.warnings, NO_GAP))
     return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
 

@@ -44,8 +44,8 @@ gain; see explaining.LEFT_OVER."""
 ANOTHER = 0.25
 """Share, beside three standard deviations, by which a sharper rounding may move a size; more is another explanation."""
 LEAST_CLOSED = 0.1
-"""Least share of the free-run gap that a named cause closes on the confirm runs. A law of another form than the real
-one's (friction that drifts along another curve) may be right and close a quarter; parameters can
+"""Share of the free-run gap on the confirm runs that the interval of a named cause's share must reach. A law of another
+form than the real one's (friction that drifts along another curve) may be right and close a quarter; parameters can
 imitate most of a rotor."""
 TIE = 0.005
 """Explanations within this share of the best one's gain are not told apart."""
@@ -139,8 +139,8 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
     rivals = [o for o in closed if len(o.model.effects) == fewest]
     most = rivals[0]
     near = [o for o in rivals if o.gain >= most.gain * (1 - (TIE_ALIKE if alike(o, most) else TIE)) - TIE_GAIN]
-    ties = [o for o in near if o.clean] or near
-    best = ties[0]
+    best = next((o for o in near if o.clean), most)
+    ties = [best, *(o for o in near if o is not best and (o.clean or not best.clean or alike(o, best)))]
     if not confirmed(desk, best):
         return account.unexplained(base, session, desk.nominal, best, "it does not hold on the confirm runs", rng)
     p = max(1e-12, min(1.0, _p_of_gain(best) * desk.trials))
@@ -148,11 +148,17 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
     if sharp is not best:  # else what was found under the search's rounding is measured under it, too
         session, ties = session.sharp(), [sharp, *ties[1:]]
     found = account.finding(base, session, desk.nominal, ties, p, rng)
-    if found.gap_closed is None or found.gap_closed < LEAST_CLOSED:
-        closed_share = "an unknown share" if found.gap_closed is None else f"{100 * found.gap_closed:.0f} %"
-        return account.unexplained(base, session, desk.nominal, best,
-                                   f"it closes {closed_share} of the free-run gap on the confirm runs", rng)
-    return found
+    why = falls_short(found)
+    return account.unexplained(base, session, desk.nominal, best, why, rng) if why else found
+
+
+def falls_short(found: Diagnosis) -> str:
+    """Why the free runs of the confirm runs contradict a finding; empty where they do not."""
+    if not found.sensors:
+        return "its free run of the confirm runs diverges"
+    if found.gap_closed_ci95 is not None and found.gap_closed_ci95[1] < LEAST_CLOSED:
+        return f"it closes {100 * (found.gap_closed or 0.0):.0f} % of the free-run gap on the confirm runs"
+    return ""
 
 
 def alike(one: Explained, other: Explained) -> bool:

@@ -23,6 +23,8 @@ HOPELESS = 12
 """Passes after which plain iteration that still moves that much gives way to mixing of ..."""
 DEPTH = 12
 """... so many steps."""
+WINDOW_S = 0.25
+WINDOW_PASSES = 25
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,9 @@ def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None =
     m = problem.mechanism
     beta, sizes = problem.split(state.beta)
     u = state.x.u if torque is None else torque
-    found = _relaxed(problem, state, u, 0) or (_relaxed(problem, state, u, DEPTH) if problem.effects else None)
+    found = _relaxed(problem, state, u, 0)
+    if found is None and problem.effects:
+        found = _marched(problem, state, u) or _relaxed(problem, state, u, DEPTH)
     if found is None:
         return None
     q, v, added = found
@@ -103,6 +107,40 @@ def _relaxed(problem: ExtendedProblem, state: State, u: FloatArray, depth: int
             share = max(0.2, 0.7 * share)
         before = moved
     return (q, v, samples) if moved <= LOOSE_RAD else None
+
+
+def _marched(problem: ExtendedProblem, state: State, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """As `_relaxed`, by plain iteration of one short window after the other: effects are causal.
+
+    A law that grows with the angle (a ripple) feeds back over a whole record more than over a window.
+    """
+    m, c = problem.mechanism, problem.collocation
+    beta, sizes = problem.split(state.beta)
+    q, v = state.x.q.copy(), state.x.v.copy()
+    samples = np.zeros((m.n, problem.total))
+    stops = [*problem.ends]
+    step = max(2, round(WINDOW_S / c.dt))
+    for begin, end in zip([0, *stops[:-1]], stops):
+        for start in range(begin, end - 1, step):
+            stop = min(start + step, end - 1)
+            where, here = slice(start, stop + 1), np.flatnonzero((problem.left >= start) & (problem.left < stop))
+            for _ in range(WINDOW_PASSES):
+                with np.errstate(all="ignore"):
+                    gauss, new, _ = problem.added(problem.view(Latents(q, v, u), beta, samples), sizes)
+                samples[:, where] = new.reshape(m.n, -1)[:, where]
+                if not (np.isfinite(gauss[:, :, here]).all() and np.isfinite(samples[:, where]).all()):
+                    return None
+                next_q, next_v, _ = simulate(m, beta, q[start], v[start], u[where], c.dt, c.hold,
+                                             guess=(q[where], v[where]), taken=gauss[:, :, here])
+                if not np.isfinite(next_q).all():
+                    return None
+                moved = float(np.max(np.abs(next_q - q[where])))
+                q[where], v[where] = next_q, next_v
+                if moved < SETTLED_RAD:
+                    break
+            if moved > LOOSE_RAD:
+                return None
+    return q, v, samples
 
 
 class Anderson:
