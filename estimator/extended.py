@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.collocation import ACCEL, ANGLE, GAUSS, RATE, Motion
-from estimator.effects.base import SLOW_GYRO, Effect, Perturbation, Points, TorqueEffect, View
+from estimator.effects.base import SLOW_GYRO, SLOW_TORQUE, Effect, Perturbation, Points, TorqueEffect, View
 from estimator.latent import LatentProblem, Latents, Noise
 from estimator.linearised import Extra, Linearised
 from estimator.mechanism import Mechanism, smooth_sign
@@ -102,10 +102,13 @@ class ExtendedProblem(LatentProblem):
 
     @cached_property
     def _measured(self) -> dict[str, FloatArray]:
+        def slow(x: FloatArray) -> FloatArray:
+            return np.concatenate([lowpass(part, SLOW_HZ, 1.0 / self.dt) for part in np.split(x, self.ends[:-1])])
+
         found = {f"torque{j + 1}": self.torque[:, j] for j in range(self.n)}
+        found |= {f"{SLOW_TORQUE}{j + 1}": slow(self.torque[:, j]) for j in range(self.n)}
         if self.has_imu:
-            slow = [lowpass(part, SLOW_HZ, 1.0 / self.dt) for part in np.split(self.gyro, self.ends[:-1])]
-            found |= {"gyro": self.gyro, "accel_x": self.ax, "accel_y": self.ay, SLOW_GYRO: np.concatenate(slow)}
+            found |= {"gyro": self.gyro, "accel_x": self.ax, "accel_y": self.ay, SLOW_GYRO: slow(self.gyro)}
         return found
 
     def split(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:

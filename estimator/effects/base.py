@@ -19,7 +19,8 @@ from estimator.mechanism import Mechanism
 
 FloatArray = NDArray[np.float64]
 SLOW_GYRO = "gyro below 12 Hz"
-"""Among `View.measured`: the gyro, low-passed above any motion of a leg's links."""
+SLOW_TORQUE = "torque below 12 Hz of joint "
+"""Among `View.measured`: low-passed above any motion of a leg's links; the torque's with the joint's number."""
 
 
 CONSTANT = "constant torque"

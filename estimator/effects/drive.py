@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects.base import CONSTANT, Points, SensorEffect, Shape, Size, TorqueEffect, View
+from estimator.effects.base import CONSTANT, SLOW_TORQUE, Points, SensorEffect, Shape, Size, TorqueEffect, View
 from estimator.effects.timing import shifted
 from estimator.mechanism import Mechanism
 
@@ -76,7 +76,11 @@ class TorqueOffset(TorqueSensorEffect):
 
 
 class TorqueDelay(TorqueSensorEffect):
-    """reading(t) = u(t - d)."""
+    """reading(t) = u(t - d).
+
+    Of the reading only what is slow is moved in time: noise that falls between samples is averaged, and an estimate
+    would be drawn to half a sample for it. (Measured with 0.02 N m of noise at 100 Hz: 6.0 ms, the truth 9.8 ms.)
+    """
 
     name = "torque_delay"
     sizes = (Size("delay", "s", 0.001),)
@@ -85,7 +89,14 @@ class TorqueDelay(TorqueSensorEffect):
     experiment = "motion at high frequency: phase grows with it"
 
     def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
-        return {f"torque{j + 1}": shifted(view.samples.u[j], size[0], view) - view.samples.u[j]
-                for j in self._driven(view)}
+        found = {}
+        for j in self._driven(view):
+            if view.measured is None:
+                true = view.samples.u[j]
+                found[f"torque{j + 1}"] = shifted(true, size[0], view) - true
+            else:  # u(t - d) - y(t) is u(t) - y(t + d); noise interpolated between samples is less, so it stays
+                slow = view.measured[f"{SLOW_TORQUE}{j + 1}"]
+                found[f"torque{j + 1}"] = slow - shifted(slow, -size[0], view)
+        return found
 
 
