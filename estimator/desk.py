@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from estimator.effects.timing import SensorTimeSkew
 from estimator.evidence import Model, begin_afresh
 from estimator.extended import Candidate
+from estimator.levels import loud, ratios
 from estimator.scores import RunScore, Tests
 from estimator.session import Session
 
@@ -57,6 +58,15 @@ class Desk:
     def afresh(self) -> Model:
         """The nominal model at filtered motion, for fits that lead nowhere from its own fit."""
         return begin_afresh(self.session, self.nominal)
+
+    @cached_property
+    def levels(self) -> dict[str, tuple[float, float]]:
+        """Noise levels of the nominal fit; see `estimator.levels`."""
+        return ratios(self.session, self.nominal)
+
+    def too_loud(self, model: Model) -> str:
+        """What `model` leaves to the noise levels, in words; empty where that is in order."""
+        return loud(self.session, model, None if model is self.nominal else self.levels)
 
     @property
     def trials(self) -> int:

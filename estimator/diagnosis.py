@@ -94,7 +94,8 @@ def _diagnose(session: Session, rng: np.random.Generator, say: Progress,
     base = account.base(session, nominal, refused, reference)
     base = replace(base, candidates=ranked, separability=separability(desk, tests))
     least = desk.material(session.discover)
-    if not any(p_of(desk, tests, i) < ALPHA and desk.gain(tests, i) > least for i in range(desk.trials)):
+    found = any(p_of(desk, tests, i) < ALPHA and desk.gain(tests, i) > least for i in range(desk.trials))
+    if not found and not desk.too_loud(nominal):
         return account.nothing(base, desk.session, nominal)
     say("re-fitting the best explanations", 0.4)
     options = explain(desk, tests, say)
@@ -129,12 +130,14 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
     session = desk.session
     closed = sorted((o for o in options if o.closed), key=lambda o: (len(o.model.effects), -o.gain))
     if not options:
-        return account.unexplained(base, session, desk.nominal, None, "no effect of the library fits")
+        why = desk.too_loud(desk.nominal) or "no effect of the library fits"
+        return account.unexplained(base, session, desk.nominal, None, why)
     if not closed:
         best = max(options, key=lambda o: o.gain)
         what = desk.candidates[best.best_left].effect
         label = what.key if not isinstance(what, AnonymousTorque | AnonymousReading) else "a term without a name"
-        return account.unexplained(base, session, desk.nominal, best, f"beside it {label} is still detectable", rng)
+        why = desk.too_loud(best.model) or f"beside it {label} is still detectable"
+        return account.unexplained(base, session, desk.nominal, best, why, rng)
     fewest = len(closed[0].model.effects)
     rivals = [o for o in closed if len(o.model.effects) == fewest]
     most = rivals[0]

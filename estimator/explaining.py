@@ -136,8 +136,8 @@ def judged(desk: Desk, explained: Explained, rehearsals: Sequence[RunScore], sca
     small = max(LEFT_OVER * gain, desk.material(desk.session.discover))
     least = desk.material(desk.session.discover)
     detectable = [g for i, g in enumerate(gains) if g > least and p_of(desk, left, i) < ALPHA]
-    return Explained(model, gain, left, best, best_named, gain > least and max(detectable, default=0.0) < small,
-                     not detectable, tuple(rehearsals))
+    closed = gain > least and max(detectable, default=0.0) < small and not desk.too_loud(model)
+    return Explained(model, gain, left, best, best_named, closed, not detectable, tuple(rehearsals))
 
 
 def padded(score: RunScore, added: int, at: int) -> RunScore:
