@@ -25,8 +25,8 @@ BLOCK_S = 2.0
 """Length of a block of the gain's bootstrap."""
 DRAWS = 400
 CONFUSABLE = 0.7
-NO_GAP = ("a free run cannot show the gain: noise alone, added up over a run, leaves about as much error as the nominal "
-          "model has; what speaks for the extension is the likelihood of the confirm runs")
+NO_GAP = ("a free run cannot show the gain: noise alone, added up over a run, leaves about as much error as the "
+          "nominal model has; what speaks for the extension is the likelihood of the confirm runs")
 
 
 def base(session: Session, nominal: Model, refused: Mapping[str, str],
@@ -153,7 +153,7 @@ class Gain:
 
     sensors: dict[str, SensorGain]
     closed: float | None
-    """Share of the gap that the extension closes; None where noise alone leaves as much as the nominal model's error."""
+    """Share of the gap that the extension closes; None where noise alone leaves as much as the nominal model errs."""
     ci95: tuple[float, float] | None
     torque: tuple[tuple[float, ...], tuple[float, ...]]
     traces: tuple[Trace, ...]

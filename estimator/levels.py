@@ -23,7 +23,7 @@ SHARE = 0.2
 
 
 def ratios(session: Session, model: Model) -> dict[str, tuple[float, float]]:
-    """Channel in words to (level found over its level, most it may be). Undeclared torques and encoders are left out."""
+    """Channel in words to (noise found over its level, most it may be); no undeclared torques nor encoders."""
     known, problem, noise = session.known, model.problem, model.state.noise
     out: dict[str, tuple[float, float]] = {}
     for j, level in enumerate(noise.torque):

@@ -276,6 +276,7 @@ def test_score_counts_what_the_bench_promises() -> None:
         _outcome("none", [], "none", []), _outcome("none", [], "named", ["backlash"]),
         _outcome("single", ["backlash"], "named", ["backlash"]),
         _outcome("single", ["backlash"], "one_of", ["backlash", "presliding_friction"]),
+        _outcome("single", ["torque_delay"], "named", ["torque_delay"]),
         _outcome("single", ["backlash"], "named", ["torque_delay"]),
         _outcome("single", ["backlash"], "named", ["backlash", "torque_delay"]),
         _outcome("single", ["backlash"], "none", [], ratio=1.2),
@@ -283,13 +284,13 @@ def test_score_counts_what_the_bench_promises() -> None:
         _outcome("pair", ["backlash", "torque_delay"], "named", ["backlash", "torque_delay"])]
     rates = score(outcomes).rates
     assert rates["false alarms"] == Rate(1, 2)
-    assert rates["moderate singles: named exactly"] == Rate(1, 4)
-    assert rates["moderate singles: truth inside named or one_of"] == Rate(3, 4)
-    assert rates["moderate singles: wrong name"] == Rate(2, 4)
+    assert rates["moderate singles: named exactly"] == Rate(2, 5)
+    assert rates["moderate singles: truth inside named or one_of"] == Rate(4, 5)
+    assert rates["moderate singles: wrong name"] == Rate(2, 5)
     assert rates["smaller singles: none"] == Rate(1, 1)
     assert rates["outside: unexplained"] == Rate(1, 1)
     assert rates["pairs: both named"] == Rate(1, 1)
-    assert rates["sizes inside their 95 % intervals"] == Rate(1, 1)
+    assert rates["sizes inside their 95 % intervals"] == Rate(1, 1)  # play is hidden by another law than the library's
     assert "one of {backlash, presliding_friction}" in render(score(outcomes), [])
 
 

@@ -142,7 +142,8 @@ def torque_ripple(strength: float, rng: np.random.Generator) -> Hidden:
 
 def torque_offset(strength: float, rng: np.random.Generator) -> Hidden:
     value = strength * _sign(rng)
-    return Hidden("torque_offset", None, (Size("offset", "N m", value),), drive={"offset": value})
+    # stated as the reading's: the shunt shows that much less than acts
+    return Hidden("torque_offset", None, (Size("offset", "N m", -value),), drive={"offset": value})
 
 
 def torque_saturation(strength: float, rng: np.random.Generator) -> Hidden:
@@ -177,7 +178,8 @@ def accelerometer_bias(strength: float, rng: np.random.Generator) -> Hidden:
 
 def imu_misalignment(strength: float, rng: np.random.Generator) -> Hidden:
     value = strength * _sign(rng)
-    return Hidden("imu_misalignment", None, (Size("angle", "rad", value),), sense={"misalignment": value})
+    # stated in the sense of q1, which turns the link the other way under its sensor's axes
+    return Hidden("imu_misalignment", None, (Size("angle", "rad", -value),), sense={"misalignment": value})
 
 
 def imu_lever_arm(strength: float, rng: np.random.Generator) -> Hidden:
