@@ -122,9 +122,16 @@ class ExtendedProblem(LatentProblem):
         beta, sizes = self.split(parameters)
         n, count, total = self.n, self.left.size, self.total
         view = replace(self.view(x, beta), measured=self._measured)
-        for _ in range(PASSES if self.effects else 1):  # what an effect takes changes the acceleration it feels
+        torque, at_samples, readings = self.added(view, sizes)
+        for _ in range(PASSES - 1):  # what an effect takes changes the acceleration it feels
+            if not at_samples.any():
+                break
+            view, before = replace(self.view(x, beta, at_samples), measured=self._measured), at_samples
             torque, at_samples, readings = self.added(view, sizes)
-            view = replace(self.view(x, beta, at_samples), measured=self._measured) if self.effects else view
+            if np.array_equal(before, at_samples):
+                break
+        else:
+            view = replace(self.view(x, beta, at_samples), measured=self._measured)
         derivatives: list[Perturbation] = []
         for effect, size in zip(self.effects, sizes):
             derivatives += slopes(effect, view, size)

@@ -23,7 +23,7 @@ HOPELESS = 12
 """Passes after which plain iteration that still moves that much gives way to mixing of ..."""
 DEPTH = 12
 """... so many steps."""
-WINDOW_S = 0.25
+WINDOW_S = 0.5
 WINDOW_PASSES = 25
 
 
