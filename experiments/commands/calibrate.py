@@ -40,6 +40,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         step.add_argument("--model", metavar="MODEL.json", help="an identified leg: how far its friction holds it")
     _step(steps, "shunt", "offset of the current shunt, motor off and leg at rest",
           "Mean current while the motor is off, with its drift.", ".mcap files with the motor off", 20.0)
+    _step(steps, "imu-encoder", "the IMU on a moving link against the encoder of that link's angle",
+          "Gyro bias, scale and lag, accelerometer biases, scales and lag, and the lever arm, by least squares on "
+          "q1_rad: fitted on the first half, checked on the other. No torque is needed.",
+          ".mcap or .csv files with q1_rad and IMU of a moving link", 60.0)
     parser.set_defaults(run=run)
 
 
@@ -105,7 +109,13 @@ def _shunt(args: argparse.Namespace, rig: Rig) -> Outcome:
     return calibrate_shunt(_records(args, rig, shunt_wishes()), rig)
 
 
-STEPS = {"imu": _imu, "mount": _mount, "encoder": _encoder, "shunt": _shunt}
+def _imu_encoder(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from experiments.calibrating_encoder import WISHES, calibrate_by_encoder
+
+    return calibrate_by_encoder(None if args.runs else _records(args, rig, WISHES), args.runs, rig)
+
+
+STEPS = {"imu": _imu, "mount": _mount, "encoder": _encoder, "shunt": _shunt, "imu-encoder": _imu_encoder}
 
 
 def _records(args: argparse.Namespace, rig: Rig, wishes: Sequence[Wanted], controller: bool = True) -> list[RawRun]:
