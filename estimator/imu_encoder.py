@@ -63,7 +63,8 @@ ACCEL = (Term("accel_bias_x", "accelerometer bias x", "m/s2", 3.0, 0.2),
          Term("lever_arm", "lever arm", "m", 1.0, 0.02),
          Term("beside", "IMU beside the line from the pivot", "m", 1.0, 0.02),
          Term("accel_late", "accelerometer late by", "s", 0.1, 0.003))
-LEVER = 6
+LEVER, BESIDE, LATE = 6, 7, 8
+"""Of `ACCEL`: those that are held where the motion does not tell them, so that they do not spoil the others."""
 HELD = 1e-9
 Predict = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 
@@ -97,8 +98,9 @@ class EncoderFit:
 
     found: tuple[Found, ...]
     """Of `GYRO`, then `ACCEL`."""
-    lever_held: bool
-    """The lever arm is not told apart from the scales by this motion: it was held at what was given."""
+    held: tuple[str, ...]
+    """Terms that this motion does not tell: the lever arm was held at what was given, a place beside the line at 0, the
+    accelerometer's lag at the gyro's."""
     lags_s: FloatArray
     """(k,) the gyro's lag by block of the whole record, blocks with little motion left out."""
     lag_wanders: bool
@@ -147,13 +149,14 @@ def fit_imu(stretches: Sequence[Stretch], rate_hz: float, cutoff_hz: float, leve
         return accelerometer(theta, q, qd, qdd, gravity_mps2)
 
     start = np.zeros(len(ACCEL))
-    start[LEVER] = lever_m
+    start[LEVER], start[LATE] = lever_m, gyro.theta[-1]
     accel = _Fit(pieces, (1, 2), ACCEL, predict, by_gyro, start)
     accel.run(shift)
-    held = accel.half()[LEVER] > ACCEL[LEVER].widest
+    half = accel.half()
+    held = [k for k in (LEVER, BESIDE, LATE) if half[k] > ACCEL[k].widest]
     if held:
         accel = _Fit(pieces, (1, 2), ACCEL, predict, by_gyro, start)
-        accel.prior[LEVER] = HELD
+        accel.prior[held] = HELD
         accel.run(shift)
     before, after = _check(pieces, shift, gyro, accel, start)
     fitted = _fitted(count)
@@ -164,8 +167,8 @@ def fit_imu(stretches: Sequence[Stretch], rate_hz: float, cutoff_hz: float, leve
         value[-1] += float(np.mean(np.concatenate(shift)))
         half[-1] = np.inf if wanders else half[-1]
         found += [Found(t, float(v), float(h)) for t, v, h in zip(part.terms, value, half)]
-    return EncoderFit(tuple(found), bool(held), lags, wanders, before, after, seconds * fitted / count,
-                      seconds * (1 - fitted / count), seconds / count, fitted, cutoff_hz)
+    return EncoderFit(tuple(found), tuple(ACCEL[k].name for k in held), lags, wanders, before, after,
+                      seconds * fitted / count, seconds * (1 - fitted / count), seconds / count, fitted, cutoff_hz)
 
 
 def accelerometer(theta: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity_mps2: float) -> FloatArray:

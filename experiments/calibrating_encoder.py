@@ -79,7 +79,7 @@ def encoder_text(fit: EncoderFit, rig: Rig) -> str:
     left = open_terms(fit)
     if left:
         lines.append("not determined: " + "; ".join(left))
-    if fit.lever_held:
+    if "lever_arm" in fit.held:
         lines.append(f"the lever arm was held at rig.toml's {rig.imu.lever_arm_m:g} m: such a motion tells it not from "
                      "the scales; drive the link, or swing it farther")
     return "\n".join([*lines, "", text_table(["rms on the rest, IMU less encoder", *CHECK], check_rows(fit),
@@ -88,7 +88,7 @@ def encoder_text(fit: EncoderFit, rig: Rig) -> str:
 
 def open_terms(fit: EncoderFit) -> list[str]:
     """What the record does not determine."""
-    return [f.term.meaning for f in fit.found if not f.determined or (f.term.name == "lever_arm" and fit.lever_held)]
+    return [f.term.meaning for f in fit.found if not f.determined or f.term.name in fit.held]
 
 
 def found_rows(fit: EncoderFit) -> list[list[str]]:
@@ -120,7 +120,7 @@ def _values(fit: EncoderFit, rig: Rig, native: bool) -> dict[str, dict[str, obje
         keys |= {"accel_bias_mps2": _list(bias), "accel_matrix": [_list(row) for row in matrix]}
     if keys:
         values["calibration"] = keys
-    if fit["lever_arm"].determined and not fit.lever_held:
+    if fit["lever_arm"].determined and "lever_arm" not in fit.held:
         values["imu"] = {"lever_arm_m": rounded(max(fit["lever_arm"].value, 0.0))}
     return values
 
@@ -147,7 +147,7 @@ def _list(values: FloatArray) -> list[float]:
 def _stays_words(fit: EncoderFit, native: bool) -> str:
     """What was found and has no place in rig.toml."""
     sure = [f.term.meaning for name in ("gyro_scale", "gyro_late", "accel_late", "accel_turn")
-            if (f := fit[name]).determined and abs(f.value) > f.half]
+            if (f := fit[name]).determined and name not in fit.held and abs(f.value) > f.half]
     words = []
     if sure:
         words.append(f"rig.toml has no key for: {'; '.join(sure)}. A scale or an angle may be the encoder's as well; "

@@ -290,7 +290,8 @@ def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:
 def _calibration_entry(c: Calibrated) -> dict[str, Any]:
     entry: dict[str, Any] = {"refused": c.refusal or None, "published_angle_rms_rad": c.task.angle_below_rad}
     if c.found is not None:
-        entry |= {"found": {f.term.name: {"value": f.value, "half": f.half} for f in c.found.found if f.determined},
+        entry |= {"found": {f.term.name: {"value": f.value, "half": f.half} for f in c.found.found
+                            if f.determined and f.term.name not in c.found.held},
                   "rms": {name: {"before": before, "after": after} for name, before, after in
                           zip(SIGNALS, c.found.before[:, 0].tolist(), c.found.after[:, 0].tolist())}}
     return entry
