@@ -1,6 +1,8 @@
 """Plain sine, chirp and designed plan of one length and one set of limits, by refits on the emulated leg.
 
-    python -m tests.studies.excitation [--seconds 20] [--seeds 8] [--limits wide,tight] [--out docs/excitation.md]
+    python -m tests.studies.excitation [--seconds 20] [--seeds 8] [--limits wide,tight]
+
+It prints what stands under "Limits" in docs/excitation.md.
 
 Every plan goes through the emulated chips, drivers, recorder and the default fit, once a seed. The designs see a prior
 model that is wrong by 20 % in every parameter, up or down by a drawn sign; the sine and the chirp are as large as that
@@ -13,7 +15,6 @@ from __future__ import annotations
 import argparse
 import re
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -42,22 +43,9 @@ LIMITS = {"wide": Limits(torque_nm=2.0, speed_radps=25.0, q1_rad=1.5, q2_rad=3.0
           "tight": Limits(torque_nm=1.5, speed_radps=8.0, q1_rad=0.6, q2_rad=1.2)}
 """Those of the demo's rig, and those of a leg between close stops."""
 
-
 USUAL = "chirp 0.1-5 Hz"
 CHIRPS = (USUAL, "log chirp 0.1-5 Hz")
 DESIGNS = ("design, d", "design, worst")
-INTRO = """# Excitation: sine, chirp and design by refits
-
-What a designed plan gains over a plain sine and a chirp of the same length within the same limits, measured by fits of
-runs and not only predicted. Written by `python -m tests.studies.excitation --out docs/excitation.md`.
-
-Every plan is recorded on the emulated leg (emulated chips, drivers and recorder, as `legid demo` does it), once for
-each noise seed, and fitted by the default method. The designs come from a prior model that is wrong by 20 % in every
-parameter, up or down by a drawn sign. All plans use 80 % of each limit, are sized by the same prior, and keep the whole
-limits for models another 20 % away from it. `design, d` is what `legid excite` makes by default, `design, worst` is
-`--criterion worst`. Standard errors are scaled to one minute of experiment by the root of the time. A root mean square
-over so few seeds is itself uncertain: by about a quarter with eight.
-"""
 
 
 @dataclass(frozen=True)
@@ -167,7 +155,9 @@ def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> 
             f"- Errors over the standard errors that go with them, all plans, seeds and parameters: root mean square "
             f"{np.sqrt(np.mean(off**2)):.2f}.",
             f"- No plan can state less than {floor:.2f} % for beta9 in a minute: the torque noise over the root of the "
-            "number of samples, with everything else known.", ""]
+            "number of samples, with everything else known.",
+            f"- Plans of {seconds:g} s, noise seeds {seeds[0]} to {seeds[-1]}, prior seed {PRIOR_SEED}. Machine: "
+            f"{machine()}."]
 
 
 def _against(kind: str, usual: str, stated: dict[str, np.ndarray], actual: dict[str, np.ndarray],
@@ -192,17 +182,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--limits", default="wide,tight")
-    parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    started = time.monotonic()
-    lines = [INTRO]
     for name in args.limits.split(","):
-        lines += section(name, LIMITS[name], args.seconds, range(1, args.seeds + 1))
-        print("\n".join(lines[-20:]), flush=True)
-    lines.append(f"Plans of {args.seconds:g} s, noise seeds 1 to {args.seeds}, prior seed {PRIOR_SEED}. Machine: "
-                 f"{machine()}; {time.monotonic() - started:.0f} s in all.")
-    if args.out is not None:
-        args.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        print("\n".join(section(name, LIMITS[name], args.seconds, range(1, args.seeds + 1))), end="\n\n", flush=True)
 
 
 if __name__ == "__main__":
