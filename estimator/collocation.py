@@ -13,10 +13,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator import compiled
+from estimator.fastterms import FastTerms
 from estimator.mechanism import Mechanism
 
 FloatArray = NDArray[np.float64]
@@ -64,8 +67,7 @@ def invert_small(matrices: FloatArray) -> FloatArray:
     return a
 
 
-@dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """Features at the Gauss points of K intervals; each array (n, 2, K)."""
 
     angle: FloatArray
@@ -115,7 +117,7 @@ class Collocation:
         """Features from ends (n, 4, K): q, v before and q, v after each interval."""
         n, _, count = ends.shape
         features = self.basis.transpose(1, 0, 2).reshape(10, 4) @ ends
-        return Motion(*features.reshape(n, 5, 2, count).swapaxes(0, 1))
+        return Motion(*features.reshape(n, 5, 2, count).swapaxes(0, 1).copy())
 
     def torque(self, u: FloatArray, left: NDArray[np.intp]) -> FloatArray:
         """Torque at the Gauss points (n, 2, K) from samples u (N, n)."""
@@ -176,6 +178,17 @@ class Collocation:
                       Slope(j, RATE_TO, j, (1.0 - mean * b / rb) / total)]
 
     @cached_property
+    def _fast(self) -> FastTerms:
+        return FastTerms(self.mechanism)
+
+    def evaluate(self, motion: Motion, beta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Z (p, n, S, K) in joint rows and d(Z beta)/d(features) (n, S, 5, n, K) at S points an interval."""
+        if compiled.ready():
+            return self._fast(*motion, beta)
+        z, slopes = self.terms(motion)
+        return self.to_joint(z), self._slopes(slopes, beta, motion.angle.shape[1:])
+
+    @cached_property
     def _rigid(self) -> NDArray[np.bool_]:
         return np.array([a.term in ("inertia", "gravity") for a in self.mechanism.parameters])
 
@@ -192,8 +205,11 @@ class Collocation:
 
         `added` (n, 5, n, 2, K) are derivatives by features of torque that comes from elsewhere.
         """
-        n, (_, count) = self.mechanism.n, shape
-        own = self._slopes(slopes, beta, shape)
+        return self.by_ends(self._slopes(slopes, beta, shape), added)
+
+    def by_ends(self, own: FloatArray, added: FloatArray | None = None) -> FloatArray:
+        """`jacobian` from derivatives by the features of the motion (n, 2, 5, n, K)."""
+        n, count = self.mechanism.n, own.shape[-1]
         if added is not None:
             own = own + added.transpose(0, 3, 1, 2, 4)
         jac = self.basis.swapaxes(1, 2) @ own.reshape(n, 2, 5, n * count)
@@ -224,20 +240,18 @@ class Collocation:
         joint's row of D^-1 (n, N). From Z(q, v, qdd) beta = u by implicit differentiation. `added` (n, 5, n, N)
         are derivatives by features of torque already taken off u.
         """
-        shape = (1, q.shape[1])
         at, rate = q[:, None], v[:, None]
-        z, slopes = self.terms(Motion(at, rate, np.zeros_like(at), rate, rate))
-        inertia = self._slopes(slopes, beta, shape)[:, 0, ACCEL]
-        inverse = invert_small(inertia)
-        excess = u - (beta @ self.to_joint(z).reshape(len(beta), -1)).reshape(u.shape)
+        z, own = self.evaluate(Motion(at, rate, np.zeros_like(at), rate, rate), beta)
+        inverse = invert_small(own[:, 0, ACCEL])
+        excess = u - (beta @ z.reshape(len(beta), -1)).reshape(u.shape)
         qdd = np.einsum("ijN,jN->iN", inverse, excess)
-        z, slopes = self.terms(Motion(at, rate, qdd[:, None], rate, rate))
-        own = self._slopes(slopes, beta, shape)[:, 0]  # (n, 5, n, N)
+        z, own = self.evaluate(Motion(at, rate, qdd[:, None], rate, rate), beta)
+        own = own[:, 0]  # (n, 5, n, N)
         if added is not None:
             own = own + added
             inverse = invert_small(own[:, ACCEL])
         row = inverse[joint]
         by_angle = np.einsum("jN,jbN->bN", row, own[:, ANGLE])
         by_rate = np.einsum("jN,jbN->bN", row, own[:, RATE] + own[:, RATE_FROM] + own[:, RATE_TO])
-        by_beta = np.einsum("jN,pjN->pN", row, self.to_joint(z)[:, :, 0])
+        by_beta = np.einsum("jN,pjN->pN", row, z[:, :, 0])
         return qdd[joint], np.stack([-by_angle, -by_rate, row]), -by_beta, row

@@ -17,20 +17,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator import compiled
+from estimator.assembly import Samples, Sums, add_intervals, add_samples, padded
 from estimator.collocation import Collocation
 from estimator.linearised import Extra, Linearised
 from estimator.mechanism import Mechanism, smooth_sign
-from estimator.oddeven import gram
 from estimator.sensors import accelerometer
 from estimator.signalset import IMU_COLUMNS, SignalSet
 
 FloatArray = NDArray[np.float64]
-Samples = slice | NDArray[np.intp]
 PIECE = 1024
 """Intervals, or samples, that are worked on at a time: what they need stays in the processor's cache."""
 TIGHT = 0.1
@@ -39,6 +39,18 @@ interval's two points then add half a per cent to the variance of its torque."""
 REST_SPREAD = 5.0
 """Speeds below about this many times the rounding of sign(qd) may be rest: the estimated speed of a joint that
 sticks is not zero but what its sensors' noise makes it."""
+
+
+@cache
+def keep_pages() -> None:
+    """Make the C library keep memory that arrays gave back, up to 64 MB of it, instead of the system.
+
+    A step makes and drops arrays of megabytes, and the system hands out every page of them anew and cleared: on a
+    virtual machine half of a fit's time went there. GNU's allocator takes the largest block freed so far, up to 32 MB,
+    for the size below which it keeps what is freed; this block is freed without ever being touched. Elsewhere it does
+    nothing.
+    """
+    np.empty(31 * 2**20, dtype=np.uint8)
 
 
 @dataclass(frozen=True)
@@ -71,6 +83,7 @@ class LatentProblem:
     """All stretches of all runs on one stack of samples; see the module's text."""
 
     def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str) -> None:
+        keep_pages()
         self.mechanism = mechanism
         self.n = mechanism.n
         self.block = 3 * mechanism.n
@@ -113,35 +126,26 @@ class LatentProblem:
         b, n, width = self.block, self.n, 1 + self.mechanism.p
         if extra is not None:
             width += extra.sample_columns.shape[0]
+        fast = compiled.ready() and extra is None  # compiled for one width of rows: effects have many
         diagonal, lower = np.zeros((self.total, b, b)), np.zeros((self.total - 1, b, b))
         right = np.zeros((self.total, b, width))  # residual, then parameters
+        sums = Sums(diagonal, lower, right)
         square, misfit = np.zeros((width, width)), np.zeros(n)
         for intervals, here, there in self._pieces(self.left):
             rows, columns = self._motion_rows(x, beta, noise, intervals, here, there, extra)
             square += np.sum(columns @ columns.swapaxes(1, 2), axis=0)
             misfit += np.sum(columns[:, 0] ** 2, axis=-1).reshape(n, 2).sum(axis=1)
-            rows = rows.reshape(-1, rows.shape[-1]).T.copy().reshape(-1, 2 * n, 2 * b + width)
-            before, after, rest = rows[:, :, :b], rows[:, :, b : 2 * b], rows[:, :, 2 * b :]
-            diagonal[here] += gram(before)
-            diagonal[there] += gram(after)
-            lower[here] = after.swapaxes(1, 2) @ before
-            right[here] += before.swapaxes(1, 2) @ rest
-            right[there] += after.swapaxes(1, 2) @ rest
+            add_intervals(rows, here, there, sums, fast)
         residuals: dict[str, FloatArray] = {}
-        accel_rows, accel_border = np.empty((0, 2, b)), np.empty((0, 2, width - 1))
+        accel = np.empty((self.total if self.has_imu else 0, 2, b + width))
         if self.has_imu:
-            accel_rows, accel_border = np.empty((self.total, 2, b)), np.empty((self.total, 2, width - 1))
-            residuals["accel"] = np.empty((self.total, 2))
-            for here, _, _ in self._pieces(np.arange(self.total)):
-                rows = self._accelerometer_rows(x, beta, here, extra)
-                scaled = rows[:, b:] / noise.accel
-                square += np.sum(scaled @ scaled.swapaxes(1, 2), axis=0)
-                rows = rows.reshape(-1, rows.shape[-1]).T.copy().reshape(-1, 2, b + width)
-                accel_rows[here], residuals["accel"][here] = rows[:, :, :b], rows[:, :, b]
-                accel_border[here] = rows[:, :, b + 1 :]
-                rows /= noise.accel
-                diagonal[here] += gram(rows[:, :, :b])
-                right[here] += rows[:, :, :b].swapaxes(1, 2) @ rows[:, :, b:]
+            for start in range(0, self.total, PIECE):
+                at = slice(start, min(start + PIECE, self.total))
+                rows = self._accelerometer_rows(x, beta, at, extra)
+                columns = rows[:, b:]
+                square += np.sum(columns @ columns.swapaxes(1, 2), axis=0) / noise.accel**2
+                add_samples(rows, at, 1.0 / noise.accel**2, sums, accel, fast)
+            residuals["accel"] = accel[:, :, b]
         gradient, border = right[:, :, 0], right[:, :, 1:]
         objective, gradient_beta, corner = float(square[0, 0]), square[1:, 0], square[1:, 1:]
         objective += self._node_rows(x, noise, diagonal, gradient, residuals, extra)
@@ -150,7 +154,7 @@ class LatentProblem:
         misfit += np.sum(residuals["torque"] ** 2 / self.torque_variance(noise), axis=0)
         gradient_beta[: self.mechanism.p] -= self._inertia_gradient(beta, misfit)
         return Linearised(objective, diagonal, lower, right.reshape(self.total * b, -1), corner, gradient_beta,
-                          accel_rows, accel_border, residuals, extra)
+                          accel[:, :, :b], accel[:, :, b + 1 :], residuals, extra)
 
     def _inertia_gradient(self, beta: FloatArray, misfit: FloatArray) -> FloatArray:
         """(p,) what makes a passive joint's misfit count as one of acceleration, not of torque.
@@ -195,14 +199,13 @@ class LatentProblem:
     def _motion_rows(self, x: Latents, beta: FloatArray, noise: Noise, intervals: slice,
                      here: Samples, there: Samples,
                      extra: Extra | None) -> tuple[FloatArray, FloatArray]:
-        """Weighted rows of the equation of motion, (2 n, 2 b + 1 + p, K): both ends' latents, residual, parameters.
+        """Weighted rows of the equation of motion, (2 n, 2 b + 1 + p, padded K).
 
-        Second are the last 1 + p columns alone, (2 n, 1 + p, K).
+        Columns are both ends' latents, residual, parameters. Second are the last 1 + p alone.
         """
         c, n, p, b = self.collocation, self.n, self.mechanism.p, self.block
         motion = c.motion_between(np.stack([x.q[here].T, x.v[here].T, x.q[there].T, x.v[there].T], axis=1))
-        z, slopes = c.terms(motion)
-        z = c.to_joint(z)  # (p, n, 2, K)
+        z, own = c.evaluate(motion, beta)  # (p, n, 2, K), (n, 2, 5, n, K)
         count = z.shape[-1]
         w = c.torque_weights
         residual = (beta @ z.reshape(p, -1)).reshape(n, 2, count)
@@ -214,15 +217,16 @@ class LatentProblem:
             z = np.concatenate([z, extra.torque_columns[:, :, :, intervals]])
             added = None if extra.slopes is None else extra.slopes[..., intervals]
         weight = (1.0 / (TIGHT * noise.torque))[:, None, None]
-        rows = np.zeros((n, 2, 2 * b + 1 + len(z), count))
-        ends = rows[:, :, : 2 * b].reshape(n, 2, 2, 3, n, count)  # joint, Gauss point; end, variable, its joint
-        np.multiply(c.jacobian(slopes, beta, (2, count), added).reshape(n, 2, 2, 2, n, count),
+        whole = np.zeros((n, 2, 2 * b + 1 + len(z), padded(count)))
+        rows = whole[..., :count]
+        ends = whole[:, :, : 2 * b].reshape(n, 2, 2, 3, n, -1)[..., :count]  # joint, Gauss point; end, variable, joint
+        np.multiply(c.by_ends(own, added).reshape(n, 2, 2, 2, n, count),
                     weight[..., None, None, None], out=ends[:, :, :, :2])
         for i in range(n):
             ends[i, :, :, 2, i] = -weight[i] * w[:, :, None]
         np.multiply(residual, weight, out=rows[:, :, 2 * b])
         np.multiply(z.transpose(1, 2, 0, 3), weight[..., None], out=rows[:, :, 2 * b + 1 :])
-        flat = rows.reshape(2 * n, -1, count)
+        flat = whole.reshape(2 * n, -1, padded(count))
         return flat, flat[:, 2 * b :]
 
     def torque_variance(self, noise: Noise) -> FloatArray:
@@ -279,7 +283,7 @@ class LatentProblem:
 
     def _accelerometer_rows(self, x: Latents, beta: FloatArray, here: Samples,
                             extra: Extra | None) -> FloatArray:
-        """Rows (2, b + 1 + p, K) of the accelerometer's two axes: by the latents, residual, by the parameters.
+        """Rows (2, b + 1 + p, padded K) of the accelerometer's two axes: by the latents, residual, by the parameters.
 
         q1dd comes from the equation of motion at the sample, not from the cubic: friction that changes sign
         inside an interval makes the acceleration jump there, and the cubic's value at its end would carry
@@ -295,7 +299,8 @@ class LatentProblem:
         qdd, by_latents, by_beta, inverse = self.collocation.acceleration(q, v, u, beta, 0, added)
         ax, ay = accelerometer(q[0], v[0], qdd, lever, g)
         count = 0 if extra is None else extra.sample_columns.shape[0]
-        rows = np.zeros((2, b + 1 + m.p + count, qdd.size))
+        whole = np.zeros((2, b + 1 + m.p + count, padded(qdd.size)))
+        rows = whole[..., : qdd.size]
         rows[0, :b] = lever * by_latents.reshape(b, -1)
         rows[0, 0] += g * np.cos(q[0])
         rows[1, 0] = g * np.sin(q[0])
@@ -309,7 +314,7 @@ class LatentProblem:
                     rows[axis, b] += extra.readings[channel][here]
                 if channel in extra.reading_columns:
                     rows[axis, b + 1 + m.p :] += extra.reading_columns[channel][:, here]
-        return rows
+        return whole
 
     def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,
                         index: NDArray[np.intp]) -> dict[str, FloatArray]:

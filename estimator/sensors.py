@@ -26,7 +26,7 @@ def tilt(accel_x: FloatArray, accel_y: FloatArray, gyro: FloatArray, rate_hz: fl
     All three are low-passed alike; gravity is taken from the sensor's own mean norm, which cancels a
     common accelerometer gain.
     """
-    x, y, rate = (lowpass(v, cutoff_hz, rate_hz, order) for v in (accel_x, accel_y, gyro))
+    x, y, rate = lowpass(np.stack([accel_x, accel_y, gyro], axis=1), cutoff_hz, rate_hz, order).T.copy()
     q1dd = central_difference(rate, 1.0 / rate_hz)
     s, c = x - lever_arm * q1dd, -y - lever_arm * rate**2
     norm = np.hypot(s, c)

@@ -51,20 +51,21 @@ def undetermined_by_design(datasets: Sequence[Dataset], mechanism: Mechanism, op
     design = design_rows(signals, mechanism, options)
     beta, covariance, _ = weighted_least_squares(design.z, design.torque, free, beta, design.samples_per_dof)
     scale = plausible_sizes(mechanism, beta)
-    flat = unexcited_directions(signals, mechanism, options, free, least_power) / scale[:, None]
+    flat = unexcited_directions(signals, mechanism, options, free, least_power, design.z) / scale[:, None]
     flat = np.linalg.qr(flat / np.linalg.norm(flat, axis=0))[0]
     return name_directions(mechanism.names, np.hstack([flat, uncertain_directions(covariance, scale, free)]), scale)
 
 
 def unexcited_directions(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions,
-                         free: NDArray[np.bool_], least_power: float) -> FloatArray:
-    """(p, k) directions of beta along which the regressor has less than `least_power` times the power of noise."""
+                         free: NDArray[np.bool_], least_power: float, regressor: FloatArray) -> FloatArray:
+    """(p, k) directions of beta along which `regressor` (m, n, p) has less than `least_power` times noise's power."""
     rng = np.random.default_rng(0)
     index = np.flatnonzero(free)
-    z = _columns(signals, mechanism, options, index)
+    z = regressor[:, :, index].reshape(-1, index.size)
     noise = np.zeros((index.size, index.size))
     for _ in range(DRAWS):
-        more = _columns([_noisier(s, options, rng) for s in signals], mechanism, options, index) - z
+        noisier = design_rows([_noisier(s, options, rng) for s in signals], mechanism, options).z
+        more = noisier[:, :, index].reshape(-1, index.size) - z
         noise += more.T @ more / DRAWS
     noise += len(z) * FLAT**2 * np.eye(index.size)
     power = z.T @ z
@@ -74,12 +75,6 @@ def unexcited_directions(signals: Sequence[SignalSet], mechanism: Mechanism, opt
     out = np.zeros((free.size, int(np.sum(ratios < least_power))))
     out[index] = scale[:, None] * vectors[:, ratios < least_power]
     return out
-
-
-def _columns(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions,
-             index: NDArray[np.intp]) -> FloatArray:
-    z = design_rows(signals, mechanism, options).z[:, :, index]
-    return z.reshape(-1, index.size)
 
 
 def _noisier(s: SignalSet, options: FitOptions, rng: np.random.Generator) -> SignalSet:

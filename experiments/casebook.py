@@ -20,9 +20,11 @@ from daq.errors import InputError, WorkError
 from daq.rig import load_rig
 from estimator.errors import FitError
 from estimator.fit import fit
+from estimator.imu_encoder import SIGNALS, EncoderFit
 from estimator.result import FitResult
 from estimator.validation import Validation
 from estimator.verdict import Diagnosis
+from experiments.calibrating_encoder import compare, read_moving
 from experiments.diagnosing import diagnose_setup
 from experiments.rigs import load_setup
 from experiments.validation import validate_setup
@@ -65,6 +67,15 @@ class DiagnoseTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True
     expected: tuple[str, ...] = ()
 
 
+class CalibrateTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """The IMU against the encoder of its own link."""
+
+    rig: str
+    runs: tuple[str, ...]
+    angle_below_rad: float
+    """Published rms error of the link's angle by the IMU."""
+
+
 class Case(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """One folder of records."""
 
@@ -76,6 +87,7 @@ class Case(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     fit: tuple[FitTask, ...] = ()
     sweep: tuple[SweepTask, ...] = ()
     diagnose: tuple[DiagnoseTask, ...] = ()
+    calibrate: tuple[CalibrateTask, ...] = ()
 
 
 class _Cases(Struct, forbid_unknown_fields=True, frozen=True):
@@ -136,6 +148,15 @@ class Diagnosed:
 
 
 @dataclass(frozen=True)
+class Calibrated:
+    """What became of a calibration."""
+
+    task: CalibrateTask
+    found: EncoderFit | None
+    refusal: str
+
+
+@dataclass(frozen=True)
 class Study:
     """A case with all that was found."""
 
@@ -143,6 +164,7 @@ class Study:
     fits: Sequence[Fitted]
     sweeps: Sequence[Swept]
     diagnoses: Sequence[Diagnosed]
+    calibrations: Sequence[Calibrated] = ()
 
 
 def load_cases(path: Path = RIGS / "cases.toml") -> tuple[Case, ...]:
@@ -168,7 +190,8 @@ def study_case(case: Case, folder: Path, seed: int = 0) -> Study:
     """Run all that `case` asks for on the records under `folder`; what is refused is kept as its line."""
     home = folder / case.folder
     return Study(case, [_fit(task, home) for task in case.fit], [_sweep(task, home) for task in case.sweep],
-                 [_diagnose(task, home, seed) for task in case.diagnose])
+                 [_diagnose(task, home, seed) for task in case.diagnose],
+                 [_calibrate(task, home) for task in case.calibrate])
 
 
 def _fit(task: FitTask, home: Path) -> Fitted:
@@ -211,6 +234,11 @@ def _diagnose(task: DiagnoseTask, home: Path, seed: int) -> Diagnosed:
     return Diagnosed(task, found, refusal)
 
 
+def _calibrate(task: CalibrateTask, home: Path) -> Calibrated:
+    rig = load_rig(RIGS / task.rig)
+    return Calibrated(task, *_attempt(lambda: compare([read_moving(home / run, rig) for run in task.runs], rig)))
+
+
 def _attempt(work: Callable[[], T]) -> tuple[T | None, str]:
     """The result, or the line that says why there is none: a case may be there to be refused."""
     try:
@@ -223,7 +251,8 @@ def casebook_document(studies: Sequence[Study]) -> dict[str, Any]:
     """`legid.casebook/1`: published against found, verdicts, gains."""
     return {"schema": SCHEMA, "cases": [
         {"folder": s.case.folder, "title": s.case.title, "fits": [_fit_entry(f) for f in s.fits],
-         "sweeps": [_sweep_entry(w) for w in s.sweeps], "diagnoses": [_diagnosis_entry(d) for d in s.diagnoses]}
+         "sweeps": [_sweep_entry(w) for w in s.sweeps], "diagnoses": [_diagnosis_entry(d) for d in s.diagnoses],
+         "calibrations": [_calibration_entry(c) for c in s.calibrations]}
         for s in studies]}
 
 
@@ -255,6 +284,16 @@ def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:
                   "free_run_rmse": {name: {"before": g.before, "after": g.after, "floor": g.floor}
                                     for name, g in d.found.sensors.items()},
                   "torque_rms": {"before": list(d.found.torque_rms_nm[0]), "after": list(d.found.torque_rms_nm[1])}}
+    return entry
+
+
+def _calibration_entry(c: Calibrated) -> dict[str, Any]:
+    entry: dict[str, Any] = {"refused": c.refusal or None, "published_angle_rms_rad": c.task.angle_below_rad}
+    if c.found is not None:
+        entry |= {"found": {f.term.name: {"value": f.value, "half": f.half} for f in c.found.found
+                            if f.determined and f.term.name not in c.found.held},
+                  "rms": {name: {"before": before, "after": after} for name, before, after in
+                          zip(SIGNALS, c.found.before[:, 0].tolist(), c.found.after[:, 0].tolist())}}
     return entry
 
 

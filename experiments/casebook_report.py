@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.casebook import Diagnosed, Fitted, Study, Swept, values
+from experiments.calibrating_encoder import CHECK, FOUND, check_rows, found_rows, open_terms
+from experiments.casebook import Calibrated, Diagnosed, Fitted, Study, Swept, values
 from experiments.diagnosis_figures import error_bars, signature_limits, signature_plot, trace_plot
 from experiments.diagnosis_text import gap_text, key_label, size_rows
 from experiments.figures import BLUE, ORANGE, Line, plot_lines, window
@@ -32,7 +33,8 @@ def study_sections(study: Study) -> list[Section]:
     return [Section(title, [" ".join(study.case.known.split()), f"Source: {study.case.source}."]),
             *[_fit_section(title, f) for f in study.fits], *_side_by_side(study),
             *[_sweep_section(title, w) for w in study.sweeps],
-            *[_diagnosis_section(title, d) for d in study.diagnoses]]
+            *[_diagnosis_section(title, d) for d in study.diagnoses],
+            *[_calibration_section(title, c) for c in study.calibrations]]
 
 
 def study_text(study: Study) -> str:
@@ -43,6 +45,7 @@ def study_text(study: Study) -> str:
     lines += [f"  {_sweep_words(w, method)}" for w in study.sweeps for method in w.task.methods]
     for d in study.diagnoses:
         lines.append(f"  diagnosis with {d.task.rig}: {_verdict_words(d)}")
+    lines += [f"  IMU against encoder: {_calibration_words(c)}" for c in study.calibrations]
     return "\n".join(lines)
 
 
@@ -194,3 +197,26 @@ def _diagnosis_section(title: str, d: Diagnosed) -> Section:
         pictures += [Picture(trace_plot(trace, column), f"{column} in {trace.run}: measured, nominal, extended.")
                      for column in trace.measured if column in trace.before and column in trace.after]
     return Section(heading, about, tables, pictures, [f"Warning: {text}" for text in found.warnings])
+
+
+def _calibration_words(c: Calibrated) -> str:
+    if c.found is None:
+        return f"refused: {c.refusal}"
+    before, after = np.degrees(c.found.before[3, 0]), np.degrees(c.found.after[3, 0])
+    return (f"on the half not fitted, the angle by gravity is {before:.2f} degrees rms beside the encoder, "
+            f"{after:.2f} after calibration; published, by fusion with the gyro: below "
+            f"{np.degrees(c.task.angle_below_rad):.0f}")
+
+
+def _calibration_section(title: str, c: Calibrated) -> Section:
+    about = [f"With {c.task.rig} on {', '.join(c.task.runs)}: {_calibration_words(c)}."]
+    if c.found is None:
+        return Section(f"{title}: IMU against encoder", about)
+    lags = c.found.lags_s * 1e3
+    notes = [f"The gyro's lag by blocks of {c.found.block_s:.1f} s: {lags.min():.1f} to {lags.max():.1f} ms; it "
+             + ("wanders along the record." if c.found.lag_wanders else "does not wander.")]
+    notes += [f"not determined: {name}" for name in open_terms(c.found)]
+    return Section(f"{title}: IMU against encoder", about, [
+        Table(["term", *FOUND], found_rows(c.found), "found on the first half, 95 % intervals", frozenset({1, 2})),
+        Table(["signal", *CHECK], check_rows(c.found), "rms of IMU less encoder on the other half",
+              frozenset({1, 2, 3, 4}))], notes=notes)

@@ -27,7 +27,8 @@ needs_records = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real re
 
 
 def test_every_rig_file_shipped_is_valid_and_used() -> None:
-    asked = {task.rig for case in load_cases() for task in (*case.fit, *case.sweep, *case.diagnose)}
+    asked = {task.rig for case in load_cases() for task in (*case.fit, *case.sweep, *case.diagnose,
+                                                        *case.calibrate)}
     shipped = {path.name for path in RIGS.glob("*.toml")} - {"cases.toml"}
     assert asked == shipped
     for name in shipped:
@@ -107,6 +108,10 @@ def test_records_without_a_torque_are_refused_and_voltage_is_an_input(book: tupl
                                                                        capsys: pytest.CaptureFixture[str]) -> None:
     (refused,) = book[0]["song_imu"]["fits"]
     assert "tau1_nm is missing" in refused["refused"]
+    (calibrated,) = book[0]["song_imu"]["calibrations"]  # by the data's README: gain .985, about -.0006 rad/s
+    assert calibrated["found"]["gyro_scale"]["value"] == pytest.approx(-0.015, abs=0.0015)
+    assert calibrated["rms"]["angle_rad"]["after"] < 0.5 * calibrated["rms"]["angle_rad"]["before"]
+    assert calibrated["rms"]["angle_rad"]["before"] < calibrated["published_angle_rms_rad"]
     runs = [str(DATA / "bam_xl330" / "kp100_sin_sin.csv.gz")]
     assert main(["fit", *runs, "--rig", str(RIGS / "song_imu.toml")]) == 2
     assert "tau1_nm is missing" in capsys.readouterr().err

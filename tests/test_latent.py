@@ -8,9 +8,10 @@ from mujoco_leg import Leg, random_leg, record
 
 from daq.dataset import Dataset
 from estimator import compiled, gauss_newton, latent
+from estimator.collocation import Collocation, Motion
 from estimator.fit import fit
 from estimator.latent import LatentProblem, Latents, Noise
-from estimator.mechanism import leg2
+from estimator.mechanism import Mechanism, biped3, chain, joint1, leg2
 from estimator.options import FitOptions
 from estimator.signalset import split_signals
 from estimator.start import start_state
@@ -72,6 +73,39 @@ def test_pieces_change_nothing(broken: tuple[LatentProblem, Latents, np.ndarray,
     for name in ("diagonal", "lower", "right", "corner", "gradient_beta", "accel_rows", "accel_border"):
         a, b = getattr(whole, name), getattr(parts, name)
         np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-11 * np.abs(a).max(), err_msg=name)
+
+
+@pytest.mark.parametrize("piece", [37, latent.PIECE])
+def test_compiled_normal_equations_are_those_of_numpy(broken: tuple[LatentProblem, Latents, np.ndarray, Noise],
+                                                      piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba", reason="needs the extra `fast`")
+    problem, x, beta, noise = broken
+    monkeypatch.setattr(latent, "PIECE", piece)
+    beta = beta + 0.1 * np.random.default_rng(3).normal(size=beta.size)
+    monkeypatch.setattr(compiled, "LOAD_WORTH", 10**15)
+    plain = problem.linearise(x, beta, noise)
+    monkeypatch.setattr(compiled, "LOAD_WORTH", -1)
+    fast = problem.linearise(x, beta, noise)
+    assert fast.objective == pytest.approx(plain.objective, rel=1e-12)
+    for name in ("diagonal", "lower", "right", "corner", "gradient_beta", "accel_rows", "accel_border"):
+        a, b = getattr(plain, name), getattr(fast, name)
+        np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-10 * np.abs(a).max(), err_msg=name)
+    for name, a in plain.residuals.items():
+        np.testing.assert_allclose(fast.residuals[name], a, rtol=0.0, atol=1e-10, err_msg=name)
+
+
+@pytest.mark.parametrize("mechanism", [joint1(), leg2(rotor_inertia=(1,), torque_offset=(0, 1)), biped3(), chain(3)],
+                         ids=lambda m: f"{m.name}-{m.n}")
+def test_compiled_terms_are_those_of_numpy(mechanism: Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba", reason="needs the extra `fast`")
+    rng = np.random.default_rng(4)
+    motion, beta = Motion(*rng.normal(size=(5, mechanism.n, 2, 130))), rng.normal(size=mechanism.p)
+    collocation = Collocation(mechanism, 0.01, "linear")
+    monkeypatch.setattr(compiled, "LOAD_WORTH", 10**15)
+    plain = collocation.evaluate(motion, beta)
+    monkeypatch.setattr(compiled, "LOAD_WORTH", -1)
+    for a, b in zip(plain, collocation.evaluate(motion, beta)):
+        np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-10)
 
 
 @pytest.mark.usefixtures("squares_alone")

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from experiments.model_file import Model
     from experiments.motor_off import Wanted
 
+SECONDS = {"imu": 60.0, "mount": 20.0, "encoder": 10.0, "shunt": 20.0, "imu-encoder": 60.0}
+"""Length of a record from the devices."""
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -25,21 +28,39 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     imu = _step(steps, "imu", "biases, noise and scales of the IMU, from records at rest",
                 "Gyro bias and noise (Allan deviation) from a record of an IMU that lies still; with six, each with "
                 "another axis of the chip up or down, accelerometer bias and scales too.",
-                "one or six .mcap files recorded at rest", 60.0)
+                "one or six .mcap files recorded at rest", SECONDS["imu"])
     imu.add_argument("--six-positions", action="store_true", help="ask for six positions of the chip, one by one")
     imu.add_argument("--self-test", action="store_true", help="first let the chip test itself; keep it still")
     mount = _step(steps, "mount", "how the IMU sits on link 1, and its lever arm, from rest and swing",
                   "Mount matrix and lever arm by maximum likelihood of the swing and the chip's six readings; where "
-                  "q1 = 0 is, comes from the leg hanging at rest.", ".mcap files: the leg at rest, and swinging", 20.0)
+                  "q1 = 0 is, comes from the leg hanging at rest.", ".mcap files: the leg at rest, and swinging",
+                  SECONDS["mount"])
     encoder = _step(steps, "encoder", "the knee encoder's reading at a straight knee",
                     "From a leg hanging free, whose knee stops anywhere in its friction's cone about the vertical, or "
-                    "held straight (--straight).", ".mcap files at rest, each another stop of the leg", 10.0)
+                    "held straight (--straight).", ".mcap files at rest, each another stop of the leg",
+                    SECONDS["encoder"])
     encoder.add_argument("--straight", action="store_true", help="the leg is held or clamped straight")
     encoder.add_argument("--records", metavar="N", type=int, help="so many stops from the devices")
     for step in (mount, encoder):
         step.add_argument("--model", metavar="MODEL.json", help="an identified leg: how far its friction holds it")
     _step(steps, "shunt", "offset of the current shunt, motor off and leg at rest",
-          "Mean current while the motor is off, with its drift.", ".mcap files with the motor off", 20.0)
+          "Mean current while the motor is off, with its drift.", ".mcap files with the motor off",
+          SECONDS["shunt"])
+    _step(steps, "imu-encoder", "the IMU on a moving link against the encoder of that link's angle",
+          "Gyro bias, scale and lag, accelerometer biases, scales and lag, and the lever arm, by least squares on "
+          "q1_rad: fitted on the first half, checked on the other. No torque is needed.",
+          ".mcap or .csv files with q1_rad and IMU of a moving link", SECONDS["imu-encoder"])
+    everything = steps.add_parser(
+        "all", help="walk through imu, mount, encoder and shunt on a terminal",
+        description="One step after another, each with what to do with the leg before it; a step can be skipped or "
+                    "taken again. Readings come from the devices of the rig file, the motor stays off.")
+    everything.add_argument("--rig", required=True, help="the rig's TOML file; each step writes what it finds into it")
+    everything.add_argument("--seconds", type=float, help="length of each record (default: each step's own)")
+    everything.add_argument("--straight", action="store_true", help="the knee's zero from a leg held straight")
+    everything.add_argument("--six-positions", action="store_true",
+                            help="the accelerometer's biases and scales too, from six positions of the chip")
+    everything.add_argument("--model", metavar="MODEL.json", help="an identified leg: how far its friction holds it")
+    everything.add_argument("--dry-run", action="store_true", help="print only, leave the rig file as it is")
     parser.set_defaults(run=run)
 
 
@@ -61,6 +82,8 @@ def run(args: argparse.Namespace) -> int:
     from daq.rig import load_rig
     from experiments.calibration_outcome import store
 
+    if args.what == "all":
+        return _all(args)
     rig = load_rig(args.rig)
     outcome = STEPS[args.what](args, rig)
     print(outcome.text)
@@ -105,7 +128,29 @@ def _shunt(args: argparse.Namespace, rig: Rig) -> Outcome:
     return calibrate_shunt(_records(args, rig, shunt_wishes()), rig)
 
 
-STEPS = {"imu": _imu, "mount": _mount, "encoder": _encoder, "shunt": _shunt}
+def _imu_encoder(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from experiments.calibrating_encoder import WISHES, calibrate_by_encoder
+
+    return calibrate_by_encoder(None if args.runs else _records(args, rig, WISHES), args.runs, rig)
+
+
+STEPS = {"imu": _imu, "mount": _mount, "encoder": _encoder, "shunt": _shunt, "imu-encoder": _imu_encoder}
+
+
+def _all(args: argparse.Namespace) -> int:
+    from functools import partial
+
+    from experiments import calibrating_all as walking
+
+    does = {"encoder": walking.STRAIGHT} if args.straight else {}
+    does |= {"imu": walking.SIX} if args.six_positions else {}
+    measure = {}
+    for step in walking.STEPS:
+        own = vars(args) | {"runs": [], "records": None, "self_test": False}
+        own["seconds"] = args.seconds or SECONDS[step.name]
+        measure[step.name] = partial(STEPS[step.name], argparse.Namespace(**own))
+    print(walking.walk(args.rig, measure, args.dry_run, does))
+    return 0
 
 
 def _records(args: argparse.Namespace, rig: Rig, wishes: Sequence[Wanted], controller: bool = True) -> list[RawRun]:

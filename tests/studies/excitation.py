@@ -1,6 +1,8 @@
 """Plain sine, chirp and designed plan of one length and one set of limits, by refits on the emulated leg.
 
-    python -m tests.studies.excitation [--seconds 20] [--seeds 4] [--limits wide,tight] [--out PAGE.md]
+    python -m tests.studies.excitation [--seconds 20] [--seeds 8] [--limits wide,tight]
+
+It prints what stands under "Limits" in docs/excitation.md.
 
 Every plan goes through the emulated chips, drivers, recorder and the default fit, once a seed. The designs see a prior
 model that is wrong by 20 % in every parameter, up or down by a drawn sign; the sine and the chirp are as large as that
@@ -13,7 +15,6 @@ from __future__ import annotations
 import argparse
 import re
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -41,6 +42,10 @@ NOISE = {"torque_nm": 0.0076, "encoder_rad": 1e-4, "gyro_radps": 0.0031, "accel_
 LIMITS = {"wide": Limits(torque_nm=2.0, speed_radps=25.0, q1_rad=1.5, q2_rad=3.0),
           "tight": Limits(torque_nm=1.5, speed_radps=8.0, q1_rad=0.6, q2_rad=1.2)}
 """Those of the demo's rig, and those of a leg between close stops."""
+
+USUAL = "chirp 0.1-5 Hz"
+CHIRPS = (USUAL, "log chirp 0.1-5 Hz")
+DESIGNS = ("design, d", "design, worst")
 
 
 @dataclass(frozen=True)
@@ -88,17 +93,18 @@ def _faded(wave: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 def plans(bench: Bench, seconds: float) -> dict[str, Candidate]:
     """Name -> plan, all within the same limits by the same prior."""
-    shapes = {"sine 0.5 Hz": sine(seconds), "chirp 0.1-5 Hz": chirp(seconds, 0.1, 5.0),
-              "log chirp 0.1-5 Hz": chirp(seconds, 0.1, 5.0, True)}
+    shapes = {"sine 0.5 Hz": sine(seconds), CHIRPS[0]: chirp(seconds, 0.1, 5.0),
+              CHIRPS[1]: chirp(seconds, 0.1, 5.0, True)}
     found: dict[str, Candidate] = {}
     for name, shape in shapes.items():
         candidate = bench.sized(shape, MARGIN)
         if candidate is None:
             raise SystemExit(f"{name}: no size keeps the limits")
         found[name] = candidate
-    for criterion in ("d", "worst"):
-        found[f"design, {criterion}"] = design(bench, Band(seconds, 0.0, 3.0),
-                                               Search(margin=MARGIN, criterion=criterion)).best
+    for name in DESIGNS:
+        criterion = name.removeprefix("design, ")
+        found[name] = design(bench, Band(seconds, 0.0, 3.0),
+                             Search(margin=MARGIN, criterion=criterion)).best
     return found
 
 
@@ -127,30 +133,42 @@ def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> 
     body = LegBody()
     truth = np.array(body.beta())
     bench = Bench(prior_model(body), rig, "prior", WRONG)
-    found = {kind: refit(c.plan, rig, text, seeds, body) for kind, c in plans(bench, seconds).items()}
+    candidates = plans(bench, seconds)
+    found = {kind: refit(c.plan, rig, text, seeds, body) for kind, c in candidates.items()}
     per_minute = 100.0 * np.sqrt(seconds / 60.0) / truth
     stated = {kind: per_minute * r.std.mean(axis=0) for kind, r in found.items()}
-    actual = {kind: 100.0 / truth * np.sqrt(np.mean(r.error**2, axis=0)) for kind, r in found.items()}
+    actual = {kind: per_minute * np.sqrt(np.mean(r.error**2, axis=0)) for kind, r in found.items()}
     floor = 100.0 * NOISE["torque_nm"] / np.sqrt(60.0 * rig.sampling.rate_hz) / truth[-1]
     angles = f"q1 {limits.q1_rad:g} rad, q2 {limits.q2_rad:g} rad"
-    lines = [f"## Limits {name}: {limits.torque_nm:g} N m, {limits.speed_radps:g} rad/s, {angles}", ""]
-    lines += [_table("Standard error that the fits state, for one minute of experiment, per cent of the value",
-                     stated, bench.mechanism.names), "",
-              _table(f"Root mean square of the error about the truth, runs of {seconds:g} s, {len(seeds)} seeds, per "
-                     "cent of the value", actual, bench.mechanism.names), ""]
-    usual = "chirp 0.1-5 Hz"
+    lines = [f"## Limits {name}: {limits.torque_nm:g} N m, {limits.speed_radps:g} rad/s, {angles}", "",
+             _table("Standard error that the refits state, for one minute of experiment, per cent of the value",
+                    stated, bench.mechanism.names), "",
+             _table("Root mean square of the refits' errors about the truth, for one minute of experiment, per cent of "
+                    "the value", actual, bench.mechanism.names), ""]
+    for kind in DESIGNS:
+        for chirp_kind in CHIRPS:
+            lines.append(f"- {kind}, against the {chirp_kind}: "
+                         + _against(kind, chirp_kind, stated, actual, bench.mechanism.names))
+    peaks = "; ".join(f"{kind} {', '.join(f'{v:.2f}' for v in c.peaks.values())}" for kind, c in candidates.items())
+    off = np.concatenate([(r.error / r.std).ravel() for r in found.values()])
+    return [*lines, f"- Peaks by the prior ({', '.join(candidates[USUAL].peaks)}): {peaks}.",
+            f"- Errors over the standard errors that go with them, all plans, seeds and parameters: root mean square "
+            f"{np.sqrt(np.mean(off**2)):.2f}.",
+            f"- No plan can state less than {floor:.2f} % for beta9 in a minute: the torque noise over the root of the "
+            "number of samples, with everything else known.",
+            f"- Plans of {seconds:g} s, noise seeds {seeds[0]} to {seeds[-1]}, prior seed {PRIOR_SEED}. Machine: "
+            f"{machine()}."]
+
+
+def _against(kind: str, usual: str, stated: dict[str, np.ndarray], actual: dict[str, np.ndarray],
+             names: Sequence[str]) -> str:
     worst = int(np.argmax(stated[usual]))
-    for kind in ("design, d", "design, worst"):
-        ratio, real = stated[kind] / stated[usual], actual[kind] / actual[usual]
-        lines.append(f"- {kind} against the {usual}: {ratio[worst]:.2f} of the stated standard error of the chirp's "
-                     f"worst parameter ({bench.mechanism.names[worst]}), "
-                     f"{stated[kind].max() / stated[usual].max():.2f} comparing largest with largest, "
-                     f"{np.exp(np.log(ratio).mean()):.2f} in the mean; actual error "
-                     f"{actual[kind].max() / actual[usual].max():.2f} comparing largest with largest, "
-                     f"{np.exp(np.log(real).mean()):.2f} in the mean.")
-    lines.append(f"- No plan can state less than {floor:.2f} % for beta9 in a minute: the torque noise over "
-                 "the root of the number of samples, with everything else known.")
-    return [*lines, ""]
+    ratio, real = stated[kind] / stated[usual], actual[kind] / actual[usual]
+    return (f"the chirp's worst parameter ({names[worst]}) keeps {ratio[worst]:.2f} of its stated error, "
+            f"{real[worst]:.2f} of its actual one; largest against largest "
+            f"{stated[kind].max() / stated[usual].max():.2f} stated, {actual[kind].max() / actual[usual].max():.2f} "
+            f"actual; geometric mean {np.exp(np.log(ratio).mean()):.2f} stated, {np.exp(np.log(real).mean()):.2f} "
+            "actual.")
 
 
 def _table(caption: str, rows: dict[str, np.ndarray], names: Sequence[str]) -> str:
@@ -162,18 +180,11 @@ def _table(caption: str, rows: dict[str, np.ndarray], names: Sequence[str]) -> s
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--limits", default="wide,tight")
-    parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    started = time.monotonic()
-    lines = [f"Machine: {machine()}.", ""]
     for name in args.limits.split(","):
-        lines += section(name, LIMITS[name], args.seconds, range(1, args.seeds + 1))
-        print("\n".join(lines), flush=True)
-    lines.append(f"Noise seeds 1 to {args.seeds}, prior seed {PRIOR_SEED}; {time.monotonic() - started:.0f} s in all.")
-    if args.out is not None:
-        args.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        print("\n".join(section(name, LIMITS[name], args.seconds, range(1, args.seeds + 1))), end="\n\n", flush=True)
 
 
 if __name__ == "__main__":

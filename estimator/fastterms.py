@@ -1,0 +1,161 @@
+"""Compiled evaluation of a mechanism's terms at many points: what `Collocation.terms` and its slopes do with arrays.
+
+A strip of points at a time goes through all terms, so what they share stays in the processor's first cache, where
+arrays over all points are read and written anew by every operation. A test holds both to the same values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.compiled import compiled
+from estimator.mechanism import Mechanism
+
+FloatArray = NDArray[np.float64]
+STRIP = 64
+"""Points of a strip."""
+at = np.uint64
+"""A sum of indices as the compiler needs it to know that it does not count from an array's end."""
+CODES = ("inertia", "gravity", "viscous", "coulomb", "rotor", "offset")
+INERTIA, GRAVITY, VISCOUS, COULOMB, ROTOR, OFFSET = range(6)
+
+
+class FastTerms:
+    """Terms of one mechanism; see the module's text."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism = mechanism
+        self.table = np.array([(CODES.index(p.term), p.at[0], p.at[-1]) for p in mechanism.parameters])
+        angles = np.zeros((mechanism.p, mechanism.n))
+        for k, (code, i, j) in enumerate(self.table):
+            if code == GRAVITY or (code == INERTIA and i != j):
+                angles[k] = mechanism.transform[i] - (mechanism.transform[j] if code == INERTIA else 0.0)
+        self.turning = np.flatnonzero(np.abs(angles).sum(axis=1))
+        self.angles = angles[self.turning]
+        self.slot = np.zeros(mechanism.p, dtype=np.intp)
+        self.slot[self.turning] = np.arange(self.turning.size)
+        self.transform = np.ascontiguousarray(mechanism.transform, dtype=np.float64)
+
+    def __call__(self, angle: FloatArray, rate: FloatArray, accel: FloatArray, rate_from: FloatArray,
+                 rate_to: FloatArray, beta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Z (p, n, S, K) in joint rows and d(Z beta)/d(features) (n, S, 5, n, K) from contiguous features (n, S, K)."""
+        turned = (self.angles @ angle.reshape(len(angle), -1)).reshape(-1, *angle.shape[1:])
+        n, points, count = rate.shape
+        z, own = np.empty((len(beta), n, points, count)), np.empty((n, points, 5, n, count))
+        m = self.mechanism
+        _terms(n)(np.cos(turned), np.sin(turned), rate, accel, rate_from, rate_to, beta, self.table, self.slot,
+                  self.transform, float(m.gravity), float(m.velocity_scale) ** 2, z, own)
+        return z, own
+
+
+@cache
+def _terms(n: int) -> Callable[..., Any]:
+    """The kernel for n joints. Features count as in `collocation`: angle, rate, acceleration, rate from, rate to."""
+
+    def run(cosine: Any, sine: Any, rate: Any, accel: Any, rate_from: Any, rate_to: Any, beta: Any, table: Any,
+            slot: Any, transform: Any, gravity: float, eps2: float, z: Any, own: Any) -> None:
+        speed, gain = np.empty((n, STRIP)), np.empty((n, STRIP))
+        link, half = np.empty((n, 3, n, STRIP)), np.empty((n, 3, n, STRIP))
+        first, second = np.empty(STRIP), np.empty(STRIP)
+        for g in range(rate.shape[1]):
+            for start in range(0, rate.shape[2], STRIP):
+                size = min(STRIP, rate.shape[2] - start)
+                for i in range(n):
+                    for w in range(size):
+                        speed[i, w], gain[i, w] = 0.0, 0.0
+                    for j in range(n):
+                        t = transform[i, j]
+                        if t != 0.0:
+                            for w in range(size):
+                                speed[i, w] += t * rate[j, g, at(start + w)]
+                                gain[i, w] += t * accel[j, g, at(start + w)]
+                        for f in range(3):
+                            for w in range(size):
+                                link[i, f, j, w] = 0.0
+                        for f in range(5):
+                            for w in range(size):
+                                own[i, g, f, j, at(start + w)] = 0.0
+                    for k in range(beta.shape[0]):
+                        for w in range(size):
+                            z[k, i, g, at(start + w)] = 0.0
+                for k in range(beta.shape[0]):
+                    code, i, j, b = table[k, 0], table[k, 1], table[k, 2], beta[k]
+                    if code == INERTIA and i == j:
+                        for w in range(size):
+                            first[w] = gain[i, w]
+                            link[i, 2, i, w] += b
+                    elif code == INERTIA:
+                        for w in range(size):
+                            c, s = cosine[slot[k], g, at(start + w)], sine[slot[k], g, at(start + w)]
+                            si, sj = s * speed[i, w], s * speed[j, w]
+                            first[w] = c * gain[j, w] + sj * speed[j, w]
+                            second[w] = c * gain[i, w] - si * speed[i, w]
+                            di = b * (c * speed[j, w] * speed[j, w] - s * gain[j, w])
+                            dj = -b * (c * speed[i, w] * speed[i, w] + s * gain[i, w])
+                            link[i, 0, i, w] += di
+                            link[i, 0, j, w] -= di
+                            link[j, 0, i, w] += dj
+                            link[j, 0, j, w] -= dj
+                            link[i, 1, j, w] += 2.0 * b * sj
+                            link[j, 1, i, w] -= 2.0 * b * si
+                            link[i, 2, j, w] += b * c
+                            link[j, 2, i, w] += b * c
+                        for h in range(n):
+                            t = transform[j, h]
+                            if t != 0.0:
+                                for w in range(size):
+                                    z[k, h, g, at(start + w)] += t * second[w]
+                    elif code == GRAVITY:
+                        for w in range(size):
+                            first[w] = gravity * sine[slot[k], g, at(start + w)]
+                            link[i, 0, i, w] += b * gravity * cosine[slot[k], g, at(start + w)]
+                    elif code == VISCOUS:
+                        for w in range(size):
+                            z[k, i, g, at(start + w)] = rate[i, g, at(start + w)]
+                            own[i, g, 1, i, at(start + w)] += b
+                    elif code == ROTOR:
+                        for w in range(size):
+                            z[k, i, g, at(start + w)] = accel[i, g, at(start + w)]
+                            own[i, g, 2, i, at(start + w)] += b
+                    elif code == OFFSET:
+                        for w in range(size):
+                            z[k, i, g, at(start + w)] = 1.0
+                    else:
+                        for w in range(size):
+                            u, v = rate_from[i, g, at(start + w)], rate_to[i, g, at(start + w)]
+                            ru, rv = np.sqrt(u * u + eps2), np.sqrt(v * v + eps2)
+                            share = 1.0 / (ru + rv)
+                            mean = (u + v) * share
+                            z[k, i, g, at(start + w)] = mean
+                            own[i, g, 3, i, at(start + w)] += b * share * (1.0 - mean * u / ru)
+                            own[i, g, 4, i, at(start + w)] += b * share * (1.0 - mean * v / rv)
+                    if code in (INERTIA, GRAVITY):
+                        for h in range(n):
+                            t = transform[i, h]
+                            if t != 0.0:
+                                for w in range(size):
+                                    z[k, h, g, at(start + w)] += t * first[w]
+                for f in range(3):  # T^T link T
+                    for i in range(n):
+                        for j in range(n):
+                            for w in range(size):
+                                half[i, f, j, w] = 0.0
+                            for h in range(n):
+                                t = transform[h, j]
+                                if t != 0.0:
+                                    for w in range(size):
+                                        half[i, f, j, w] += link[i, f, h, w] * t
+                    for h in range(n):
+                        for i in range(n):
+                            t = transform[h, i]
+                            if t != 0.0:
+                                for j in range(n):
+                                    for w in range(size):
+                                        own[i, g, f, j, at(start + w)] += t * half[h, f, j, w]
+
+    return compiled(run)
