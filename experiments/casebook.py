@@ -21,10 +21,11 @@ from daq.rig import load_rig
 from estimator.errors import FitError
 from estimator.fit import fit
 from estimator.result import FitResult
+from estimator.signalset import torque_column
 from estimator.validation import Validation
 from estimator.verdict import Diagnosis
 from experiments.diagnosing import diagnose_setup
-from experiments.rigs import load_setup
+from experiments.rigs import Setup, load_setup
 from experiments.validation import validate_setup
 
 T = TypeVar("T")
@@ -63,6 +64,8 @@ class DiagnoseTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True
     rig: str
     runs: tuple[str, ...]
     expected: tuple[str, ...] = ()
+    published: dict[str, float] = {}
+    """Sizes of those effects, by the size's name."""
 
 
 class Case(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -122,6 +125,19 @@ class Diagnosed:
     task: DiagnoseTask
     found: Diagnosis | None
     refusal: str
+    drive_rms: tuple[float, ...] = ()
+    """(n,) rms of what drives each joint, over all records."""
+
+    def left_over_percent(self) -> tuple[list[float], list[float]]:
+        """What the nominal and the extended model leave over on the confirm runs, as shares of `drive_rms`, by joint.
+
+        NaN for a joint that nothing drives; empty where there is no gain to tell of.
+        """
+        if self.found is None:
+            return [], []
+        before, after = ([100.0 * r / s if s > 0 else float("nan") for r, s in zip(rms, self.drive_rms)]
+                         for rms in self.found.torque_rms_nm)
+        return before, after
 
     def agrees(self) -> bool | None:
         """Whether every effect that is published is among the named causes; None where none is published."""
@@ -207,8 +223,20 @@ def _sweep(task: SweepTask, home: Path) -> Swept:
 
 def _diagnose(task: DiagnoseTask, home: Path, seed: int) -> Diagnosed:
     rig = load_rig(RIGS / task.rig)
-    found, refusal = _attempt(lambda: diagnose_setup(load_setup([home / run for run in task.runs], rig), rig, seed))
-    return Diagnosed(task, found, refusal)
+    setup, refusal = _attempt(lambda: load_setup([home / run for run in task.runs], rig))
+    if setup is None:
+        return Diagnosed(task, None, refusal)
+    found, refusal = _attempt(lambda: diagnose_setup(setup, rig, seed))
+    return Diagnosed(task, found, refusal, drive_rms(setup))
+
+
+def drive_rms(setup: Setup) -> tuple[float, ...]:
+    """(n,) rms of the measured torque of each joint over all runs, zero where nothing drives it."""
+    found = [0.0] * setup.mechanism.n
+    for j in setup.mechanism.actuated:
+        torque = np.concatenate([data[torque_column(setup.mechanism, j)] for data in setup.datasets])
+        found[j] = float(np.sqrt(np.nanmean(torque**2)))
+    return tuple(found)
 
 
 def _attempt(work: Callable[[], T]) -> tuple[T | None, str]:
@@ -248,13 +276,18 @@ def _sweep_entry(w: Swept) -> dict[str, Any]:
 
 
 def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:
-    entry: dict[str, Any] = {"refused": d.refusal or None, "expected": list(d.task.expected), "agrees": d.agrees()}
+    entry: dict[str, Any] = {"refused": d.refusal or None, "expected": list(d.task.expected),
+                             "published": d.task.published, "agrees": d.agrees()}
     if d.found is not None:
         entry |= {"verdict": d.found.verdict, "sentence": d.found.sentence,
                   "causes": [c.effect for c in d.found.causes],
                   "free_run_rmse": {name: {"before": g.before, "after": g.after, "floor": g.floor}
                                     for name, g in d.found.sensors.items()},
-                  "torque_rms": {"before": list(d.found.torque_rms_nm[0]), "after": list(d.found.torque_rms_nm[1])}}
+                  "gap_closed": d.found.gap_closed, "gap_closed_ci95": d.found.gap_closed_ci95,
+                  "sizes": {c.effect: {x.name: {"value": x.value, "ci95": list(x.ci95), "unit": x.unit} for x in c.size}
+                            for c in d.found.causes},
+                  "torque_rms": {"before": list(d.found.torque_rms_nm[0]), "after": list(d.found.torque_rms_nm[1])},
+                  "left_over_percent": dict(zip(("before", "after"), d.left_over_percent()))}
     return entry
 
 

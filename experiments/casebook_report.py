@@ -11,7 +11,7 @@ from experiments.casebook import Diagnosed, Fitted, Study, Swept, values
 from experiments.diagnosis_figures import error_bars, signature_limits, signature_plot, trace_plot
 from experiments.diagnosis_text import gap_text, key_label, size_rows
 from experiments.figures import BLUE, ORANGE, Line, plot_lines, window
-from experiments.fit_text import force_unit, number
+from experiments.fit_text import number
 from experiments.report import Picture, Section, Table, write_page
 from experiments.validation_report import validation_rows
 
@@ -65,7 +65,7 @@ def _fit_words(f: Fitted) -> str:
     errors = [f"{e:.2f}" for e in f.relative_error_percent() if np.isfinite(e)]
     words += [f"relative error {', '.join(errors)} %"] if errors else []
     left = ", ".join(f"{r:.3g}" for r in f.result.torque_residual_rms)
-    return "; ".join([*words, f"left over {left} {force_unit(f.result.mechanism)}"])
+    return "; ".join([*words, f"left over {left} {f.result.mechanism.force_unit}"])
 
 
 def _verdict_words(d: Diagnosed) -> str:
@@ -147,7 +147,7 @@ def _side_by_side(study: Study) -> list[Section]:
                  else f"{number(values(r)[parameter.name], std)} ± {number(std, std)}"
                  for (f, r), std in zip(fits, spread)]
         rows.append([parameter.name, parameter.meaning, *cells])
-    unit = force_unit(fits[0][1].mechanism)
+    unit = fits[0][1].mechanism.force_unit
     rows += [["", f"left over, joint {j + 1} [{unit}]", *[f"{r.torque_residual_rms[j]:.4g}" for _, r in fits]]
              for j in range(fits[0][1].mechanism.n)]
     header = ["parameter", "meaning", *[f.task.title for f, _ in fits]]
@@ -161,7 +161,7 @@ def _torque_pictures(f: Fitted) -> list[Picture]:
         return []
     path = f.result.trajectories[0]
     part = window(path.time_s, SECONDS)
-    unit = force_unit(f.result.mechanism)
+    unit = f.result.mechanism.force_unit
     return [Picture(plot_lines(path.time_s[part] - path.time_s[0],
                                [Line("measured", path.tau_measured[part, j], BLUE, 2.2),
                                 Line("model", path.tau[part, j], ORANGE, 0.9)], f"joint {j + 1} [{unit}]"),
@@ -176,13 +176,15 @@ def _diagnosis_section(title: str, d: Diagnosed) -> Section:
         return Section(heading, about)
     found = d.found
     tables, pictures = [], []
-    sizes = [row for cause in found.causes for row in size_rows(cause)]
+    sizes = [[*row[:2], f"{d.task.published[row[1]]:.4g}" if row[1] in d.task.published else "", *row[2:]]
+             for cause in found.causes for row in size_rows(cause)]
     if sizes:
-        tables.append(Table(["effect", "size", "value", "95 % interval", "unit"], sizes, right=frozenset({2, 3})))
+        tables.append(Table(["effect", "size", "published", "found", "95 % interval", "unit"], sizes,
+                            right=frozenset({2, 3, 4})))
     if found.sensors:
         rows = [[name, f"{g.before:.4g}", f"{g.after:.4g}", f"{g.floor:.4g}"] for name, g in found.sensors.items()]
-        rows += [[f"left over, joint {j + 1}", f"{b:.4g}", f"{a:.4g}", ""]
-                 for j, (b, a) in enumerate(zip(*found.torque_rms_nm))]
+        rows += [[f"left over of what drives joint {j + 1}", f"{b:.2f} %", f"{a:.2f} %", ""]
+                 for j, (b, a) in enumerate(zip(*d.left_over_percent())) if np.isfinite(b)]
         tables.append(Table(["rms error", "nominal", "extended", "noise alone"], rows,
                             f"on {', '.join(found.confirm_runs)}, which chose nothing. {gap_text(found)}",
                             frozenset({1, 2, 3})))
