@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from daq.errors import InputError, WorkError
 from daq.rig import load_rig
@@ -66,6 +66,8 @@ class DiagnoseTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True
     expected: tuple[str, ...] = ()
     published: dict[str, float] = {}
     """Sizes of those effects, by the size's name."""
+    again: Annotated[int, Meta(ge=0)] = 0
+    """How often to repeat it with other seeds of its rehearsals: whether a verdict hangs on them."""
 
 
 class Case(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -127,6 +129,8 @@ class Diagnosed:
     refusal: str
     drive_rms: tuple[float, ...] = ()
     """(n,) rms of what drives each joint, over all records."""
+    others: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Verdict and effects of every repetition."""
 
     def left_over_percent(self) -> tuple[list[float], list[float]]:
         """What the nominal and the extended model leave over on the confirm runs, as shares of `drive_rms`, by joint.
@@ -227,7 +231,9 @@ def _diagnose(task: DiagnoseTask, home: Path, seed: int) -> Diagnosed:
     if setup is None:
         return Diagnosed(task, None, refusal)
     found, refusal = _attempt(lambda: diagnose_setup(setup, rig, seed))
-    return Diagnosed(task, found, refusal, drive_rms(setup))
+    others = [] if found is None else [diagnose_setup(setup, rig, seed + k) for k in range(1, task.again + 1)]
+    return Diagnosed(task, found, refusal, drive_rms(setup),
+                     tuple((other.verdict, tuple(c.effect for c in other.causes)) for other in others))
 
 
 def drive_rms(setup: Setup) -> tuple[float, ...]:
@@ -287,6 +293,7 @@ def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:
                   "sizes": {c.effect: {x.name: {"value": x.value, "ci95": list(x.ci95), "unit": x.unit} for x in c.size}
                             for c in d.found.causes},
                   "torque_rms": {"before": list(d.found.torque_rms_nm[0]), "after": list(d.found.torque_rms_nm[1])},
+                  "other_seeds": [{"verdict": verdict, "causes": list(causes)} for verdict, causes in d.others],
                   "left_over_percent": dict(zip(("before", "after"), d.left_over_percent()))}
     return entry
 

@@ -20,10 +20,31 @@ SECONDS = 12.0
 
 def write_casebook(path: Path | str, studies: Sequence[Study]) -> None:
     """Write the page. Raises `InputError` where that place cannot be written."""
-    sections = [section for study in studies for section in study_sections(study)]
+    sections = [_overview(studies), *(section for study in studies for section in study_sections(study))]
     write_page(path, "Casebook: published against found",
                f"{len(studies)} sets of public records, each put through fit, validate and diagnose with the rig file "
                "shipped for it.", sections)
+
+
+def _overview(studies: Sequence[Study]) -> Section:
+    """One row a set: what is published against what was found."""
+    header = ["records", "parameters against published", "diagnosis", "published causes named",
+              "held-out free run (rms): nominal, extended"]
+    rows = []
+    for study in studies:
+        fits = [f"within {100 * off[1]:.2g} % ({f.task.title})" for f in study.fits if (off := worst_departure(f))]
+        fits += [f"refused ({f.task.title})" for f in study.fits if f.result is None]
+        first = study.diagnoses[0] if study.diagnoses else None
+        told, agrees, gain = "", "", ""
+        if first is not None:
+            told = "refused" if first.found is None else first.found.verdict
+            if first.named:
+                told += ": " + ", ".join(key_label(name) for name in first.named)
+            agrees = {None: "none is published", True: "yes", False: "no"}[first.agrees()]
+            if first.found is not None:
+                gain = "; ".join(f"{column} {g.before:.2g}, {g.after:.2g}" for column, g in first.found.sensors.items())
+        rows.append([study.case.title, "; ".join(fits), told, agrees, gain])
+    return Section("At a glance", [], [Table(header, rows)])
 
 
 def study_sections(study: Study) -> list[Section]:
@@ -75,12 +96,24 @@ def _verdict_words(d: Diagnosed) -> str:
               False: f" Published is {', '.join(d.task.expected)}: the program does NOT name it."}[d.agrees()]
     more = sorted(set(d.named) - set(d.task.expected)) if d.task.expected else []
     ending += f" Named beyond what is published: {', '.join(more)}." if more else ""
-    return f"{d.found.verdict}. {d.found.sentence}{ending}"
+    return f"{d.found.verdict}. {d.found.sentence}{ending}{_repeated_words(d)}"
+
+
+def _repeated_words(d: Diagnosed) -> str:
+    """How the same diagnosis ends with other seeds of its rehearsals."""
+    if not d.others or d.found is None:
+        return ""
+    same = sum(other == (d.found.verdict, tuple(c.effect for c in d.found.causes)) for other in d.others)
+    counts = ", ".join(f"{verdict} {sum(v == verdict for v, _ in d.others)}"
+                       for verdict in sorted({v for v, _ in d.others}))
+    edge = "" if same == len(d.others) else ": it stands at the edge of what these records can show"
+    return f" Of {len(d.others)} repetitions with other seeds {same} end alike ({counts}){edge}."
 
 
 def _fit_section(title: str, f: Fitted) -> Section:
     heading = f"{title}: {f.task.title}"
-    about = f"{f.task.method} with {f.task.rig} on {', '.join(f.task.runs)}. {_fit_words(f)}."
+    words = _fit_words(f)
+    about = f"{f.task.method} with {f.task.rig} on {', '.join(f.task.runs)}. {words[:1].upper()}{words[1:]}."
     if f.result is None:
         return Section(heading, [about])
     rows = []
@@ -92,8 +125,10 @@ def _fit_section(title: str, f: Fitted) -> Section:
         rows.append([p.name, f"{published:.5g}" if known else "", number(value, float(std)),
                      "given" if given else number(float(std), float(std)),
                      f"{100 * (value / published - 1):+.2f} %" if published else "", p.unit, p.meaning])
-    tables = [Table(["parameter", "published", "found", "std", "departure", "unit", "meaning"], rows,
-                    right=frozenset({1, 2, 3, 4}))]
+    header = ["parameter", "published", "found", "std", "departure", "unit", "meaning"]
+    shown = [k for k, name in enumerate(header) if f.task.published or name not in ("published", "departure")]
+    tables = [Table([header[k] for k in shown], [[row[k] for k in shown] for row in rows],
+                    right=frozenset(i for i, k in enumerate(shown) if 1 <= k <= 4))]
     if f.task.relative_error_percent:
         tables.append(Table(["relative error", "published", "found"], [
             [f"joint {j + 1}", f"{a:.2f} %", f"{b:.2f} %"]
@@ -171,7 +206,7 @@ def _torque_pictures(f: Fitted) -> list[Picture]:
 
 def _diagnosis_section(title: str, d: Diagnosed) -> Section:
     heading = f"{title}: diagnosis with {d.task.rig}"
-    about = [f"With {d.task.rig} on {', '.join(d.task.runs)}.", _verdict_words(d)]
+    about = [f"With {d.task.rig} on {', '.join(d.task.runs)}.", f"Verdict: {_verdict_words(d)}"]
     if d.found is None:
         return Section(heading, about)
     found = d.found
