@@ -150,6 +150,16 @@ class Diagnosed:
         return set(self.task.expected) <= set(self.named)
 
     @property
+    def ending(self) -> tuple[str, tuple[str, ...]]:
+        """Verdict and effects, as in `others`."""
+        return ("", ()) if self.found is None else (self.found.verdict, tuple(c.effect for c in self.found.causes))
+
+    @property
+    def steady(self) -> bool:
+        """Whether every repetition ends alike."""
+        return all(other == self.ending for other in self.others)
+
+    @property
     def named(self) -> tuple[str, ...]:
         """Effects that the diagnosis says are present; none where it leaves a choice."""
         return tuple(c.effect for c in self.found.causes) if self.found and self.found.verdict == "named" else ()

@@ -28,23 +28,26 @@ def write_casebook(path: Path | str, studies: Sequence[Study]) -> None:
 
 def _overview(studies: Sequence[Study]) -> Section:
     """One row a set: what is published against what was found."""
-    header = ["records", "parameters against published", "diagnosis", "published causes named",
-              "held-out free run (rms): nominal, extended"]
+    header = ["records", "parameters against published", "diagnosis",
+              "rms error of free runs on held-out records: nominal, extended"]
     rows = []
     for study in studies:
         fits = [f"within {100 * off[1]:.2g} % ({f.task.title})" for f in study.fits if (off := worst_departure(f))]
         fits += [f"refused ({f.task.title})" for f in study.fits if f.result is None]
-        first = study.diagnoses[0] if study.diagnoses else None
-        told, agrees, gain = "", "", ""
-        if first is not None:
-            told = "refused" if first.found is None else first.found.verdict
-            if first.named:
-                told += ": " + ", ".join(key_label(name) for name in first.named)
-            agrees = {None: "none is published", True: "yes", False: "no"}[first.agrees()]
-            if first.found is not None:
-                gain = "; ".join(f"{column} {g.before:.2g}, {g.after:.2g}" for column, g in first.found.sensors.items())
-        rows.append([study.case.title, "; ".join(fits), told, agrees, gain])
+        told = [f"{_verdict_in_short(d)} ({d.task.rig})" for d in study.diagnoses]
+        gains = [f"{column} {g.before:.2g}, {g.after:.2g}" for d in study.diagnoses if d.found is not None
+                 for column, g in d.found.sensors.items()]
+        rows.append([study.case.title, "; ".join(fits), "; ".join(told), "; ".join(gains)])
     return Section("At a glance", [], [Table(header, rows)])
+
+
+def _verdict_in_short(d: Diagnosed) -> str:
+    """Verdict, effects, and whether that is what is published."""
+    if d.found is None:
+        return "refused"
+    words = d.found.verdict + (": " + ", ".join(key_label(name) for name in d.named) if d.named else "")
+    words += {None: "", True: ", as published", False: ", not as published"}[d.agrees()]
+    return words if d.steady else words + ", but not with every seed"
 
 
 def study_sections(study: Study) -> list[Section]:
@@ -103,10 +106,10 @@ def _repeated_words(d: Diagnosed) -> str:
     """How the same diagnosis ends with other seeds of its rehearsals."""
     if not d.others or d.found is None:
         return ""
-    same = sum(other == (d.found.verdict, tuple(c.effect for c in d.found.causes)) for other in d.others)
+    same = sum(other == d.ending for other in d.others)
     counts = ", ".join(f"{verdict} {sum(v == verdict for v, _ in d.others)}"
                        for verdict in sorted({v for v, _ in d.others}))
-    edge = "" if same == len(d.others) else ": it stands at the edge of what these records can show"
+    edge = "" if d.steady else ": it stands at the edge of what these records can show"
     return f" Of {len(d.others)} repetitions with other seeds {same} end alike ({counts}){edge}."
 
 
