@@ -28,14 +28,13 @@ def write_casebook(path: Path | str, studies: Sequence[Study]) -> None:
 
 def _overview(studies: Sequence[Study]) -> Section:
     """One row a set: what is published against what was found."""
-    header = ["records", "parameters against published", "diagnosis",
-              "rms error of free runs on held-out records: nominal, extended"]
+    header = ["records", "farthest from what is published", "diagnosis", "free run of held-out records (rms)"]
     rows = []
     for study in studies:
-        fits = [f"within {100 * off[1]:.2g} % ({f.task.title})" for f in study.fits if (off := worst_departure(f))]
+        fits = [f"{off[0]} {100 * off[1]:.3g} % ({f.task.title})" for f in study.fits if (off := worst_departure(f))]
         fits += [f"refused ({f.task.title})" for f in study.fits if f.result is None]
         told = [f"{_verdict_in_short(d)} ({d.task.rig})" for d in study.diagnoses]
-        gains = [f"{column} {g.before:.2g}, {g.after:.2g}" for d in study.diagnoses if d.found is not None
+        gains = [f"{column} {g.before:.2g} to {g.after:.2g}" for d in study.diagnoses if d.found is not None
                  for column, g in d.found.sensors.items()]
         rows.append([study.case.title, "; ".join(fits), "; ".join(told), "; ".join(gains)])
     return Section("At a glance", [], [Table(header, rows)])
@@ -46,7 +45,8 @@ def _verdict_in_short(d: Diagnosed) -> str:
     if d.found is None:
         return "refused"
     words = d.found.verdict + (": " + ", ".join(key_label(name) for name in d.named) if d.named else "")
-    words += {None: "", True: ", as published", False: ", not as published"}[d.agrees()]
+    agreed = ", as published" if set(d.named) == set(d.task.expected) else ", what is published among them"
+    words += {None: "", True: agreed, False: ", not what is published"}[d.agrees()]
     return words if d.steady else words + ", but not with every seed"
 
 
