@@ -286,14 +286,14 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
 def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Cause]:
     """Sizes with 95 % intervals, widened by the scatter between runs."""
     model = explained.model
-    at = model.problem.mechanism.p
+    at, unit = model.problem.mechanism.p, model.problem.mechanism.unit
     widen = float(np.sqrt(np.median(explained.left.inflation)))
     std = model.std() * widen
     keys, cosines = found.separability
     out = []
     for effect, size in zip(model.named, model.sizes()):
         parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
-        sizes = tuple(SizeEstimate(s.name, s.unit, float(v), (float(v - 1.96 * d), float(v + 1.96 * d)))
+        sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), (float(v - 1.96 * d), float(v + 1.96 * d)))
                       for s, v, d in zip(parts, size, std[at : at + effect.count]))
         at += effect.count
         near: tuple[str, ...] = ()

@@ -75,6 +75,17 @@ class Mechanism:
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
+    def force_unit(self) -> str:
+        """Unit of what drives the joints: N m, N on a slide, V where the input is a motor's voltage."""
+        return next((p.unit for p in self.parameters if p.term == "coulomb"), "N m")
+
+    def unit(self, rotary: str) -> str:
+        """A unit that is written for torques and angles, on this mechanism: of N m/rad makes N/m on a slide."""
+        if self.force_unit == "N m":
+            return rotary
+        return rotary.replace("(N m)", self.force_unit).replace("N m", self.force_unit).replace("rad", self.length_unit)
+
+    @property
     def passive(self) -> tuple[int, ...]:
         """Joints without a motor, 0-based."""
         return tuple(j for j in range(self.n) if j not in self.actuated)

@@ -20,9 +20,10 @@ from estimator.signalset import SignalSet, split_signals
 from estimator.start import noise_floors
 
 FloatArray = NDArray[np.float64]
-ROUNDING_RADPS = 0.02
-"""Least velocity over which sign(qd) is rounded off in a diagnosis. Sharper ones describe rest better, but the
-re-fits of friction laws then do not settle (measured: still moving after 20 steps at 0.005, settled at 0.03)."""
+ROUNDING = {"rad": 0.02, "m": 0.001}
+"""Least velocity over which sign(qd) is rounded off in a diagnosis [rad/s, or m/s on a slide]. Sharper ones describe
+rest better, but the re-fits of friction laws then do not settle (measured: still moving after 20 steps at 0.005 rad/s,
+settled at 0.03). A slide gets what a wheel of 0.05 m on such a joint would."""
 PARTS = 8
 """Stretches into which a single run is cut."""
 
@@ -42,7 +43,7 @@ class Session:
     confirm: tuple[int, ...]
     gear_ratio: float
     velocity_scale: float
-    """The rig's own rounding of sign(qd); the mechanism here has at least ROUNDING_RADPS."""
+    """The rig's own rounding of sign(qd); the mechanism here has at least ROUNDING."""
     single: bool
     """One run only, cut by time: weaker evidence, for its parts are not independent."""
     clock_bound_s: float = 0.0
@@ -109,7 +110,7 @@ def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     """Split runs: of four in turn two fit, one screens, one confirms. Raises `FitError` where there is too little."""
     known, options = options.noise, replace(options, noise={})
     own_scale = mechanism.velocity_scale
-    mechanism = replace(mechanism, velocity_scale=max(own_scale, ROUNDING_RADPS))
+    mechanism = replace(mechanism, velocity_scale=max(own_scale, ROUNDING[mechanism.length_unit]))
     single = len(datasets) == 1
     if single:
         datasets = _parts(datasets[0])

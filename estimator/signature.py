@@ -15,13 +15,14 @@ BINS = 24
 AXES = {
     "stribeck_friction": "v", "asymmetric_friction": "v", "quadratic_drag": "v", "presliding_friction": "v",
     "load_dependent_friction": "u", "torque_saturation": "u", "backlash": "u", "joint_elasticity": "u",
-    "joint_stiffness": "q", "end_stop_contact": "q", "torque_ripple": "q", "encoder_scale": "q",
+    "joint_stiffness": "q", "end_stop_contact": "q", "torque_ripple": "turn", "encoder_scale": "q",
     "encoder_eccentricity": "q", "rotor_inertia": "a", "friction_drift": "session", "gyro_scale": "v",
     "torque_offset": "v", "gyro_bias": "v", "torque_delay": "du", "sensor_time_skew": "a", "imu_lever_arm": "v",
 }
-LABELS = {"v": "velocity of joint {j} [rad/s]", "u": "motor torque [N m]", "q": "angle of joint {j} [rad]",
-          "a": "acceleration of joint {j} [rad/s2]", "session": "session time [s]",
-          "du": "rate of the motor torque [N m/s]"}
+LABELS = {"v": ("velocity of joint {j}", "rad/s"), "u": ("what the motor gives", "N m"), "q": ("joint {j}", "rad"),
+          "a": ("acceleration of joint {j}", "rad/s2"), "session": ("session time", "s"),
+          "du": ("rate of what the motor gives", "N m/s"), "turn": ("the motor's angle within a turn", "turn")}
+"""What is meant, and its unit on a rotary joint under torque."""
 
 
 def abscissa(kind: str, view: View, joint: int) -> FloatArray:
@@ -29,6 +30,8 @@ def abscissa(kind: str, view: View, joint: int) -> FloatArray:
     s = view.samples
     if kind == "du":
         return np.asarray(np.gradient(s.u[-1], view.dt_s))
+    if kind == "turn":
+        return np.asarray(view.gear_ratio * s.q[joint] / (2.0 * np.pi) % 1.0)
     return {"v": s.v[joint], "u": s.u[-1], "q": s.q[joint], "a": s.a[joint], "session": s.session_s}[kind]
 
 
@@ -44,7 +47,7 @@ def signature(session: Session, nominal: Model, extended: Model, effect: Effect)
     added = effect.perturb(view, size)
     if added.torque_at_samples is not None:
         row = int(np.argmax(np.std(added.torque_at_samples, axis=1)))
-        curve, y_label = added.torque_at_samples[row], f"torque of joint {row + 1} [N m]"
+        curve, y_label = added.torque_at_samples[row], f"left over at joint {row + 1} [{session.mechanism.force_unit}]"
         before = _torque_left(nominal)[:, row]
         after = _torque_left(extended)[:, row]
         sign = -1.0
@@ -63,7 +66,9 @@ def signature(session: Session, nominal: Model, extended: Model, effect: Effect)
         return np.asarray(np.bincount(which, values, BINS) / count)
 
     error = np.sqrt(np.maximum(mean(before**2) - mean(before) ** 2, 0.0) / np.maximum(count / 10.0, 1.0))
-    return Signature(effect.key, LABELS[kind].format(j=joint + 1), y_label, mean(along), sign * mean(before), error,
+    label, unit = LABELS[kind]
+    x_label = f"{label.format(j=joint + 1)} [{session.mechanism.unit(unit)}]"
+    return Signature(effect.key, x_label, y_label, mean(along), sign * mean(before), error,
                      mean(curve), sign * mean(after))
 
 

@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from daq.errors import InputError, WorkError
 from daq.rig import load_rig
@@ -22,11 +22,12 @@ from estimator.errors import FitError
 from estimator.fit import fit
 from estimator.imu_encoder import SIGNALS, EncoderFit
 from estimator.result import FitResult
+from estimator.signalset import torque_column
 from estimator.validation import Validation
 from estimator.verdict import Diagnosis
 from experiments.calibrating_encoder import compare, read_moving
 from experiments.diagnosing import diagnose_setup
-from experiments.rigs import load_setup
+from experiments.rigs import Setup, load_setup
 from experiments.validation import validate_setup
 
 T = TypeVar("T")
@@ -65,6 +66,10 @@ class DiagnoseTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True
     rig: str
     runs: tuple[str, ...]
     expected: tuple[str, ...] = ()
+    published: dict[str, float] = {}
+    """Sizes of those effects, by the size's name."""
+    again: Annotated[int, Meta(ge=0)] = 0
+    """How often to repeat it with other seeds of its rehearsals: whether a verdict hangs on them."""
 
 
 class CalibrateTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -134,12 +139,37 @@ class Diagnosed:
     task: DiagnoseTask
     found: Diagnosis | None
     refusal: str
+    drive_rms: tuple[float, ...] = ()
+    """(n,) rms of what drives each joint, over all records."""
+    others: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Verdict and effects of every repetition."""
+
+    def left_over_percent(self) -> tuple[list[float], list[float]]:
+        """What the nominal and the extended model leave over on the confirm runs, as shares of `drive_rms`, by joint.
+
+        NaN for a joint that nothing drives; empty where there is no gain to tell of.
+        """
+        if self.found is None:
+            return [], []
+        before, after = ([100.0 * r / s if s > 0 else float("nan") for r, s in zip(rms, self.drive_rms)]
+                         for rms in self.found.torque_rms_nm)
+        return before, after
 
     def agrees(self) -> bool | None:
         """Whether every effect that is published is among the named causes; None where none is published."""
         if not self.task.expected:
             return None
         return set(self.task.expected) <= set(self.named)
+
+    @property
+    def ending(self) -> tuple[str, tuple[str, ...]]:
+        """Verdict and effects, as in `others`."""
+        return ("", ()) if self.found is None else (self.found.verdict, tuple(c.effect for c in self.found.causes))
+
+    @property
+    def steady(self) -> bool:
+        """Whether every repetition ends alike."""
+        return all(other == self.ending for other in self.others)
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -230,8 +260,22 @@ def _sweep(task: SweepTask, home: Path) -> Swept:
 
 def _diagnose(task: DiagnoseTask, home: Path, seed: int) -> Diagnosed:
     rig = load_rig(RIGS / task.rig)
-    found, refusal = _attempt(lambda: diagnose_setup(load_setup([home / run for run in task.runs], rig), rig, seed))
-    return Diagnosed(task, found, refusal)
+    setup, refusal = _attempt(lambda: load_setup([home / run for run in task.runs], rig))
+    if setup is None:
+        return Diagnosed(task, None, refusal)
+    found, refusal = _attempt(lambda: diagnose_setup(setup, rig, seed))
+    others = [] if found is None else [diagnose_setup(setup, rig, seed + k) for k in range(1, task.again + 1)]
+    return Diagnosed(task, found, refusal, drive_rms(setup),
+                     tuple((other.verdict, tuple(c.effect for c in other.causes)) for other in others))
+
+
+def drive_rms(setup: Setup) -> tuple[float, ...]:
+    """(n,) rms of the measured torque of each joint over all runs, zero where nothing drives it."""
+    found = [0.0] * setup.mechanism.n
+    for j in setup.mechanism.actuated:
+        torque = np.concatenate([data[torque_column(setup.mechanism, j)] for data in setup.datasets])
+        found[j] = float(np.sqrt(np.nanmean(torque**2)))
+    return tuple(found)
 
 
 def _calibrate(task: CalibrateTask, home: Path) -> Calibrated:
@@ -277,13 +321,19 @@ def _sweep_entry(w: Swept) -> dict[str, Any]:
 
 
 def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:
-    entry: dict[str, Any] = {"refused": d.refusal or None, "expected": list(d.task.expected), "agrees": d.agrees()}
+    entry: dict[str, Any] = {"refused": d.refusal or None, "expected": list(d.task.expected),
+                             "published": d.task.published, "agrees": d.agrees()}
     if d.found is not None:
         entry |= {"verdict": d.found.verdict, "sentence": d.found.sentence,
                   "causes": [c.effect for c in d.found.causes],
                   "free_run_rmse": {name: {"before": g.before, "after": g.after, "floor": g.floor}
                                     for name, g in d.found.sensors.items()},
-                  "torque_rms": {"before": list(d.found.torque_rms_nm[0]), "after": list(d.found.torque_rms_nm[1])}}
+                  "gap_closed": d.found.gap_closed, "gap_closed_ci95": d.found.gap_closed_ci95,
+                  "sizes": {c.effect: {x.name: {"value": x.value, "ci95": list(x.ci95), "unit": x.unit} for x in c.size}
+                            for c in d.found.causes},
+                  "torque_rms": {"before": list(d.found.torque_rms_nm[0]), "after": list(d.found.torque_rms_nm[1])},
+                  "other_seeds": [{"verdict": verdict, "causes": list(causes)} for verdict, causes in d.others],
+                  "left_over_percent": dict(zip(("before", "after"), d.left_over_percent()))}
     return entry
 
 

@@ -12,7 +12,7 @@ from experiments.casebook import Calibrated, Diagnosed, Fitted, Study, Swept, va
 from experiments.diagnosis_figures import error_bars, signature_limits, signature_plot, trace_plot
 from experiments.diagnosis_text import gap_text, key_label, size_rows
 from experiments.figures import BLUE, ORANGE, Line, plot_lines, window
-from experiments.fit_text import force_unit, number
+from experiments.fit_text import number
 from experiments.report import Picture, Section, Table, write_page
 from experiments.validation_report import validation_rows
 
@@ -21,10 +21,34 @@ SECONDS = 12.0
 
 def write_casebook(path: Path | str, studies: Sequence[Study]) -> None:
     """Write the page. Raises `InputError` where that place cannot be written."""
-    sections = [section for study in studies for section in study_sections(study)]
+    sections = [_overview(studies), *(section for study in studies for section in study_sections(study))]
     write_page(path, "Casebook: published against found",
                f"{len(studies)} sets of public records, each put through fit, validate and diagnose with the rig file "
                "shipped for it.", sections)
+
+
+def _overview(studies: Sequence[Study]) -> Section:
+    """One row a set: what is published against what was found."""
+    header = ["records", "farthest from what is published", "diagnosis", "free run of held-out records (rms)"]
+    rows = []
+    for study in studies:
+        fits = [f"{off[0]} {100 * off[1]:.3g} % ({f.task.title})" for f in study.fits if (off := worst_departure(f))]
+        fits += [f"refused ({f.task.title})" for f in study.fits if f.result is None]
+        told = [f"{_verdict_in_short(d)} ({d.task.rig})" for d in study.diagnoses]
+        gains = [f"{column} {g.before:.2g} to {g.after:.2g}" for d in study.diagnoses if d.found is not None
+                 for column, g in d.found.sensors.items()]
+        rows.append([study.case.title, "; ".join(fits), "; ".join(told), "; ".join(gains)])
+    return Section("At a glance", [], [Table(header, rows)])
+
+
+def _verdict_in_short(d: Diagnosed) -> str:
+    """Verdict, effects, and whether that is what is published."""
+    if d.found is None:
+        return "refused"
+    words = d.found.verdict + (": " + ", ".join(key_label(name) for name in d.named) if d.named else "")
+    agreed = ", as published" if set(d.named) == set(d.task.expected) else ", what is published among them"
+    words += {None: "", True: agreed, False: ", not what is published"}[d.agrees()]
+    return words if d.steady else words + ", but not with every seed"
 
 
 def study_sections(study: Study) -> list[Section]:
@@ -68,7 +92,7 @@ def _fit_words(f: Fitted) -> str:
     errors = [f"{e:.2f}" for e in f.relative_error_percent() if np.isfinite(e)]
     words += [f"relative error {', '.join(errors)} %"] if errors else []
     left = ", ".join(f"{r:.3g}" for r in f.result.torque_residual_rms)
-    return "; ".join([*words, f"left over {left} {force_unit(f.result.mechanism)}"])
+    return "; ".join([*words, f"left over {left} {f.result.mechanism.force_unit}"])
 
 
 def _verdict_words(d: Diagnosed) -> str:
@@ -78,12 +102,24 @@ def _verdict_words(d: Diagnosed) -> str:
               False: f" Published is {', '.join(d.task.expected)}: the program does NOT name it."}[d.agrees()]
     more = sorted(set(d.named) - set(d.task.expected)) if d.task.expected else []
     ending += f" Named beyond what is published: {', '.join(more)}." if more else ""
-    return f"{d.found.verdict}. {d.found.sentence}{ending}"
+    return f"{d.found.verdict}. {d.found.sentence}{ending}{_repeated_words(d)}"
+
+
+def _repeated_words(d: Diagnosed) -> str:
+    """How the same diagnosis ends with other seeds of its rehearsals."""
+    if not d.others or d.found is None:
+        return ""
+    same = sum(other == d.ending for other in d.others)
+    counts = ", ".join(f"{verdict} {sum(v == verdict for v, _ in d.others)}"
+                       for verdict in sorted({v for v, _ in d.others}))
+    edge = "" if d.steady else ": it stands at the edge of what these records can show"
+    return f" Of {len(d.others)} repetitions with other seeds {same} end alike ({counts}){edge}."
 
 
 def _fit_section(title: str, f: Fitted) -> Section:
     heading = f"{title}: {f.task.title}"
-    about = f"{f.task.method} with {f.task.rig} on {', '.join(f.task.runs)}. {_fit_words(f)}."
+    words = _fit_words(f)
+    about = f"{f.task.method} with {f.task.rig} on {', '.join(f.task.runs)}. {words[:1].upper()}{words[1:]}."
     if f.result is None:
         return Section(heading, [about])
     rows = []
@@ -95,8 +131,10 @@ def _fit_section(title: str, f: Fitted) -> Section:
         rows.append([p.name, f"{published:.5g}" if known else "", number(value, float(std)),
                      "given" if given else number(float(std), float(std)),
                      f"{100 * (value / published - 1):+.2f} %" if published else "", p.unit, p.meaning])
-    tables = [Table(["parameter", "published", "found", "std", "departure", "unit", "meaning"], rows,
-                    right=frozenset({1, 2, 3, 4}))]
+    header = ["parameter", "published", "found", "std", "departure", "unit", "meaning"]
+    shown = [k for k, name in enumerate(header) if f.task.published or name not in ("published", "departure")]
+    tables = [Table([header[k] for k in shown], [[row[k] for k in shown] for row in rows],
+                    right=frozenset(i for i, k in enumerate(shown) if 1 <= k <= 4))]
     if f.task.relative_error_percent:
         tables.append(Table(["relative error", "published", "found"], [
             [f"joint {j + 1}", f"{a:.2f} %", f"{b:.2f} %"]
@@ -150,7 +188,7 @@ def _side_by_side(study: Study) -> list[Section]:
                  else f"{number(values(r)[parameter.name], std)} ± {number(std, std)}"
                  for (f, r), std in zip(fits, spread)]
         rows.append([parameter.name, parameter.meaning, *cells])
-    unit = force_unit(fits[0][1].mechanism)
+    unit = fits[0][1].mechanism.force_unit
     rows += [["", f"left over, joint {j + 1} [{unit}]", *[f"{r.torque_residual_rms[j]:.4g}" for _, r in fits]]
              for j in range(fits[0][1].mechanism.n)]
     header = ["parameter", "meaning", *[f.task.title for f, _ in fits]]
@@ -164,7 +202,7 @@ def _torque_pictures(f: Fitted) -> list[Picture]:
         return []
     path = f.result.trajectories[0]
     part = window(path.time_s, SECONDS)
-    unit = force_unit(f.result.mechanism)
+    unit = f.result.mechanism.force_unit
     return [Picture(plot_lines(path.time_s[part] - path.time_s[0],
                                [Line("measured", path.tau_measured[part, j], BLUE, 2.2),
                                 Line("model", path.tau[part, j], ORANGE, 0.9)], f"joint {j + 1} [{unit}]"),
@@ -174,18 +212,20 @@ def _torque_pictures(f: Fitted) -> list[Picture]:
 
 def _diagnosis_section(title: str, d: Diagnosed) -> Section:
     heading = f"{title}: diagnosis with {d.task.rig}"
-    about = [f"With {d.task.rig} on {', '.join(d.task.runs)}.", _verdict_words(d)]
+    about = [f"With {d.task.rig} on {', '.join(d.task.runs)}.", f"Verdict: {_verdict_words(d)}"]
     if d.found is None:
         return Section(heading, about)
     found = d.found
     tables, pictures = [], []
-    sizes = [row for cause in found.causes for row in size_rows(cause)]
+    sizes = [[*row[:2], f"{d.task.published[row[1]]:.4g}" if row[1] in d.task.published else "", *row[2:]]
+             for cause in found.causes for row in size_rows(cause)]
     if sizes:
-        tables.append(Table(["effect", "size", "value", "95 % interval", "unit"], sizes, right=frozenset({2, 3})))
+        tables.append(Table(["effect", "size", "published", "found", "95 % interval", "unit"], sizes,
+                            right=frozenset({2, 3, 4})))
     if found.sensors:
         rows = [[name, f"{g.before:.4g}", f"{g.after:.4g}", f"{g.floor:.4g}"] for name, g in found.sensors.items()]
-        rows += [[f"left over, joint {j + 1}", f"{b:.4g}", f"{a:.4g}", ""]
-                 for j, (b, a) in enumerate(zip(*found.torque_rms_nm))]
+        rows += [[f"left over of what drives joint {j + 1}", f"{b:.2f} %", f"{a:.2f} %", ""]
+                 for j, (b, a) in enumerate(zip(*d.left_over_percent())) if np.isfinite(b)]
         tables.append(Table(["rms error", "nominal", "extended", "noise alone"], rows,
                             f"on {', '.join(found.confirm_runs)}, which chose nothing. {gap_text(found)}",
                             frozenset({1, 2, 3})))

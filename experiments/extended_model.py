@@ -58,6 +58,7 @@ def effects_of(model: Model) -> list[tuple[Effect, FloatArray]]:
     for value in model.effects:
         kind = known[value.name]
         effect = kind(None if value.joint is None else value.joint - 1)
+        effect.slide = model.mechanism.prismatic
         size = [*(value.sizes[s.name] for s in kind.sizes), *(value.shapes[s.name] for s in kind.shapes)]
         found.append((effect, np.array(size)))
     return found

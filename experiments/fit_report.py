@@ -10,7 +10,7 @@ from daq.dataset import FloatArray
 from estimator.mechanism import Mechanism
 from estimator.result import FitResult, Trajectory
 from experiments.figures import BLUE, GREEN, GREY, ORANGE, Line, plot_lines, window
-from experiments.fit_text import PARAMETER_HEADER, VOLTS, force_unit, noise_rows, number, parameter_rows
+from experiments.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, number, parameter_rows
 from experiments.report import Picture, Section, Table
 
 FIGURE_SECONDS = 12.0
@@ -24,7 +24,7 @@ def fit_summary(result: FitResult, model: str) -> str:
     ending = "The fit converged." if result.converged else "THE FIT DID NOT CONVERGE: no number below may be used."
     if result.undetermined:
         ending += f" This data does not determine {', '.join(result.undetermined)}."
-    if force_unit(result.mechanism) == "V":
+    if result.mechanism.force_unit == "V":
         ending += f" {VOLTS}"
     return (f"{model}, identified by {result.method} from the {_sensors(result)}, {result.samples} samples. {ending}")
 
@@ -100,7 +100,7 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
     path, part = found
     other = _match(benchmark, path)
     pictures = []
-    force = force_unit(result.mechanism)
+    force = result.mechanism.force_unit
     for j in range(result.mechanism.n):
         driven = j in result.mechanism.actuated
         lines = [Line("measured", path.tau_measured[part, j], BLUE, 2.2)] if driven else []

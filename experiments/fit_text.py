@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from estimator.mechanism import Mechanism
 from estimator.result import FitResult
 from experiments.output import text_table
 
@@ -42,14 +41,9 @@ NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "torque_nm":
                "passive_joint_nm": "passive joint, model error"}
 
 
-def force_unit(mechanism: Mechanism) -> str:
-    """Unit of what drives the joints: N m, N for a prismatic joint, V for a servo driven by voltage."""
-    return next((p.unit for p in mechanism.parameters if p.term == "coulomb"), "N m")
-
-
 def noise_rows(result: FitResult) -> list[list[str]]:
     """channel, level, unit of every noise level."""
-    force, length = force_unit(result.mechanism), result.mechanism.length_unit
+    force, length = result.mechanism.force_unit, result.mechanism.length_unit
     units = {"gyro_radps": "rad/s", "accel_mps2": "m/s^2", "torque_nm": force, "encoder_rad": length,
              "passive_joint_nm": force}
     return [[NOISE_NAMES.get(name, name), f"{level:.3g}", units.get(name, "")] for name, level in result.noise.items()]
@@ -65,8 +59,8 @@ def fit_text(result: FitResult, model: str) -> str:
         lines.append("noise (1 sigma): " + ", ".join(
             f"{name} {level} {unit}".rstrip() for name, level, unit in noise_rows(result)))
     lines.append("torque residual (rms): " + ", ".join(
-        f"joint {j + 1} {rms:.3g} {force_unit(result.mechanism)}" for j, rms in enumerate(result.torque_residual_rms)))
-    if force_unit(result.mechanism) == "V":
+        f"joint {j + 1} {rms:.3g} {result.mechanism.force_unit}" for j, rms in enumerate(result.torque_residual_rms)))
+    if result.mechanism.force_unit == "V":
         lines.append(VOLTS)
     lines += [f"not determined by this data: {name}" for name in result.undetermined]
     lines += [f"warning: {text}" for text in result.warnings]

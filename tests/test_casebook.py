@@ -83,12 +83,29 @@ def test_published_least_squares_of_the_prismatic_axis_are_reproduced(book: tupl
 
 @needs_records
 def test_friction_that_differs_by_direction_is_named_and_gains(book: tuple[dict[str, Any], str]) -> None:
-    found = book[0]["emps"]["diagnoses"][0]  # on the default grid
+    found = book[0]["emps"]["diagnoses"][0]
     assert found["verdict"] == "named"
     assert "asymmetric_friction" in found["causes"]
+    sizes = found["sizes"]["asymmetric_friction"]
+    for name, published in found["published"].items():
+        low, high = sizes[name]["ci95"]
+        assert low < published < high
+    assert sizes["viscous_difference"]["value"] == pytest.approx(-73.72, rel=0.05)
+    assert sizes["viscous_difference"]["unit"] == "N s/m"  # a slide
     free = found["free_run_rmse"]["q1_m"]
     assert free["after"] < 0.2 * free["before"]
-    assert found["torque_rms"]["after"][0] < 0.85 * found["torque_rms"]["before"][0]  # published: 3.11 / 4.08
+    (left,) = found["left_over_percent"]["after"]
+    assert left < 4.08 * 0.85  # published: 4.08 % symmetric, 3.11 % asymmetric
+
+
+@needs_records
+def test_friction_that_grows_with_load_leads_under_a_voltage(book: tuple[dict[str, Any], str]) -> None:
+    found = book[0]["bam_xl330"]["diagnoses"][0]
+    assert found["causes"] == ["load_dependent_friction"]
+    size = found["sizes"]["load_dependent_friction"]["load_coefficient"]
+    assert size["ci95"][0] < found["published"]["load_coefficient"] < size["ci95"][1]
+    free = found["free_run_rmse"]["q1_rad"]
+    assert free["after"] < 0.7 * free["before"]
 
 
 @needs_records

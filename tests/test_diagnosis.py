@@ -11,16 +11,17 @@ from estimator import evidence
 from estimator.account import base
 from estimator.diagnosis import diagnose
 from estimator.effects import CLASSES, library
+from estimator.effects.friction import LoadDependentFriction
 from estimator.errors import FitError
 from estimator.evidence import fit_nominal
 from estimator.extended import Candidate, ExtendedProblem, Stage, slopes
 from estimator.gauss_newton import State, iterate
 from estimator.latent import Latents
-from estimator.mechanism import leg2
+from estimator.mechanism import joint1, leg2
 from estimator.options import FitOptions
 from estimator.scores import RunScore, project
 from estimator.session import open_session
-from estimator.signalset import split_signals
+from estimator.signalset import SignalSet, split_signals
 from tests.mujoco_leg import Leg, record
 
 CONTRACT = {
@@ -64,6 +65,35 @@ def test_every_effect_vanishes_at_zero_size_and_acts_at_its_scale(runs: tuple[Le
             assert all(np.isfinite(p).all() for p in parts), effect.key
         assert len(slopes(effect, view, size)) == effect.count
         assert Candidate(effect, shape).width == len(effect.sizes)
+
+
+@pytest.mark.parametrize("voltage", [False, True])
+def test_friction_by_load_follows_what_inertia_and_weight_need(voltage: bool) -> None:
+    mechanism = joint1(voltage=voltage)
+    n = 40
+    at = np.linspace(0.0, 1.0, n)
+    signals = SignalSet("r", 50.0, at, np.zeros((n, 1)), np.zeros((n, 1)), {})
+    problem = ExtendedProblem([signals], mechanism, "linear", Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0]])))
+    q, u = np.sin(3.0 * at)[:, None], (5.0 * np.cos(4.0 * at))[:, None]
+    beta = np.array([0.08, 0.55, 0.4, 0.3])
+    view = problem.view(Latents(q, 3.0 * np.cos(3.0 * at)[:, None], u), beta)
+    s = view.samples
+    links = u[:, 0] - beta[2] * s.v[0] - beta[3] * s.sign[0]  # the motor's less friction: of a voltage also less EMF
+    torque = LoadDependentFriction(0).perturb(view, np.array([0.4])).torque_at_samples
+    assert torque is not None
+    np.testing.assert_allclose(torque[0], 0.4 * np.abs(links) * s.sign[0], atol=2e-3)
+
+
+def test_a_slide_has_its_own_units_and_shapes() -> None:
+    slide = joint1(prismatic=True, gravity_mps2=0.0)
+    units = ["N m s/rad", "1/(N m)^2", "rad/(N m)", "s"]
+    assert [slide.unit(u) for u in units] == ["N s/m", "1/N^2", "m/N", "s"]
+    assert [leg2().unit(u) for u in units] == units
+    assert joint1(voltage=True).unit("N m s^2/rad^2") == "V s^2/rad^2"
+    (stribeck,), (rotary,) = ([e for e in library(m, False)[0] if e.name == "stribeck_friction"]
+                              for m in (slide, joint1()))
+    np.testing.assert_allclose(stribeck.grid(), 0.05 * np.array(rotary.grid()))
+    assert stribeck.clipped(np.array([1.0, 0.01]))[1] == 0.01
 
 
 def test_a_stiff_pivot_is_named_with_its_size(runs: tuple[Leg, list[Dataset]]) -> None:

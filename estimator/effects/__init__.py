@@ -38,6 +38,7 @@ def library(mechanism: Mechanism, has_imu: bool) -> tuple[list[Effect], dict[str
         joints: list[int | None] = list(range(mechanism.n)) if kind.per_joint else [None]
         for joint in joints:
             effect = kind(joint)
+            effect.slide = mechanism.length_unit == "m"
             why = effect.testable(mechanism, has_imu, mechanism.actuated)
             if why:
                 refused[effect.key] = why

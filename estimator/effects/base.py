@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from estimator.mechanism import Mechanism
 
 FloatArray = NDArray[np.float64]
+WHEEL_M = 0.05
+"""A slide's shapes are those of a joint that drives it by a wheel of this radius: grids of rad times this, in m."""
 SLOW_GYRO = "gyro below 12 Hz"
 SLOW_TORQUE = "torque below 12 Hz of joint "
 """Among `View.measured`: low-passed above any motion of a leg's links; the torque's with the joint's number."""
@@ -128,6 +130,9 @@ class Effect(ABC):
     whole_shapes: ClassVar[bool] = False
     """Shapes are whole numbers: held where the grid has them, not re-fitted."""
 
+    slide: bool = False
+    """Whether its joint is prismatic; see `WHEEL_M`."""
+
     def __init__(self, joint: int | None = None) -> None:
         self.joint = joint
         """0-based; None for effects of the whole rig."""
@@ -142,18 +147,23 @@ class Effect(ABC):
         """Number of sizes and shapes."""
         return len(self.sizes) + len(self.shapes)
 
+    def tried(self, shape: Shape) -> tuple[float, ...]:
+        """The shape's grid, in the unit that its joint moves in."""
+        factor = WHEEL_M if self.slide and shape.unit.startswith("rad") else 1.0
+        return tuple(factor * value for value in shape.grid)
+
     def grid(self) -> list[tuple[float, ...]]:
         """All combinations of shapes that scoring tries."""
         combinations: list[tuple[float, ...]] = [()]
         for shape in self.shapes:
-            combinations = [(*c, value) for c in combinations for value in shape.grid]
+            combinations = [(*c, value) for c in combinations for value in self.tried(shape)]
         return combinations
 
     def clipped(self, size: FloatArray) -> FloatArray:
         """`size` with its shapes kept within four times the range of their grids, on their side of zero."""
         out = np.array(size, dtype=np.float64)
         for i, shape in enumerate(self.shapes, len(self.sizes)):
-            magnitudes = np.abs(shape.grid)
+            magnitudes = np.abs(self.tried(shape))
             side = np.sign(out[i]) if min(shape.grid) < 0 else 1.0
             out[i] = side * np.clip(side * out[i], magnitudes.min() / 4.0, magnitudes.max() * 4.0)
         return out

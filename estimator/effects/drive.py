@@ -84,7 +84,7 @@ class TorqueDelay(TorqueSensorEffect):
 
     name = "torque_delay"
     sizes = (Size("delay", "s", 0.001),)
-    sentence = "the measured torque is late against the torque that acted"
+    sentence = "the measured torque is late against the torque that acted (early where the delay is negative)"
     reference = "contracts: torque_delay > 0"
     experiment = "motion at high frequency: phase grows with it"
 

@@ -44,7 +44,10 @@ class AsymmetricFriction(TorqueEffect):
 
 
 class LoadDependentFriction(TorqueEffect):
-    """mu |tau| sign(v), tau the torque that the joint transmits."""
+    """mu |tau| sign(v), tau the torque that the joint passes on to its links: what their inertia and weight need.
+
+    That is the motor's less what friction takes; of a motor's voltage it is less than what its speed takes, too.
+    """
 
     name = "load_dependent_friction"
     sizes = (Size("load_coefficient", "1", 0.01),)
@@ -54,7 +57,11 @@ class LoadDependentFriction(TorqueEffect):
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j = self.joint or 0
-        return size[0] * np.sqrt(at.u[j] ** 2 + 1e-6) * at.sign[j]
+        m = view.mechanism
+        links = np.array([p.term in ("inertia", "gravity") for p in m.parameters])
+        q, v, a = (np.moveaxis(x, 0, -1) for x in (at.q, at.v, at.a))
+        load = m.inverse_dynamics(q, v, a, view.beta * links)[..., j]
+        return size[0] * np.sqrt(load**2 + 1e-6) * at.sign[j]
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         return "" if self.joint in actuated else "the joint carries no measured torque"
