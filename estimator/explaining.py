@@ -31,7 +31,46 @@ RIVAL = 0.5
 
 
 def explain(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
-    """Fitted explanations, singles first; more effects only where no single closes."""
+    """Fitted explanations; more effects only where no single closes. Those alike stand beside the best that closes."""
+    found = search(desk, tests, say)
+    closed = [e for e in found if e.closed]
+    if not closed:
+        return found
+    fewest = min(len(e.model.effects) for e in closed)
+    best = max((e for e in closed if len(e.model.effects) == fewest), key=lambda e: e.gain)
+    return found + swapped(desk, tests, best, {keys_of(e) for e in found})
+
+
+def swapped(desk: Desk, tests: Tests, best: Explained, known: set[frozenset[str]]) -> list[Explained]:
+    """`best` with one effect after the other changed for each of its group (`Effect.alike`), as far as not `known`."""
+    model, out = best.model, []
+    pairs = list(zip(model.effects, model.sizes()))
+    for k, effect in enumerate(model.effects):
+        for i in best_shapes(desk, tests, [e.key for e in model.effects]):
+            other = desk.candidates[i].effect
+            here = None in (effect.joint, other.joint) or effect.joint == other.joint
+            if not effect.alike or other.alike != effect.alike or not here:
+                continue
+            start = [*pairs[:k], (other, start_size(desk, tests, i)), *pairs[k + 1 :]]
+            if frozenset(e.key for e, _ in start) in known:
+                continue
+            both = weigh(desk, [pairs, start])
+            found = next((e for e in both if other.key in keys_of(e)), None)
+            mine = next((e for e in both if keys_of(e) == keys_of(best)), None)
+            if found is not None and mine is not None:
+                scatter = float(np.median(best.left.inflation))
+                judged_one = judged(desk, found, best.bias, scatter)
+                out.append(replace(judged_one, gain=best.gain + judged_one.gain - mine.gain / scatter))
+    return out
+
+
+def keys_of(explained: Explained) -> frozenset[str]:
+    """Its effects."""
+    return frozenset(e.key for e in explained.model.effects)
+
+
+def search(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
+    """Singles; where none closes, pairs; where none of these does, one triple."""
     order = best_shapes(desk, tests)
     promising = [i for i in order[:SINGLES] if p_of(desk, tests, i) < 0.5]
     starts = [[(desk.candidates[i].effect, start_size(desk, tests, i))] for i in promising]
