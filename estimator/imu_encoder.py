@@ -31,6 +31,7 @@ BLOCKS, FEWEST, BLOCK_S = 40, 12, 1.0
 FARTHEST_S = 0.1
 ITERATIONS = 30
 STEP = 1e-6
+FARTHEST_SCALE = 0.3
 MOVING = 0.2
 """Share of the median's motion that a block must have for a lag of its own."""
 WANDER = 0.1
@@ -54,8 +55,8 @@ class Term(NamedTuple):
 GYRO = (Term("gyro_bias", "gyro bias", "rad/s", 0.5, 0.02),
         Term("gyro_scale", "gyro scale, beyond 1", "", 0.5, 0.03),
         Term("gyro_late", "gyro late by", "s", 0.1, 0.003))
-ACCEL = (Term("accel_bias_x", "accelerometer bias x", "m/s2", 3.0, 0.2),
-         Term("accel_bias_y", "accelerometer bias y", "m/s2", 3.0, 0.2),
+ACCEL = (Term("accel_bias_x", "accelerometer bias x", "m/s2", 3.0, 0.1),
+         Term("accel_bias_y", "accelerometer bias y", "m/s2", 3.0, 0.1),
          Term("accel_scale_x", "accelerometer scale x, beyond 1", "", 0.5, 0.03),
          Term("accel_scale_y", "accelerometer scale y, beyond 1", "", 0.5, 0.03),
          Term("accel_skew", "x into y and y into x alike", "", 0.5, 0.03),
@@ -158,6 +159,10 @@ def fit_imu(stretches: Sequence[Stretch], rate_hz: float, cutoff_hz: float, leve
         accel = _Fit(pieces, (1, 2), ACCEL, predict, by_gyro, start)
         accel.prior[held] = HELD
         accel.run(shift)
+    for part, scales in ((gyro, [1]), (accel, [2, 3, 4, 5])):
+        if np.abs(part.theta[scales]).max() > FARTHEST_SCALE:
+            raise FitError(f"IMU and encoder do not show one motion: a scale or angle comes out {FARTHEST_SCALE:g} off "
+                           "or more; check axes and signs (legid doctor --move), and that the two sit on one link")
     before, after = _check(pieces, shift, gyro, accel, start)
     fitted = _fitted(count)
     seconds = sum(b.stop - b.start for p in pieces for b in p.blocks) / rate_hz

@@ -17,7 +17,7 @@ from daq.resample import align_table
 from daq.rig import Calibration, Rig
 from daq.runfile import RawRun, read_run
 from daq.skew import measure_skew
-from estimator.imu_encoder import ACCEL, SIGNALS, EncoderFit, Found, Stretch, fit_imu
+from estimator.imu_encoder import ACCEL, EncoderFit, Found, Stretch, fit_imu
 from experiments.calibration_outcome import Outcome, rounded
 from experiments.motor_off import Wanted
 from experiments.output import text_table
@@ -30,7 +30,7 @@ FOUND = ("found", "+-", "unit")
 CHECK = ("before", "+-", "after", "+-", "unit")
 BEYOND_M = 0.005
 ACCEL_TERMS = [t.name for t in ACCEL[:5]]
-"""Those that go into rig.toml's accelerometer keys, all or none."""
+"""Those that go into rig.toml's accelerometer keys: all, or none where any is open or all may be nil."""
 USUAL_HZ = 10.0
 DEAREST = 0.1
 """Share of the rate: the band that is compared where the rig file names none."""
@@ -108,14 +108,17 @@ def _figures(f: Found) -> tuple[str, str]:
 
 
 def _values(fit: EncoderFit, rig: Rig, native: bool) -> dict[str, dict[str, object]]:
-    """Keys of rig.toml; [calibration] belongs to raw readings, so a CSV cannot change it."""
+    """Keys of rig.toml, none where they do not hold; [calibration] is of raw readings, so a CSV cannot change it."""
     values: dict[str, dict[str, object]] = {}
     c = rig.calibration
     keys: dict[str, object] = {}
+    if worse(fit):
+        return values
     if native and fit["gyro_bias"].determined:
         axis = np.asarray(c.imu_mount[2])
         keys["gyro_bias_radps"] = _list(np.asarray(c.gyro_bias_radps) + fit["gyro_bias"].value * axis)
-    if native and all(fit[name].determined for name in ACCEL_TERMS):
+    accel = [fit[name] for name in ACCEL_TERMS]
+    if native and all(f.determined for f in accel) and any(abs(f.value) > f.half for f in accel):
         bias, matrix = corrected(fit, c)
         keys |= {"accel_bias_mps2": _list(bias), "accel_matrix": [_list(row) for row in matrix]}
     if keys:
@@ -157,10 +160,15 @@ def _stays_words(fit: EncoderFit, native: bool) -> str:
     return "".join(f"\n{line}" for line in words)
 
 
+def worse(fit: EncoderFit) -> list[str]:
+    """Signals that the correction made worse on the rest of the record."""
+    return [name for (name, _), before, after in zip(COMPARED, fit.before, fit.after)
+            if after[0] - after[1] > before[0]]
+
+
 def _warnings(fit: EncoderFit) -> list[str]:
-    worse = [name for name, before, after in zip(SIGNALS, fit.before, fit.after) if after[0] - after[1] > before[0]]
-    found = [f"{name} is farther from the encoder on the rest of the record after the correction: the IMU's errors "
-             "change along the record; do not use these values" for name in worse]
+    found = [f"on the rest of the record, {name} is farther from the encoder after the correction than before: the "
+             "motion there is another, or the errors change; nothing is written" for name in worse(fit)]
     lever = fit["lever_arm"]
     if lever.determined and lever.value < -lever.half - BEYOND_M:
         found.append(f"the lever arm comes out at {lever.value:.4f} m, beyond the pivot; rig.toml takes none below 0")

@@ -1,17 +1,20 @@
 """`legid calibrate imu-encoder`: motions in closed form, read by an IMU with known errors; a public record."""
 
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 from motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
 
-from daq.rig import load_rig
+from daq.rig import load_rig, parse_rig
 from estimator.errors import FitError
 from estimator.imu_encoder import EncoderFit, Stretch, fit_imu
 from experiments.calibrating_encoder import compare, read_moving
 from experiments.casebook import RIGS
 from experiments.cli import main
+from experiments.emulated_rig import record_emulated
+from experiments.excitation import random_multisine
 
 G = 9.81
 RATE = 100.0
@@ -69,13 +72,14 @@ def fitted(motion: Motion, seconds: float, seed: int = 0, late: np.ndarray | flo
 
 def test_intervals_cover_the_truth_under_coloured_noise() -> None:
     covered = {name: 0 for name in TRUTH}
-    runs = 40
+    runs, determined = 40, 0
     for seed in range(runs):
         found = fitted(WIDE, 60.0, seed)
         for name, value in TRUTH.items():
             covered[name] += abs(found[name].value - value) < found[name].half
-            assert found[name].determined
+            determined += found[name].determined
         assert not found.lag_wanders and not found.held
+    assert determined >= 0.95 * runs * len(TRUTH)
     assert min(covered.values()) >= 0.8 * runs and sum(covered.values()) >= 0.91 * runs * len(TRUTH)
 
 
@@ -109,6 +113,10 @@ def test_a_motion_that_does_not_tell_the_lever_leaves_it_where_it_was() -> None:
     assert "lever_arm" in slow.held and slow["lever_arm"].value == pytest.approx(TRUTH["lever_arm"])
     for name in ("accel_scale_x", "accel_scale_y", "accel_turn", "accel_bias_x"):
         assert slow[name].value == pytest.approx(TRUTH[name], abs=max(2 * slow[name].half, 2e-3))
+    t = np.arange(3000) / RATE
+    stranger = readings(Motion((0.3, 1.1), (0.6, 0.3)), t)
+    with pytest.raises(FitError, match=r"do not show one motion|belong together"):
+        fit_imu([Stretch(encoder(WIDE, t), stranger)], RATE, 10.0, 0.2, G)
     with pytest.raises(FitError, match=r"less than 0\.1 rad"):
         fitted(Motion((1.0,), (0.02,)), 30.0)
     with pytest.raises(FitError, match="too few"):
@@ -144,6 +152,24 @@ def test_the_command_writes_what_raw_readings_need(tmp_path: Path, capsys: pytes
     bare = write_off(tmp_path / "bare.mcap", 3.0, readings=raw[:700])
     assert main(["calibrate", "imu-encoder", bare, "--rig", str(rig)]) == 2
     assert "has no column q1_rad" in capsys.readouterr().err
+
+
+def test_a_driven_emulated_leg_shows_lever_and_bias(tmp_path: Path) -> None:
+    """Through the emulated chips, drivers, recorder and clocks, which know nothing of the formulas used here."""
+    text = (files("experiments") / "demo_rig.toml").read_text(encoding="utf-8")
+    record_emulated(tmp_path / "run.mcap", parse_rig(text), text, random_multisine(3, 16.0, 0.7), seed=1)
+    path = tmp_path / "rig.toml"
+    path.write_text(text.replace("lever_arm_m = 0.20", "lever_arm_m = 0.15").replace("0.0, 0.0, 0.012]",
+                                                                                      "0.0, 0.0, 0.0]"))
+    rig = load_rig(path)
+    assert rig.imu.lever_arm_m == 0.15 and not any(rig.calibration.gyro_bias_radps)
+    found = compare([read_moving(tmp_path / "run.mcap", rig)], rig)
+    assert found["lever_arm"].value == pytest.approx(0.2, abs=max(2 * found["lever_arm"].half, 1e-3))
+    assert found["gyro_bias"].value == pytest.approx(0.012, abs=1e-3)
+    for name in ("gyro_scale", "accel_scale_x", "accel_scale_y"):
+        assert abs(found[name].value) < 0.01
+    assert abs(found["gyro_late"].value) < 5e-4
+    assert found.after[1, 0] < 0.5 * found.before[1, 0]
 
 
 @pytest.mark.skipif(not RECORD.is_file(), reason="the shared real records are not beside the checkout")
