@@ -26,6 +26,8 @@ FloatArray = NDArray[np.float64]
 
 
 SLOW_HZ = 12.0
+SLOW_SHARE = 0.12
+"""Of the rate, of a torque: below it a spline between samples changes nothing."""
 PASSES = 3
 """Evaluations of the effects at the samples: of a rotor a tenth of the link's inertia they leave a thousandth."""
 
@@ -102,13 +104,13 @@ class ExtendedProblem(LatentProblem):
 
     @cached_property
     def _measured(self) -> dict[str, FloatArray]:
-        def slow(x: FloatArray) -> FloatArray:
-            return np.concatenate([lowpass(part, SLOW_HZ, 1.0 / self.dt) for part in np.split(x, self.ends[:-1])])
+        def slow(x: FloatArray, cutoff_hz: float) -> FloatArray:
+            return np.concatenate([lowpass(part, cutoff_hz, 1.0 / self.dt) for part in np.split(x, self.ends[:-1])])
 
         found = {f"torque{j + 1}": self.torque[:, j] for j in range(self.n)}
-        found |= {f"{SLOW_TORQUE}{j + 1}": slow(self.torque[:, j]) for j in range(self.n)}
+        found |= {f"{SLOW_TORQUE}{j + 1}": slow(self.torque[:, j], SLOW_SHARE / self.dt) for j in range(self.n)}
         if self.has_imu:
-            found |= {"gyro": self.gyro, "accel_x": self.ax, "accel_y": self.ay, SLOW_GYRO: slow(self.gyro)}
+            found |= {"gyro": self.gyro, "accel_x": self.ax, "accel_y": self.ay, SLOW_GYRO: slow(self.gyro, SLOW_HZ)}
         return found
 
     def split(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:

@@ -21,8 +21,9 @@ FloatArray = NDArray[np.float64]
 WHEEL_M = 0.05
 """A slide's shapes are those of a joint that drives it by a wheel of this radius: grids of rad times this, in m."""
 SLOW_GYRO = "gyro below 12 Hz"
-SLOW_TORQUE = "torque below 12 Hz of joint "
-"""Among `View.measured`: low-passed above any motion of a leg's links; the torque's with the joint's number."""
+SLOW_TORQUE = "slow torque of joint "
+"""Among `View.measured`: the gyro low-passed above any motion of a leg's links, the torque, with the joint's number, to
+what a spline follows."""
 
 
 CONSTANT = "constant torque"
