@@ -44,7 +44,7 @@ class AsymmetricFriction(TorqueEffect):
 
 
 class LoadDependentFriction(TorqueEffect):
-    """F = Fc + mu |tau - F sign(v)|: dry friction grows with what the joint passes on, the motor's torque less friction.
+    """F = Fc + mu |tau - F sign(v)|: dry friction grows with what the joint passes on, the torque less friction.
 
     So it is less while the motor drives than while it brakes. Under a motor's voltage, which is no torque, the load is
     what inertia and weight need. That follows from acceleration, and through it the law would feel itself: fits of a
