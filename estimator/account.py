@@ -130,7 +130,7 @@ def resimulate(session: Session, model: Model, run: int, q1: FloatArray | None =
     simulated = still if found is None else sensed(problem, found)
     time_s = np.concatenate([s.time_s for s in session.runs[run]])
     return Resimulated(run, time_s, measured, {k: simulated[k] for k in measured},
-                       problem.torque - state.x.u - torque_readings(problem, state))
+                       problem.torque - problem.motor_torque(state.x, state.beta) - torque_readings(problem, state))
 
 
 def floor_errors(session: Session, model: Model, run: int, rng: np.random.Generator) -> dict[str, FloatArray]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.collocation import ACCEL, ANGLE, GAUSS, RATE, Motion
-from estimator.effects.base import SLOW_GYRO, SLOW_TORQUE, Effect, Perturbation, Points, TorqueEffect, View
+from estimator.effects.base import MOTOR_RATE, SLOW_GYRO, SLOW_TORQUE, Effect, Perturbation, Points, TorqueEffect, View
 from estimator.latent import LatentProblem, Latents, Noise
 from estimator.linearised import Extra, Linearised
 from estimator.mechanism import Mechanism, smooth_sign
@@ -108,10 +108,14 @@ class ExtendedProblem(LatentProblem):
             return np.concatenate([lowpass(part, cutoff_hz, 1.0 / self.dt) for part in np.split(x, self.ends[:-1])])
 
         found = {f"torque{j + 1}": self.torque[:, j] for j in range(self.n)}
+        found |= {f"{MOTOR_RATE}{j + 1}": self._rate(self.angles[:, j]) for j in np.flatnonzero(self.has_encoder)}
         found |= {f"{SLOW_TORQUE}{j + 1}": slow(self.torque[:, j], SLOW_SHARE / self.dt) for j in range(self.n)}
         if self.has_imu:
             found |= {"gyro": self.gyro, "accel_x": self.ax, "accel_y": self.ay, SLOW_GYRO: slow(self.gyro, SLOW_HZ)}
         return found
+
+    def _rate(self, angle: FloatArray) -> FloatArray:
+        return np.concatenate([np.gradient(part, self.dt) for part in np.split(angle, self.ends[:-1])])
 
     def split(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """beta (p,) and one size vector an effect, its shapes kept within range."""
@@ -148,8 +152,29 @@ class ExtendedProblem(LatentProblem):
             for channel, values in d.readings.items():
                 reading_columns.setdefault(channel, np.zeros((k, total)))[i] = values
         gauss_slopes, sample_slopes = self._law_slopes(view, sizes)
+        by_torque: dict[str, FloatArray] = {}
+        for effect, size in zip(self.effects, sizes):
+            for channel, slope in effect.by_torque(view, size).items():
+                by_torque[channel] = by_torque.get(channel, 0.0) + slope
         return Extra(torque, at_samples, readings, columns, sample_columns, reading_columns, gauss_slopes,
-                     sample_slopes)
+                     sample_slopes, by_torque)
+
+    def simulated(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
+        """As `split`, for a simulation that has no record of the motor's motion."""
+        beta, sizes = self.split(parameters)
+        for effect, size in zip(self.effects, sizes):
+            beta = effect.simulated(beta, size, self.mechanism)
+        return beta, sizes
+
+    def motor_torque(self, x: Latents, parameters: FloatArray) -> FloatArray:
+        """(N, n) torque of the motors along a fitted motion: the latent torque, and what gears lose before it."""
+        beta, sizes = self.split(parameters)
+        view = replace(self.view(x, beta), measured=self._measured)
+        out = x.u.copy()
+        for effect, size in zip(self.effects, sizes):
+            for j, lost in effect.lost(view, size).items():
+                out[:, j] += lost
+        return out
 
     def added(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
         """Torque of all effects at Gauss points (n, 2, K) and at samples (n, N), and what they add to readings."""

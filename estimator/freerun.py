@@ -45,8 +45,8 @@ def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None =
     motion is found by repeated simulation, each with the effects' torque of the one before.
     """
     m = problem.mechanism
-    beta, sizes = problem.split(state.beta)
-    u = state.x.u if torque is None else torque
+    beta, sizes = problem.simulated(state.beta)
+    u = problem.motor_torque(state.x, state.beta) if torque is None else torque
     found = _relaxed(problem, state, u, 0)
     if found is None and problem.effects:
         found = _marched(problem, state, u) or _relaxed(problem, state, u, DEPTH)
@@ -73,7 +73,7 @@ def _relaxed(problem: ExtendedProblem, state: State, u: FloatArray, depth: int
     (a base near its resonance); laws with a sign are better off without.
     """
     m, c = problem.mechanism, problem.collocation
-    beta, sizes = problem.split(state.beta)
+    beta, sizes = problem.simulated(state.beta)
     q, v = state.x.q.copy(), state.x.v.copy()
     parts = np.split(np.arange(problem.total), problem.ends[:-1])
     edge = m.n * 2 * problem.left.size
@@ -115,7 +115,7 @@ def _marched(problem: ExtendedProblem, state: State, u: FloatArray) -> tuple[Flo
     A law that grows with the angle (a ripple) feeds back over a whole record more than over a window.
     """
     m, c = problem.mechanism, problem.collocation
-    beta, sizes = problem.split(state.beta)
+    beta, sizes = problem.simulated(state.beta)
     q, v = state.x.q.copy(), state.x.v.copy()
     samples = np.zeros((m.n, problem.total))
     stops = [*problem.ends]

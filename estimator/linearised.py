@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ class Extra:
     """(n, 5, n, 2, K) derivative of `torque` by the features of the motion, where it is known."""
     sample_slopes: FloatArray | None = None
     """(n, 5, n, N)"""
+    encoder_slopes: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Encoder channel to the derivative of what is added to its reading by its own joint's torque latent, (N,)."""
 
 
 @dataclass(frozen=True)

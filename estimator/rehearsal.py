@@ -29,7 +29,7 @@ def rehearse(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet
     Angles fall on the grid of the real encoder where it shows one; the other noise is white at the levels
     found. Raises `FitError` where the model's own simulation does not stay with the run.
     """
-    drive = state.x.u.copy()
+    drive = problem.motor_torque(state.x, state.beta)
     for j in problem.mechanism.passive:  # what the fit put there is what the model gets wrong
         drive[:, j] = state.noise.torque[j] * rng.normal(size=problem.total)
     run = free_run(problem, state, drive)

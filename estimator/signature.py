@@ -74,7 +74,7 @@ def signature(session: Session, nominal: Model, extended: Model, effect: Effect)
 
 def _torque_left(model: Model) -> FloatArray:
     """(N, n) measured torque less the estimated true one."""
-    return model.problem.torque - model.state.x.u
+    return model.problem.torque - model.problem.motor_torque(model.state.x, model.state.beta)
 
 
 def _reading_left(model: Model, channel: str) -> FloatArray:

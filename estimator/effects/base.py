@@ -22,8 +22,9 @@ WHEEL_M = 0.05
 """A slide's shapes are those of a joint that drives it by a wheel of this radius: grids of rad times this, in m."""
 SLOW_GYRO = "gyro below 12 Hz"
 SLOW_TORQUE = "slow torque of joint "
+MOTOR_RATE = "rate of encoder "
 """Among `View.measured`: the gyro low-passed above any motion of a leg's links, the torque, with the joint's number, to
-what a spline follows."""
+what a spline follows; of each encoder the rate."""
 
 
 CONSTANT = "constant torque"
@@ -172,6 +173,18 @@ class Effect(ABC):
     @abstractmethod
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         """What it adds at `size` (count,) to the motion in `view`."""
+
+    def by_torque(self, view: View, size: FloatArray) -> Mapping[str, FloatArray]:
+        """Encoder channel to the derivative (N,) of what it adds there by its joint's torque latent; else lagged."""
+        return {}
+
+    def simulated(self, beta: FloatArray, size: FloatArray, mechanism: Mechanism) -> FloatArray:
+        """beta (p,) of a simulation without a record, friction of the motor's side included."""
+        return beta
+
+    def lost(self, view: View, size: FloatArray) -> Mapping[int, FloatArray]:
+        """Joint to the motor's torque (N,) beyond the torque latent, where a record's is the torque behind a gear."""
+        return {}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         """Why it cannot be tested on this rig; empty where it can."""
