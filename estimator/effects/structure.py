@@ -128,6 +128,8 @@ class GearEffect(Effect):
         return {j: size[k] * rate + size[k + 1] * smooth_sign(rate, view.mechanism.velocity_scale)}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
+        if mechanism.n == 1 and not has_imu:
+            return "nothing but the encoder on its motor sees this joint"
         return "" if self.joint in actuated else "the joint carries no measured torque"
 
 
