@@ -59,8 +59,8 @@ def swapped(desk: Desk, tests: Tests, best: Explained, known: set[frozenset[str]
             mine = next((e for e in both if keys_of(e) == keys_of(best)), None)
             if found is not None and mine is not None:
                 scatter = float(np.median(best.left.inflation))
-                judged_one = judged(desk, found, best.bias, scatter)
-                out.append(replace(judged_one, gain=best.gain + judged_one.gain - mine.gain / scatter))
+                more = (found.gain - mine.gain) / scatter  # both weighed under one noise, unlike `best`
+                out.append(replace(judged(desk, found, best.bias, scatter), gain=best.gain + more))
     return out
 
 

@@ -88,9 +88,9 @@ class View:
     measured: Mapping[str, FloatArray] | None = None
     """Channel to (N,) where there is a record; None in a simulation."""
 
-    def torque(self, joint: int) -> FloatArray:
-        """(N,) torque as measured where there is a record: within its noise the true one, and no unknown of a fit."""
-        return self.samples.u[joint] if self.measured is None else self.measured[f"torque{joint + 1}"]
+    def parameter(self, term: str, joint: int) -> float:
+        """The nominal parameter of this term at this joint; nil where the model has none."""
+        return float(sum(b for b, p in zip(self.beta, self.mechanism.parameters) if (p.term, p.at) == (term, (joint,))))
 
     def to_gauss(self, x: FloatArray) -> FloatArray:
         """Values (..., N) at samples to (..., 2, K), linear between samples."""

@@ -64,8 +64,7 @@ class LoadDependentFriction(TorqueEffect):
             q, v, a = (np.moveaxis(x, 0, -1) for x in (at.q, at.v, at.a))
             load = m.inverse_dynamics(q, v, a, view.beta * links)[..., j]
             return size[0] * np.sqrt(load**2 + 1e-6) * at.sign[j]
-        dry = sum(b for b, p in zip(view.beta, m.parameters) if p.term == "coulomb" and p.at == (j,))
-        over = at.u[j] * at.sign[j] - dry
+        over = at.u[j] * at.sign[j] - view.parameter("coulomb", j)
         load = np.sqrt(over**2 + 1e-6)
         return size[0] * load / (1.0 + np.clip(size[0], -0.9, 0.9) * over / load) * at.sign[j]
 

@@ -101,10 +101,7 @@ class GearEffect(Effect):
         if view.measured is not None:
             return Perturbation(readings={f"torque{j + 1}": self.lost(view, size)[j],
                                           f"encoder{j + 1}": self.twist(s.u[j], size)[0]})
-        friction = np.zeros_like(s.v[j])
-        for b, p in zip(view.beta, view.mechanism.parameters):
-            if p.at == (j,) and p.term in ("viscous", "coulomb"):
-                friction += b * (s.v[j] if p.term == "viscous" else s.sign[j])
+        friction = view.parameter("viscous", j) * s.v[j] + view.parameter("coulomb", j) * s.sign[j]
         return Perturbation(readings={f"encoder{j + 1}": self.twist(s.u[j] - friction, size)[0]})
 
     def simulated(self, beta: FloatArray, size: FloatArray, mechanism: Mechanism) -> FloatArray:
