@@ -112,7 +112,8 @@ def rank(desk: Desk, tests: Tests) -> tuple[Ranked, ...]:
         out.append(Ranked(effect.name, None if effect.joint is None else effect.joint + 1,
                           float(np.sqrt(max(desk.gain(tests, i), 0.0))), p_of(desk, tests, i),
                           float(tests.size(columns)[0]),
-                          tests.detectable(int(columns[0]), ALPHA / desk.trials, least), effect.sizes[0].unit))
+                          tests.detectable(int(columns[0]), ALPHA / desk.trials, least),
+                          desk.session.mechanism.unit(effect.sizes[0].unit)))
     return tuple(out)
 
 
