@@ -1,0 +1,117 @@
+"""Re-fits of effects hidden by the bench's own integrator: each comes out at its size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from daq.dataset import Dataset
+from estimator.effects import Effect
+from estimator.effects.drive import TorqueDelay, TorqueRipple
+from estimator.effects.friction import LoadDependentFriction
+from estimator.effects.structure import JointElasticity
+from estimator.evidence import Model, begin_afresh, fit_nominal, refit
+from estimator.extended import ExtendedProblem, Stage
+from estimator.freerun import _relaxed, free_run
+from estimator.gauss_newton import State
+from estimator.latent import Latents, Noise
+from estimator.mechanism import leg2
+from estimator.options import FitOptions
+from estimator.session import open_session
+from estimator.signalset import IMU_COLUMNS, SignalSet
+from tests.blind.cases import DrawnCase, catalogue, draw_case
+from tests.blind.effects import MOTOR_INERTIA
+from tests.blind.leg import stack
+from tests.blind.measure import RATE_HZ, disturb, read
+from tests.blind.physics import integrate
+
+COUNT, RUNS = 800, 4
+PEAK_NM = 0.6
+
+
+def drawn(effect: str) -> DrawnCase:
+    """Leg, sensors and torque plans of the bench; what it would hide is not used."""
+    case = next(c for c in catalogue("single", [21]) if c.effects == (effect,))
+    return draw_case(case, {effect: 0.1}, 0.1)
+
+
+def record(case: DrawnCase, plant: Mapping[str, float], late_s: float = 0.0) -> list[Dataset]:
+    """Runs of the leg with `plant` in it; the shunt shows the torque `late_s` after it acted."""
+    grid, rng = np.arange(COUNT) / RATE_HZ, np.random.default_rng(21)
+    acting, shown = (np.array([plan.at(grid + ahead, PEAK_NM) for plan in case.torques[:RUNS]])
+                     for ahead in (late_s, 0.0))
+    extra: dict[str, NDArray[np.float64]] = {name: np.full(RUNS, value) for name, value in plant.items()}
+    motion = integrate(stack([case.leg] * RUNS), acting.T, step=1e-3, extra=extra)
+    out = []
+    for k in range(RUNS):
+        columns = disturb(read(motion, k, shown[k], {}, case.sensors), case.sensors.torque * rng.normal(size=COUNT),
+                          case.sensors, rng)
+        time_s = columns.pop("time_s")
+        out.append(Dataset(f"r{k + 1}", RATE_HZ, time_s, columns))
+    return out
+
+
+def fitted(case: DrawnCase, data: list[Dataset], effect: Effect, afresh: bool = False) -> tuple[Model, Model]:
+    """Nominal fit, and the fit with the effect."""
+    session = open_session(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
+    nominal = fit_nominal(session)
+    start = np.array([0.1, *[0.0] * (effect.count - 1)]) if afresh else np.zeros(effect.count)
+    return nominal, refit(session, begin_afresh(session, nominal) if afresh else nominal, [(effect, start)], 40)
+
+
+def test_a_soft_gear_is_found_with_the_friction_of_its_motor() -> None:
+    case, compliance = drawn("joint_elasticity"), 0.25
+    data = record(case, {"shaft": 1.0 / compliance, "shaft_damping": 0.003, "motor_inertia": MOTOR_INERTIA})
+    _, model = fitted(case, data, JointElasticity(1), afresh=True)
+    ((found, viscous, coulomb),) = model.sizes()
+    assert found == pytest.approx(compliance, rel=0.01)
+    assert viscous + model.state.beta[6] == pytest.approx(case.leg.viscous2, rel=0.1)
+    assert coulomb + model.state.beta[8] == pytest.approx(case.leg.coulomb2, rel=0.1)
+    assert model.state.noise.encoder[1] < case.sensors.count_rad  # with friction on the link: thirty times as much
+
+
+@pytest.mark.parametrize("late_s", [0.0098, 0.004, -0.006])
+def test_a_late_torque_is_found_between_samples(late_s: float) -> None:
+    case = drawn("torque_delay")
+    _, model = fitted(case, record(case, {}, late_s), TorqueDelay())
+    ((found,),) = model.sizes()
+    assert found == pytest.approx(late_s, abs=6e-4)  # noise interpolated between samples would draw it to 5 ms
+
+
+def test_friction_by_load_is_found() -> None:
+    case = drawn("load_dependent_friction")
+    _, model = fitted(case, record(case, {"load2": 0.25}), LoadDependentFriction(1))
+    ((found,),) = model.sizes()
+    assert found == pytest.approx(0.25, rel=0.08)
+
+
+def test_a_fast_ripple_is_simulated_freely() -> None:
+    case, amplitude, gear = drawn("torque_ripple"), 0.12, 50.0
+    grid = np.arange(COUNT) / RATE_HZ
+    torque = case.torques[0].at(grid, PEAK_NM)[:, None]
+    plant = {"ripple": amplitude, "ripple_order": 2.0, "ripple_phase": 0.0, "gear": gear}
+    motion = integrate(stack([case.leg]), torque, step=5e-4, extra={k: np.full(1, v) for k, v in plant.items()})
+    seen = read(motion, 0, torque[:, 0], {}, case.sensors)
+    driven = np.column_stack([np.zeros(COUNT), torque[:, 0]])
+    signals = SignalSet("r", RATE_HZ, grid, np.column_stack([np.full(COUNT, np.nan), seen["q2_rad"]]), driven,
+                        {name: seen[name] for name in IMU_COLUMNS})
+    stage = Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0], [-1.0, 1.0]]), gear)
+    problem = ExtendedProblem([signals], leg2(lever_arm=case.sensors.lever), "linear", stage,
+                              [TorqueRipple(1), TorqueRipple(1)])
+    # what the bench hides has 0.3 sin(2 phase + 0.7) beside its first order
+    second = 0.3 * amplitude * np.array([np.cos(0.7), np.sin(0.7)])
+    sizes = [amplitude, 0.0, 2.0, *second, 4.0]
+    x = Latents(np.column_stack([motion.q1, motion.q2]), np.column_stack([motion.w1, motion.w2]), driven)
+    state = State(x, np.concatenate([np.ravel(case.leg.beta()), sizes]),
+                  Noise(np.array([0.002, 0.02]), np.array([np.inf, 2e-4]), 0.005, 0.05), np.eye(15))
+    moved = replace(state, x=replace(x, q=x.q + 0.05 * np.sin(7.0 * grid)[:, None]))  # where a guess may well stand
+    moved.x.q[0] = x.q[0]
+    run = free_run(problem, moved, driven)
+    assert run is not None
+    assert _relaxed(problem, moved, driven, 0) is None  # plain iteration over the whole record runs off
+    # 200 periods a rad: after two seconds an error of a hundredth of a rad is another ripple
+    assert np.abs(run.q - x.q)[:100].max() < 0.02 * np.ptp(x.q[:100, 1])
