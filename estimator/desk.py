@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from estimator.levels import loud, ratios
 from estimator.scores import RunScore, Tests
 from estimator.session import Session
 
+FloatArray = NDArray[np.float64]
 ALPHA = 0.01
 """p-value, over all candidates tried, below which something is there."""
 MATERIAL = 0.01
@@ -37,6 +38,8 @@ class Explained:
     """What it leaves is little beside its gain."""
     clean: bool = False
     """It leaves nothing detectable."""
+    by_run: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(R,) misfit of each discover run, under the noise levels of those that it was weighed with"""
     bias: tuple[RunScore, ...] = ()
     """What its scores are on average when it is right, one a discover run, its own sizes left out."""
 

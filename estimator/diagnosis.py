@@ -35,6 +35,7 @@ from estimator.mechanism import Mechanism
 from estimator.options import FitOptions
 from estimator.scores import RunScore, Tests, columns_of
 from estimator.session import Session, open_session
+from estimator.ties import tied
 from estimator.verdict import Diagnosis, Ranked
 
 FloatArray = NDArray[np.float64]
@@ -47,12 +48,6 @@ LEAST_CLOSED = 0.1
 """Share of the free-run gap on the confirm runs that the interval of a named cause's share must reach. A law of another
 form than the real one's (friction that drifts along another curve) may be right and close a quarter; parameters can
 imitate most of a rotor."""
-TIE = 0.005
-"""Explanations within this share of the best one's gain are not told apart."""
-TIE_ALIKE = 0.02
-"""... nor those that differ by no more than one effect for another of its group (`Effect.alike`) within this share."""
-TIE_GAIN = 8.0
-"""... or within this much of twice the log likelihood."""
 
 
 def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,
@@ -140,11 +135,8 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
         why = desk.too_loud(best.model) or f"beside it {label} is still detectable"
         return account.unexplained(base, session, desk.nominal, best, why, rng)
     fewest = len(closed[0].model.effects)
-    rivals = [o for o in closed if len(o.model.effects) == fewest]
-    most = rivals[0]
-    near = [o for o in rivals if o.gain >= most.gain * (1 - (TIE_ALIKE if alike(o, most) else TIE)) - TIE_GAIN]
-    best = next((o for o in near if o.clean), most)
-    ties = [best, *(o for o in near if o is not best and (o.clean or not best.clean or alike(o, best)))]
+    ties = tied([o for o in closed if len(o.model.effects) == fewest])
+    best = ties[0]
     if not confirmed(desk, best):
         return account.unexplained(base, session, desk.nominal, best, "it does not hold on the confirm runs", rng)
     p = max(1e-12, min(1.0, _p_of_gain(best) * desk.trials))
@@ -163,13 +155,6 @@ def falls_short(found: Diagnosis) -> str:
     if found.gap_closed_ci95 is not None and found.gap_closed_ci95[1] < LEAST_CLOSED:
         return f"it closes {100 * (found.gap_closed or 0.0):.0f} % of the free-run gap on the confirm runs"
     return ""
-
-
-def alike(one: Explained, other: Explained) -> bool:
-    """Whether two explanations differ by effects of one group only."""
-    keys = {e.key for e in one.model.effects} & {e.key for e in other.model.effects}
-    first, second = (sorted(e.alike or e.key for e in o.model.effects if e.key not in keys) for o in (one, other))
-    return first == second
 
 
 def sharpened(desk: Desk, explained: Explained) -> Explained:

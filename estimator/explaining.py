@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 from estimator.desk import ALPHA, Desk, Explained, best_shapes, p_of
 from estimator.effects import Effect
 from estimator.errors import FitError
-from estimator.evidence import Model, log_volume, misfit, refit, rehearsal_scores, score_discover, tests_of
+from estimator.evidence import (
+    Model,
+    log_volume,
+    misfit,
+    misfit_by_run,
+    refit,
+    rehearsal_scores,
+    score_discover,
+    tests_of,
+)
 from estimator.scores import RunScore, Tests
 
 FloatArray = NDArray[np.float64]
@@ -25,6 +34,8 @@ WEIGH_STEPS = 25
 """... and of one under the noise levels of the best explanation."""
 LEFT_OVER = 0.03
 """What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
+NIL = 4.0
+"""Standard deviations within which a size is nil: the rounding of dry friction near rest alone moves sizes by two."""
 _NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
 RIVAL = 0.5
 """An explanation with less than this share of the best one's gain leaves the rest of it unexplained: not a rival."""
@@ -60,7 +71,8 @@ def swapped(desk: Desk, tests: Tests, best: Explained, known: set[frozenset[str]
             if found is not None and mine is not None:
                 scatter = float(np.median(best.left.inflation))
                 more = (found.gain - mine.gain) / scatter  # both weighed under one noise, unlike `best`
-                out.append(replace(judged(desk, found, best.bias, scatter), gain=best.gain + more))
+                out.append(replace(judged(desk, found, best.bias, scatter), gain=best.gain + more,
+                                   by_run=best.by_run + found.by_run - mine.by_run))
     return out
 
 
@@ -74,6 +86,9 @@ def search(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
     order = best_shapes(desk, tests)
     promising = [i for i in order[:SINGLES] if p_of(desk, tests, i) < 0.5]
     starts = [[(desk.candidates[i].effect, start_size(desk, tests, i))] for i in promising]
+    if desk.too_loud(desk.nominal):
+        effects = [desk.candidates[i].effect for i in order]
+        starts += [[(e, np.array(size))] for e in effects for size in e.starts]
     singles = weigh(desk, starts)
     say("looking at what they leave over", 0.6)
     singles = judge(desk, singles[:4])
@@ -88,12 +103,17 @@ def search(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
 
 
 def start_size(desk: Desk, tests: Tests, i: int) -> FloatArray:
-    """One-step sizes of candidate i, with its shape."""
-    return np.concatenate([tests.size(desk.columns[i]), desk.candidates[i].shape])
+    """One-step sizes of candidate i, with its shape; nil for those that do not define it, whose steps can be wild."""
+    effect, shape = desk.candidates[i].effect, desk.candidates[i].shape
+    size = np.zeros(len(effect.sizes))
+    size[: effect.defining] = tests.size(desk.columns[i][: effect.defining])
+    if effect.positive:  # a bad nominal fit can mislead even the sign
+        size[0] = abs(size[0])
+    return np.concatenate([size, shape])
 
 
 def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> list[Explained]:
-    """Fit every start, compare all under the noise of the best, most likely first."""
+    """Fit every start, compare all under the noise of the best, most likely first, each set of effects once."""
     models = []
     for start in starts:
         model = fit_extension(desk, start)
@@ -112,8 +132,11 @@ def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> 
             again = refit(desk.session, m, list(zip(m.effects, m.sizes())), WEIGH_STEPS, noise)
         except FitError:  # under the noise of the best one it has no fit at all
             continue
-        out.append(Explained(m, plain - misfit(again), _NO_TESTS, -1, -1, False))
-    return sorted(out, key=lambda e: -e.gain)
+        out.append(Explained(m, plain - misfit(again), _NO_TESTS, -1, -1, False,
+                             by_run=misfit_by_run(desk.session, again)))
+    out.sort(key=lambda e: -e.gain)
+    first = {keys_of(e): i for i, e in reversed(list(enumerate(out)))}
+    return [e for i, e in enumerate(out) if first[keys_of(e)] == i]
 
 
 def fit_extension(desk: Desk, start: Sequence[tuple[Effect, FloatArray]]) -> Model | None:
@@ -175,8 +198,27 @@ def judged(desk: Desk, explained: Explained, rehearsals: Sequence[RunScore], sca
     small = max(LEFT_OVER * gain, desk.material(desk.session.discover))
     least = desk.material(desk.session.discover)
     detectable = [g for i, g in enumerate(gains) if g > least and p_of(desk, left, i) < ALPHA]
-    closed = gain > least and max(detectable, default=0.0) < small and not desk.too_loud(model)
-    return Explained(model, gain, left, best, best_named, closed, not detectable, tuple(rehearsals))
+    closed = (gain > least and max(detectable, default=0.0) < small and not desk.too_loud(model)
+              and present(model, float(np.sqrt(np.median(left.inflation)))))
+    return replace(explained, gain=gain, left=left, best_left=best, best_named_left=best_named, closed=closed,
+                   clean=not detectable, bias=tuple(rehearsals))
+
+
+def present(model: Model, spread: float) -> bool:
+    """Whether each effect has a defining size that is not nil within its interval, and of a sign that it can have.
+
+    A gear that does not twist, with its motor's friction and inertia for sizes, is no soft gear.
+    """
+    return all(significant(model, k, spread)[: e.defining].any() and not (e.positive and size[0] < 0.0)
+               for k, (e, size) in enumerate(zip(model.named, model.sizes())))
+
+
+def significant(model: Model, which: int, spread: float) -> NDArray[np.bool_]:
+    """For each size of one effect of `model`, whether it differs from zero beside its deviation times `spread`."""
+    effect, size = model.effects[which], model.sizes()[which]
+    begin = model.problem.mechanism.p + sum(e.count for e in model.effects[:which])
+    std = spread * model.std()[begin : begin + effect.count]
+    return np.asarray(np.abs(size) > NIL * std)[: len(effect.sizes)]
 
 
 def padded(score: RunScore, added: int, at: int) -> RunScore:

@@ -15,7 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.collocation import ACCEL, ANGLE, GAUSS, RATE, Motion
-from estimator.effects.base import MOTOR_RATE, SLOW_GYRO, SLOW_TORQUE, Effect, Perturbation, Points, TorqueEffect, View
+from estimator.effects.base import (
+    MOTOR_ACCELERATION,
+    MOTOR_RATE,
+    SLOW_GYRO,
+    SLOW_TORQUE,
+    Effect,
+    Perturbation,
+    Points,
+    TorqueEffect,
+    View,
+)
 from estimator.latent import LatentProblem, Latents, Noise
 from estimator.linearised import Extra, Linearised
 from estimator.mechanism import Mechanism, smooth_sign
@@ -108,20 +118,28 @@ class ExtendedProblem(LatentProblem):
             return np.concatenate([lowpass(part, cutoff_hz, 1.0 / self.dt) for part in np.split(x, self.ends[:-1])])
 
         found = {f"torque{j + 1}": self.torque[:, j] for j in range(self.n)}
-        found |= {f"{MOTOR_RATE}{j + 1}": self._rate(self.angles[:, j]) for j in np.flatnonzero(self.has_encoder)}
+        for j in np.flatnonzero(self.has_encoder):
+            found[f"{MOTOR_RATE}{j + 1}"], found[f"{MOTOR_ACCELERATION}{j + 1}"] = self._derivatives(self.angles[:, j])
         found |= {f"{SLOW_TORQUE}{j + 1}": slow(self.torque[:, j], SLOW_SHARE / self.dt) for j in range(self.n)}
         if self.has_imu:
             found |= {"gyro": self.gyro, "accel_x": self.ax, "accel_y": self.ay, SLOW_GYRO: slow(self.gyro, SLOW_HZ)}
         return found
 
-    def _rate(self, angle: FloatArray) -> FloatArray:
-        return np.concatenate([np.gradient(part, self.dt) for part in np.split(angle, self.ends[:-1])])
+    def _derivatives(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+        parts = np.split(angle, self.ends[:-1])
+        second = [np.pad(np.diff(part, 2) / self.dt**2, 1, mode="edge") for part in parts]
+        return np.concatenate([np.gradient(part, self.dt) for part in parts]), np.concatenate(second)
 
     def split(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """beta (p,) and one size vector an effect, its shapes kept within range."""
         p = self.mechanism.p
         stops = p + np.cumsum([e.count for e in self.effects])
         return parameters[:p], [e.clipped(parameters[b - e.count : b]) for e, b in zip(self.effects, stops)]
+
+    def eased(self, parameters: FloatArray, slack: float) -> FloatArray:
+        """The parameter vector with every effect's law less steep; see `Effect.eased`."""
+        beta, sizes = self.split(parameters)
+        return np.concatenate([beta, *(e.eased(size, slack) for e, size in zip(self.effects, sizes))])
 
     def extra(self, x: Latents, parameters: FloatArray) -> Extra:
         """What the effects add at (x, parameters), with columns of effects, then of candidates."""
@@ -208,8 +226,18 @@ class ExtendedProblem(LatentProblem):
         return at_gauss, at_samples
 
     def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
-        """`beta` is the whole parameter vector here."""
-        return super().linearise(x, beta[: self.mechanism.p], noise, self.extra(x, beta))
+        """`beta` is the whole parameter vector here; what is believed of sizes beforehand is in."""
+        point = super().linearise(x, beta[: self.mechanism.p], noise, self.extra(x, beta))
+        p, own = self.mechanism.p, self._precision.size
+        sizes = beta[p : p + own]
+        point.corner[range(p, p + own), range(p, p + own)] += self._precision
+        point.gradient_beta[p : p + own] += self._precision * sizes
+        return replace(point, objective=point.objective + float(sizes @ (self._precision * sizes)))
+
+    @cached_property
+    def _precision(self) -> FloatArray:
+        """By each size and shape."""
+        return np.array([x for e in self.effects for x in (*(s.prior**-2 for s in e.sizes), *(0.0 for _ in e.shapes))])
 
 
 def _moved(at: Points, name: str, joint: int, by: float) -> Points:

@@ -7,6 +7,7 @@ torque as large as the shunt's noise included: sensors at most 1.02 times their 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -49,7 +50,7 @@ def loud(session: Session, model: Model, before: Mapping[str, tuple[float, float
     """The loudest channel in words; empty where none is too loud, beside what it was `before` if that is given."""
     worst, text = 1.0, ""
     for name, (ratio, limit) in ratios(session, model).items():
-        allowed = limit**2
+        allowed = math.prod([limit, *(e.rough.get(name, 1.0) for e in model.effects)]) ** 2
         if before is not None:
             allowed = max(allowed, 1.0 + SHARE * (before[name][0] ** 2 - 1.0))
         if ratio**2 > worst * allowed:

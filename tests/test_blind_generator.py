@@ -104,6 +104,9 @@ def test_dry_friction_sticks_and_slides_at_its_level() -> None:
     tau = np.full((30, 2), 0.3) * np.array([1.0, -1.0])
     skewed = integrate(leg, tau, extra={"asymmetry2": 0.1})
     assert abs(skewed.q2[-1, 0]) < 0.8 * abs(skewed.q2[-1, 1])
+    dragged = integrate(leg, tau, extra={"asymmetric_drag2": 0.05})
+    assert abs(dragged.q2[-1, 0]) < 0.9 * abs(dragged.q2[-1, 1])
+    assert np.array_equal(dragged.q2[:, 1], integrate(leg, tau).q2[:, 1])
 
 
 def test_energy_is_kept_without_friction_on_floor_and_base() -> None:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimator.effects import Effect
+from estimator.effects.structure import Backlash
 from estimator.latent import Noise
 from estimator.levels import loud, ratios
 from estimator.mechanism import leg2
@@ -15,8 +17,8 @@ from estimator.mechanism import leg2
 DECLARED = {"torque_nm": 0.02, "encoder_rad": 2e-4, "gyro_radps": 0.005, "accel_mps2": 0.05}
 
 
-def ends(declared: dict[str, float], **found: float) -> tuple[Any, Any]:
-    """Session and model whose noise levels are those declared but for `found`."""
+def ends(declared: dict[str, float], effects: tuple[Effect, ...] = (), **found: float) -> tuple[Any, Any]:
+    """Session and model with `effects` whose noise levels are those declared but for `found`."""
     levels = {"pivot": 0.002, "knee": 0.02, "encoder": 2e-4, "gyro": 0.005, "accel": 0.05} | found
     noise = Noise(np.array([levels["pivot"], levels["knee"]]), np.array([np.inf, levels["encoder"]]), levels["gyro"],
                   levels["accel"])
@@ -24,7 +26,7 @@ def ends(declared: dict[str, float], **found: float) -> tuple[Any, Any]:
     white = {name: rng.normal(0.0, level, 4000) for name, level in (("gyro", 0.005), ("ax", 0.05), ("ay", 0.05))}
     problem = SimpleNamespace(has_encoder=np.array([False, True]), has_imu=True, **white)
     return (SimpleNamespace(known=declared, mechanism=leg2()),
-            SimpleNamespace(problem=problem, state=SimpleNamespace(noise=noise)))
+            SimpleNamespace(problem=problem, state=SimpleNamespace(noise=noise), effects=effects))
 
 
 def test_declared_levels_are_in_order() -> None:
@@ -37,6 +39,12 @@ def test_declared_levels_are_in_order() -> None:
     ("pivot", 0.04, "torque at joint 1 is 2.0 times")])
 def test_a_loud_channel_is_named(channel: str, level: float, said: str) -> None:
     assert said in loud(*ends(DECLARED, **{channel: level}))
+
+
+def test_impacts_may_be_louder_beside_play() -> None:
+    assert loud(*ends(DECLARED, (Backlash(1),), accel=0.1)) == ""
+    assert "accelerometer" in loud(*ends(DECLARED, (Backlash(1),), accel=0.11))
+    assert "torque at joint 2" in loud(*ends(DECLARED, (Backlash(1),), knee=0.034))
 
 
 def test_process_torque_as_large_as_the_shunt_s_noise_is_no_fault() -> None:

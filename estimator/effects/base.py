@@ -23,8 +23,9 @@ WHEEL_M = 0.05
 SLOW_GYRO = "gyro below 12 Hz"
 SLOW_TORQUE = "slow torque of joint "
 MOTOR_RATE = "rate of encoder "
+MOTOR_ACCELERATION = "acceleration of encoder "
 """Among `View.measured`: the gyro low-passed above any motion of a leg's links, the torque, with the joint's number, to
-what a spline follows; of each encoder the rate."""
+what a spline follows; of each encoder the rate and the acceleration."""
 
 
 CONSTANT = "constant torque"
@@ -39,6 +40,9 @@ class Size(NamedTuple):
     unit: str
     scale: float
     """A small size of the effect: the step of its derivative at zero."""
+    prior: float = np.inf
+    """Standard deviation of what is believed of it beforehand, generously: without it a size that a nominal parameter
+    imitates runs off."""
 
 
 class Shape(NamedTuple):
@@ -129,8 +133,19 @@ class Effect(ABC):
     per_joint: ClassVar[bool] = False
     alike: ClassVar[str] = ""
     """Effects of one such group cannot be told apart by small differences: these stem from what no model has right."""
+    apart: ClassVar[int | None] = None
+    """Which size sets an effect apart from its group: without it, it is the same function of the motion."""
+    positive: ClassVar[bool] = False
+    """Its first size is above zero where the effect is present: friction that drives is none."""
+    defining: ClassVar[int | None] = None
+    """One of the first so many sizes is not zero where the effect is present; by default, of all."""
     whole_shapes: ClassVar[bool] = False
     """Shapes are whole numbers: held where the grid has them, not re-fitted."""
+    rough: ClassVar[Mapping[str, float]] = {}
+    """Channel, as `estimator.levels` words it, to how much louder than usual it may stay beside this effect, whose law
+    is not exact there."""
+    starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
+    """Sizes from which a re-fit begins, too, where the nominal fit is bad: its slopes say little of large ones."""
 
     slide: bool = False
     """Whether its joint is prismatic; see `WHEEL_M`."""
@@ -169,6 +184,10 @@ class Effect(ABC):
             side = np.sign(out[i]) if min(shape.grid) < 0 else 1.0
             out[i] = side * np.clip(side * out[i], magnitudes.min() / 4.0, magnitudes.max() * 4.0)
         return out
+
+    def eased(self, size: FloatArray, slack: float) -> FloatArray:
+        """`size` of a law that is less steep by up to `slack`: a motion that is sought from afar comes by it."""
+        return size
 
     @abstractmethod
     def perturb(self, view: View, size: FloatArray) -> Perturbation:

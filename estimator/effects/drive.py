@@ -47,6 +47,7 @@ class TorqueSaturation(TorqueSensorEffect):
     """The torque that acts falls short of the measured one at high level: reading = u + c u^3."""
 
     name = "torque_saturation"
+    positive = True
     sizes = (Size("cubic_shortfall", "1/(N m)^2", 0.01),)
     sentence = "at high current the motor gives less torque than the current says (saturation)"
     reference = "magnetic saturation, leading odd term"

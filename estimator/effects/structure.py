@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy.signal import lfilter
 
 from estimator.effects.base import (
     CONSTANT,
+    MOTOR_ACCELERATION,
     MOTOR_RATE,
     SLOW_GYRO,
     Effect,
@@ -31,6 +33,7 @@ class JointStiffness(TorqueEffect):
 
     name = "joint_stiffness"
     alike = CONSTANT
+    apart = 0
     sizes = (Size("stiffness", "N m/rad", 0.05), Size("preload", "N m", 0.01))
     sentence = "a spring acts at the joint (cable, seal, hose)"
     reference = "linear spring"
@@ -44,6 +47,7 @@ class RotorInertia(TorqueEffect):
     """J q2dd: the geared rotor, felt in its own joint's equation only."""
 
     name = "rotor_inertia"
+    positive = True
     sizes = (Size("inertia", "kg m^2", 0.001),)
     sentence = "the motor's rotor adds inertia at its joint (gear ratio squared)"
     reference = "Spong 1987"
@@ -62,6 +66,7 @@ class EndStopContact(TorqueEffect):
     """One-sided spring and damper beyond an angle; a negative angle is a stop on the other side."""
 
     name = "end_stop_contact"
+    positive = True
     sizes = (Size("stiffness", "N m/rad", 0.5),)
     shapes = (Shape("angle_share", "1", (-0.9, -0.8, -0.65, 0.65, 0.8, 0.9)),)
     sentence = "the joint touches a stop at the end of its range"
@@ -78,22 +83,29 @@ class EndStopContact(TorqueEffect):
         return size[0] * side * rounded
 
 
-MOTOR_FRICTION = (Size("motor_viscous", "N m s/rad", 0.005), Size("motor_coulomb", "N m", 0.01))
+MOTOR = (Size("motor_viscous", "N m s/rad", 0.005, 0.05), Size("motor_coulomb", "N m", 0.01, 0.1),
+         Size("motor_inertia", "kg m^2", 1e-4, 0.003))
 
 
 class GearEffect(Effect):
     """A gear whose encoder is on the motor: it reads the link plus the gear's twist under the torque through it.
 
-    Friction acts on the motor, whose speed a record shows: there the torque latent is what comes through the gear, and
-    the motor's torque that and friction at the encoder's rate. (Measured on c = 0.3 rad/(N m): with friction at the
-    link's rate the twist is 9 mrad off, at the motor's 3.) Without a record, friction acts at the link's rate.
+    Friction and inertia of the motor act on its own side, whose motion a record shows: there the torque latent is what
+    comes through the gear, and the motor's torque that, friction at the encoder's rate and the inertia's share at its
+    acceleration. (Measured on c = 0.3 rad/(N m): with friction at the link's rate the twist is 9 mrad off, at the
+    motor's 3.) Without a record, both act at the link's rate.
     """
 
     per_joint = True
+    defining = 1
 
     @abstractmethod
     def twist(self, through: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(N,) encoder less link [rad] under the torque `through` the gear (N,), and its derivative by that."""
+
+    def motor(self, size: FloatArray) -> FloatArray:
+        """Viscous, Coulomb and inertia of the motor's side."""
+        return size[len(self.sizes) - len(MOTOR) : len(self.sizes)]
 
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         j = self.joint or 0
@@ -101,15 +113,18 @@ class GearEffect(Effect):
         if view.measured is not None:
             return Perturbation(readings={f"torque{j + 1}": self.lost(view, size)[j],
                                           f"encoder{j + 1}": self.twist(s.u[j], size)[0]})
+        inertia = self.motor(size)[2]
         friction = view.parameter("viscous", j) * s.v[j] + view.parameter("coulomb", j) * s.sign[j]
-        return Perturbation(readings={f"encoder{j + 1}": self.twist(s.u[j] - friction, size)[0]})
+        gauss, samples = np.zeros_like(view.gauss.a), np.zeros_like(s.a)
+        gauss[j], samples[j] = inertia * view.gauss.a[j], inertia * s.a[j]
+        return Perturbation(gauss, samples, {f"encoder{j + 1}": self.twist(s.u[j] - friction - samples[j], size)[0]})
 
     def simulated(self, beta: FloatArray, size: FloatArray, mechanism: Mechanism) -> FloatArray:
         out = beta.copy()
-        for k, term in enumerate(("viscous", "coulomb"), len(self.sizes) - 2):
+        for value, term in zip(self.motor(size), ("viscous", "coulomb")):
             for i, p in enumerate(mechanism.parameters):
                 if p.at == (self.joint or 0,) and p.term == term:
-                    out[i] += size[k]
+                    out[i] += value
         return out
 
     def by_torque(self, view: View, size: FloatArray) -> Mapping[str, FloatArray]:
@@ -121,8 +136,9 @@ class GearEffect(Effect):
         if view.measured is None:
             return {}
         rate = view.measured[f"{MOTOR_RATE}{j + 1}"]
-        k = len(self.sizes) - 2
-        return {j: size[k] * rate + size[k + 1] * smooth_sign(rate, view.mechanism.velocity_scale)}
+        viscous, coulomb, inertia = self.motor(size)
+        return {j: viscous * rate + coulomb * smooth_sign(rate, view.mechanism.velocity_scale)
+                + inertia * view.measured[f"{MOTOR_ACCELERATION}{j + 1}"]}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         if mechanism.n == 1 and not has_imu:
@@ -134,7 +150,8 @@ class JointElasticity(GearEffect):
     """Twist T / k."""
 
     name = "joint_elasticity"
-    sizes = (Size("compliance", "rad/(N m)", 0.002), *MOTOR_FRICTION)
+    positive = True
+    sizes = (Size("compliance", "rad/(N m)", 0.002), *MOTOR)
     sentence = "the gear twists under torque: the encoder on the motor does not show the link's angle"
     reference = "Spong 1987, quasi-static: below the motor's resonance"
     experiment = "a chirp up to the resonance; static torque steps against a blocked link"
@@ -147,11 +164,18 @@ class Backlash(GearEffect):
     """The link lies at one side or the other of a gap, by the sign of the torque through it."""
 
     name = "backlash"
-    sizes = (Size("gap", "rad", 0.002), *MOTOR_FRICTION)
-    shapes = (Shape("contact_torque", "N m", (0.005, 0.02, 0.1)),)
+    positive = True
+    sizes = (Size("gap", "rad", 0.002), *MOTOR)
+    shapes = (Shape("contact_torque", "N m", (0.06, 0.1, 0.2)),)
     sentence = "the gear has play: the link lies at one or the other side of a gap"
     reference = "Nordin and Gutman 2002"
     experiment = "slow torque reversals across zero with the link held by gravity"
+    rough: ClassVar[Mapping[str, float]] = {"gyro": 1.6, "accelerometer": 1.6}
+    """Flanks meet with an impact, shorter than a sample."""
+
+    def eased(self, size: FloatArray, slack: float) -> FloatArray:
+        contact = abs(size[-1])
+        return np.append(size[:-1], max(contact, min(slack * contact, max(self.shapes[0].grid))))
 
     def twist(self, through: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
         side = np.tanh(through / size[-1])
@@ -167,6 +191,7 @@ class BaseCompliance(Effect):
     """
 
     name = "base_compliance"
+    positive = True
     sizes = (Size("mobility", "1/kg", 0.01),)
     shapes = (Shape("frequency", "Hz", (1.5, 2.0, 2.7, 3.6, 4.9, 6.6, 9.0, 12.0, 16.0, 20.0)),
               Shape("damping_ratio", "1", (0.1,)))

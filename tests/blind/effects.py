@@ -56,9 +56,12 @@ def stribeck_friction(strength: float, rng: np.random.Generator) -> Hidden:
 
 
 def asymmetric_friction(strength: float, rng: np.random.Generator) -> Hidden:
-    # the contract's F*max(s, 0); a negative F would make friction drive the joint, so the sign stays
-    return Hidden("asymmetric_friction", 2, (Size("excess_torque", "N m", strength),),
-                  plant={"asymmetry2": strength})
+    # the contract's F*max(s, 0) and Fv by direction. F alone is, term for term, a Coulomb level and an offset of the
+    # torque: nothing could tell them apart. A negative F would make friction drive the joint, so the sign stays
+    viscous = strength / rng.uniform(2.0, 6.0)
+    return Hidden("asymmetric_friction", 2, (Size("coulomb_difference", "N m", strength),
+                                             Size("viscous_difference", "N m s/rad", float(viscous))),
+                  plant={"asymmetry2": strength, "asymmetric_drag2": float(viscous)})
 
 
 def load_dependent_friction(strength: float, rng: np.random.Generator) -> Hidden:

@@ -50,6 +50,7 @@ def stack(legs: list[Leg]) -> Leg:
 COEFFICIENTS = (
     "stribeck1", "stribeck_velocity1", "stribeck2", "stribeck_velocity2",  # N m, rad/s
     "asymmetry1", "asymmetry2",  # N m more in the positive direction
+    "asymmetric_drag2",  # N m s/rad more in the positive direction
     "load2",  # N m of dry friction per N m transmitted
     "bristle1", "bristle2",  # rad of LuGre deflection at full slip; replaces the dry friction
     "drag1", "drag2",  # N m s^2/rad^2

@@ -146,7 +146,7 @@ class Field:
             if self.on[name + "1"] or self.on[name + "2"]:
                 self.forces.append(law)
         for name, law in (("stop_stiffness", self._stop), ("slosh", self._slosh), ("cable", self._cable),
-                          ("cross_damping", self._cross)):
+                          ("cross_damping", self._cross), ("asymmetric_drag2", self._one_way)):
             if self.on[name]:
                 self.forces.append(law)
         self.base_lanes = c["base_mass"] > 0
@@ -199,6 +199,9 @@ class Field:
 
     def _cross(self, y: Array) -> tuple[Array, float]:
         return -self.c["cross_damping"] * y[3], 0.0
+
+    def _one_way(self, y: Array) -> tuple[float, Array]:
+        return 0.0, -self.c["asymmetric_drag2"] * np.maximum(y[3], 0.0)
 
     def __call__(self, y: Array, t: float, torque: Array, pivot: Array, f: Array) -> Array:
         """State rates (rows, L); `f` (2, L) are the dry friction torques held over the step."""
