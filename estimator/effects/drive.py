@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +25,8 @@ class TorqueRipple(TorqueEffect):
     sentence = "the motor's torque ripples with its angle (cogging, commutation)"
     reference = "whole orders of the motor's angle"
     experiment = "slow constant speed over several turns of the motor"
+    rough: ClassVar[Mapping[str, float]] = {"accelerometer": 1.6}
+    """Its harmonics are not in the law, and many fall between samples."""
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         phase = size[2] * view.gear_ratio * at.q[self.joint or 0]
