@@ -284,7 +284,7 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
 
 
 def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Cause]:
-    """Sizes with 95 % intervals, widened by the scatter between runs."""
+    """Sizes with 95 % intervals, widened by the scatter between runs; none of shapes at a limit of their range."""
     model = explained.model
     at, unit = model.problem.mechanism.p, model.problem.mechanism.unit
     widen = float(np.sqrt(np.median(explained.left.inflation)))
@@ -293,8 +293,9 @@ def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Ca
     out = []
     for effect, size in zip(model.named, model.sizes()):
         parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
+        here = slice(at, at + effect.count)
         sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), (float(v - 1.96 * d), float(v + 1.96 * d)))
-                      for s, v, d in zip(parts, size, std[at : at + effect.count]))
+                      for s, v, d, sought in zip(parts, size, std[here], model.state.beta[here]) if v == sought)
         at += effect.count
         near: tuple[str, ...] = ()
         if effect.key in keys:

@@ -39,6 +39,12 @@ def in_use(samples: int) -> bool:
     return ready()
 
 
+def expect() -> None:
+    """Have kernels fetched at the next step: much work is to come, perhaps in processes forked from this one."""
+    global _done
+    _done = LOAD_WORTH + 1
+
+
 def ready() -> bool:
     """`in_use`, without counting."""
     return _done > LOAD_WORTH and at_hand()

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.dataset import Dataset
-from estimator import account
+from estimator import account, compiled
 from estimator.desk import ALPHA, Desk, Explained, best_shapes, p_of
 from estimator.effects import library
 from estimator.effects.anonymous import AnonymousReading, AnonymousTorque, battery
@@ -35,6 +35,7 @@ from estimator.mechanism import Mechanism
 from estimator.options import FitOptions
 from estimator.scores import RunScore, Tests, columns_of
 from estimator.session import Session, open_session
+from estimator.spread import cores
 from estimator.ties import tied
 from estimator.verdict import Diagnosis, Ranked
 
@@ -52,16 +53,17 @@ imitate most of a rotor."""
 
 def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,
              seed: int = 0, progress: Progress | None = None,
-             reference: Mapping[str, tuple[float, float]] | None = None) -> Diagnosis:
+             reference: Mapping[str, tuple[float, float]] | None = None, workers: int | None = None) -> Diagnosis:
     """Diagnose the runs of one rig, in the order of recording.
 
     `reference` is (value, std) by parameter of an earlier model: changed inertial parameters are reported as a
-    payload. Data that cannot be diagnosed give the verdict `fit_failed` with the reason, never an exception.
+    payload. Independent fits share `workers` processes, by default one a core. Data that cannot be diagnosed give the
+    verdict `fit_failed` with the reason, never an exception.
     """
     start = time.perf_counter()
     say = progress or (lambda stage, fraction: None)
     try:
-        session = open_session(datasets, mechanism, options, gear_ratio)
+        session = open_session(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
         found = _diagnose(session, np.random.default_rng(seed), say, reference)
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
@@ -71,6 +73,7 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 def _diagnose(session: Session, rng: np.random.Generator, say: Progress,
               reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
     say("fitting the nominal model", 0.02)
+    compiled.expect()
     nominal = fit_nominal(session)
     effects, refused = library(session.mechanism, session.has_imu)
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]

@@ -16,6 +16,7 @@ from estimator.latent import Latents, Noise
 from estimator.rehearsal import rehearse
 from estimator.scores import RunScore, Tests, project, score_run
 from estimator.session import Session
+from estimator.spread import spread
 from estimator.start import gentle_start, start_state
 from estimator.wls import free_mask
 
@@ -224,11 +225,13 @@ def per_value(problem: ExtendedProblem, state: State) -> float:
 
 def score_discover(session: Session, model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
     """Scores of `candidates` at `model`, one a discover run."""
-    out = []
-    for i, state in zip(session.discover, run_states(session, model)):
-        problem = session.problem([i], model.problem.stage.reach, model.effects, candidates)
-        out.append(score_run(problem, state))
-    return out
+    states = run_states(session, model)
+
+    def scored(k: int) -> RunScore:
+        problem = session.problem([session.discover[k]], model.problem.stage.reach, model.effects, candidates)
+        return score_run(problem, states[k])
+
+    return spread(scored, len(states), session.workers)
 
 
 def score_confirm(session: Session, model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
@@ -244,17 +247,20 @@ def score_confirm(session: Session, model: Model, candidates: Sequence[Candidate
 def rehearsal_scores(session: Session, model: Model, candidates: Sequence[Candidate],
                      rng: np.random.Generator) -> list[RunScore]:
     """Mean score of rehearsals of the model, one a discover run: the scores' bias when nothing is wrong."""
-    out = []
-    for i, state in zip(session.discover, run_states(session, model)):
+    states, seeds = run_states(session, model), rng.integers(2**63, size=len(session.discover))
+
+    def rehearsed(k: int) -> RunScore:
+        i, own = session.discover[k], np.random.default_rng(seeds[k])
         problem = session.problem([i], model.problem.stage.reach, model.effects)
         found = []
         for _ in range(REHEARSALS):
-            signals = rehearse(problem, state, session.runs[i], rng)
-            _, again = smooth(session, model, i, state.x, signals)
+            signals = rehearse(problem, states[k], session.runs[i], own)
+            _, again = smooth(session, model, i, states[k].x, signals)
             scored = session.problem([i], model.problem.stage.reach, model.effects, candidates, signals)
             found.append(score_run(scored, again))
-        out.append(RunScore(np.mean([f.score for f in found], axis=0), found[0].information))
-    return out
+        return RunScore(np.mean([f.score for f in found], axis=0), found[0].information)
+
+    return spread(rehearsed, len(states), session.workers)
 
 
 def tests_of(session: Session, model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None,

@@ -21,7 +21,9 @@ from estimator.evidence import (
     score_discover,
     tests_of,
 )
+from estimator.gauss_newton import State
 from estimator.scores import RunScore, Tests
+from estimator.spread import spread
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -114,26 +116,37 @@ def start_size(desk: Desk, tests: Tests, i: int) -> FloatArray:
 
 def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> list[Explained]:
     """Fit every start, compare all under the noise of the best, most likely first, each set of effects once."""
+    session, reach = desk.session, desk.nominal.problem.stage.reach
+
+    def fitted(k: int) -> State | None:
+        model = fit_extension(desk, starts[k])
+        return None if model is None else model.state
+
     models = []
-    for start in starts:
-        model = fit_extension(desk, start)
-        if model is not None:
-            models.append(model)
+    for start, state in zip(starts, spread(fitted, len(starts), session.workers)):
+        if state is not None:
+            effects = tuple(e for e, _ in start)
+            models.append(Model(effects, state, session.problem(session.discover, reach, effects)))
     if not models:
         return []
     noise = min((m.state.noise for m in models), key=lambda s: log_volume(desk.nominal.problem, s))
-    try:
-        plain = misfit(refit(desk.session, desk.nominal, [], WEIGH_STEPS, noise))
-    except FitError:  # it is too wrong to settle under so little noise; where it stands will do
-        plain = misfit(replace(desk.nominal, state=replace(desk.nominal.state, noise=noise)))
-    out = []
-    for m in models:
+    every = [desk.nominal, *models]
+
+    def weighed(k: int) -> tuple[float, FloatArray] | None:
+        m = every[k]
         try:
-            again = refit(desk.session, m, list(zip(m.effects, m.sizes())), WEIGH_STEPS, noise)
-        except FitError:  # under the noise of the best one it has no fit at all
-            continue
-        out.append(Explained(m, plain - misfit(again), _NO_TESTS, -1, -1, False,
-                             by_run=misfit_by_run(desk.session, again)))
+            again = refit(session, m, list(zip(m.effects, m.sizes())), WEIGH_STEPS, noise)
+        except FitError:
+            if k > 0:  # under the noise of the best one it has no fit at all
+                return None
+            # the nominal model is too wrong to settle under so little noise; where it stands will do
+            again = replace(m, state=replace(m.state, noise=noise))
+        return misfit(again), misfit_by_run(session, again)
+
+    plain, *found = spread(weighed, len(every), session.workers)
+    assert plain is not None
+    out = [Explained(m, plain[0] - w[0], _NO_TESTS, -1, -1, False, by_run=w[1])
+           for m, w in zip(models, found) if w is not None]
     out.sort(key=lambda e: -e.gain)
     first = {keys_of(e): i for i, e in reversed(list(enumerate(out)))}
     return [e for i, e in enumerate(out) if first[keys_of(e)] == i]

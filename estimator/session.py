@@ -52,6 +52,8 @@ class Session:
     """Noise levels that the rig declares: here the least that an estimate may be, for a sensor that errs shows as
     noise first. (Measured: held at its declared level, a gyro with a bias of 0.1 rad/s drags the fit to beta = 0;
     free, it takes the bias for noise, and beta stays within 1 %.)"""
+    workers: int = 1
+    """Processes that may work on independent fits and runs."""
     rest: dict[int, FloatArray] = field(default_factory=dict)
     """Run to `LatentProblem.rest`, as its first fit found it: all explanations are compared on the same weights."""
 
@@ -106,7 +108,7 @@ class Session:
 
 
 def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
-                 gear_ratio: float = 1.0) -> Session:
+                 gear_ratio: float = 1.0, workers: int = 1) -> Session:
     """Split runs: of four in turn two fit, one screens, one confirms. Raises `FitError` where there is too little."""
     known, options = options.noise, replace(options, noise={})
     own_scale = mechanism.velocity_scale
@@ -131,7 +133,7 @@ def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     fit = [i for i in range(count) if i not in confirm and i not in screen]
     return Session(mechanism, options, tuple(d.name for d in datasets), tuple(runs), tuple(map(float, starts)),
                    tuple(fit), tuple(screen), tuple(confirm), gear_ratio, own_scale, single,
-                   max(d.clock_bound_s for d in datasets), known)
+                   max(d.clock_bound_s for d in datasets), known, workers)
 
 
 def _parts(data: Dataset) -> list[Dataset]:

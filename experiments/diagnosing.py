@@ -22,13 +22,16 @@ BENCHMARK = "q1_rad"
 
 
 def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str, tuple[float, float]] | None = None,
-                   progress: Callable[[str, float], None] | None = None) -> Diagnosis:
-    """Diagnose the runs of `setup`, in the order given. Raises `InputError` for runs that do not belong together."""
+                   progress: Callable[[str, float], None] | None = None, workers: int | None = None) -> Diagnosis:
+    """Diagnose the runs of `setup`, in the order given, on `workers` processes (by default one a core).
+
+    Raises `InputError` for runs that do not belong together.
+    """
     known_effects()
     require_alike(setup.datasets)
     setup = without_benchmark(setup)
     return diagnose(setup.datasets, setup.mechanism, setup.options, gear_ratio=rig.motor.gear_ratio, seed=seed,
-                    progress=progress, reference=reference)
+                    progress=progress, reference=reference, workers=workers)
 
 
 def without_benchmark(setup: Setup) -> Setup:

@@ -53,7 +53,8 @@ def test_a_deleted_effect_is_gone_from_the_command_s_library(tmp_path: Path) -> 
     assert effects(sys.executable, "-c", run.WITHOUT, "backlash") == [e for e in every if e != "backlash"]
     wrong = subprocess.run([sys.executable, "-c", run.WITHOUT, "no_such", "effects"], capture_output=True, text=True)
     assert wrong.returncode == 1 and "no effect no_such" in wrong.stderr
-    command = run.command_of(CASES[1], Path("c"), Path("a"))
+    command = run.command_of(CASES[1], Path("c"), Path("a"), 2)
+    assert command[-2:] == ["--workers", "2"]
     assert command[:4] == [sys.executable, "-c", run.WITHOUT, "torque_offset"]
     assert command[4] == "diagnose" and command.count("--rig") == 1
 
@@ -62,7 +63,7 @@ def test_a_bench_goes_on_where_it_stopped(bench: Path, monkeypatch: pytest.Monke
     """The command is replaced by one that copies its arguments: what it costs to diagnose is not the matter here."""
     stub = ("import json,os,sys; json.dump({'verdict':'none','causes':[],'session':os.getsid(0)},"
             "open(sys.argv[sys.argv.index('--json')+1],'w'))")
-    monkeypatch.setattr(run, "command_of", lambda case, cases, answer: [
+    monkeypatch.setattr(run, "command_of", lambda case, cases, answer, share: [
         sys.executable, "-c", stub if case.kind == "none" else "raise SystemExit('broken')", "--json", str(answer)])
     said: list[str] = []
     run.run_cases(CASES, bench, workers=1, say=said.append)

@@ -22,6 +22,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                              "simulate")
     parser.add_argument("--seed", metavar="N", type=_seed, default=0,
                         help="rehearsals and intervals are drawn from it; default: 0")
+    parser.add_argument("--workers", metavar="N", type=_count,
+                        help="processes that share the work; default: one a core")
     parser.add_argument("--reference", metavar="MODEL.json",
                         help="an earlier model of this rig: parameters that changed are reported, a payload for one")
     parser.set_defaults(run=run)
@@ -30,6 +32,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def _seed(text: str) -> int:
     if not text.isdecimal() or int(text) >= 2**32:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number below {2**32}")
+    return int(text)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 1024:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 1024")
     return int(text)
 
 
@@ -50,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     setup = load_setup(args.runs, rig)
     reference = None if earlier is None else reference_values(earlier, args.reference, setup)
     with stages("diagnosing") as show:
-        found = diagnose_setup(setup, rig, args.seed, reference, show)
+        found = diagnose_setup(setup, rig, args.seed, reference, show, args.workers)
     if args.json:
         write_json(args.json, diagnosis_document(found))
     if args.html:

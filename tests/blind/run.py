@@ -63,15 +63,16 @@ def make_cases(cases: Sequence[Case], root: Path, say: Say = print, **options: A
         say(f"made {count} of {len(missing)} cases, {_left(start, count, len(missing))}")
 
 
-def command_of(case: Case, cases: Path, answer: Path) -> list[str]:
-    """The command line that diagnoses a case."""
+def command_of(case: Case, cases: Path, answer: Path, share: int = 1) -> list[str]:
+    """The command line that diagnoses a case on `share` processes."""
     folder = cases / case.name
     without = [sys.executable, "-c", WITHOUT, case.effects[0]] if case.kind == "deleted" else list(COMMAND)
     runs = [str(folder / f"r{k}.csv") for k in range(1, RUNS + 1)]
-    return [*without, "diagnose", *runs, "--rig", str(folder / "rig.toml"), "--json", str(answer)]
+    return [*without, "diagnose", *runs, "--rig", str(folder / "rig.toml"), "--json", str(answer),
+            "--workers", str(share)]
 
 
-def diagnose(case: Case, cases: Path, out: Path, limit_s: float = LIMIT_S) -> dict[str, Any]:
+def diagnose(case: Case, cases: Path, out: Path, limit_s: float = LIMIT_S, share: int = 1) -> dict[str, Any]:
     """Have one case diagnosed; its JSON, with exit status, wall time and last words as `bench`, is kept in `out`.
 
     A diagnosis that leaves no JSON (an internal error, a limit) is kept as `fit_failed`, with what it said.
@@ -82,7 +83,7 @@ def diagnose(case: Case, cases: Path, out: Path, limit_s: float = LIMIT_S) -> di
     start = time.perf_counter()
     try:
         # a session of its own: an interrupt of the bench must not be kept as a diagnosis that failed
-        done = subprocess.run(command_of(case, cases, answer), capture_output=True, text=True, timeout=limit_s,
+        done = subprocess.run(command_of(case, cases, answer, share), capture_output=True, text=True, timeout=limit_s,
                               env=environment, check=False, start_new_session=True)
         status, said = done.returncode, (done.stderr.strip().splitlines() or [""])[-1]
     except subprocess.TimeoutExpired:
@@ -106,9 +107,9 @@ def run_cases(cases: Sequence[Case], root: Path, workers: int = 2, limit_s: floa
     left = sorted((c for c in cases if not (out / f"{c.name}.json").exists()), key=lambda c: c.seed)
     say(f"{len(cases) - len(left)} of {len(cases)} cases are diagnosed already")
     start = time.perf_counter()
-    pool = ThreadPoolExecutor(workers)
+    pool, share = ThreadPoolExecutor(workers), max(1, (os.cpu_count() or 1) // workers)
     try:
-        jobs = {pool.submit(diagnose, case, root / "cases", out, limit_s): case for case in left}
+        jobs = {pool.submit(diagnose, case, root / "cases", out, limit_s, share): case for case in left}
         for count, job in enumerate(as_completed(jobs), 1):
             found = job.result()
             names = ", ".join(c["effect"] for c in found["causes"])
