@@ -50,7 +50,8 @@ def loud(session: Session, model: Model, before: Mapping[str, tuple[float, float
     """The loudest channel in words; empty where none is too loud, beside what it was `before` if that is given."""
     worst, text = 1.0, ""
     for name, (ratio, limit) in ratios(session, model).items():
-        allowed = math.prod([limit, *(e.rough.get(name, 1.0) for e in model.effects)]) ** 2
+        rough = [f for e in model.effects for channel, f in e.rough.items() if name.startswith(channel)]
+        allowed = math.prod([limit, *rough]) ** 2
         if before is not None:
             allowed = max(allowed, 1.0 + SHARE * (before[name][0] ** 2 - 1.0))
         if ratio**2 > worst * allowed:

@@ -141,9 +141,11 @@ class Effect(ABC):
     """One of the first so many sizes is not zero where the effect is present; by default, of all."""
     whole_shapes: ClassVar[bool] = False
     """Shapes are whole numbers: held where the grid has them, not re-fitted."""
+    near_rest: ClassVar[bool] = False
+    """It acts where a joint reverses: there no rounded sign is right, and tests find a little of it in every leg."""
     rough: ClassVar[Mapping[str, float]] = {}
-    """Channel, as `estimator.levels` words it, to how much louder than usual it may stay beside this effect, whose law
-    is not exact there."""
+    """Channel, as `estimator.levels` begins its name, to how much louder than usual it may stay beside this effect,
+    whose law is not exact there."""
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
     """Sizes from which a re-fit begins, too, where the nominal fit is bad: its slopes say little of large ones."""
 

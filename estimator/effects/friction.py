@@ -16,6 +16,7 @@ class StribeckFriction(TorqueEffect):
     """F exp(-(v/vs)^2) sign(v)."""
 
     name = "stribeck_friction"
+    near_rest = True
     positive = True
     sizes = (Size("excess_torque", "N m", 0.01),)
     shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.2, 0.4, 0.8)),)  # slower is the rounding of sign(v)
@@ -54,6 +55,7 @@ class LoadDependentFriction(TorqueEffect):
     """
 
     name = "load_dependent_friction"
+    near_rest = True
     positive = True
     sizes = (Size("load_coefficient", "1", 0.01),)
     sentence = "friction grows with the torque that the joint transmits"
@@ -114,6 +116,7 @@ class PreslidingFriction(Effect):
     """
 
     name = "presliding_friction"
+    near_rest = True
     positive = True
     defining = 1
     sizes = (Size("level", "N m", 0.01), Size("bristle_damping", "N m s/rad", 0.005))

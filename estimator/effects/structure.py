@@ -170,7 +170,7 @@ class Backlash(GearEffect):
     sentence = "the gear has play: the link lies at one or the other side of a gap"
     reference = "Nordin and Gutman 2002"
     experiment = "slow torque reversals across zero with the link held by gravity"
-    rough: ClassVar[Mapping[str, float]] = {"gyro": 1.6, "accelerometer": 1.6}
+    rough: ClassVar[Mapping[str, float]] = {"gyro": 1.6, "accelerometer": 1.6, "torque": 1.3}
     """Flanks meet with an impact, shorter than a sample."""
 
     def eased(self, size: FloatArray, slack: float) -> FloatArray:
