@@ -24,6 +24,8 @@ FloatArray = NDArray[np.float64]
 BLOCK_S = 2.0
 """Length of a block of the gain's bootstrap."""
 DRAWS = 400
+REHEARSED = 10
+"""Rehearsals, one after the other, until one does not run off: their noise is drawn."""
 CONFUSABLE = 0.7
 NO_GAP = ("a free run cannot show the gain: noise alone, added up over a run, leaves about as much error as the "
           "nominal model has; what speaks for the extension is the likelihood of the confirm runs")
@@ -136,15 +138,15 @@ def resimulate(session: Session, model: Model, run: int, q1: FloatArray | None =
 def floor_errors(session: Session, model: Model, run: int, rng: np.random.Generator) -> dict[str, FloatArray]:
     """Squared free-run errors by sensor of a rehearsal of the model: what its noise alone leaves."""
     problem, state = smooth(session, model, run)
-    signals = rehearse(problem, state, session.runs[run], rng)
-    again = session.problem([run], model.problem.stage.reach, model.effects, signals=signals)
-    found = free_run(again, state, again.torque - torque_readings(problem, state))
     truth = free_run(problem, state)
-    if found is None or truth is None:
-        raise FitError("the rehearsal diverges")
-    simulated = sensed(problem, found)
-    measured = sensors_of(again, truth.q[:, 0])
-    return {k: (simulated[k] - v) ** 2 for k, v in measured.items()}
+    for _ in range(REHEARSED):
+        signals = rehearse(problem, state, session.runs[run], rng)
+        again = session.problem([run], model.problem.stage.reach, model.effects, signals=signals)
+        found = free_run(again, state, again.torque - torque_readings(problem, state))
+        if found is not None and truth is not None:
+            simulated = sensed(problem, found)
+            return {k: (simulated[k] - v) ** 2 for k, v in sensors_of(again, truth.q[:, 0]).items()}
+    raise FitError("the rehearsals diverge")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,10 @@ from estimator.start import gentle_start, start_state
 from estimator.wls import free_mask
 
 FloatArray = NDArray[np.float64]
-REHEARSALS = 2
+REHEARSALS = (2, 16)
+"""Fewest and most rehearsals of each run, in between as many as make up ..."""
+REHEARSED = 24_000
+"""... so many samples in all: with two of short records a verdict hangs on the seed."""
 SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
 """Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
 LONGER = ((1000.0, 6), (200.0, 6), (40.0, 6), (16.0, 6), (8.0, 6), (4.0, 6), (2.0, 8), (1.4, 8), (1.0, 30))
@@ -248,12 +251,13 @@ def rehearsal_scores(session: Session, model: Model, candidates: Sequence[Candid
                      rng: np.random.Generator) -> list[RunScore]:
     """Mean score of rehearsals of the model, one a discover run: the scores' bias when nothing is wrong."""
     states, seeds = run_states(session, model), rng.integers(2**63, size=len(session.discover))
+    count = int(np.clip(REHEARSED // model.problem.total, *REHEARSALS))
 
     def rehearsed(k: int) -> RunScore:
         i, own = session.discover[k], np.random.default_rng(seeds[k])
         problem = session.problem([i], model.problem.stage.reach, model.effects)
         found = []
-        for _ in range(REHEARSALS):
+        for _ in range(count):
             signals = rehearse(problem, states[k], session.runs[i], own)
             _, again = smooth(session, model, i, states[k].x, signals)
             scored = session.problem([i], model.problem.stage.reach, model.effects, candidates, signals)
