@@ -97,12 +97,13 @@ def validate(model: Model, runs: Sequence[Dataset], rig: RigLike, sensors: str |
 
 
 def diagnose(runs: Sequence[Dataset], rig: RigLike, seed: int = 0, reference: Model | None = None,
-             progress: Callable[[str, float], None] | None = None) -> Diagnosis:
+             progress: Callable[[str, float], None] | None = None, workers: int = 1) -> Diagnosis:
     """What the simulation of the rig's model gets wrong on `runs`, why, and what extending it gains.
 
     Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good. Of four in turn two
     are fitted, one helps to choose, one is opened once at the end. `seed` draws rehearsals and intervals; `reference`
-    is an earlier model whose parameters are compared; `progress` is called with (stage, fraction done).
+    is an earlier model whose parameters are compared; `progress` is called with (stage, fraction done). More `workers`
+    are processes forked from this one, so leave it at one in a program with threads.
 
     The result's `verdict` is none, named, one_of, unexplained or fit_failed; `causes` have sizes with units and 95 %
     intervals. Raises `InputError` for runs that do not belong together.
@@ -110,7 +111,7 @@ def diagnose(runs: Sequence[Dataset], rig: RigLike, seed: int = 0, reference: Mo
     rig = _rig(rig)
     setup = setup_of(runs, rig)
     values = None if reference is None else reference_values(reference, "reference", setup)
-    return diagnose_setup(setup, rig, seed, values, progress)
+    return diagnose_setup(setup, rig, seed, values, progress, workers)
 
 
 def model(found: FitResult | Diagnosis, runs: Sequence[Dataset], rig: RigLike) -> Model:
