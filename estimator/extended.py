@@ -236,8 +236,10 @@ class ExtendedProblem(LatentProblem):
 
     @cached_property
     def _precision(self) -> FloatArray:
-        """By each size and shape."""
-        return np.array([x for e in self.effects for x in (*(s.prior**-2 for s in e.sizes), *(0.0 for _ in e.shapes))])
+        """By each size and shape; priors are those of a rig with torques up to 1 N m rms, and grow with them."""
+        large = max(1.0, float(np.sqrt(np.mean(self.torque**2))))
+        return np.array([x for e in self.effects
+                         for x in (*((large * s.prior) ** -2 for s in e.sizes), *(0.0 for _ in e.shapes))])
 
 
 def _moved(at: Points, name: str, joint: int, by: float) -> Points:

@@ -1,4 +1,4 @@
-"""Which explanations of one gap are called a tie."""
+"""Which explanations of one gap are called a tie, and which are none: their effect is nil, or has the wrong sign."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import pytest
 from estimator.desk import Explained
 from estimator.effects import Effect
 from estimator.effects.drive import TorqueOffset
-from estimator.effects.friction import AsymmetricFriction
+from estimator.effects.friction import AsymmetricFriction, QuadraticDrag
 from estimator.effects.sensors import EncoderScale
-from estimator.effects.structure import JointStiffness, RotorInertia
+from estimator.effects.structure import JointElasticity, JointStiffness, RotorInertia
+from estimator.explaining import present
 from estimator.ties import tied
 
 
@@ -69,3 +70,16 @@ def test_a_preload_at_a_joint_without_motor_may_be_a_spring() -> None:
 def test_what_leaves_nothing_stands_before_what_is_likelier() -> None:
     likely = explained(EncoderScale(1), 1500.0, [0.0] * 6, clean=False)
     assert names(tied([likely, explained(RotorInertia(1), 1498.0, [0.5] * 6)])) == ["rotor_inertia"]
+
+
+@pytest.mark.parametrize(("effect", "sizes", "there"), [
+    (QuadraticDrag(1), [9.0], True),
+    (QuadraticDrag(1), [3.0], False),  # three standard deviations
+    (QuadraticDrag(1), [-9.0], False),  # drag that drives
+    (RotorInertia(1), [-9.0], False),
+    (JointElasticity(1), [9.0, 0.0, 0.0, 0.0], True),
+    (JointElasticity(1), [0.5, 30.0, 30.0, 30.0], False),  # its motor's friction and inertia alone
+    (AsymmetricFriction(1), [0.0, -9.0], True),
+    (JointStiffness(1), [-9.0, 0.0], True)])
+def test_an_effect_is_there_by_the_sizes_that_define_it(effect: Effect, sizes: list[float], there: bool) -> None:
+    assert present(explained(effect, 1000.0, [0.0] * 6, sizes).model, 1.0) is there
