@@ -36,6 +36,9 @@ WEIGH_STEPS = 25
 """... and of one under the noise levels of the best explanation."""
 LEFT_OVER = 0.03
 """What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
+COLLINEAR = 0.9
+"""Cosine above which one effect is tried in another's place. (Measured: beside asymmetric friction an encoder's disc
+off centre was named for its scale, which no pair had held.)"""
 NIL = 4.0
 """Standard deviations within which a size is nil: the rounding of dry friction near rest alone moves sizes by two."""
 _NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
@@ -44,7 +47,7 @@ RIVAL = 0.5
 
 
 def explain(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
-    """Fitted explanations; more effects only where no single closes. Those alike stand beside the best that closes."""
+    """Fitted explanations; more effects only where no single closes. Then the best that closes, parts exchanged."""
     found = search(desk, tests, say)
     closed = [e for e in found if e.closed]
     if not closed:
@@ -55,17 +58,17 @@ def explain(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
 
 
 def swapped(desk: Desk, tests: Tests, best: Explained, known: set[frozenset[str]]) -> list[Explained]:
-    """`best` with one effect after the other changed for each of its group (`Effect.alike`), as far as not `known`."""
+    """`best` with one effect after the other changed for each that it resembles, as far as not `known`."""
     model, out = best.model, []
     pairs = list(zip(model.effects, model.sizes()))
+    shapes = best_shapes(desk, tests)
     for k, effect in enumerate(model.effects):
-        for i in best_shapes(desk, tests, [e.key for e in model.effects]):
+        own = next(i for i in shapes if desk.candidates[i].effect.key == effect.key)
+        for i in shapes:
             other = desk.candidates[i].effect
-            here = None in (effect.joint, other.joint) or effect.joint == other.joint
-            if not effect.alike or other.alike != effect.alike or not here:
-                continue
             start = [*pairs[:k], (other, start_size(desk, tests, i)), *pairs[k + 1 :]]
-            if frozenset(e.key for e, _ in start) in known:
+            keys = frozenset(e.key for e, _ in start)
+            if keys in known or len(keys) < len(start) or not resemble(desk, tests, own, i):
                 continue
             both = weigh(desk, [pairs, start])
             found = next((e for e in both if other.key in keys_of(e)), None)
@@ -76,6 +79,16 @@ def swapped(desk: Desk, tests: Tests, best: Explained, known: set[frozenset[str]
                 out.append(replace(judged(desk, found, best.bias, scatter), gain=best.gain + more,
                                    by_run=best.by_run + found.by_run - mine.by_run))
     return out
+
+
+def resemble(desk: Desk, tests: Tests, i: int, k: int) -> bool:
+    """Whether the effects of two candidates are of one group (`Effect.alike`) at one joint, or nearly collinear."""
+    one, other = desk.candidates[i].effect, desk.candidates[k].effect
+    if one.alike and one.alike == other.alike:
+        return None in (one.joint, other.joint) or one.joint == other.joint
+    a, b = desk.columns[i][0], desk.columns[k][0]
+    information = tests.information
+    return bool(information[a, b] ** 2 > COLLINEAR**2 * information[a, a] * information[b, b] > 0.0)
 
 
 def keys_of(explained: Explained) -> frozenset[str]:
