@@ -169,7 +169,8 @@ def write_page(out: Path, date: datetime.date) -> str:
         f"{len(outcomes)} cases ({counts}), eight runs each, through `legid diagnose`. Seeds {describe_seeds(seeds)}. "
         + (f"Seeds {describe_seeds(tuned)} are for tuning: what they show is no claim. " if tuned
            else "None of these is among the seeds that are open for tuning (1 to 99). ")
-        + f"Machine: {describe_machine()}; diagnoses side by side as workers were asked for, each on its share of the cores.",
+        + f"Machine: {describe_machine()}; diagnoses side by side as workers were asked for, each on its share of the "
+        + "cores.",
         "Made by `make blind`. The targets stand in tests/blind/page.py. A single is moderate where its nominal "
         "free-run error is 2 to 5 times the floor, parameters projected out. For class deleted the hidden effect was "
         "taken out of the library; its target is that of causes outside the library.",
