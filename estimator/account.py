@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 BLOCK_S = 2.0
 """Length of a block of the gain's bootstrap."""
 DRAWS = 400
-REHEARSED = 10
+ATTEMPTS = 10
 """Rehearsals, one after the other, until one does not run off: their noise is drawn."""
 CONFUSABLE = 0.7
 NO_GAP = ("a free run cannot show the gain: noise alone, added up over a run, leaves about as much error as the "
@@ -139,11 +139,13 @@ def floor_errors(session: Session, model: Model, run: int, rng: np.random.Genera
     """Squared free-run errors by sensor of a rehearsal of the model: what its noise alone leaves."""
     problem, state = smooth(session, model, run)
     truth = free_run(problem, state)
-    for _ in range(REHEARSED):
+    if truth is None:
+        raise FitError("the free run diverges")
+    for _ in range(ATTEMPTS):
         signals = rehearse(problem, state, session.runs[run], rng)
         again = session.problem([run], model.problem.stage.reach, model.effects, signals=signals)
         found = free_run(again, state, again.torque - torque_readings(problem, state))
-        if found is not None and truth is not None:
+        if found is not None:
             simulated = sensed(problem, found)
             return {k: (simulated[k] - v) ** 2 for k, v in sensors_of(again, truth.q[:, 0]).items()}
     raise FitError("the rehearsals diverge")
@@ -267,7 +269,7 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
               rng: np.random.Generator | None) -> Diagnosis:
     """With the gain, the extended parameters and the pictures of `best`."""
     model, p = best.model, session.mechanism.p
-    inflation = float(np.sqrt(np.median(best.left.inflation)))
+    inflation = float(np.sqrt(best.left.scatter))
     names = session.mechanism.names
     found = replace(
         found, extended=dict(zip(names, map(float, model.state.beta[:p]))),
@@ -288,17 +290,13 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
 def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Cause]:
     """Sizes with 95 % intervals, widened by the scatter between runs; none of shapes at a limit of their range."""
     model = explained.model
-    at, unit = model.problem.mechanism.p, model.problem.mechanism.unit
-    widen = float(np.sqrt(np.median(explained.left.inflation)))
-    std = model.std() * widen
+    unit, std = model.problem.mechanism.unit, model.std() * float(np.sqrt(explained.left.scatter))
     keys, cosines = found.separability
     out = []
-    for effect, size in zip(model.named, model.sizes()):
+    for effect, size, here in zip(model.named, model.sizes(), model.places()):
         parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
-        here = slice(at, at + effect.count)
         sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), (float(v - 1.96 * d), float(v + 1.96 * d)))
                       for s, v, d, sought in zip(parts, size, std[here], model.state.beta[here]) if v == sought)
-        at += effect.count
         near: tuple[str, ...] = ()
         if effect.key in keys:
             row = np.abs(cosines[keys.index(effect.key)])

@@ -63,6 +63,10 @@ class Model:
         """One size vector an effect."""
         return self.problem.split(self.state.beta)[1]
 
+    def places(self) -> list[slice]:
+        """Where the sizes of each effect stand in the parameter vector."""
+        return self.problem.places()
+
     def std(self) -> FloatArray:
         """Standard deviations of the whole parameter vector, white noise taken for granted."""
         return np.sqrt(np.maximum(np.diag(self.state.covariance), 0.0))
@@ -122,9 +126,9 @@ def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatA
                   np.zeros((parameters.size, parameters.size)))
     free = np.ones(parameters.size, dtype=bool)
     free[:p] = free_mask(session.mechanism, session.options)[0]
-    for (effect, _), stop in zip(effects, p + np.cumsum([e.count for e, _ in effects])):
+    for (effect, _), place in zip(effects, problem.places()):
         if hold_shapes or effect.whole_shapes:
-            free[stop - len(effect.shapes) : stop] = False
+            free[place.stop - len(effect.shapes) : place.stop] = False
     floors = None if noise is not None else session.floors(problem, state.beta[:p])
     iterate(problem, state, free, session.options, floors, limit)
     if floors is not None and mistakes_torque(problem, state, floors):

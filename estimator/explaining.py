@@ -77,7 +77,7 @@ def swapped(desk: Desk, tests: Tests, best: Explained, known: set[frozenset[str]
             found = next((e for e in both if other.key in keys_of(e)), None)
             mine = next((e for e in both if keys_of(e) == keys_of(best)), None)
             if found is not None and mine is not None:
-                scatter = float(np.median(best.left.inflation))
+                scatter = best.left.scatter
                 more = (found.gain - mine.gain) / scatter  # both weighed under one noise, unlike `best`
                 out.append(replace(judged(desk, found, best.bias, scatter), gain=best.gain + more,
                                    by_run=best.by_run + found.by_run - mine.by_run))
@@ -195,7 +195,7 @@ def judge(desk: Desk, explained: Sequence[Explained]) -> list[Explained]:
         return []
     bias = rehearsed(desk, explained[0].model)
     first = judged(desk, explained[0], bias, None)
-    scatter = float(np.median(first.left.inflation))
+    scatter = first.left.scatter
     rivals = [e for e in explained[1:] if e.gain > RIVAL * explained[0].gain]
     return [first, *(judged(desk, e, bias, scatter) for e in rivals)]
 
@@ -225,12 +225,12 @@ def judged(desk: Desk, explained: Explained, rehearsals: Sequence[RunScore], sca
     gains = [desk.gain(left, i) if c.effect.key not in own else 0.0 for i, c in enumerate(desk.candidates)]
     best = int(np.argmax(gains))
     best_named = int(np.argmax(gains[: desk.named]))
-    gain = explained.gain / (float(np.median(left.inflation)) if scatter is None else scatter)
+    gain = explained.gain / (left.scatter if scatter is None else scatter)
     small = max(LEFT_OVER * gain, desk.material(desk.session.discover))
     least = desk.material(desk.session.discover)
     detectable = [g for i, g in enumerate(gains) if g > least and p_of(desk, left, i) < ALPHA]
     closed = (gain > least and max(detectable, default=0.0) < small and not desk.too_loud(model)
-              and present(model, float(np.sqrt(np.median(left.inflation)))))
+              and present(model, float(np.sqrt(left.scatter))))
     return replace(explained, gain=gain, left=left, best_left=best, best_named_left=best_named, closed=closed,
                    clean=not detectable, bias=tuple(rehearsals))
 
@@ -246,10 +246,8 @@ def present(model: Model, spread: float) -> bool:
 
 def significant(model: Model, which: int, spread: float) -> NDArray[np.bool_]:
     """For each size of one effect of `model`, whether it differs from zero beside its deviation times `spread`."""
-    effect, size = model.effects[which], model.sizes()[which]
-    begin = model.problem.mechanism.p + sum(e.count for e in model.effects[:which])
-    std = spread * model.std()[begin : begin + effect.count]
-    return np.asarray(np.abs(size) > NIL * std)[: len(effect.sizes)]
+    std = spread * model.std()[model.places()[which]]
+    return np.asarray(np.abs(model.sizes()[which]) > NIL * std)[: len(model.effects[which].sizes)]
 
 
 def padded(score: RunScore, added: int, at: int) -> RunScore:

@@ -130,11 +130,15 @@ class ExtendedProblem(LatentProblem):
         second = [np.pad(np.diff(part, 2) / self.dt**2, 1, mode="edge") for part in parts]
         return np.concatenate([np.gradient(part, self.dt) for part in parts]), np.concatenate(second)
 
+    def places(self) -> list[slice]:
+        """Where the sizes and shapes of each effect stand in the parameter vector."""
+        stops = self.mechanism.p + np.cumsum([e.count for e in self.effects], dtype=int)
+        return [slice(int(b) - e.count, int(b)) for e, b in zip(self.effects, stops)]
+
     def split(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """beta (p,) and one size vector an effect, its shapes kept within range."""
-        p = self.mechanism.p
-        stops = p + np.cumsum([e.count for e in self.effects])
-        return parameters[:p], [e.clipped(parameters[b - e.count : b]) for e, b in zip(self.effects, stops)]
+        sizes = [e.clipped(parameters[place]) for e, place in zip(self.effects, self.places())]
+        return parameters[: self.mechanism.p], sizes
 
     def eased(self, parameters: FloatArray, slack: float) -> FloatArray:
         """The parameter vector with every effect's law less steep; see `Effect.eased`."""

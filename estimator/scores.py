@@ -73,6 +73,11 @@ class Tests:
     lender: FloatArray | None = None
     """(c, c) information of the runs that lent their scatter."""
 
+    @property
+    def scatter(self) -> float:
+        """How much more variance than white noise all that is tested has between runs: the median of `inflation`."""
+        return float(np.median(self.inflation))
+
     def gain(self, columns: NDArray[np.intp]) -> float:
         """Twice the log likelihood that these columns would gain, over the scatter's inflation."""
         size = self.size(columns)

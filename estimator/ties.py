@@ -64,7 +64,7 @@ def settled(ties: list[Explained]) -> list[Explained]:
 
 def set_apart(explained: Explained) -> bool:
     """Whether an effect of a group has the size that sets it apart from the others."""
-    spread = float(np.sqrt(np.median(explained.left.inflation)))
+    spread = float(np.sqrt(explained.left.scatter))
     return any(e.alike and e.apart is not None and significant(explained.model, k, spread)[e.apart]
                for k, e in enumerate(explained.model.effects))
 

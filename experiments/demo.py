@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -15,6 +14,7 @@ from daq.plan import write_plan
 from daq.rig import Rig, parse_rig
 from estimator.fit import fit
 from estimator.result import FitResult
+from estimator.spread import cores
 from estimator.validation import Validation
 from estimator.verdict import Diagnosis
 from experiments.demo_files import write_results
@@ -109,7 +109,7 @@ def record_runs(out: Path, rig: Rig, rig_text: str, runs: int, seconds: float, s
                 hidden: Hidden) -> list[Path]:
     """All runs, on as many cores as there are, up to `WORKERS`. Returns the run files in order."""
     jobs = [(out, rig, rig_text, k, seconds, seed, body, hidden.effect) for k in range(runs)]
-    with ProcessPoolExecutor(min(WORKERS, os.cpu_count() or 1)) as pool:
+    with ProcessPoolExecutor(min(WORKERS, cores())) as pool:
         waiting = [pool.submit(record_demo_run, *job) for job in jobs]
         for done in progress(as_completed(waiting), "recording", len(jobs), "run"):
             done.result()

@@ -16,6 +16,7 @@ from multiprocessing import get_context, parent_process
 from typing import Any, Protocol, TypeVar
 
 from daq.errors import InputError, WorkError
+from estimator.spread import cores
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -125,5 +126,5 @@ def choose_executor(workers: int | None, cluster: str | None) -> Executor:
     """What `--workers` and `--cluster` ask for; by default one process a core."""
     if cluster is not None:
         return ClusterExecutor(cluster)
-    count = workers if workers is not None else len(os.sched_getaffinity(0))
+    count = workers if workers is not None else cores()
     return LocalExecutor(count) if count > 1 else SerialExecutor()

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import platform
 from importlib.metadata import version
 from pathlib import Path
 
+from estimator.spread import cores
+
 
 def machine() -> str:
     """Cores that this process may use, processor, system, and the versions that decide the speed of arrays."""
-    cores = len(os.sched_getaffinity(0))
+    count = cores()
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy"))
-    return (f"{cores} core{'s' if cores != 1 else ''}, {_processor()}, {platform.system()}, "
+    return (f"{count} core{'s' if count != 1 else ''}, {_processor()}, {platform.system()}, "
             f"Python {platform.python_version()}, {packages}")
 
 

@@ -23,9 +23,9 @@ def explained(effect: Effect, gain: float, by_run: list[float], sizes: list[floa
     """One effect with sizes in units of their standard deviations."""
     size = np.array(sizes or [20.0] * effect.count)
     model: Any = SimpleNamespace(effects=(effect,), named=(effect,), sizes=lambda: [size],
-                                 std=lambda: np.ones(5 + effect.count),
+                                 std=lambda: np.ones(5 + effect.count), places=lambda: [slice(5, 5 + effect.count)],
                                  problem=SimpleNamespace(mechanism=SimpleNamespace(p=5)))
-    left: Any = SimpleNamespace(inflation=np.ones(3))
+    left: Any = SimpleNamespace(scatter=1.0)
     return Explained(model, gain, left, 0, 0, True, clean, np.array(by_run))
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.arguments import whole_number
+
 HIDEABLE = ("none", "stribeck_friction", "asymmetric_friction", "rotor_inertia", "joint_stiffness", "quadratic_drag",
             "torque_offset", "gyro_bias", "sensor_time_skew")
 
@@ -41,11 +43,8 @@ def _runs(text: str) -> int:
     return int(text)
 
 
-def parse_seed(text: str) -> int:
-    """A seed from the command line."""
-    if not text.isdecimal() or int(text) >= 2**20:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number below {2**20}")
-    return int(text)
+parse_seed = whole_number(0, 2**20 - 1)
+"""A seed of an emulated leg."""
 
 
 def run(args: argparse.Namespace) -> int:

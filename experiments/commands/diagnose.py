@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.arguments import MOST_WORKERS, whole_number
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -20,25 +22,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--model-out", metavar="MODEL.json",
                         help="write the extended model (the nominal one where nothing was named) for validate and "
                              "simulate")
-    parser.add_argument("--seed", metavar="N", type=_seed, default=0,
+    parser.add_argument("--seed", metavar="N", type=whole_number(0, 2**32 - 1), default=0,
                         help="rehearsals and intervals are drawn from it; default: 0")
-    parser.add_argument("--workers", metavar="N", type=_count,
+    parser.add_argument("--workers", metavar="N", type=whole_number(1, MOST_WORKERS),
                         help="processes that share the work; default: one a core")
     parser.add_argument("--reference", metavar="MODEL.json",
                         help="an earlier model of this rig: parameters that changed are reported, a payload for one")
     parser.set_defaults(run=run)
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal() or int(text) >= 2**32:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number below {2**32}")
-    return int(text)
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 1024:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 1024")
-    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:

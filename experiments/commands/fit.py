@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.arguments import MOST_WORKERS, whole_number
+
 METHODS = ("mle", "wls", "rls", "hekf")
 
 
@@ -26,7 +28,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--each", action="store_true",
                         help="fit every run alone, side by side; --json then has schema legid.fits/1")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=_count, metavar="N", help="with --each: local processes; default: one a core")
+    where.add_argument("--workers", type=whole_number(1, MOST_WORKERS), metavar="N",
+                       help="with --each: local processes; default: one a core")
     where.add_argument("--cluster", metavar="ADDRESS",
                        help="with --each: an existing Dask scheduler that sees the same files")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON (schema legid.fit/1)")
@@ -41,12 +44,6 @@ def _assignment(text: str) -> tuple[str, float]:
         return name.strip(), float(value)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE") from None
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 1024:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 1024")
-    return int(text)
 
 
 def _run_each(args: argparse.Namespace) -> int:

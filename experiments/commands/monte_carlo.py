@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.arguments import whole_number
+
 METHODS = ("mle", "wls", "rls", "hekf")
 CHOICES = (*METHODS, "mle-free")
 MOST_RUNS = 1_000_000
@@ -17,15 +19,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "the models freely and print Table III beside the paper's numbers. An interrupted study goes on "
                     "where it stopped when the same command is given again.")
     parser.add_argument("model", choices=("biped3",), help="the walker of section V")
-    parser.add_argument("--runs", type=_count, default=1000, help="runs a case; default: 1000")
+    parser.add_argument("--runs", type=whole_number(1, MOST_RUNS), default=1000, help="runs a case; default: 1000")
     parser.add_argument("--cases", type=_cases, default=(1, 2, 3, 4, 5), metavar="1,2,...",
                         help="columns of Table II, and 5 for the failing case; default: all")
     parser.add_argument("--methods", type=_methods, default=METHODS, metavar="mle,wls,...",
                         help="default: mle,wls,rls,hekf; mle-free is the paper's own MLE, with free latents and "
                              "central differences")
-    parser.add_argument("--seed", type=_seed, default=1, help="all noise is drawn from it; default: 1")
+    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1,
+                        help="all noise is drawn from it; default: 1")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=_count, metavar="N", help="local processes; default: one a core")
+    where.add_argument("--workers", type=whole_number(1, MOST_RUNS), metavar="N",
+                       help="local processes; default: one a core")
     where.add_argument("--cluster", metavar="ADDRESS", help="an existing Dask scheduler, e.g. tcp://host:8786")
     parser.add_argument("--out", metavar="DIR", default="monte-carlo-out",
                         help="where finished work is kept, with runs.parquet and report.html; "
@@ -34,18 +38,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--markdown", metavar="FILE", help="write the page as Markdown too, its pictures beside it")
     parser.add_argument("--note", default="", metavar="TEXT", help="a sentence for the end of the page")
     parser.set_defaults(run=run)
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= MOST_RUNS:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to {MOST_RUNS}")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal() or int(text) >= 2**31:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number below {2**31}")
-    return int(text)
 
 
 def _cases(text: str) -> tuple[int, ...]:
