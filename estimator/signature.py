@@ -45,7 +45,8 @@ def signature(session: Session, nominal: Model, extended: Model, effect: Effect)
     x = extended.state.x
     view = extended.problem.view(x, extended.state.beta[: session.mechanism.p])
     added = effect.perturb(view, size)
-    if added.torque_at_samples is not None:
+    # what an effect adds to both its joint's torque and its encoder (a gear) shows in the encoder
+    if added.torque_at_samples is not None and not any(c.startswith("encoder") for c in added.readings):
         row = int(np.argmax(np.std(added.torque_at_samples, axis=1)))
         curve, y_label = added.torque_at_samples[row], f"left over at joint {row + 1} [{session.mechanism.force_unit}]"
         before = _torque_left(nominal)[:, row]

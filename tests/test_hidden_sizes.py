@@ -23,6 +23,7 @@ from estimator.mechanism import leg2
 from estimator.options import FitOptions
 from estimator.session import open_session
 from estimator.signalset import IMU_COLUMNS, SignalSet
+from estimator.signature import signature
 from tests.blind.cases import DrawnCase, catalogue, draw_case
 from tests.blind.effects import MOTOR_INERTIA
 from tests.blind.leg import stack
@@ -85,8 +86,12 @@ def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     session = open_session(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
     effect = Backlash(1)
     start = np.array([0.5 * gap, 0.0, 0.0, 0.0, 0.1])
-    model = refit(session, fit_nominal(session), [(effect, start)], 40)
+    nominal = fit_nominal(session)
+    model = refit(session, nominal, [(effect, start)], 40)
     assert model.sizes()[0][0] == pytest.approx(gap, rel=0.05)
+    picture = signature(session, nominal, model, effect)
+    assert picture is not None and picture.y_label == "reading of encoder2"
+    assert np.ptp(picture.curve) == pytest.approx(gap, rel=0.2)  # a step from one flank to the other
     # the law is a step of the torque: sought at once from filtered motion it leaves ten times as much
     problem, state = smooth(session, model, session.confirm[0])
     assert per_value(problem, state) < 2.0
