@@ -1,5 +1,6 @@
 """The emulated controller on a real pseudo-terminal: pyserial, threads and the machine's own clock."""
 
+import threading
 import time
 from collections.abc import Iterator
 from itertools import pairwise
@@ -54,6 +55,37 @@ def test_handshake_telemetry_and_torque_through_pyserial(rig: MockRig, server: P
         time.sleep(0.005)
     assert rig.firmware.drive.state in (State.DISARMED, State.FAULT)
     assert rig.firmware.drive.torque_nm == 0.0
+
+
+class Busy:
+    """A device that is long over its turn, as on a machine that has other work."""
+
+    def __init__(self) -> None:
+        self.heard, self.entered, self.go_on = b"", threading.Event(), threading.Event()
+
+    def receive(self, data: bytes, t_ns: int) -> None:
+        self.heard += data
+
+    def transmit(self, until_ns: int) -> list[tuple[int, bytes]]:
+        self.entered.set()
+        self.go_on.wait(PATIENCE_S)
+        return []
+
+
+def test_what_was_sent_before_the_plug_was_pulled_arrives() -> None:
+    device = Busy()
+    server = PtyServer(device)
+    link = SerialLink(server.path)
+    assert device.entered.wait(PATIENCE_S)
+    link.write(b"stop")
+    link.close()
+    pulled = threading.Thread(target=server.close)
+    pulled.start()
+    while server._running:
+        time.sleep(0.001)
+    device.go_on.set()
+    pulled.join()
+    assert device.heard == b"stop"
 
 
 def test_a_pty_has_no_low_latency_mode_and_says_so(server: PtyServer) -> None:

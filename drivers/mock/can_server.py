@@ -41,15 +41,19 @@ class CanServer:
         try:
             while self._running:
                 self._turn()
+            self._hear(0.0)  # on the bus before the node left it: a Stop, often
         except BaseException as error:
             self.failure = error
 
-    def _turn(self) -> None:
-        message = self._bus.recv(WAKE_S)
+    def _hear(self, wait_s: float) -> None:
+        message = self._bus.recv(wait_s)
         while message is not None:
             if not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
                 self._device.receive((CanFrame(message.arbitration_id, bytes(message.data)),), self._clock.now_ns())
             message = self._bus.recv(0)
+
+    def _turn(self) -> None:
+        self._hear(WAKE_S)
         for _, frames in self._device.transmit(self._clock.now_ns() + SEND_AHEAD_NS):
             for frame in frames:
                 self._bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False))

@@ -15,6 +15,8 @@ from drivers.mock.link import SerialDevice
 WAKE_S = 0.001
 SEND_AHEAD_NS = 50_000
 """What is due this soon is handed to the kernel now: an answer must not wait for the next turn."""
+LAST_WORD_S = 0.02
+"""How long the kernel may take over what was written just before the plug was pulled."""
 
 
 class PtyServer:
@@ -48,15 +50,22 @@ class PtyServer:
         try:
             while self._running:
                 self._turn()
+            while self._hear(LAST_WORD_S):  # on the wire before the plug was pulled: a Stop, often
+                pass
         except BaseException as error:
             self.failure = error
 
+    def _hear(self, wait_s: float) -> bool:
+        """Hand over the bytes that came in; whether there were any."""
+        readable, _, _ = select.select([self._master], [], [], wait_s)
+        if readable:
+            self._device.receive(os.read(self._master, 65536), self._clock.now_ns())
+        return bool(readable)
+
     def _turn(self) -> None:
         """Bytes that came in go to the device before its time moves on: a late thread must not starve it."""
-        readable, _, _ = select.select([self._master], [], [], WAKE_S)
+        self._hear(WAKE_S)
         now = self._clock.now_ns()
-        if readable:
-            self._device.receive(os.read(self._master, 65536), now)
         data = b"".join(frame for _, frame in self._device.transmit(now + SEND_AHEAD_NS))
         try:
             while data:
