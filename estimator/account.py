@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from estimator.desk import Explained
 from estimator.effects.base import Shape, Size
@@ -269,13 +270,13 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
               rng: np.random.Generator | None) -> Diagnosis:
     """With the gain, the extended parameters and the pictures of `best`."""
     model, p = best.model, session.mechanism.p
-    inflation = float(np.sqrt(best.left.scatter))
+    spread = np.sqrt(best.inflation[: model.width])
     names = session.mechanism.names
     found = replace(
         found, extended=dict(zip(names, map(float, model.state.beta[:p]))),
-        extended_std=dict(zip(names, map(float, inflation * model.std()[:p]))),
+        extended_std=dict(zip(names, map(float, spread[:p] * model.std()[:p]))),
         effects=tuple(zip(model.named, model.sizes())), extended_beta=model.state.beta[:model.width].copy(),
-        extended_covariance=inflation**2 * model.state.covariance[:model.width, :model.width],
+        extended_covariance=np.outer(spread, spread) * model.state.covariance[:model.width, :model.width],
         signatures=tuple(s for e in model.named if (s := signature(session, nominal, model, e)) is not None))
     try:
         gain = measure_gain(session, nominal, model, rng or np.random.default_rng(0))
@@ -288,15 +289,18 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
 
 
 def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Cause]:
-    """Sizes with 95 % intervals, widened by the scatter between runs; none of shapes at a limit of their range."""
+    """Sizes with 95 % intervals by Student's t, of their own scatter between runs; none of shapes at a limit of their
+    range."""
     model = explained.model
-    unit, std = model.problem.mechanism.unit, model.std() * float(np.sqrt(explained.left.scatter))
+    unit, half = model.problem.mechanism.unit, np.zeros(model.problem.parameter_count)
+    half[: model.width] = np.sqrt(explained.inflation[: model.width]) * model.std()[: model.width]
+    half *= student.isf(0.025, explained.left.freedom)
     keys, cosines = found.separability
     out = []
     for effect, size, here in zip(model.named, model.sizes(), model.places()):
         parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
-        sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), (float(v - 1.96 * d), float(v + 1.96 * d)))
-                      for s, v, d, sought in zip(parts, size, std[here], model.state.beta[here]) if v == sought)
+        sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), (float(v - d), float(v + d)))
+                      for s, v, d, sought in zip(parts, size, half[here], model.state.beta[here]) if v == sought)
         near: tuple[str, ...] = ()
         if effect.key in keys:
             row = np.abs(cosines[keys.index(effect.key)])

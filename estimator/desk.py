@@ -45,6 +45,8 @@ class Explained:
     """(R,) misfit of each discover run, under the noise levels of those that it was weighed with"""
     bias: tuple[RunScore, ...] = ()
     """What its scores are on average when it is right, one a discover run, its own sizes left out."""
+    inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(m,) how much more variance than white noise gives them its parameters have; see `scores.own_inflation`"""
 
 
 @dataclass

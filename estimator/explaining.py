@@ -22,7 +22,7 @@ from estimator.evidence import (
     tests_of,
 )
 from estimator.gauss_newton import State
-from estimator.scores import RunScore, Tests
+from estimator.scores import RunScore, Tests, own_inflation
 from estimator.spread import spread
 
 FloatArray = NDArray[np.float64]
@@ -231,8 +231,9 @@ def judged(desk: Desk, explained: Explained, rehearsals: Sequence[RunScore], sca
     detectable = [g for i, g in enumerate(gains) if g > least and p_of(desk, left, i) < ALPHA]
     closed = (gain > least and max(detectable, default=0.0) < small and not desk.too_loud(model)
               and present(model, float(np.sqrt(left.scatter))))
+    own_scatter = own_inflation(scores, np.diag(model.state.covariance) > 0.0, left.scatter)
     return replace(explained, gain=gain, left=left, best_left=best, best_named_left=best_named, closed=closed,
-                   clean=not detectable, bias=tuple(rehearsals))
+                   clean=not detectable, bias=tuple(rehearsals), inflation=own_scatter)
 
 
 def present(model: Model, spread: float) -> bool:

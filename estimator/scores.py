@@ -136,22 +136,45 @@ def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | 
     if scatter is not None:
         inflation, freedom, lender = scatter.inflation, scatter.freedom, scatter.information
     else:
-        inflation, freedom = _inflation(scores, information)
+        inflation, freedom = _inflation(scores, np.einsum("rcc->rc", information))
         lender = None
     return Tests(scores, information, scores.sum(axis=0), pooled, inflation, freedom, np.diag(total)[nuisance:].copy(),
                  lender)
 
 
-def _inflation(scores: FloatArray, information: FloatArray) -> tuple[FloatArray, float]:
-    """Scatter of the scores about their share of the pooled score, shrunk towards the candidates' median."""
+def own_inflation(runs: Sequence[RunScore], free: NDArray[np.bool_], least: float) -> FloatArray:
+    """(m,) by how much the model's own first m parameters, as far as `free`, scatter between runs over what white
+    noise would make them; towards their median, which is not taken below `least`.
+
+    Noise of the torque that lasts longer than a sample scatters a moment of gravity more than it does a bias of the
+    gyro. The efficient score of one parameter has all others projected out: by the inverse C of the pooled
+    information, s_k = (C s)_k / C_kk.
+    """
+    out = np.full(free.size, least)
+    which = np.flatnonzero(free)
+    informations = np.array([r.information[np.ix_(which, which)] for r in runs])
+    scale = np.sqrt(np.maximum(np.einsum("rkk->k", informations), 1e-300))
+    informations = informations / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(informations.sum(axis=0))
+    inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T
+    rows = inverse / np.diag(inverse)[:, None]
+    scores = np.array([r.score[which] / scale for r in runs]) @ rows.T
+    found, _ = _inflation(scores, np.einsum("ki,rij,kj->rk", rows, informations, rows), least)
+    out[which] = found
+    return out
+
+
+def _inflation(scores: FloatArray, own: FloatArray, least: float = 1.0) -> tuple[FloatArray, float]:
+    """Scatter of the scores (R, c), with information `own` (R, c), about their share of the pooled score, shrunk
+    towards the columns' median."""
     runs = scores.shape[0]
-    own = np.maximum(np.einsum("rcc->rc", information), 1e-100)
+    own = np.maximum(own, 1e-100)
     share = own / own.sum(axis=0)
     excess = scores - share * scores.sum(axis=0)
     if runs < 2:
-        return np.ones(scores.shape[1]), float(PRIOR_RUNS)
+        return np.full(scores.shape[1], least), float(PRIOR_RUNS)
     variance = np.sum(excess**2 / own, axis=0) / (runs - 1)
-    common = max(1.0, float(np.median(variance)) / float(chi2.median(runs - 1) / (runs - 1)))
+    common = max(least, float(np.median(variance)) / float(chi2.median(runs - 1) / (runs - 1)))
     inflation = (PRIOR_RUNS * common + (runs - 1) * variance) / (PRIOR_RUNS + runs - 1)
     return np.maximum(inflation, 1.0), float(PRIOR_RUNS + runs - 1)
 

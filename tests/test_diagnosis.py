@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.stats import t as student
 
 from daq.dataset import Dataset
 from estimator import evidence
@@ -19,7 +21,7 @@ from estimator.gauss_newton import State, iterate
 from estimator.latent import Latents
 from estimator.mechanism import joint1, leg2
 from estimator.options import FitOptions
-from estimator.scores import RunScore, project
+from estimator.scores import RunScore, own_inflation, project
 from estimator.session import open_session
 from estimator.signalset import SignalSet, split_signals
 from tests.mujoco_leg import Leg, record
@@ -144,6 +146,29 @@ def test_what_the_parameters_imitate_has_no_smallest_size() -> None:
     tests = project(runs, 1)
     assert tests.detectable(0, 0.01, 0.0) == np.inf
     assert 0.0 < tests.detectable(1, 0.01, 0.0) < 1.0
+
+
+def test_intervals_hold_where_noise_lasts_longer_than_a_sample() -> None:
+    """Least squares of a slow and a fast column under noise of ten samples' memory, taken for white."""
+    rng, missed, narrow = np.random.default_rng(5), np.zeros(2), np.zeros(2)
+    samples, cases = 400, 300
+    t = np.arange(samples)
+    for _ in range(cases):
+        phases = 2 * np.pi * rng.random((6, 2))
+        rows = np.array([np.column_stack([np.sin(0.03 * t + a), np.sin(1.5 * t + b)]) for a, b in phases])
+        noise = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], rng.normal(size=(6, samples + 100)))[:, 100:]
+        information = np.einsum("rki,rkj->rij", rows, rows)
+        inverse = np.linalg.inv(information.sum(axis=0))
+        error = inverse @ np.einsum("rki,rk->i", rows, noise)
+        left = noise - rows @ error
+        scores = [RunScore(rows[r].T @ left[r], information[r]) for r in range(6)]
+        inflation = own_inflation(scores, np.ones(2, dtype=bool), 1.0)
+        std = np.sqrt(np.diag(inverse))
+        missed += np.abs(error) > student.isf(0.025, 13.0) * np.sqrt(inflation) * std
+        narrow += np.abs(error) > 1.96 * std
+    assert missed[0] / cases < 0.15
+    assert missed[1] / cases < 0.05
+    assert narrow[0] / cases > 0.4
 
 
 def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, list[Dataset]],
