@@ -13,7 +13,7 @@ from estimator.errors import FitError
 from estimator.extended import Candidate, ExtendedProblem
 from estimator.gauss_newton import MAX_ITERATIONS, State, iterate, mistakes_torque
 from estimator.latent import Latents, Noise
-from estimator.rehearsal import rehearse
+from estimator.rehearsal import perform, rehearse
 from estimator.scores import RunScore, Tests, project, score_run
 from estimator.session import Session
 from estimator.spread import spread
@@ -261,8 +261,9 @@ def rehearsal_scores(session: Session, model: Model, candidates: Sequence[Candid
         i, own = session.discover[k], np.random.default_rng(seeds[k])
         problem = session.problem([i], model.problem.stage.reach, model.effects)
         found = []
+        staged = None if session.mechanism.passive else perform(problem, states[k], own)
         for _ in range(count):
-            signals = rehearse(problem, states[k], session.runs[i], own)
+            signals = rehearse(problem, states[k], session.runs[i], own, staged)
             _, again = smooth(session, model, i, states[k].x, signals)
             scored = session.problem([i], model.problem.stage.reach, model.effects, candidates, signals)
             found.append(score_run(scored, again))

@@ -112,36 +112,57 @@ def _relaxed(problem: ExtendedProblem, state: State, u: FloatArray, depth: int
 
 
 def _marched(problem: ExtendedProblem, state: State, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """As `_relaxed`, by plain iteration of one short window after the other: effects are causal.
+    """As `_relaxed`, one short window after the other: effects are causal.
 
-    A law that grows with the angle (a ripple) feeds back over a whole record more than over a window.
+    A law that grows with the angle (a ripple) feeds back over a whole record more than over a window, and one that
+    grows with the acceleration (friction under load) over a window more than over a step. So a window in which steps do
+    not settle is halved.
     """
-    m, c = problem.mechanism, problem.collocation
-    beta, sizes = problem.simulated(state.beta)
     q, v = state.x.q.copy(), state.x.v.copy()
-    samples = np.zeros((m.n, problem.total))
-    step = max(2, round(WINDOW_S / c.dt))
+    samples = np.zeros((problem.mechanism.n, problem.total))
+    longest = max(2, round(WINDOW_S / problem.collocation.dt))
     for begin, end in zip([0, *problem.ends[:-1]], problem.ends):
-        for start in range(begin, end - 1, step):
-            stop = min(start + step, end - 1)
-            where, here = slice(start, stop + 1), np.flatnonzero((problem.left >= start) & (problem.left < stop))
-            for _ in range(WINDOW_PASSES):
-                with np.errstate(all="ignore"):
-                    gauss, new, _ = problem.added(problem.view(Latents(q, v, u), beta, samples), sizes)
-                samples[:, where] = new.reshape(m.n, -1)[:, where]
-                if not (np.isfinite(gauss[:, :, here]).all() and np.isfinite(samples[:, where]).all()):
-                    return None
-                next_q, next_v, _ = simulate(m, beta, q[start], v[start], u[where], c.dt, c.hold,
-                                             guess=(q[where], v[where]), taken=gauss[:, :, here])
-                if not np.isfinite(next_q).all():
-                    return None
-                moved = float(np.max(np.abs(next_q - q[where])))
-                q[where], v[where] = next_q, next_v
-                if moved < SETTLED_RAD:
-                    break
-            if moved > LOOSE_RAD:
+        start, step = begin, longest
+        while start < end - 1:
+            window = slice(start, min(start + step, end - 1) + 1)
+            found = _window(problem, state, u, window, (q, v, samples))
+            if found is not None:
+                q, v, samples = found
+                start, step = window.stop - 1, min(2 * step, longest)
+            elif step > 1:
+                step //= 2
+            else:
                 return None
     return q, v, samples
+
+
+def _window(problem: ExtendedProblem, state: State, u: FloatArray, where: slice,
+            before: tuple[FloatArray, FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """`before` with the motion in `where` simulated from its first sample; None where that does not settle."""
+    m, c = problem.mechanism, problem.collocation
+    beta, sizes = problem.simulated(state.beta)
+    q, v, samples = (x.copy() for x in before)
+    here = np.flatnonzero((problem.left >= where.start) & (problem.left < where.stop - 1))
+    taken, share, last = np.zeros((m.n, 2, here.size)), 1.0, np.inf
+    for _ in range(WINDOW_PASSES):
+        with np.errstate(all="ignore"):
+            gauss, new, _ = problem.added(problem.view(Latents(q, v, u), beta, samples), sizes)
+        taken += share * (gauss[:, :, here] - taken)
+        samples[:, where] += share * (new.reshape(m.n, -1)[:, where] - samples[:, where])
+        if not (np.isfinite(taken).all() and np.isfinite(samples[:, where]).all()):
+            return None
+        next_q, next_v, _ = simulate(m, beta, q[where.start], v[where.start], u[where], c.dt, c.hold,
+                                     guess=(q[where], v[where]), taken=taken)
+        if not np.isfinite(next_q).all():
+            return None
+        moved = float(np.max(np.abs(next_q - q[where])))
+        q[where], v[where] = next_q, next_v
+        if moved < SETTLED_RAD:
+            break
+        if moved > 0.9 * last:
+            share = max(0.2, 0.7 * share)
+        last = moved
+    return (q, v, samples) if moved <= LOOSE_RAD else None
 
 
 class Anderson:

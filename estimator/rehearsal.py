@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import FitError
 from estimator.extended import ExtendedProblem
-from estimator.freerun import free_run
+from estimator.freerun import FreeRun, free_run
 from estimator.gauss_newton import State
 from estimator.signals import quantum
 from estimator.signalset import IMU_COLUMNS, SignalSet
@@ -22,12 +22,10 @@ from estimator.signalset import IMU_COLUMNS, SignalSet
 FloatArray = NDArray[np.float64]
 
 
-def rehearse(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet],
-             rng: np.random.Generator) -> list[SignalSet]:
-    """One synthetic record for each stretch in `signals`, driven by the torque in `state`.
+def perform(problem: ExtendedProblem, state: State, rng: np.random.Generator) -> FreeRun:
+    """What the model does under the torque in `state`; always the same where no joint is passive.
 
-    Angles fall on the grid of the real encoder where it shows one; the other noise is white at the levels
-    found. Raises `FitError` where the model's own simulation does not stay with the run.
+    Raises `FitError` where its simulation does not stay with the run.
     """
     drive = problem.motor_torque(state.x, state.beta)
     for j in problem.mechanism.passive:  # what the fit put there is what the model gets wrong
@@ -35,6 +33,17 @@ def rehearse(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet
     run = free_run(problem, state, drive)
     if run is None:
         raise FitError("the fitted model's own simulation diverges")
+    return run
+
+
+def rehearse(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet], rng: np.random.Generator,
+             run: FreeRun | None = None) -> list[SignalSet]:
+    """One synthetic record for each stretch in `signals` of `run`, by default a new one.
+
+    Angles fall on the grid of the real encoder where it shows one; the other noise is white at the levels
+    found. Raises `FitError` as `perform` does.
+    """
+    run = run or perform(problem, state, rng)
     out = []
     noise = state.noise
     for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
 from estimator.effects import Effect
@@ -19,7 +20,7 @@ from estimator.extended import ExtendedProblem, Stage
 from estimator.freerun import _relaxed, free_run
 from estimator.gauss_newton import State
 from estimator.latent import Latents, Noise
-from estimator.mechanism import leg2
+from estimator.mechanism import joint1, leg2
 from estimator.options import FitOptions
 from estimator.session import open_session
 from estimator.signalset import IMU_COLUMNS, SignalSet
@@ -148,3 +149,30 @@ def test_a_fast_ripple_is_simulated_freely() -> None:
     assert _relaxed(problem, moved, driven, 0) is None  # plain iteration over the whole record runs off
     # 200 periods a rad: after two seconds an error of a hundredth of a rad is another ripple
     assert np.abs(run.q - x.q)[:100].max() < 0.02 * np.ptp(x.q[:100, 1])
+
+
+def test_friction_under_a_load_that_follows_from_acceleration_is_simulated_freely() -> None:
+    """A servo under a voltage: V = L + mu |L| s + viscous qd + coulomb s with the load L = J qdd + G sin(q), so that
+    L = (V - viscous qd - coulomb s) / (1 + mu s sign(L)); the divisor is positive, and so L has the numerator's sign.
+    """
+    inertia, moment, viscous, coulomb, mu, rate_hz, count = 0.05, 0.12, 0.15, 0.1, 0.43, 25.0, 150
+    grid = np.arange(count) / rate_hz
+    volts = 1.5 * np.sin(3.0 * grid) + 0.8 * np.sin(7.0 * grid + 1.0)
+
+    def rates(t: float, y: NDArray[np.float64]) -> list[float]:
+        sign = np.tanh(y[1] / 0.02)
+        driving = np.interp(t, grid, volts) - viscous * y[1] - coulomb * sign
+        load = driving / (1.0 + mu * sign * np.sign(driving))
+        return [y[1], (load - 9.81 * moment * np.sin(y[0])) / inertia]
+
+    truth = solve_ivp(rates, (0.0, grid[-1]), [0.1, 0.0], t_eval=grid, rtol=1e-6, atol=1e-8, max_step=2e-3).y
+    mechanism = joint1(voltage=True, velocity_scale=0.05)
+    signals = SignalSet("r", rate_hz, grid, truth[0][:, None], volts[:, None], {})
+    stage = Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0]]), 1.0)
+    problem = ExtendedProblem([signals], mechanism, "linear", stage, [LoadDependentFriction(0)])
+    x = Latents(truth[0][:, None], truth[1][:, None], volts[:, None])
+    noise = Noise(np.array([0.1]), np.array([1e-3]), 1.0, 1.0)
+    state = State(x, np.array([inertia, moment, viscous, coulomb, mu]), noise, np.eye(5))
+    run = free_run(problem, state, volts[:, None])
+    assert run is not None
+    assert np.abs(run.q[:, 0] - truth[0]).max() < 0.06 * np.ptp(truth[0])
