@@ -270,13 +270,13 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
               rng: np.random.Generator | None) -> Diagnosis:
     """With the gain, the extended parameters and the pictures of `best`."""
     model, p = best.model, session.mechanism.p
-    spread = np.sqrt(best.inflation[: model.width])
+    covariance = best.covariance()
     names = session.mechanism.names
     found = replace(
         found, extended=dict(zip(names, map(float, model.state.beta[:p]))),
-        extended_std=dict(zip(names, map(float, spread[:p] * model.std()[:p]))),
+        extended_std=dict(zip(names, map(float, np.sqrt(np.diag(covariance)[:p])))),
         effects=tuple(zip(model.named, model.sizes())), extended_beta=model.state.beta[:model.width].copy(),
-        extended_covariance=np.outer(spread, spread) * model.state.covariance[:model.width, :model.width],
+        extended_covariance=covariance,
         signatures=tuple(s for e in model.named if (s := signature(session, nominal, model, e)) is not None))
     try:
         gain = measure_gain(session, nominal, model, rng or np.random.default_rng(0))
@@ -292,9 +292,8 @@ def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Ca
     """Sizes with 95 % intervals by Student's t, of their own scatter between runs; none of shapes at a limit of their
     range."""
     model = explained.model
-    unit, half = model.problem.mechanism.unit, np.zeros(model.problem.parameter_count)
-    half[: model.width] = np.sqrt(explained.inflation[: model.width]) * model.std()[: model.width]
-    half *= student.isf(0.025, explained.left.freedom)
+    unit = model.problem.mechanism.unit
+    half = float(student.isf(0.025, explained.left.freedom)) * np.sqrt(np.diag(explained.covariance()))
     keys, cosines = found.separability
     out = []
     for effect, size, here in zip(model.named, model.sizes(), model.places()):

@@ -47,6 +47,15 @@ class Explained:
     """What its scores are on average when it is right, one a discover run, its own sizes left out."""
     inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(m,) how much more variance than white noise gives them its parameters have; see `scores.own_inflation`"""
+    moved: FloatArray | None = None
+    """(m,) by how much a sharper rounding of dry friction moved its parameters: as much again is uncertain of them"""
+
+    def covariance(self) -> FloatArray:
+        """(m, m) of the parameters that belong to the leg, from noise, scatter between runs, and rounding."""
+        model, width = self.model, self.model.width
+        spread = np.sqrt(self.inflation[:width])
+        found = np.outer(spread, spread) * model.state.covariance[:width, :width]
+        return found if self.moved is None else found + np.outer(self.moved, self.moved)
 
 
 @dataclass

@@ -45,6 +45,7 @@ LEFT_OVER_CONFIRM = 0.3
 gain; see explaining.LEFT_OVER."""
 ANOTHER = 0.25
 """Share, beside three standard deviations, by which a sharper rounding may move a size; more is another explanation."""
+NIL_SIZES = "a size that makes it what it is could as well be nil, or has a sign that it cannot have"
 LEAST_CLOSED = 0.0
 """Share of the free-run gap on the confirm runs that the interval of a named share must reach. Torque noise adds
 up over a run, to more than the white noise of `noise alone`, and parameters can imitate most of a rotor: a right cause
@@ -132,7 +133,8 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
         best = max(options, key=lambda o: o.gain)
         what = desk.candidates[best.best_left].effect
         label = what.key if not isinstance(what, AnonymousTorque | AnonymousReading) else "a term without a name"
-        why = desk.too_loud(best.model) or f"beside it {label} is still detectable"
+        left = f"beside it {label} is still detectable"
+        why = desk.too_loud(best.model) or (NIL_SIZES if best.clean else left)
         return account.unexplained(base, session, desk.nominal, best, why, rng)
     fewest = len(closed[0].model.effects)
     ties = tied([o for o in closed if len(o.model.effects) == fewest])
@@ -183,11 +185,7 @@ def sharpened(desk: Desk, explained: Explained) -> Explained:
     moved = np.abs(np.concatenate(again.sizes()[: len(model.effects)]) - np.concatenate(model.sizes()))
     if np.any(moved > ANOTHER * np.abs(np.concatenate(model.sizes())) + 3.0 * model.std()[desk.session.mechanism.p :]):
         return explained
-    between = again.state.beta.copy()
-    between[: model.width] -= model.state.beta[: model.width]
-    between[model.width :] = 0.0
-    again.state.covariance += np.outer(between, between)
-    return replace(explained, model=again)
+    return replace(explained, model=again, moved=again.state.beta[: model.width] - model.state.beta[: model.width])
 
 
 def _p_of_gain(explained: Explained) -> float:

@@ -135,8 +135,8 @@ class Effect(ABC):
     """Effects of one such group cannot be told apart by small differences: these stem from what no model has right."""
     apart: ClassVar[int | None] = None
     """Which size sets an effect apart from its group: without it, it is the same function of the motion."""
-    positive: ClassVar[bool] = False
-    """Its first size is above zero where the effect is present: friction that drives is none."""
+    positive: ClassVar[int] = 0
+    """Its first so many sizes are not below zero where the effect is present: friction that drives is none."""
     defining: ClassVar[int | None] = None
     """One of the first so many sizes is not zero where the effect is present; by default, of all."""
     whole_shapes: ClassVar[bool] = False
@@ -146,6 +146,9 @@ class Effect(ABC):
     rough: ClassVar[Mapping[str, float]] = {}
     """Channel, as `estimator.levels` begins its name, to how much louder than usual it may stay beside this effect,
     whose law is not exact there."""
+    exact: ClassVar[bool] = False
+    """Its law is a definition (a bias, a scale, an offset), not a form that stands for many: what it leaves is not a
+    difference of form, but something else."""
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
     """Sizes from which a re-fit begins, too, where the nominal fit is bad: its slopes say little of large ones."""
 

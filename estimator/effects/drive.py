@@ -52,7 +52,7 @@ class TorqueSaturation(TorqueSensorEffect):
     """The torque that acts falls short of the measured one at high level: reading = u + c u^3."""
 
     name = "torque_saturation"
-    positive = True
+    positive = 1
     sizes = (Size("cubic_shortfall", "1/(N m)^2", 0.01),)
     sentence = "at high current the motor gives less torque than the current says (saturation)"
     reference = "magnetic saturation, leading odd term"
@@ -67,6 +67,7 @@ class TorqueOffset(TorqueSensorEffect):
 
     name = "torque_offset"
     alike = CONSTANT
+    exact = True
     sizes = (Size("offset", "N m", 0.01),)
     sentence = "the measured torque has an offset (shunt zero)"
     reference = "contracts: torque from the current shunt"

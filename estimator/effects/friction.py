@@ -17,7 +17,7 @@ class StribeckFriction(TorqueEffect):
 
     name = "stribeck_friction"
     near_rest = True
-    positive = True
+    positive = 1
     sizes = (Size("excess_torque", "N m", 0.01),)
     shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.2, 0.4, 0.8)),)  # slower is the rounding of sign(v)
     sentence = "friction is higher near standstill than in motion (Stribeck)"
@@ -56,7 +56,7 @@ class LoadDependentFriction(TorqueEffect):
 
     name = "load_dependent_friction"
     near_rest = True
-    positive = True
+    positive = 1
     sizes = (Size("load_coefficient", "1", 0.01),)
     sentence = "friction grows with the torque that the joint transmits"
     reference = "Duclusaud, Passault, Padois, Ly 2025"
@@ -81,7 +81,7 @@ class QuadraticDrag(TorqueEffect):
     """c v |v|."""
 
     name = "quadratic_drag"
-    positive = True
+    positive = 1
     sizes = (Size("drag", "N m s^2/rad^2", 0.001),)
     sentence = "drag grows with the square of the speed"
     reference = "effects of air and churning; quadratic drag law"
@@ -117,7 +117,7 @@ class PreslidingFriction(Effect):
 
     name = "presliding_friction"
     near_rest = True
-    positive = True
+    positive = 2  # bristles that drove would give back more than they took: a hysteresis that fades does
     defining = 1
     sizes = (Size("level", "N m", 0.01), Size("bristle_damping", "N m s/rad", 0.005))
     shapes = (Shape("displacement", "rad", (0.003, 0.01, 0.03, 0.1)),)
