@@ -269,9 +269,10 @@ def present(model: Model, spread: float) -> bool:
     return True
 
 
-def significant(model: Model, which: int, spread: float) -> NDArray[np.bool_]:
-    """For each size of one effect of `model`, whether it differs from zero beside its deviation times `spread`."""
-    std = spread * model.std()[model.places()[which]]
+def significant(model: Model, which: int, spread: float | FloatArray) -> NDArray[np.bool_]:
+    """For each size of one effect of `model`, whether it differs from zero beside its deviation times `spread`, one
+    for all parameters or one each."""
+    std = (spread * model.std())[model.places()[which]]
     return np.asarray(np.abs(model.sizes()[which]) > NIL * std)[: len(model.effects[which].sizes)]
 
 

@@ -63,8 +63,11 @@ def settled(ties: list[Explained]) -> list[Explained]:
 
 
 def set_apart(explained: Explained) -> bool:
-    """Whether an effect of a group has the size that sets it apart from the others."""
-    spread = float(np.sqrt(explained.left.scatter))
+    """Whether an effect of a group has the size that sets it apart from the others, beside its own scatter too.
+
+    (Measured: an offset was named a spring of -0.02 N m/rad, 3.5 of its own deviations.)
+    """
+    spread = np.sqrt(np.maximum(explained.inflation, explained.left.scatter))
     return any(e.alike and e.apart is not None and significant(explained.model, k, spread)[e.apart]
                for k, e in enumerate(explained.model.effects))
 

@@ -19,14 +19,15 @@ from estimator.ties import tied
 
 
 def explained(effect: Effect, gain: float, by_run: list[float], sizes: list[float] | None = None,
-              clean: bool = True) -> Explained:
+              clean: bool = True, inflation: float = 1.0) -> Explained:
     """One effect with sizes in units of their standard deviations."""
     size = np.array(sizes or [20.0] * effect.count)
     model: Any = SimpleNamespace(effects=(effect,), named=(effect,), sizes=lambda: [size],
                                  std=lambda: np.ones(5 + effect.count), places=lambda: [slice(5, 5 + effect.count)],
                                  problem=SimpleNamespace(mechanism=SimpleNamespace(p=5)))
     left: Any = SimpleNamespace(scatter=1.0)
-    return Explained(model, gain, left, 0, 0, True, clean, np.array(by_run))
+    return Explained(model, gain, left, 0, 0, True, clean, np.array(by_run),
+                     inflation=np.full(5 + effect.count, inflation))
 
 
 def names(ties: list[Explained]) -> list[str]:
@@ -61,6 +62,13 @@ def test_a_spring_without_stiffness_is_an_offset() -> None:
 
 def test_a_spring_with_stiffness_is_no_offset() -> None:
     assert names(tied(constants(9.0, 0.5))) == ["joint_stiffness"]
+
+
+def test_a_stiffness_that_scatters_between_runs_makes_no_spring() -> None:
+    spring, *others = constants(5.0, 0.5)
+    assert names(tied([spring, *others])) == ["joint_stiffness"]
+    loose = explained(JointStiffness(1), 1001.0, [0.0] * 6, [5.0, 50.0], inflation=2.0)
+    assert names(tied([loose, *others])) == ["torque_offset", "asymmetric_friction"]
 
 
 def test_a_preload_at_a_joint_without_motor_may_be_a_spring() -> None:
