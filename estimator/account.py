@@ -19,7 +19,7 @@ from estimator.gauss_newton import State
 from estimator.rehearsal import rehearse
 from estimator.session import Session
 from estimator.signature import signature
-from estimator.verdict import Cause, Diagnosis, SensorGain, SizeEstimate, Trace
+from estimator.verdict import Cause, Diagnosis, SensorGain, ShortRuns, SizeEstimate, Trace
 
 FloatArray = NDArray[np.float64]
 BLOCK_S = 2.0
@@ -28,7 +28,9 @@ DRAWS = 400
 ATTEMPTS = 10
 """Rehearsals, one after the other, until one does not run off: their noise is drawn."""
 CONFUSABLE = 0.7
-NO_GAP = ("a free run cannot show the gain: noise alone, added up over a run, leaves about as much error as the "
+HORIZON_S = 1.0
+"""Length of the pieces that are simulated where noise, added up over a whole run, hides what the extension gains."""
+NO_GAP = ("a free run over a whole run cannot show the gain: noise alone, added up, leaves about as much error as the "
           "nominal model has; what speaks for the extension is the likelihood of the confirm runs")
 
 
@@ -117,8 +119,8 @@ def torque_readings(problem: ExtendedProblem, state: State) -> FloatArray:
 
 
 def resimulate(session: Session, model: Model, run: int, q1: FloatArray | None = None,
-               or_still: bool = False) -> Resimulated:
-    """Free run of a run that the fit has not seen.
+               or_still: bool = False, horizon_s: float = np.inf) -> Resimulated:
+    """Free run of a run that the fit has not seen, whole or in pieces of `horizon_s`.
 
     Where it diverges raises `FitError`, or with `or_still` takes every sensor's mean instead: whose error a
     simulation that diverges exceeds.
@@ -126,7 +128,7 @@ def resimulate(session: Session, model: Model, run: int, q1: FloatArray | None =
     problem, state = smooth(session, model, run)
     measured = sensors_of(problem, state.x.q[:, 0] if q1 is None else q1)
     drive = problem.torque - torque_readings(problem, state)
-    found = free_run(problem, state, drive)
+    found = free_run(problem, state, drive, horizon_s)
     if found is None and not or_still:
         raise FitError("the free run diverges")
     still = {k: np.full_like(y, y.mean()) for k, y in measured.items()}
@@ -136,8 +138,12 @@ def resimulate(session: Session, model: Model, run: int, q1: FloatArray | None =
                        problem.torque - problem.motor_torque(state.x, state.beta) - torque_readings(problem, state))
 
 
-def floor_errors(session: Session, model: Model, run: int, rng: np.random.Generator) -> dict[str, FloatArray]:
-    """Squared free-run errors by sensor of a rehearsal of the model: what its noise alone leaves."""
+def floor_errors(session: Session, model: Model, run: int, rng: np.random.Generator,
+                 horizon_s: float = np.inf) -> dict[str, FloatArray]:
+    """Squared free-run errors by sensor of a rehearsal of the model: what its noise alone leaves.
+
+    Pieces of `horizon_s` start from the motion that would be fitted to the rehearsal.
+    """
     problem, state = smooth(session, model, run)
     truth = free_run(problem, state)
     if truth is None:
@@ -145,7 +151,8 @@ def floor_errors(session: Session, model: Model, run: int, rng: np.random.Genera
     for _ in range(ATTEMPTS):
         signals = rehearse(problem, state, session.runs[run], rng)
         again = session.problem([run], model.problem.stage.reach, model.effects, signals=signals)
-        found = free_run(again, state, again.torque - torque_readings(problem, state))
+        begin = state if np.isinf(horizon_s) else smooth(session, model, run, state.x, signals)[1]
+        found = free_run(again, begin, again.torque - torque_readings(problem, state), horizon_s)
         if found is not None:
             simulated = sensed(problem, found)
             return {k: (simulated[k] - v) ** 2 for k, v in sensors_of(again, truth.q[:, 0]).items()}
@@ -164,15 +171,17 @@ class Gain:
     traces: tuple[Trace, ...]
 
 
-def measure_gain(session: Session, nominal: Model, extended: Model, rng: np.random.Generator) -> Gain:
+def measure_gain(session: Session, nominal: Model, extended: Model, rng: np.random.Generator,
+                 horizon_s: float = np.inf) -> Gain:
     """Before, after and floor on the confirm runs, with the share of the gap closed and its block bootstrap."""
     blocks: dict[str, list[tuple[float, float, float]]] = {}
     traces, torque = [], []
     for i in session.confirm:
         _, state = smooth(session, extended, i)
         q1 = state.x.q[:, 0]
-        before, after = resimulate(session, nominal, i, q1, True), resimulate(session, extended, i, q1)
-        floor = floor_errors(session, extended, i, rng)
+        before = resimulate(session, nominal, i, q1, True, horizon_s)
+        after = resimulate(session, extended, i, q1, horizon_s=horizon_s)
+        floor = floor_errors(session, extended, i, rng, horizon_s)
         traces.append(Trace(session.names[i], after.time_s, after.measured, before.simulated, after.simulated))
         torque.append((np.mean(before.torque_residual**2, axis=0), np.mean(after.torque_residual**2, axis=0)))
         size = max(10, int(BLOCK_S * session.runs[i][0].rate_hz))
@@ -193,6 +202,15 @@ def measure_gain(session: Session, nominal: Model, extended: Model, rng: np.rand
     rms = np.sqrt(np.mean(np.array(torque), axis=0))
     return Gain(sensors, closed if known else None, (float(low), float(high)) if known else None,
                 (tuple(map(float, rms[0])), tuple(map(float, rms[1]))), tuple(traces))
+
+
+def in_pieces(session: Session, nominal: Model, extended: Model) -> ShortRuns | None:
+    """The gain in pieces of HORIZON_S; None where they diverge."""
+    try:
+        gain = measure_gain(session, nominal, extended, np.random.default_rng(0), HORIZON_S)
+    except FitError:
+        return None
+    return ShortRuns(HORIZON_S, gain.sensors, gain.closed, gain.ci95)
 
 
 def _closed(table: Mapping[str, FloatArray], which: NDArray[np.intp]) -> float | None:
@@ -283,7 +301,7 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
     except FitError as error:
         return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
     if gain.closed is None:
-        found = replace(found, warnings=(*found.warnings, NO_GAP))
+        found = replace(found, warnings=(*found.warnings, NO_GAP), short=in_pieces(session, nominal, model))
     return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
 

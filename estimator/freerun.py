@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +41,9 @@ class FreeRun:
     """Channel to (N,), noise free."""
 
 
-def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None = None) -> FreeRun | None:
-    """Simulate every stretch; None where it diverges.
+def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None = None,
+             horizon_s: float = np.inf) -> FreeRun | None:
+    """Simulate every stretch, or each piece of it of `horizon_s`, from its first state; None where it diverges.
 
     `torque` (N, n) drives it, by default the true torque in `state`. What effects add to the equation of
     motion is found by repeated simulation, each with the effects' torque of the one before.
@@ -49,9 +51,10 @@ def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None =
     m = problem.mechanism
     beta, sizes = problem.simulated(state.beta)
     u = problem.motor_torque(state.x, state.beta) if torque is None else torque
-    found = _relaxed(problem, state, u, 0)
+    parts = pieces(problem, horizon_s)
+    found = _relaxed(problem, state, u, 0, parts)
     if found is None and problem.effects:
-        found = _marched(problem, state, u) or _relaxed(problem, state, u, DEPTH)
+        found = _marched(problem, state, u, parts) or _relaxed(problem, state, u, DEPTH, parts)
     if found is None:
         return None
     q, v, added = found
@@ -67,8 +70,20 @@ def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None =
     return FreeRun(q, v, readings)
 
 
-def _relaxed(problem: ExtendedProblem, state: State, u: FloatArray, depth: int
-             ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+def pieces(problem: ExtendedProblem, horizon_s: float) -> list[slice]:
+    """Stretches cut into pieces of about `horizon_s`, of two samples at least."""
+    out = []
+    for begin, end in zip([0, *problem.ends[:-1]], problem.ends):
+        most = max(1, (end - begin) // 2)
+        wanted = (end - begin) * problem.collocation.dt / horizon_s
+        count = min(most, max(1, round(wanted)))
+        edges = np.linspace(begin, end, count + 1).astype(int)
+        out += [slice(int(a), int(b)) for a, b in pairwise(edges)]
+    return out
+
+
+def _relaxed(problem: ExtendedProblem, state: State, u: FloatArray, depth: int,
+             parts: Sequence[slice]) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """q, v (N, n) and what the effects take at the samples (n, N), by fixed-point iteration; None where it diverges.
 
     With `depth` steps mixed by Anderson's method, which settles where an effect feels itself with a gain above one
@@ -77,7 +92,6 @@ def _relaxed(problem: ExtendedProblem, state: State, u: FloatArray, depth: int
     m, c = problem.mechanism, problem.collocation
     beta, sizes = problem.simulated(state.beta)
     q, v = state.x.q.copy(), state.x.v.copy()
-    parts = np.split(np.arange(problem.total), problem.ends[:-1])
     edge = m.n * 2 * problem.left.size
     taken = np.zeros(edge + m.n * problem.total)
     mixer, share, before = Anderson(depth), 1.0, np.inf
@@ -93,9 +107,9 @@ def _relaxed(problem: ExtendedProblem, state: State, u: FloatArray, depth: int
             gauss, samples = taken[:edge].reshape(m.n, 2, -1), taken[edge:].reshape(m.n, -1)
         next_q, next_v = np.empty_like(q), np.empty_like(v)
         for where in parts:
-            here = np.flatnonzero((problem.left >= where[0]) & (problem.left < where[-1]))
+            here = np.flatnonzero((problem.left >= where.start) & (problem.left < where.stop - 1))
             next_q[where], next_v[where], _ = simulate(
-                m, beta, state.x.q[where[0]], state.x.v[where[0]], u[where], c.dt, c.hold,
+                m, beta, state.x.q[where.start], state.x.v[where.start], u[where], c.dt, c.hold,
                 guess=(q[where], v[where]), taken=gauss[:, :, here])
         if not np.isfinite(next_q).all():
             return None
@@ -111,7 +125,8 @@ def _relaxed(problem: ExtendedProblem, state: State, u: FloatArray, depth: int
     return (q, v, samples) if moved <= LOOSE_RAD else None
 
 
-def _marched(problem: ExtendedProblem, state: State, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+def _marched(problem: ExtendedProblem, state: State, u: FloatArray,
+             parts: Sequence[slice]) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """As `_relaxed`, one short window after the other: effects are causal.
 
     A law that grows with the angle (a ripple) feeds back over a whole record more than over a window, and one that
@@ -121,10 +136,10 @@ def _marched(problem: ExtendedProblem, state: State, u: FloatArray) -> tuple[Flo
     q, v = state.x.q.copy(), state.x.v.copy()
     samples = np.zeros((problem.mechanism.n, problem.total))
     longest = max(2, round(WINDOW_S / problem.collocation.dt))
-    for begin, end in zip([0, *problem.ends[:-1]], problem.ends):
-        start, step = begin, longest
-        while start < end - 1:
-            window = slice(start, min(start + step, end - 1) + 1)
+    for part in parts:
+        start, step = part.start, longest
+        while start < part.stop - 1:
+            window = slice(start, min(start + step, part.stop - 1) + 1)
             found = _window(problem, state, u, window, (q, v, samples))
             if found is not None:
                 q, v, samples = found

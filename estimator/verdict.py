@@ -66,6 +66,16 @@ class SensorGain:
 
 
 @dataclass(frozen=True)
+class ShortRuns:
+    """Errors on the confirm runs where each is simulated in pieces, every one from the motion that was fitted there."""
+
+    horizon_s: float
+    sensors: Mapping[str, SensorGain]
+    closed: float | None
+    ci95: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
 class Signature:
     """Residual of one cause against its natural variable on the discover runs, before and after."""
 
@@ -133,4 +143,6 @@ class Diagnosis:
     noise: Mapping[str, float] = field(default_factory=dict)
     reach: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     """(n, 2) range of each joint's angle over the runs that were fitted: what the effects' sizes refer to."""
+    short: ShortRuns | None = None
+    """Only where free runs over whole runs cannot show the gain."""
     wall_s: float = 0.0

@@ -27,6 +27,7 @@ from estimator.validation import Validation
 from estimator.verdict import Diagnosis
 from experiments.calibrating_encoder import compare, read_moving
 from experiments.diagnosing import diagnose_setup
+from experiments.diagnosis_json import pieces, rmse
 from experiments.rigs import Setup, load_setup
 from experiments.validation import validate_setup
 
@@ -326,8 +327,7 @@ def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:
     if d.found is not None:
         entry |= {"verdict": d.found.verdict, "sentence": d.found.sentence,
                   "causes": [c.effect for c in d.found.causes],
-                  "free_run_rmse": {name: {"before": g.before, "after": g.after, "floor": g.floor}
-                                    for name, g in d.found.sensors.items()},
+                  "free_run_rmse": rmse(d.found.sensors), **pieces(d.found.short),
                   "gap_closed": d.found.gap_closed, "gap_closed_ci95": d.found.gap_closed_ci95,
                   "sizes": {c.effect: {x.name: {"value": x.value, "ci95": list(x.ci95), "unit": x.unit} for x in c.size}
                             for c in d.found.causes},

@@ -10,7 +10,7 @@ import numpy as np
 from experiments.calibrating_encoder import CHECK, FOUND, check_rows, found_rows, open_terms
 from experiments.casebook import Calibrated, Diagnosed, Fitted, Study, Swept, values
 from experiments.diagnosis_figures import error_bars, signature_limits, signature_plot, trace_plot
-from experiments.diagnosis_text import gap_text, key_label, size_rows
+from experiments.diagnosis_text import ERROR_HEADER, error_rows, gap_text, key_label, short_title, size_rows
 from experiments.figures import BLUE, ORANGE, Line, plot_lines, window
 from experiments.fit_text import number
 from experiments.report import Picture, Section, Table, write_page
@@ -223,13 +223,16 @@ def _diagnosis_section(title: str, d: Diagnosed) -> Section:
         tables.append(Table(["effect", "size", "published", "found", "95 % interval", "unit"], sizes,
                             right=frozenset({2, 3, 4})))
     if found.sensors:
-        rows = [[name, f"{g.before:.4g}", f"{g.after:.4g}", f"{g.floor:.4g}"] for name, g in found.sensors.items()]
+        rows = error_rows(found.sensors)
         rows += [[f"left over of what drives joint {j + 1}", f"{b:.2f} %", f"{a:.2f} %", ""]
                  for j, (b, a) in enumerate(zip(*d.left_over_percent())) if np.isfinite(b)]
         tables.append(Table(["rms error", "nominal", "extended", "noise alone"], rows,
                             f"on {', '.join(found.confirm_runs)}, which chose nothing. {gap_text(found)}",
                             frozenset({1, 2, 3})))
         pictures.append(Picture(error_bars(found.sensors), "Free-run error by sensor."))
+    if found.short is not None:
+        tables.append(Table(ERROR_HEADER, error_rows(found.short.sensors),
+                            f"{short_title(found.short)}. {gap_text(found.short)}", frozenset({1, 2, 3})))
     limits = signature_limits(found.signatures)
     pictures += [Picture(signature_plot(s, limits[s.x_label, s.y_label]), f"{key_label(s.title)}: what is left over, "
                          "and what the effect adds.") for s in found.signatures]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 from daq.dataset import FloatArray
-from estimator.verdict import Cause, Diagnosis, Ranked
+from estimator.verdict import Cause, Diagnosis, Ranked, SensorGain, ShortRuns
 from experiments.extended_model import effect_value
 from experiments.model_file import MechanismSettings, Model, ParameterValue, Provenance
 from experiments.output import program_version
@@ -28,17 +29,30 @@ def diagnosis_document(found: Diagnosis) -> dict[str, Any]:
         "candidates": [_candidate(candidate) for candidate in found.candidates],
         "gain": {
             "confirm_runs": list(found.confirm_runs),
-            "free_run_rmse": {column: {"before": gain.before, "after": gain.after, "floor": gain.floor}
-                              for column, gain in found.sensors.items()},
+            "free_run_rmse": rmse(found.sensors),
             "torque_rms_nm": {"before": list(before), "after": list(after)},
             "gap_closed": found.gap_closed,
-            "gap_closed_ci95": None if found.gap_closed_ci95 is None else list(found.gap_closed_ci95)},
+            "gap_closed_ci95": None if found.gap_closed_ci95 is None else list(found.gap_closed_ci95),
+            **pieces(found.short)},
         "parameters": {"nominal": dict(found.nominal), "extended": dict(found.extended)},
         "not_testable": [{"effect": effect, "joint": contract_joint(effect, joint), "why": why}
                          for effect, joint, why in untestable(found)],
         "runs": {group: list(found.runs.get(group, ())) for group in ("fit", "screen", "confirm")},
         "warnings": list(found.warnings), "next_experiment": found.next_experiment, "wall_s": found.wall_s,
     }
+
+
+def rmse(sensors: Mapping[str, SensorGain]) -> dict[str, dict[str, float]]:
+    """Free-run errors as contracts.md has them."""
+    return {column: {"before": gain.before, "after": gain.after, "floor": gain.floor}
+            for column, gain in sensors.items()}
+
+
+def pieces(short: ShortRuns | None) -> dict[str, Any]:
+    """The gain in pieces, where free runs over whole runs could not show it."""
+    return {} if short is None else {"pieces": {
+        "horizon_s": short.horizon_s, "rmse": rmse(short.sensors), "gap_closed": short.closed,
+        "gap_closed_ci95": None if short.ci95 is None else list(short.ci95)}}
 
 
 def contract_joint(effect: str, joint: int | None) -> int | None:

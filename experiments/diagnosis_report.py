@@ -17,12 +17,15 @@ from experiments.diagnosis_figures import (
 )
 from experiments.diagnosis_json import untestable
 from experiments.diagnosis_text import (
+    ERROR_HEADER,
     causes_title,
     detectable_text,
     effect_label,
+    error_rows,
     gap_text,
     key_label,
     probability,
+    short_title,
     size_rows,
     size_text,
 )
@@ -71,16 +74,20 @@ def _about(cause: Cause) -> str:
 def _errors(found: Diagnosis) -> Section:
     if not found.sensors:
         return Section("How far the simulation is off")
-    header = ["sensor", "nominal", "extended", "noise alone"]
-    rows = [[column, f"{g.before:.4g}", f"{g.after:.4g}", f"{g.floor:.4g}"] for column, g in found.sensors.items()]
+    rows = error_rows(found.sensors)
     before, after = found.torque_rms_nm
     rows += [[f"torque left over, joint {j + 1} [N m]", f"{b:.4g}", f"{a:.4g}", ""]
              for j, (b, a) in enumerate(zip(before, after))]
+    right = frozenset({1, 2, 3})
+    tables = [Table(ERROR_HEADER, rows, "rms errors, in the unit of the sensor", right)]
+    if found.short is not None:
+        tables.append(Table(ERROR_HEADER, error_rows(found.short.sensors),
+                            f"{short_title(found.short)}. {gap_text(found.short)}", right))
     return Section(
         "How far the simulation is off",
         [f"Free-run simulation of {', '.join(found.confirm_runs)}: started once, then driven by the measured torque "
          "alone. Nothing was fitted to or chosen by these runs. " + gap_text(found)],
-        [Table(header, rows, "rms errors, in the unit of the sensor", frozenset({1, 2, 3}))],
+        tables,
         [Picture(error_bars(found.sensors), "Free-run error by sensor; the numbers are in the sensor's own unit. What "
                  "noise alone leaves is measured on rehearsals: records that the extended model itself would give.")])
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import isinf
 
-from estimator.verdict import Cause, Diagnosis, Ranked
+from estimator.verdict import Cause, Diagnosis, Ranked, SensorGain, ShortRuns
 from experiments.diagnosis_json import contract_joint, split_key, untestable
 from experiments.output import text_table
 
@@ -53,14 +54,29 @@ def candidate_row(candidate: Ranked) -> list[str]:
             size_text(candidate), detectable_text(candidate), candidate.unit]
 
 
-def gap_text(found: Diagnosis) -> str:
+ERROR_HEADER = ["sensor", "nominal", "extended", "noise alone"]
+
+
+def error_rows(sensors: Mapping[str, SensorGain]) -> list[list[str]]:
+    """One row of ERROR_HEADER a sensor."""
+    return [[column, f"{g.before:.4g}", f"{g.after:.4g}", f"{g.floor:.4g}"] for column, g in sensors.items()]
+
+
+def gap_text(found: Diagnosis | ShortRuns) -> str:
     """The share of the gap closed, with its interval; empty where there is none."""
-    if found.gap_closed is None:
+    closed, ci95 = ((found.closed, found.ci95) if isinstance(found, ShortRuns) else
+                    (found.gap_closed, found.gap_closed_ci95))
+    if closed is None:
         return ""
-    interval = "" if found.gap_closed_ci95 is None else \
-        f" (95 % interval {100 * found.gap_closed_ci95[0]:.0f} to {100 * found.gap_closed_ci95[1]:.0f} %)"
-    return (f"The extension closes {100 * found.gap_closed:.0f} % of the gap between the nominal model's error and "
+    interval = "" if ci95 is None else f" (95 % interval {100 * ci95[0]:.0f} to {100 * ci95[1]:.0f} %)"
+    return (f"The extension closes {100 * closed:.0f} % of the gap between the nominal model's error and "
             f"what noise alone would leave{interval}.")
+
+
+def short_title(short: ShortRuns) -> str:
+    """What was simulated in pieces, and why."""
+    return (f"rms errors in pieces of {short.horizon_s:g} s, each from the motion fitted there, in which noise adds up "
+            "to less")
 
 
 def causes_title(found: Diagnosis) -> str:
@@ -78,10 +94,13 @@ def diagnosis_text(found: Diagnosis) -> str:
         blocks.append(f"{causes_title(found)}:\n" + text_table(
             ["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}))
     if found.sensors:
-        rows = [[column, f"{g.before:.4g}", f"{g.after:.4g}", f"{g.floor:.4g}"] for column, g in found.sensors.items()]
         blocks.append("\n".join([
             f"Free-run error (rms) on {', '.join(found.confirm_runs)}, which chose nothing:",
-            text_table(["sensor", "nominal", "extended", "noise alone"], rows, {1, 2, 3}), gap_text(found)]).rstrip())
+            text_table(ERROR_HEADER, error_rows(found.sensors), {1, 2, 3}), gap_text(found)]).rstrip())
+    if found.short is not None:
+        blocks.append("\n".join([
+            f"The same runs, {short_title(found.short)}:",
+            text_table(ERROR_HEADER, error_rows(found.short.sensors), {1, 2, 3}), gap_text(found.short)]).rstrip())
     if found.candidates:
         blocks.append(_candidates(found))
     if found.not_testable:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_report import Outside
 
-from estimator.verdict import Cause, Diagnosis, Ranked, SensorGain, Signature, SizeEstimate, Trace
+from estimator.verdict import Cause, Diagnosis, Ranked, SensorGain, ShortRuns, Signature, SizeEstimate, Trace
 from experiments.diagnosis_figures import axis_label, signature_limits
 from experiments.diagnosis_json import diagnosis_document
 from experiments.diagnosis_report import diagnosis_sections, verdict_words
@@ -76,6 +76,11 @@ def test_document_is_the_contract() -> None:
                           "q2_rad": {"before": 0.05, "after": 0.02, "floor": 0.015}},
         "torque_rms_nm": {"before": [0.01, 0.05], "after": [0.01, 0.02]}, "gap_closed": 0.9,
         "gap_closed_ci95": [0.8, 0.97]}
+    short = ShortRuns(1.0, {"q1_rad": SensorGain(0.02, 0.01, 0.009)}, 0.9, (0.7, 1.0))
+    pieces = diagnosis_document(replace(synthetic(), short=short))["gain"]["pieces"]
+    assert pieces == {"horizon_s": 1.0, "rmse": {"q1_rad": {"before": 0.02, "after": 0.01, "floor": 0.009}},
+                      "gap_closed": 0.9, "gap_closed_ci95": [0.7, 1.0]}
+    assert "pieces of 1 s" in diagnosis_text(replace(synthetic(), short=short))
     assert found["runs"]["screen"] == ["r2.csv"] and found["parameters"]["extended"]["beta9"] == 0.11
 
 

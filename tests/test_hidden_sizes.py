@@ -17,7 +17,7 @@ from estimator.effects.friction import LoadDependentFriction, PreslidingFriction
 from estimator.effects.structure import Backlash, JointElasticity
 from estimator.evidence import Model, begin_afresh, fit_nominal, per_value, refit, smooth
 from estimator.extended import ExtendedProblem, Stage
-from estimator.freerun import _relaxed, free_run
+from estimator.freerun import _relaxed, free_run, pieces
 from estimator.gauss_newton import State
 from estimator.latent import Latents, Noise
 from estimator.mechanism import joint1, leg2
@@ -146,7 +146,8 @@ def test_a_fast_ripple_is_simulated_freely() -> None:
     moved.x.q[0] = x.q[0]
     run = free_run(problem, moved, driven)
     assert run is not None
-    assert _relaxed(problem, moved, driven, 0) is None  # plain iteration over the whole record runs off
+    # plain iteration over the whole record runs off
+    assert _relaxed(problem, moved, driven, 0, pieces(problem, np.inf)) is None
     # 200 periods a rad: after two seconds an error of a hundredth of a rad is another ripple
     assert np.abs(run.q - x.q)[:100].max() < 0.02 * np.ptp(x.q[:100, 1])
 
@@ -176,3 +177,9 @@ def test_friction_under_a_load_that_follows_from_acceleration_is_simulated_freel
     run = free_run(problem, state, volts[:, None])
     assert run is not None
     assert np.abs(run.q[:, 0] - truth[0]).max() < 0.06 * np.ptp(truth[0])
+    wrong = replace(state, beta=state.beta * np.array([1.0, 1.0, 1.0, 0.5, 1.0]))
+    whole, short = (free_run(problem, wrong, volts[:, None], horizon) for horizon in (np.inf, 0.2))
+    assert whole is not None and short is not None
+    off, near = (np.abs(found.q[:, 0] - truth[0]) for found in (whole, short))
+    assert near[::5].max() == 0.0  # every piece of five samples starts from the motion that was given
+    assert near.max() < 0.3 * off.max()
