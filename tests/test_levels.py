@@ -43,7 +43,7 @@ def test_a_loud_channel_is_named(channel: str, level: float, said: str) -> None:
 
 def test_impacts_may_be_louder_beside_play() -> None:
     assert loud(*ends(DECLARED, (Backlash(1),), accel=0.1)) == ""
-    assert "accelerometer" in loud(*ends(DECLARED, (Backlash(1),), accel=0.11))
+    assert "accelerometer" in loud(*ends(DECLARED, (Backlash(1),), accel=0.14))
     assert "torque at joint 2" in loud(*ends(DECLARED, (Backlash(1),), knee=0.045))
 
 

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import pairwise
 
 import pytest
@@ -86,6 +87,29 @@ def test_what_was_sent_before_the_plug_was_pulled_arrives() -> None:
     device.go_on.set()
     pulled.join()
     assert device.heard == b"stop"
+
+
+def test_a_host_that_goes_on_writing_does_not_keep_the_plug_in() -> None:
+    device = Busy()
+    device.go_on.set()
+    server = PtyServer(device)
+    link, over = SerialLink(server.path), threading.Event()
+
+    def write() -> None:
+        with suppress(LinkLost):
+            while not over.wait(0.001):
+                link.write(b"torque")
+
+    host = threading.Thread(target=write)
+    host.start()
+    pulled = threading.Thread(target=server.close, daemon=True)
+    pulled.start()
+    pulled.join(PATIENCE_S)
+    out = not pulled.is_alive()
+    over.set()
+    host.join()
+    link.close()
+    assert out
 
 
 def test_a_pty_has_no_low_latency_mode_and_says_so(server: PtyServer) -> None:

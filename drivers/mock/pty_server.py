@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import threading
+import time
 import tty
 from types import TracebackType
 from typing import Self
@@ -50,17 +51,17 @@ class PtyServer:
         try:
             while self._running:
                 self._turn()
-            while self._hear(LAST_WORD_S):  # on the wire before the plug was pulled: a Stop, often
-                pass
+            end = time.monotonic() + LAST_WORD_S
+            while (left := end - time.monotonic()) > 0.0:  # on the wire before the plug was pulled: a Stop, often
+                self._hear(left)
         except BaseException as error:
             self.failure = error
 
-    def _hear(self, wait_s: float) -> bool:
-        """Hand over the bytes that came in; whether there were any."""
+    def _hear(self, wait_s: float) -> None:
+        """Hand over the bytes that come in; waits for the first."""
         readable, _, _ = select.select([self._master], [], [], wait_s)
         if readable:
             self._device.receive(os.read(self._master, 65536), self._clock.now_ns())
-        return bool(readable)
 
     def _turn(self) -> None:
         """Bytes that came in go to the device before its time moves on: a late thread must not starve it."""
