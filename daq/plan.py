@@ -11,6 +11,8 @@ import numpy as np
 from daq.csv_run import read_csv
 from daq.dataset import FloatArray
 from daq.errors import InputError
+from daq.rig import ControllerDevice, Rig
+from drivers.leg_controller import LegController
 
 COLUMN = "tau2_cmd_nm"
 
@@ -69,3 +71,19 @@ def write_plan(plan: Plan, path: Path | str) -> None:
         Path(path).write_text(plan.text())
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+
+
+def check_plan(plan: Plan, rig: Rig, controller: LegController) -> None:
+    """Raises `InputError` when the plan or rig.toml asks for more than rig and firmware allow."""
+    hello = controller.hello
+    if hello is None:
+        raise ValueError("open the leg controller first")
+    limits = {"limits.torque_nm of the rig": rig.limits.torque_nm, "the firmware's limit": hello.torque_limit_nm}
+    for name, bound in limits.items():
+        if plan.peak_nm > bound:
+            what = f"asks for {plan.peak_nm:g} N m, {name} is {bound:g} N m"
+            raise InputError("plan", what, "scale the plan down")
+    watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms
+    if watchdog_ms > hello.watchdog_ms:
+        raise InputError("rig", f"devices.controller.watchdog_ms is {watchdog_ms}, the firmware allows "
+                                f"{hello.watchdog_ms}", "lower it")

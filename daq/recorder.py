@@ -15,9 +15,9 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from daq.errors import InputError, WorkError
+from daq.errors import WorkError
 from daq.intake import ControllerIntake, ImuIntake, Sink
-from daq.plan import Plan
+from daq.plan import Plan, check_plan
 from daq.remote import LOST, Ending, Remote, Status
 from daq.rig import ControllerDevice, Rig
 from daq.runfile import RunWriter
@@ -362,22 +362,6 @@ class Recorder:
                      "accel_range_g": imu.config.accel_range_g, "gyro_range_dps": imu.config.gyro_range_dps,
                      "field_t_per_lsb": imu.magnetometer.config.scale_t if imu.magnetometer else None}
             self._writer.config(now, "imu", msgspec.json.encode(facts).decode())
-
-
-def check_plan(plan: Plan, rig: Rig, controller: LegController) -> None:
-    """Raises `InputError` when the plan or rig.toml asks for more than rig and firmware allow."""
-    hello = controller.hello
-    if hello is None:
-        raise ValueError("open the leg controller first")
-    limits = {"limits.torque_nm of the rig": rig.limits.torque_nm, "the firmware's limit": hello.torque_limit_nm}
-    for name, bound in limits.items():
-        if plan.peak_nm > bound:
-            what = f"asks for {plan.peak_nm:g} N m, {name} is {bound:g} N m"
-            raise InputError("plan", what, "scale the plan down")
-    watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms
-    if watchdog_ms > hello.watchdog_ms:
-        raise InputError("rig", f"devices.controller.watchdog_ms is {watchdog_ms}, the firmware allows "
-                                f"{hello.watchdog_ms}", "lower it")
 
 
 def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9ds1 | None, controller: LegController,

@@ -10,7 +10,8 @@ import numpy as np
 from experiments.calibrating_encoder import CHECK, FOUND, check_rows, found_rows, open_terms
 from experiments.casebook import Calibrated, Diagnosed, Fitted, Study, Swept, values
 from experiments.diagnosis_figures import error_bars, signature_limits, signature_plot, trace_plot
-from experiments.diagnosis_text import ERROR_HEADER, error_rows, gap_text, key_label, short_title, size_rows
+from experiments.diagnosis_report import short_tables
+from experiments.diagnosis_text import error_rows, gap_text, key_label, size_rows
 from experiments.figures import BLUE, ORANGE, Line, plot_lines, window
 from experiments.fit_text import number
 from experiments.report import Picture, Section, Table, write_page
@@ -230,9 +231,7 @@ def _diagnosis_section(title: str, d: Diagnosed) -> Section:
                             f"on {', '.join(found.confirm_runs)}, which chose nothing. {gap_text(found)}",
                             frozenset({1, 2, 3})))
         pictures.append(Picture(error_bars(found.sensors), "Free-run error by sensor."))
-    if found.short is not None:
-        tables.append(Table(ERROR_HEADER, error_rows(found.short.sensors),
-                            f"{short_title(found.short)}. {gap_text(found.short)}", frozenset({1, 2, 3})))
+    tables += short_tables(found.short)
     limits = signature_limits(found.signatures)
     pictures += [Picture(signature_plot(s, limits[s.x_label, s.y_label]), f"{key_label(s.title)}: what is left over, "
                          "and what the effect adds.") for s in found.signatures]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from estimator.verdict import Cause, Diagnosis
+from estimator.verdict import Cause, Diagnosis, ShortRuns
 from experiments.diagnosis_figures import (
     TRACE_SECONDS,
     error_bars,
@@ -25,6 +25,7 @@ from experiments.diagnosis_text import (
     gap_text,
     key_label,
     probability,
+    share_text,
     short_title,
     size_rows,
     size_text,
@@ -78,11 +79,8 @@ def _errors(found: Diagnosis) -> Section:
     before, after = found.torque_rms_nm
     rows += [[f"torque left over, joint {j + 1} [N m]", f"{b:.4g}", f"{a:.4g}", ""]
              for j, (b, a) in enumerate(zip(before, after))]
-    right = frozenset({1, 2, 3})
-    tables = [Table(ERROR_HEADER, rows, "rms errors, in the unit of the sensor", right)]
-    if found.short is not None:
-        tables.append(Table(ERROR_HEADER, error_rows(found.short.sensors),
-                            f"{short_title(found.short)}. {gap_text(found.short)}", right))
+    tables = [Table(ERROR_HEADER, rows, "rms errors, in the unit of the sensor", frozenset({1, 2, 3})),
+              *short_tables(found.short)]
     return Section(
         "How far the simulation is off",
         [f"Free-run simulation of {', '.join(found.confirm_runs)}: started once, then driven by the measured torque "
@@ -90,6 +88,14 @@ def _errors(found: Diagnosis) -> Section:
         tables,
         [Picture(error_bars(found.sensors), "Free-run error by sensor; the numbers are in the sensor's own unit. What "
                  "noise alone leaves is measured on rehearsals: records that the extended model itself would give.")])
+
+
+def short_tables(short: ShortRuns | None) -> list[Table]:
+    """The errors in pieces, where they were taken."""
+    if short is None:
+        return []
+    caption = f"{short_title(short)}. {share_text(short.closed, short.ci95)}"
+    return [Table(ERROR_HEADER, error_rows(short.sensors), caption, frozenset({1, 2, 3}))]
 
 
 def _candidates(found: Diagnosis) -> Section:

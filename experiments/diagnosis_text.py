@@ -62,10 +62,13 @@ def error_rows(sensors: Mapping[str, SensorGain]) -> list[list[str]]:
     return [[column, f"{g.before:.4g}", f"{g.after:.4g}", f"{g.floor:.4g}"] for column, g in sensors.items()]
 
 
-def gap_text(found: Diagnosis | ShortRuns) -> str:
-    """The share of the gap closed, with its interval; empty where there is none."""
-    closed, ci95 = ((found.closed, found.ci95) if isinstance(found, ShortRuns) else
-                    (found.gap_closed, found.gap_closed_ci95))
+def gap_text(found: Diagnosis) -> str:
+    """The share of the gap that free runs of whole runs show closed; empty where there is none."""
+    return share_text(found.gap_closed, found.gap_closed_ci95)
+
+
+def share_text(closed: float | None, ci95: tuple[float, float] | None) -> str:
+    """A share of the gap, with its interval; empty where there is none."""
     if closed is None:
         return ""
     interval = "" if ci95 is None else f" (95 % interval {100 * ci95[0]:.0f} to {100 * ci95[1]:.0f} %)"
@@ -100,7 +103,8 @@ def diagnosis_text(found: Diagnosis) -> str:
     if found.short is not None:
         blocks.append("\n".join([
             f"The same runs, {short_title(found.short)}:",
-            text_table(ERROR_HEADER, error_rows(found.short.sensors), {1, 2, 3}), gap_text(found.short)]).rstrip())
+            text_table(ERROR_HEADER, error_rows(found.short.sensors), {1, 2, 3}),
+            share_text(found.short.closed, found.short.ci95)]).rstrip())
     if found.candidates:
         blocks.append(_candidates(found))
     if found.not_testable:
