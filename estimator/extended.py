@@ -27,6 +27,7 @@ from estimator.effects.base import (
     View,
 )
 from estimator.latent import LatentProblem, Latents, Noise
+from estimator.laws import by_motion
 from estimator.linearised import Extra, Linearised
 from estimator.mechanism import Mechanism, smooth_sign
 from estimator.signals import lowpass
@@ -200,16 +201,7 @@ class ExtendedProblem(LatentProblem):
 
     def added(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
         """Torque of all effects at Gauss points (n, 2, K) and at samples (n, N), and what they add to readings."""
-        torque, at_samples = np.zeros((self.n, 2, self.left.size)), np.zeros((self.n, self.total))
-        readings: dict[str, FloatArray] = {}
-        for effect, size in zip(self.effects, sizes):
-            got = effect.perturb(view, size)
-            if got.torque is not None and got.torque_at_samples is not None:
-                torque += got.torque
-                at_samples += got.torque_at_samples
-            for channel, values in got.readings.items():
-                readings[channel] = readings.get(channel, 0.0) + values
-        return torque, at_samples, readings
+        return added(list(zip(self.effects, sizes)), view)
 
     def _law_slopes(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray | None, FloatArray | None]:
         """Derivatives of the torque laws by the features of the motion, at Gauss points and at samples."""
@@ -221,12 +213,10 @@ class ExtendedProblem(LatentProblem):
         for effect, size in laws:
             j = effect.joint or 0
             for at, out in ((view.gauss, at_gauss), (view.samples, at_samples)):
-                for name, feature, h in (("q", ANGLE, 1e-5), ("v", RATE, 1e-5), ("a", ACCEL, 1e-3)):
-                    out[j, feature, j] += (effect.law(_moved(at, name, j, h), size, view)
-                                           - effect.law(_moved(at, name, j, -h), size, view)) / (2.0 * h)
-                by_sign = (effect.law(_moved(at, "sign", j, 1e-4), size, view)
-                           - effect.law(_moved(at, "sign", j, -1e-4), size, view)) / 2e-4
-                out[j, RATE, j] += by_sign * np.maximum(1.0 - at.sign[j] ** 2, 0.0) ** 1.5 / scale
+                found = by_motion(effect, at, size, view)
+                for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
+                    out[j, feature, j] += found[name]
+                out[j, RATE, j] += found["sign"] * np.maximum(1.0 - at.sign[j] ** 2, 0.0) ** 1.5 / scale
         return at_gauss, at_samples
 
     def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
@@ -246,11 +236,19 @@ class ExtendedProblem(LatentProblem):
                          for x in (*((large * s.prior) ** -2 for s in e.sizes), *(0.0 for _ in e.shapes))])
 
 
-def _moved(at: Points, name: str, joint: int, by: float) -> Points:
-    """`at` with one array moved by `by` at one joint."""
-    values = getattr(at, name).copy()
-    values[joint] += by
-    return replace(at, **{name: values})
+def added(pairs: Sequence[tuple[Effect, FloatArray]], view: View) -> tuple[FloatArray, FloatArray,
+                                                                           dict[str, FloatArray]]:
+    """Torque of effects of some size at Gauss points (n, 2, K) and at samples (n, N), and what they add to readings."""
+    torque, at_samples = np.zeros_like(view.gauss.q), np.zeros_like(view.samples.q)
+    readings: dict[str, FloatArray] = {}
+    for effect, size in pairs:
+        got = effect.perturb(view, size)
+        if got.torque is not None and got.torque_at_samples is not None:
+            torque += got.torque
+            at_samples += got.torque_at_samples
+        for channel, values in got.readings.items():
+            readings[channel] = readings.get(channel, 0.0) + values
+    return torque, at_samples, readings
 
 
 def slopes(effect: Effect, view: View, size: FloatArray) -> list[Perturbation]:

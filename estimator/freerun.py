@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.extended import ExtendedProblem
+from estimator.effects.base import SensorEffect, View
+from estimator.extended import ExtendedProblem, added
 from estimator.gauss_newton import State
 from estimator.latent import Latents
+from estimator.laws import Laws
 from estimator.sensors import accelerometer
 from estimator.simulation import simulate
 
 FloatArray = NDArray[np.float64]
 PASSES = 60
 SETTLED_RAD = 2e-5
+SETTLED_NM = 1e-6
 LOOSE_RAD = 0.02
 """What may still move after PASSES."""
 HOPELESS = 12
@@ -45,28 +48,27 @@ def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None =
              horizon_s: float = np.inf) -> FreeRun | None:
     """Simulate every stretch, or each piece of it of `horizon_s`, from its first state; None where it diverges.
 
-    `torque` (N, n) drives it, by default the true torque in `state`. What effects add to the equation of
-    motion is found by repeated simulation, each with the effects' torque of the one before.
+    `torque` (N, n) drives it, by default the true torque in `state`. What effects with a memory add to the equation of
+    motion is found by repeated simulation, each with their torque of the one before.
     """
     m = problem.mechanism
-    beta, sizes = problem.simulated(state.beta)
     u = problem.motor_torque(state.x, state.beta) if torque is None else torque
     parts = pieces(problem, horizon_s)
-    found = _relaxed(problem, state, u, 0, parts)
-    if found is None and problem.effects:
-        found = _marched(problem, state, u, parts) or _relaxed(problem, state, u, DEPTH, parts)
+    plant = _Plant(problem, state, u)
+    found = _relaxed(plant, 0, parts)
+    if found is None and plant.memory:
+        found = _marched(plant, parts) or _relaxed(plant, DEPTH, parts)
     if found is None:
         return None
-    q, v, added = found
-    view = problem.view(Latents(q, v, u), beta, added)
+    q, v, taken = found
+    view = plant.view(q, v, taken)
     s = view.samples
     readings = {f"torque{j + 1}": u[:, j].copy() for j in range(m.n)}
     readings |= {f"encoder{j + 1}": q[:, j].copy() for j in range(m.n)}
     ax, ay = accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2)
     readings |= {"gyro": v[:, 0].copy(), "accel_x": ax, "accel_y": ay}
-    for effect, size in zip(problem.effects, sizes):
-        for channel, value in effect.perturb(view, size).readings.items():
-            readings[channel] = readings[channel] + value
+    for channel, value in added(plant.pairs, view)[2].items():
+        readings[channel] = readings[channel] + value
     return FreeRun(q, v, readings)
 
 
@@ -82,65 +84,113 @@ def pieces(problem: ExtendedProblem, horizon_s: float) -> list[slice]:
     return out
 
 
-def _relaxed(problem: ExtendedProblem, state: State, u: FloatArray, depth: int,
-             parts: Sequence[slice]) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """q, v (N, n) and what the effects take at the samples (n, N), by fixed-point iteration; None where it diverges.
+class _Plant:
+    """What a free run integrates: the mechanism under a torque, with effects that feel the motion."""
+
+    def __init__(self, problem: ExtendedProblem, state: State, u: FloatArray) -> None:
+        self.problem, self.start, self.u = problem, state.x, u
+        self.beta, sizes = problem.simulated(state.beta)
+        self.pairs = list(zip(problem.effects, sizes))
+        self.memory = [p for p in self.pairs if not p[0].instant and not isinstance(p[0], SensorEffect)]
+        """Effects whose torque depends on the motion before: found by iteration, the others by Newton's method."""
+        instant = [p for p in self.pairs if p[0].instant]
+        self.laws = Laws(instant, self.view(state.x.q, state.x.v)) if instant else None
+
+    def view(self, q: FloatArray, v: FloatArray, samples: FloatArray | None = None) -> View:
+        """At the motion q, v (N, n), where effects take `samples` (n, N)."""
+        return self.problem.view(Latents(q, v, self.u), self.beta, samples)
+
+    def run(self, where: slice, q: FloatArray, v: FloatArray, start: tuple[FloatArray, FloatArray],
+            taken: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Motion in the samples `where` from its `start`, near q, v; effects with a memory take `taken` (n, 2, K)."""
+        c, here = self.problem.collocation, self.intervals(where)
+        laws = None if self.laws is None else replace(self.laws, first=here.start)
+        found = simulate(self.problem.mechanism, self.beta, *start, self.u[where], c.dt, c.hold,
+                         (q[where], v[where]), taken[:, :, here], laws)
+        return found[0], found[1]
+
+    def intervals(self, where: slice) -> slice:
+        """Intervals between the samples `where` of one stretch."""
+        first = int(np.searchsorted(self.problem.left, where.start))
+        return slice(first, first + where.stop - where.start - 1)
+
+    def remembered(self, q: FloatArray, v: FloatArray, samples: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What effects with a memory take at Gauss points (n, 2, K), and all at samples (n, N); not finite where the
+        motion is beyond bounds."""
+        with np.errstate(all="ignore"):
+            view = self.view(q, v, samples)
+            gauss = added(self.memory, view)[0]
+            return gauss, added(self.pairs, view)[1]
+
+    def at_samples(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """(n, N) what all effects take at the samples of a motion: their torque changes accelerations that they feel"""
+        samples, share, before = np.zeros((self.problem.n, self.problem.total)), 1.0, np.inf
+        for _ in range(PASSES if self.pairs else 0):
+            change = self.remembered(q, v, samples)[1] - samples
+            samples = samples + share * change
+            size = float(np.max(np.abs(change)))
+            if not size > SETTLED_NM:
+                break
+            if size > 0.9 * before:
+                share = max(0.2, 0.7 * share)
+            before = size
+        return samples
+
+
+_Run = tuple[FloatArray, FloatArray, FloatArray]
+"""q, v (N, n), and what effects take at the samples (n, N)"""
+
+
+def _relaxed(plant: _Plant, depth: int, parts: Sequence[slice]) -> _Run | None:
+    """All parts, effects with a memory by fixed-point iteration; None where it diverges.
 
     With `depth` steps mixed by Anderson's method, which settles where an effect feels itself with a gain above one
     (a base near its resonance); laws with a sign are better off without.
     """
-    m, c = problem.mechanism, problem.collocation
-    beta, sizes = problem.simulated(state.beta)
-    q, v = state.x.q.copy(), state.x.v.copy()
-    edge = m.n * 2 * problem.left.size
-    taken = np.zeros(edge + m.n * problem.total)
+    problem = plant.problem
+    q, v = plant.start.q.copy(), plant.start.v.copy()
+    edge = problem.n * 2 * problem.left.size
+    taken = np.zeros(edge + problem.n * problem.total)
     mixer, share, before = Anderson(depth), 1.0, np.inf
     for k in range(PASSES):
-        gauss, samples = taken[:edge].reshape(m.n, 2, -1), taken[edge:].reshape(m.n, -1)
-        if problem.effects:
-            with np.errstate(all="ignore"):
-                new_gauss, new, _ = problem.added(problem.view(Latents(q, v, u), beta, samples), sizes)
-            wanted = np.concatenate([new_gauss.ravel(), new.ravel()])
+        if plant.memory:
+            wanted = np.concatenate([x.ravel() for x in plant.remembered(q, v, taken[edge:].reshape(problem.n, -1))])
             if not np.isfinite(wanted).all():
                 return None
             taken = mixer.next(taken, wanted) if depth else taken + share * (wanted - taken)
-            gauss, samples = taken[:edge].reshape(m.n, 2, -1), taken[edge:].reshape(m.n, -1)
         next_q, next_v = np.empty_like(q), np.empty_like(v)
         for where in parts:
-            here = np.flatnonzero((problem.left >= where.start) & (problem.left < where.stop - 1))
-            next_q[where], next_v[where], _ = simulate(
-                m, beta, state.x.q[where.start], state.x.v[where.start], u[where], c.dt, c.hold,
-                guess=(q[where], v[where]), taken=gauss[:, :, here])
+            start = plant.start.q[where.start], plant.start.v[where.start]
+            next_q[where], next_v[where] = plant.run(where, q, v, start, taken[:edge].reshape(problem.n, 2, -1))
         if not np.isfinite(next_q).all():
             return None
         moved = float(np.max(np.abs(next_q - q)))
         q, v = next_q, next_v
-        if not problem.effects or moved < SETTLED_RAD:
-            return q, v, samples
+        if not plant.memory or moved < SETTLED_RAD:
+            return q, v, plant.at_samples(q, v)
         if not depth and k >= HOPELESS and moved > LOOSE_RAD:
             return None
         if moved > 0.9 * before:
             share = max(0.2, 0.7 * share)
         before = moved
-    return (q, v, samples) if moved <= LOOSE_RAD else None
+    return (q, v, plant.at_samples(q, v)) if moved <= LOOSE_RAD else None
 
 
-def _marched(problem: ExtendedProblem, state: State, u: FloatArray,
-             parts: Sequence[slice]) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+def _marched(plant: _Plant, parts: Sequence[slice]) -> _Run | None:
     """As `_relaxed`, one short window after the other: effects are causal.
 
-    A law that grows with the angle (a ripple) feeds back over a whole record more than over a window, and one that
-    grows with the acceleration (friction under load) over a window more than over a step. So a window in which steps do
-    not settle is halved.
+    What grows with the motion feeds back over a whole record more than over a window. So a window in which steps do not
+    settle is halved.
     """
-    q, v = state.x.q.copy(), state.x.v.copy()
-    samples = np.zeros((problem.mechanism.n, problem.total))
+    problem = plant.problem
+    q, v = plant.start.q.copy(), plant.start.v.copy()
+    samples = np.zeros((problem.n, problem.total))
     longest = max(2, round(WINDOW_S / problem.collocation.dt))
     for part in parts:
         start, step = part.start, longest
         while start < part.stop - 1:
             window = slice(start, min(start + step, part.stop - 1) + 1)
-            found = _window(problem, state, u, window, (q, v, samples))
+            found = _window(plant, window, (q, v, samples))
             if found is not None:
                 q, v, samples = found
                 start, step = window.stop - 1, min(2 * step, longest)
@@ -148,26 +198,20 @@ def _marched(problem: ExtendedProblem, state: State, u: FloatArray,
                 step //= 2
             else:
                 return None
-    return q, v, samples
+    return q, v, plant.at_samples(q, v)
 
 
-def _window(problem: ExtendedProblem, state: State, u: FloatArray, where: slice,
-            before: tuple[FloatArray, FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+def _window(plant: _Plant, where: slice, before: _Run) -> _Run | None:
     """`before` with the motion in `where` simulated from its first sample; None where that does not settle."""
-    m, c = problem.mechanism, problem.collocation
-    beta, sizes = problem.simulated(state.beta)
     q, v, samples = (x.copy() for x in before)
-    here = np.flatnonzero((problem.left >= where.start) & (problem.left < where.stop - 1))
-    taken, share, last = np.zeros((m.n, 2, here.size)), 1.0, np.inf
+    taken, share, last = np.zeros((plant.problem.n, 2, plant.problem.left.size)), 1.0, np.inf
     for _ in range(WINDOW_PASSES):
-        with np.errstate(all="ignore"):
-            gauss, new, _ = problem.added(problem.view(Latents(q, v, u), beta, samples), sizes)
-        taken += share * (gauss[:, :, here] - taken)
-        samples[:, where] += share * (new.reshape(m.n, -1)[:, where] - samples[:, where])
-        if not (np.isfinite(taken).all() and np.isfinite(samples[:, where]).all()):
+        gauss, new = plant.remembered(q, v, samples)
+        taken += share * (gauss - taken)
+        samples[:, where] += share * (new - samples)[:, where]
+        if not (np.isfinite(taken[:, :, plant.intervals(where)]).all() and np.isfinite(samples[:, where]).all()):
             return None
-        next_q, next_v, _ = simulate(m, beta, q[where.start], v[where.start], u[where], c.dt, c.hold,
-                                     guess=(q[where], v[where]), taken=taken)
+        next_q, next_v = plant.run(where, q, v, (q[where.start], v[where.start]), taken)
         if not np.isfinite(next_q).all():
             return None
         moved = float(np.max(np.abs(next_q - q[where])))

@@ -8,43 +8,89 @@ the motion is marched in windows.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
-from estimator.collocation import Collocation, Slope
+from estimator.collocation import Collocation, Motion, Slope
 from estimator.mechanism import Mechanism
 
 FloatArray = NDArray[np.float64]
+_Terms = tuple[Motion, list[list[Slope]]]
 WINDOW = 20
 """Samples a window when marching."""
 MAX_NEWTON = 40
 
 
+class Law(Protocol):
+    """Torque that something outside the mechanism takes by the motion at the same instant."""
+
+    def torque(self, motion: Motion, where: slice) -> FloatArray:
+        """(n, 2, K) on the intervals `where` of the simulation."""
+
+    def slopes(self, motion: Motion, where: slice) -> FloatArray:
+        """(n, 5, n, 2, K) its derivatives by the features of the motion."""
+
+
 def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatArray, tau: FloatArray, dt_s: float,
              hold: str = "linear", guess: tuple[FloatArray, FloatArray] | None = None,
-             taken: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
+             taken: FloatArray | None = None,
+             law: Law | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(q, qd, qdd), each (N, n), from the state q0, qd0 (n,) under torque samples tau (N, n).
 
     `guess` is a motion (q, qd) near the solution, such as the measured one. `taken` (n, 2, N - 1) is torque
-    that something outside the mechanism takes at the Gauss points of each interval. From the sample on where no
-    solution is found (the parameters are not those of a mechanism, or the motion leaves all bounds) it is NaN.
+    that something outside the mechanism takes at the Gauss points of each interval, `law` what it takes by the
+    motion; qdd is without either. From the sample on where no solution is found (the parameters are not those of a
+    mechanism, or the motion leaves all bounds) it is NaN.
     """
-    collocation = Collocation(mechanism, dt_s, hold)
+    equation = _Equation(Collocation(mechanism, dt_s, hold), beta, tau, taken, law)
     n = tau.shape[0]
     q, v = np.full((n, mechanism.n), np.nan), np.full((n, mechanism.n), np.nan)
     q[0], v[0] = q0, qd0
     if guess is not None and n > 1:
-        found = _newton(collocation, beta, *_pinned(guess, q0, qd0), tau, taken)
+        found = _newton(equation, slice(0, n - 1), *_pinned(guess, q0, qd0))
         if found is not None:
             q, v = found
     if not np.isfinite(q).all():
-        _march(collocation, beta, q, v, tau, taken)
+        _march(equation, q, v)
     with np.errstate(invalid="ignore"):
         good = np.isfinite(q).all(axis=1)
         qdd = np.full_like(q, np.nan)
         qdd[good] = mechanism.forward_dynamics(q[good], v[good], tau[good], beta)
     return q, v, qdd
+
+
+@dataclass(frozen=True)
+class _Equation:
+    """The equation of motion on all intervals of a simulation."""
+
+    collocation: Collocation
+    beta: FloatArray
+    tau: FloatArray
+    taken: FloatArray | None
+    law: Law | None
+
+    def torque(self, where: slice) -> FloatArray:
+        """(n, 2, K) on the intervals `where`, without what the law takes."""
+        torque = self.collocation.torque(self.tau, np.arange(where.start, where.stop))
+        return torque if self.taken is None else torque - self.taken[:, :, where]
+
+    def defect(self, where: slice, q: FloatArray, v: FloatArray, torque: FloatArray) -> tuple[FloatArray, _Terms]:
+        """(n, 2, K) what is left of the equation at q, v (K + 1, n)."""
+        c = self.collocation
+        motion = c.motion(q, v, np.arange(len(q) - 1))
+        z, slopes = c.terms(motion)
+        left = np.tensordot(self.beta, c.to_joint(z), axes=1) - torque
+        return left if self.law is None else left + self.law.torque(motion, where), (motion, slopes)
+
+    def jacobian(self, where: slice, terms: _Terms) -> FloatArray:
+        """(n, 2, 4, n, K) its derivatives by both ends of each interval."""
+        motion, slopes = terms
+        added = None if self.law is None else self.law.slopes(motion, where)
+        return self.collocation.jacobian(slopes, self.beta, motion.angle.shape[1:], added)
 
 
 def _pinned(guess: tuple[FloatArray, FloatArray], q0: FloatArray, qd0: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -53,19 +99,17 @@ def _pinned(guess: tuple[FloatArray, FloatArray], q0: FloatArray, qd0: FloatArra
     return q, v
 
 
-def _march(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatArray, tau: FloatArray,
-           taken: FloatArray | None) -> None:
+def _march(equation: _Equation, q: FloatArray, v: FloatArray) -> None:
     """Fill q, v (N, n) from their first sample on, window by window; stops where no solution is found."""
     n, window, start = len(q), WINDOW, 0
-    m, dt = collocation.mechanism, collocation.dt
+    m, dt = equation.collocation.mechanism, equation.collocation.dt
     while start < n - 1:
         stop = min(start + window, n - 1)
         k = np.arange(stop - start + 1)[:, None]
         with np.errstate(all="ignore"):
-            a = m.forward_dynamics(q[start], v[start], tau[start], beta) if window == 1 else 0.0
+            a = m.forward_dynamics(q[start], v[start], equation.tau[start], equation.beta) if window == 1 else 0.0
         gq, gv = q[start] + v[start] * dt * k + 0.5 * a * (dt * k) ** 2, v[start] + a * dt * k
-        found = _newton(collocation, beta, gq, gv, tau[start : stop + 1],
-                        None if taken is None else taken[:, :, start:stop])
+        found = _newton(equation, slice(start, stop), gq, gv)
         if found is None:
             if window == 1:
                 return
@@ -75,22 +119,18 @@ def _march(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatAr
         start, window = stop, min(WINDOW, 2 * window)
 
 
-def _newton(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatArray,
-            tau: FloatArray, taken: FloatArray | None) -> tuple[FloatArray, FloatArray] | None:
+def _newton(equation: _Equation, where: slice, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Solve the collocation equations with the first sample held; None where Newton does not settle."""
-    left = np.arange(len(q) - 1)
-    torque = collocation.torque(tau, left)
-    if taken is not None:
-        torque = torque - taken
+    torque = equation.torque(where)
     scale = 1e-9 * (1.0 + float(np.max(np.abs(torque))))
     with np.errstate(all="ignore"):
-        defect, slopes, shape = _defect(collocation, beta, q, v, left, torque)
+        defect, terms = equation.defect(where, q, v, torque)
         size = float(np.max(np.abs(defect)))
         for _ in range(MAX_NEWTON):
             if not np.isfinite(size):
                 return None
             try:
-                step = _newton_step(collocation.jacobian(slopes, beta, shape), defect)
+                step = _newton_step(equation.jacobian(where, terms), defect)
             except (np.linalg.LinAlgError, ValueError):
                 return None
             share, n = 1.0, q.shape[1]
@@ -98,23 +138,16 @@ def _newton(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatA
                 trial_q, trial_v = q.copy(), v.copy()
                 trial_q[1:] += share * step[:, :n]
                 trial_v[1:] += share * step[:, n:]
-                trial, trial_slopes, _ = _defect(collocation, beta, trial_q, trial_v, left, torque)
+                trial, trial_terms = equation.defect(where, trial_q, trial_v, torque)
                 norm = float(np.linalg.norm(trial))
                 if np.isfinite(norm) and norm < (1.0 - 0.1 * share) * float(np.linalg.norm(defect)):
                     break
                 share *= 0.5
-            q, v, defect, slopes = trial_q, trial_v, trial, trial_slopes
+            q, v, defect, terms = trial_q, trial_v, trial, trial_terms
             size = float(np.max(np.abs(defect)))
             if size < scale or (size < 1e4 * scale and share < 1.0):
                 return q, v
     return None
-
-
-def _defect(collocation: Collocation, beta: FloatArray, q: FloatArray, v: FloatArray, left: NDArray[np.intp],
-            torque: FloatArray) -> tuple[FloatArray, list[list[Slope]], tuple[int, ...]]:
-    motion = collocation.motion(q, v, left)
-    z, slopes = collocation.terms(motion)
-    return np.tensordot(beta, collocation.to_joint(z), axes=1) - torque, slopes, motion.angle.shape[1:]
 
 
 def _newton_step(jacobian: FloatArray, defect: FloatArray) -> FloatArray:

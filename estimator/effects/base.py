@@ -198,6 +198,15 @@ class Effect(ABC):
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         """What it adds at `size` (count,) to the motion in `view`."""
 
+    @property
+    def instant(self) -> bool:
+        """Whether the torque that it adds in a simulation is `law` alone."""
+        return False
+
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        """(...) torque on its own joint [N m] by the motion at the same instant; nil where there is none."""
+        return np.zeros_like(at.time_s)
+
     def by_torque(self, view: View, size: FloatArray) -> Mapping[str, FloatArray]:
         """Encoder channel to the derivative (N,) of what it adds there by its joint's torque latent; else lagged."""
         return {}
@@ -219,6 +228,10 @@ class TorqueEffect(Effect):
     """A torque that depends on the motion at the same instant."""
 
     per_joint = True
+
+    @property
+    def instant(self) -> bool:
+        return True
 
     @abstractmethod
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:

@@ -114,11 +114,17 @@ class GearEffect(Effect):
         if view.measured is not None:
             return Perturbation(readings={f"torque{j + 1}": self.lost(view, size)[j],
                                           f"encoder{j + 1}": self.twist(s.u[j], size)[0]})
-        inertia = self.motor(size)[2]
         friction = view.parameter("viscous", j) * s.v[j] + view.parameter("coulomb", j) * s.sign[j]
         gauss, samples = np.zeros_like(view.gauss.a), np.zeros_like(s.a)
-        gauss[j], samples[j] = inertia * view.gauss.a[j], inertia * s.a[j]
+        gauss[j], samples[j] = self.law(view.gauss, size, view), self.law(s, size, view)
         return Perturbation(gauss, samples, {f"encoder{j + 1}": self.twist(s.u[j] - friction - samples[j], size)[0]})
+
+    @property
+    def instant(self) -> bool:
+        return True
+
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        return np.asarray(self.motor(size)[2] * at.a[self.joint or 0])
 
     def simulated(self, beta: FloatArray, size: FloatArray, mechanism: Mechanism) -> FloatArray:
         out = beta.copy()
