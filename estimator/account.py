@@ -12,13 +12,14 @@ from scipy.stats import t as student
 from estimator.desk import Explained
 from estimator.effects.base import Shape, Size
 from estimator.errors import FitError
-from estimator.evidence import Model, misfit, smooth
+from estimator.evidence import Model, smooth
 from estimator.extended import ExtendedProblem
 from estimator.freerun import FreeRun, free_run
 from estimator.gauss_newton import State
 from estimator.rehearsal import rehearse
 from estimator.session import Session
 from estimator.signature import signature
+from estimator.spread import spread
 from estimator.verdict import Cause, Diagnosis, SensorGain, ShortRuns, SizeEstimate, Trace
 
 FloatArray = NDArray[np.float64]
@@ -118,15 +119,16 @@ def torque_readings(problem: ExtendedProblem, state: State) -> FloatArray:
     return out
 
 
-def resimulate(session: Session, model: Model, run: int, q1: FloatArray | None = None,
+def resimulate(session: Session, fitted: tuple[ExtendedProblem, State], run: int, q1: FloatArray,
                or_still: bool = False, horizon_s: float = np.inf) -> Resimulated:
-    """Free run of a run that the fit has not seen, whole or in pieces of `horizon_s`.
+    """Free run of a run `fitted` by `smooth`, whole or in pieces of `horizon_s`; the pivot's angle q1 is taken for
+    measured.
 
     Where it diverges raises `FitError`, or with `or_still` takes every sensor's mean instead: whose error a
     simulation that diverges exceeds.
     """
-    problem, state = smooth(session, model, run)
-    measured = sensors_of(problem, state.x.q[:, 0] if q1 is None else q1)
+    problem, state = fitted
+    measured = sensors_of(problem, q1)
     drive = problem.torque - torque_readings(problem, state)
     found = free_run(problem, state, drive, horizon_s)
     if found is None and not or_still:
@@ -138,13 +140,13 @@ def resimulate(session: Session, model: Model, run: int, q1: FloatArray | None =
                        problem.torque - problem.motor_torque(state.x, state.beta) - torque_readings(problem, state))
 
 
-def floor_errors(session: Session, model: Model, run: int, rng: np.random.Generator,
-                 horizon_s: float = np.inf) -> dict[str, FloatArray]:
-    """Squared free-run errors by sensor of a rehearsal of the model: what its noise alone leaves.
+def floor_errors(session: Session, model: Model, fitted: tuple[ExtendedProblem, State], run: int,
+                 rng: np.random.Generator, horizon_s: float = np.inf) -> dict[str, FloatArray]:
+    """Squared free-run errors by sensor of a rehearsal of the model on a run `fitted`: what its noise alone leaves.
 
     Pieces of `horizon_s` start from the motion that would be fitted to the rehearsal.
     """
-    problem, state = smooth(session, model, run)
+    problem, state = fitted
     truth = free_run(problem, state)
     if truth is None:
         raise FitError("the free run diverges")
@@ -174,14 +176,20 @@ class Gain:
 def measure_gain(session: Session, nominal: Model, extended: Model, rng: np.random.Generator,
                  horizon_s: float = np.inf) -> Gain:
     """Before, after and floor on the confirm runs, with the share of the gap closed and its block bootstrap."""
+    seeds = rng.integers(2**63, size=len(session.confirm))
+
+    def simulated(k: int) -> tuple[Resimulated, Resimulated, dict[str, FloatArray]]:
+        i = session.confirm[k]
+        fitted = smooth(session, extended, i)
+        q1 = fitted[1].x.q[:, 0]
+        return (resimulate(session, smooth(session, nominal, i), i, q1, True, horizon_s),
+                resimulate(session, fitted, i, q1, False, horizon_s),
+                floor_errors(session, extended, fitted, i, np.random.default_rng(seeds[k]), horizon_s))
+
     blocks: dict[str, list[tuple[float, float, float]]] = {}
     traces, torque = [], []
-    for i in session.confirm:
-        _, state = smooth(session, extended, i)
-        q1 = state.x.q[:, 0]
-        before = resimulate(session, nominal, i, q1, True, horizon_s)
-        after = resimulate(session, extended, i, q1, horizon_s=horizon_s)
-        floor = floor_errors(session, extended, i, rng, horizon_s)
+    for before, after, floor in spread(simulated, len(session.confirm), session.workers):
+        i = after.run
         traces.append(Trace(session.names[i], after.time_s, after.measured, before.simulated, after.simulated))
         torque.append((np.mean(before.torque_residual**2, axis=0), np.mean(after.torque_residual**2, axis=0)))
         size = max(10, int(BLOCK_S * session.runs[i][0].rate_hz))
@@ -223,17 +231,6 @@ def _closed(table: Mapping[str, FloatArray], which: NDArray[np.intp]) -> float |
         before, after, floor = before + b / scale, after + a / scale, floor + f / scale
     gap = before - floor
     return float(np.clip((before - after) / gap, -1.0, 1.5)) if gap > 0 else None
-
-
-def confirm_gain(session: Session, nominal: Model, extended: Model) -> float:
-    """Fall of -2 log likelihood on the confirm runs at the extension's noise, nothing re-fitted."""
-    total = 0.0
-    plain = replace(nominal, state=replace(nominal.state, noise=extended.state.noise))
-    for i in session.confirm:
-        for model, sign in ((plain, 1.0), (extended, -1.0)):
-            problem, state = smooth(session, model, i)
-            total += sign * misfit(Model(model.effects, state, problem))
-    return total
 
 
 def nothing(found: Diagnosis, session: Session, nominal: Model) -> Diagnosis:

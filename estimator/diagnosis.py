@@ -84,7 +84,7 @@ def _diagnose(session: Session, rng: np.random.Generator, say: Progress,
     scores = score_discover(session, nominal, candidates)
     say("rehearsing the nominal model", 0.2)
     try:
-        bias = rehearsal_scores(session, nominal, candidates, rng)
+        bias = rehearsal_scores(session, nominal, candidates, scores, rng)
     except FitError:  # a fit that is far wrong can have friction below zero, and its simulation run off
         bias = [RunScore(np.zeros_like(s.score), s.information) for s in scores]
     desk = Desk(session, candidates, columns_of(candidates), named, bias, nominal, rng)
@@ -198,7 +198,7 @@ def _p_of_gain(explained: Explained) -> float:
 def confirmed(desk: Desk, explained: Explained) -> bool:
     """Closure on the confirm runs, opened here for the first and only time, and a gain there."""
     session, model = desk.session, explained.model
-    scores = score_confirm(session, model, desk.candidates)
+    scores, gain = score_confirm(session, desk.nominal, model, desk.candidates)
     p = session.mechanism.p
     bias = [borrowed(explained.bias, r, model.problem.parameter_count - p, p) for r in scores]
     left = tests_of(session, model, scores, bias, explained.left)
@@ -210,4 +210,4 @@ def confirmed(desk: Desk, explained: Explained) -> bool:
             continue
         if p_of(desk, left, i) < ALPHA and desk.gain(left, i) > small:
             return False
-    return account.confirm_gain(session, desk.nominal, model) > 0.0
+    return gain > 0.0

@@ -14,7 +14,7 @@ from estimator.extended import Candidate, ExtendedProblem
 from estimator.gauss_newton import MAX_ITERATIONS, State, iterate, mistakes_torque
 from estimator.latent import Latents, Noise
 from estimator.rehearsal import perform, rehearse
-from estimator.scores import RunScore, Tests, project, score_run
+from estimator.scores import RunScore, Tests, project, score_alone, score_run
 from estimator.session import Session
 from estimator.spread import spread
 from estimator.start import gentle_start, start_state
@@ -241,23 +241,31 @@ def score_discover(session: Session, model: Model, candidates: Sequence[Candidat
     return spread(scored, len(states), session.workers)
 
 
-def score_confirm(session: Session, model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
-    """The same on the confirm runs, which the fit has not seen."""
-    out = []
-    for i in session.confirm:
-        _, state = smooth(session, model, i)
-        problem = session.problem([i], model.problem.stage.reach, model.effects, candidates)
-        out.append(score_run(problem, state))
-    return out
+def score_confirm(session: Session, nominal: Model, model: Model, candidates: Sequence[Candidate]
+                  ) -> tuple[list[RunScore], float]:
+    """The same on the confirm runs, which the fit has not seen, nothing re-fitted; and the fall of -2 log likelihood
+    there from `nominal` to `model`, at the latter's noise."""
+    plain = replace(nominal, state=replace(nominal.state, noise=model.state.noise))
+
+    def confirmed(k: int) -> tuple[RunScore, float]:
+        i = session.confirm[k]
+        problem, state = smooth(session, model, i)
+        scored = session.problem([i], model.problem.stage.reach, model.effects, candidates)
+        before, apart = smooth(session, plain, i)
+        gain = misfit(Model((), apart, before)) - misfit(Model(model.effects, state, problem))
+        return score_run(scored, state), gain
+
+    scores, gains = zip(*spread(confirmed, len(session.confirm), session.workers))
+    return list(scores), float(sum(gains))
 
 
-def rehearsal_scores(session: Session, model: Model, candidates: Sequence[Candidate],
+def rehearsal_scores(session: Session, model: Model, candidates: Sequence[Candidate], scores: Sequence[RunScore],
                      rng: np.random.Generator) -> list[RunScore]:
-    """Mean score of rehearsals of the model, one a discover run: the scores' bias when nothing is wrong."""
+    """Mean score of rehearsals of the model, one a discover run: the bias of `scores` when nothing is wrong."""
     states, seeds = run_states(session, model), rng.integers(2**63, size=len(session.discover))
     count = int(np.clip(REHEARSED // model.problem.total, *REHEARSALS))
 
-    def rehearsed(k: int) -> RunScore:
+    def rehearsed(k: int) -> FloatArray:
         i, own = session.discover[k], np.random.default_rng(seeds[k])
         problem = session.problem([i], model.problem.stage.reach, model.effects)
         found = []
@@ -266,10 +274,11 @@ def rehearsal_scores(session: Session, model: Model, candidates: Sequence[Candid
             signals = rehearse(problem, states[k], session.runs[i], own, staged)
             _, again = smooth(session, model, i, states[k].x, signals)
             scored = session.problem([i], model.problem.stage.reach, model.effects, candidates, signals)
-            found.append(score_run(scored, again))
-        return RunScore(np.mean([f.score for f in found], axis=0), found[0].information)
+            found.append(score_alone(scored, again))
+        return np.mean(found, axis=0)
 
-    return spread(rehearsed, len(states), session.workers)
+    means = spread(rehearsed, len(states), session.workers)
+    return [RunScore(mean, s.information) for mean, s in zip(means, scores)]
 
 
 def tests_of(session: Session, model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None,

@@ -207,31 +207,33 @@ def judge(desk: Desk, explained: Sequence[Explained]) -> list[Explained]:
     """Each with what it leaves over, gains over the scatter that the most likely one leaves."""
     if not explained:
         return []
-    bias = rehearsed(desk, explained[0].model)
-    first = judged(desk, explained[0], bias, None)
+    scores = score_discover(desk.session, explained[0].model, desk.candidates)
+    bias = rehearsed(desk, explained[0].model, scores)
+    first = judged(desk, explained[0], bias, None, scores)
     scatter = first.left.scatter
     rivals = [e for e in explained[1:] if e.gain > RIVAL * explained[0].gain]
     return [first, *(judged(desk, e, bias, scatter) for e in rivals)]
 
 
-def rehearsed(desk: Desk, model: Model) -> list[RunScore]:
-    """Bias of the scores at `model`, without the entries of its own sizes; the nominal model's where it cannot run.
+def rehearsed(desk: Desk, model: Model, scores: Sequence[RunScore]) -> list[RunScore]:
+    """Bias of the `scores` at `model`, without the entries of its own sizes; the nominal model's where it cannot run.
 
     Motion and noise of an explanation differ from the nominal fit's, and so does the bias.
     """
     p = desk.session.mechanism.p
     own = np.arange(p, model.problem.parameter_count)
     try:
-        found = rehearsal_scores(desk.session, model, desk.candidates, desk.rng)
+        found = rehearsal_scores(desk.session, model, desk.candidates, scores, desk.rng)
     except FitError:
         return desk.bias
     return [RunScore(np.delete(r.score, own), np.delete(np.delete(r.information, own, 0), own, 1)) for r in found]
 
 
-def judged(desk: Desk, explained: Explained, rehearsals: Sequence[RunScore], scatter: float | None) -> Explained:
+def judged(desk: Desk, explained: Explained, rehearsals: Sequence[RunScore], scatter: float | None,
+           scores: Sequence[RunScore] | None = None) -> Explained:
     """With what it leaves over on the discover runs, and its gain over the scatter (by default its own)."""
     model = explained.model
-    scores = score_discover(desk.session, model, desk.candidates)
+    scores = scores or score_discover(desk.session, model, desk.candidates)
     p = desk.session.mechanism.p
     bias = [padded(b, model.problem.parameter_count - p, p) for b in rehearsals]
     left = tests_of(desk.session, model, scores, bias)
