@@ -46,7 +46,7 @@ else
 BLIND_PART = --classes none,pair --seeds 1000-1019
 BLIND_REST = --classes single,outside,deleted --seeds 1000
 endif
-BLIND_RUN  = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.blind.run --out $(BLIND_OUT) \
+BLIND_RUN  = $(BIN)/python -m tests.blind.run --out $(BLIND_OUT) \
 	--workers $(WORKERS) --levels $(LEVELS) --effects "$(EFFECTS)"
 
 blind: $(STAMP)

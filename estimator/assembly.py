@@ -44,7 +44,7 @@ def add_intervals(rows: FloatArray, here: Samples, there: Samples, sums: Sums, f
     b = sums.diagonal.shape[1]
     if fast:
         left = np.arange(here.start, here.stop) if isinstance(here, slice) else here
-        _intervals(b, height, width)(rows.reshape(height, width, -1, STRIP), left, *sums)
+        _intervals(b, height)(rows.reshape(height, width, -1, STRIP), left, *sums)
         return
     turned = _turned(rows)[: len(sums.diagonal[here])]
     before, after, rest = turned[:, :, :b], turned[:, :, b : 2 * b], turned[:, :, 2 * b :]
@@ -60,7 +60,7 @@ def add_samples(rows: FloatArray, here: slice, weight: float, sums: Sums, turned
     height, width, _ = rows.shape
     b = sums.diagonal.shape[1]
     if fast:
-        _samples(b, height, width)(rows.reshape(height, width, -1, STRIP), here.start, here.stop, weight, sums.diagonal,
+        _samples(b, height)(rows.reshape(height, width, -1, STRIP), here.start, here.stop, weight, sums.diagonal,
                                    sums.right, turned)
         return
     turned[here] = _turned(rows)[: here.stop - here.start]
@@ -76,11 +76,11 @@ def _turned(rows: FloatArray) -> FloatArray:
 
 
 @cache
-def _intervals(b: int, height: int, width: int) -> Callable[..., Any]:
+def _intervals(b: int, height: int) -> Callable[..., Any]:
     """The kernel of `add_intervals` for blocks and rows of these sizes, which are constants to the compiler."""
-    columns = width - 2 * b
 
     def run(rows: Any, left: Any, diagonal: Any, lower: Any, right: Any) -> None:
+        width, columns = rows.shape[1], right.shape[2]
         strip, product = np.empty((STRIP, height, width)), np.empty((2 * b, width))
         for t in range(rows.shape[2]):
             for r in range(height):
@@ -112,10 +112,11 @@ def _intervals(b: int, height: int, width: int) -> Callable[..., Any]:
 
 
 @cache
-def _samples(b: int, height: int, width: int) -> Callable[..., Any]:
+def _samples(b: int, height: int) -> Callable[..., Any]:
     """The kernel of `add_samples`."""
 
     def run(rows: Any, first: int, end: int, weight: float, diagonal: Any, right: Any, turned: Any) -> None:
+        width = rows.shape[1]
         strip, product = np.empty((STRIP, height, width)), np.empty((b, width))
         for t in range(rows.shape[2]):
             for r in range(height):

@@ -97,16 +97,22 @@ class ExtendedProblem(LatentProblem):
         motion = c.motion(x.q, x.v, left)
         taken = x.u if torque is None else x.u - torque.T
         qdd = m.forward_dynamics(x.q, x.v, taken, beta)
-
-        def spread(values: FloatArray) -> FloatArray:
-            return np.stack([values[left] + w * (values[left + 1] - values[left]) for w in GAUSS])
-
         gauss = Points(motion.angle, motion.rate, motion.accel, c.torque(x.u, left), self._gauss_sign(motion),
-                       spread(self._time), spread(self._session), np.broadcast_to(self._run[left], (2, left.size)))
+                       *self._gauss_times)
         samples = Points(x.q.T, x.v.T, qdd.T, x.u.T, smooth_sign(x.v.T, m.velocity_scale), self._time, self._session,
                          self._run)
         return View(m, beta, gauss, samples, left, (GAUSS[0], GAUSS[1]), self._starts, self.dt, self.stage.reach,
                     self.stage.gear_ratio)
+
+    @cached_property
+    def _gauss_times(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(2, K) time in the run, time in the session, and number of the run at the Gauss points."""
+        left = self.left
+
+        def between(values: FloatArray) -> FloatArray:
+            return np.stack([values[left] + w * (values[left + 1] - values[left]) for w in GAUSS])
+
+        return between(self._time), between(self._session), np.broadcast_to(self._run[left], (2, left.size))
 
     def _gauss_sign(self, motion: Motion) -> FloatArray:
         eps2 = self.mechanism.velocity_scale**2

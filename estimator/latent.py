@@ -126,7 +126,7 @@ class LatentProblem:
         b, n, width = self.block, self.n, 1 + self.mechanism.p
         if extra is not None:
             width += extra.sample_columns.shape[0]
-        fast = compiled.ready() and extra is None  # compiled for one width of rows: effects have many
+        fast = compiled.ready()
         diagonal, lower = np.zeros((self.total, b, b)), np.zeros((self.total - 1, b, b))
         right = np.zeros((self.total, b, width))  # residual, then parameters
         sums = Sums(diagonal, lower, right)

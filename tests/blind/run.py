@@ -79,12 +79,11 @@ def diagnose(case: Case, cases: Path, out: Path, limit_s: float = LIMIT_S, share
     """
     answer = out / f"{case.name}.part"
     answer.unlink(missing_ok=True)
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     start = time.perf_counter()
     try:
         # a session of its own: an interrupt of the bench must not be kept as a diagnosis that failed
         done = subprocess.run(command_of(case, cases, answer, share), capture_output=True, text=True, timeout=limit_s,
-                              env=environment, check=False, start_new_session=True)
+                              check=False, start_new_session=True)
         status, said = done.returncode, (done.stderr.strip().splitlines() or [""])[-1]
     except subprocess.TimeoutExpired:
         status, said = None, f"not done after {limit_s:.0f} s"
