@@ -33,6 +33,7 @@ TORQUE_LAWS: dict[str, Law] = {
     "other's q": lambda at, j: at.q[1 - j] if len(at.v) > 1 else at.q[j] ** 2,
     "time": lambda at, j: at.time_s + 0.0 * at.q[j],
     "session": lambda at, j: at.session_s + 0.0 * at.q[j],
+    "session sign v": lambda at, j: at.session_s * at.sign[j] * 0.01,
     "u^2": lambda at, j: at.u[-1] ** 2,
     "low u": lambda at, j: np.tanh(at.u[-1] / 0.1),
     "a^2": lambda at, j: at.a[j] ** 2 * 0.01,
