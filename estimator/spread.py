@@ -10,8 +10,6 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
 
-from threadpoolctl import threadpool_limits
-
 T = TypeVar("T")
 _work: Callable[[int], Any] | None = None
 """What a pool is for while it lasts: forked processes inherit it, for functions within functions cannot be sent."""
@@ -33,7 +31,7 @@ def spread(work: Callable[[int], T], count: int, workers: int) -> list[T]:
     if workers < 2 or _work is not None or "fork" not in multiprocessing.get_all_start_methods():
         return [work(i) for i in range(count)]
     _work = work
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("fork"), _settle_in)
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("fork"), _leave_interrupts)
     try:
         return list(pool.map(_call, range(count)))
     except BrokenProcessPool:
@@ -43,14 +41,9 @@ def spread(work: Callable[[int], T], count: int, workers: int) -> list[T]:
         _work = None
 
 
-def _settle_in() -> None:
-    """One process answers interrupts for all of the foreground; and a core is for one thread.
-
-    (Measured on two cores: two processes whose matrix products share two threads each take 112 s for a diagnosis of
-    66 s.)
-    """
+def _leave_interrupts() -> None:
+    """Of the whole foreground: one process answers them."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threadpool_limits(1)
 
 
 def _call(i: int) -> Any:
