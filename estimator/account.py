@@ -332,5 +332,5 @@ def label(effect: str, joint: int | None) -> str:
 
 def sizes_text(cause: Cause) -> str:
     """Sizes with their intervals in words."""
-    return ", ".join(f"{s.name.replace('_', ' ')} {s.value:.3g} {s.unit} [{s.ci95[0]:.3g}, {s.ci95[1]:.3g}]"
-                     for s in cause.size)
+    return ", ".join(f"{s.name.replace('_', ' ')} {s.value:.3g}{'' if s.unit == '1' else ' ' + s.unit} "
+                     f"[{s.ci95[0]:.3g}, {s.ci95[1]:.3g}]" for s in cause.size)
