@@ -24,8 +24,8 @@ def write_casebook(path: Path | str, studies: Sequence[Study]) -> None:
     """Write the page. Raises `InputError` where that place cannot be written."""
     sections = [_overview(studies), *(section for study in studies for section in study_sections(study))]
     write_page(path, "Casebook: published against found",
-               f"{len(studies)} set{'s' * (len(studies) != 1)} of public records, each put through fit, validate and diagnose with the rig file "
-               "shipped for it.", sections)
+               f"{len(studies)} set{'s' * (len(studies) != 1)} of public records, each put through fit, validate and "
+               "diagnose with the rig file shipped for it.", sections)
 
 
 def _overview(studies: Sequence[Study]) -> Section:

@@ -146,9 +146,6 @@ class Effect(ABC):
     rough: ClassVar[Mapping[str, float]] = {}
     """Channel, as `estimator.levels` begins its name, to how much louder than usual it may stay beside this effect,
     whose law is not exact there."""
-    exact: ClassVar[bool] = False
-    """Its law is a definition (a bias, a scale, an offset), not a form that stands for many: what it leaves is not a
-    difference of form, but something else."""
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
     """Sizes from which a re-fit begins, too, where the nominal fit is bad: its slopes say little of large ones."""
 

@@ -67,7 +67,6 @@ class TorqueOffset(TorqueSensorEffect):
 
     name = "torque_offset"
     alike = CONSTANT
-    exact = True
     sizes = (Size("offset", "N m", 0.01),)
     sentence = "the measured torque has an offset (shunt zero)"
     reference = "contracts: torque from the current shunt"

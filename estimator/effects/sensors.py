@@ -15,7 +15,6 @@ FloatArray = NDArray[np.float64]
 class ImuEffect(SensorEffect):
     """Base: needs the IMU path."""
 
-    exact = True
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         return "" if has_imu else "no IMU on this path"
@@ -117,7 +116,6 @@ class EncoderOffset(EncoderEffect):
     """reading = q + o."""
 
     name = "encoder_offset"
-    exact = True
     sizes = (Size("offset", "rad", 0.005),)
     sentence = "the encoder's zero is wrong"
     reference = "contracts: q2 = 0 straight"
@@ -131,7 +129,6 @@ class EncoderScale(EncoderEffect):
     """reading = (1 + s) q."""
 
     name = "encoder_scale"
-    exact = True
     sizes = (Size("scale_error", "1", 0.01),)
     sentence = "the encoder's scale is wrong (counts or gear ratio)"
     reference = "counts per turn"

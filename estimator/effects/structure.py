@@ -48,7 +48,6 @@ class RotorInertia(TorqueEffect):
 
     name = "rotor_inertia"
     positive = 1
-    exact = True
     sizes = (Size("inertia", "kg m^2", 0.001),)
     sentence = "the motor's rotor adds inertia at its joint (gear ratio squared)"
     reference = "Spong 1987"
