@@ -47,6 +47,10 @@ class Explained:
     """What its scores are on average when it is right, one a discover run, its own sizes left out."""
     inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(m,) how much more variance than white noise gives them its parameters have; see `scores.own_inflation`"""
+    beside: frozenset[str] = frozenset()
+    """Effects of a closed explanation that this one adds to, and ..."""
+    margin: float = 0.0
+    """... the gain that it was sought for: the largest that they left"""
     moved: FloatArray | None = None
     """(m,) by how much a sharper rounding of dry friction moved its parameters: as much again is uncertain of them"""
 

@@ -42,6 +42,8 @@ LEFT_OVER = 0.03
 LEFT_AT_REST = 0.08
 """... and this share to another friction near rest at its joint. (Measured: Stribeck friction of the form 1/(1 + v^2)
 left 5 % to bristles, of a level below zero.)"""
+STILL_LEFT = 0.1
+"""Share of what a single leaves that a second cause may still leave beside it: forms differ, as above."""
 COLLINEAR = 0.9
 """Cosine above which one effect is tried in another's place. (Measured: beside asymmetric friction an encoder's disc
 off centre was named for its scale, which no pair had held.)"""
@@ -106,8 +108,8 @@ def search(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
     """Singles; where none closes, pairs; where none of these does, one triple.
 
     What a single may leave over could be a difference of form, or a second cause: where it leaves something, a pair
-    that leaves nothing is preferred. (Measured: a lever arm gained 609,000 and left 1,800, which was a spring; a stand
-    194,000, and left 860, which was a late torque. Of 25 singles none was given a second cause for its form.)
+    that leaves next to nothing is preferred. (Measured: a lever arm gained 609,000 and left 1,800, which was a spring;
+    a stand 194,000, and left 860, which was a late torque. Of 25 singles none was given a second cause for its form.)
     """
     order = best_shapes(desk, tests)
     raw = sorted(order, key=lambda i: -desk.gain(tests, i) * float(np.mean(tests.inflation[desk.columns[i]])))
@@ -127,7 +129,10 @@ def search(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
         if best.clean:
             return singles
         say("trying pairs", 0.7)
-        pairs = [p for p in grow(desk, [best], PAIRS) if p.closed and p.clean and keys_of(best) < keys_of(p)]
+        margin = desk.gain(best.left, best.best_left)
+        pairs = [replace(p, beside=keys_of(best), margin=margin) for p in grow(desk, [best], PAIRS)
+                 if p.closed and keys_of(best) < keys_of(p)
+                 and (p.clean or desk.gain(p.left, p.best_left) < STILL_LEFT * margin)]
         return [*pairs, *(replace(s, closed=False) for s in singles)] if pairs else singles
     say("trying pairs", 0.7)
     pairs = grow(desk, singles[:2], PAIRS)

@@ -34,6 +34,7 @@ class JointStiffness(TorqueEffect):
     name = "joint_stiffness"
     alike = CONSTANT
     apart = 0
+    positive = 1
     sizes = (Size("stiffness", "N m/rad", 0.05), Size("preload", "N m", 0.01))
     sentence = "a spring acts at the joint (cable, seal, hose)"
     reference = "linear spring"
