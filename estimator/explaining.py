@@ -272,7 +272,7 @@ def present(model: Model, spread: float) -> bool:
     for k, (effect, size) in enumerate(zip(model.named, model.sizes())):
         counts = significant(model, k, spread)
         below = size[: effect.positive] < 0.0
-        if not counts[: effect.defining].any() or below[:1].any() or (below & counts[: effect.positive]).any():
+        if not counts[: effect.defining].any() or (below & counts[: effect.positive]).any():
             return False
     return True
 

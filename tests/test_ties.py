@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from estimator.desk import Explained
 from estimator.effects import Effect
 from estimator.effects.drive import TorqueOffset
-from estimator.effects.friction import AsymmetricFriction, QuadraticDrag
+from estimator.effects.friction import AsymmetricFriction, QuadraticDrag, StribeckFriction
 from estimator.effects.sensors import EncoderScale
 from estimator.effects.structure import JointElasticity, JointStiffness, RotorInertia
 from estimator.explaining import present
@@ -47,6 +48,15 @@ def test_runs_that_disagree_make_a_tie() -> None:
 def test_a_clear_second_is_no_tie(gain: float, by_run: list[float]) -> None:
     scale = explained(EncoderScale(1), 1546.0, [0.0] * 6)
     assert names(tied([scale, explained(RotorInertia(1), gain, by_run)])) == ["encoder_scale"]
+
+
+@pytest.mark.parametrize(("beside", "told"), [
+    (frozenset({"sensor_time_skew"}), ["quadratic_drag"]), (frozenset(), ["quadratic_drag", "stribeck_friction"])])
+def test_second_causes_are_compared_by_what_they_were_sought_for(beside: frozenset[str], told: list[str]) -> None:
+    drag, stribeck = (replace(explained(kind(1), gain, by_run), beside=beside, margin=1047.0)
+                      for kind, gain, by_run in ((QuadraticDrag, 319_713.0, [0.0] * 6),
+                                                 (StribeckFriction, 319_410.0, [50.0, 51.0, 49.0, 52.0, 50.0, 51.0])))
+    assert names(tied([drag, stribeck])) == told
 
 
 def constants(stiffness: float, viscous: float) -> list[Explained]:
@@ -88,6 +98,8 @@ def test_what_leaves_nothing_stands_before_what_is_likelier() -> None:
     (JointElasticity(1), [9.0, 0.0, 0.0, 0.0], True),
     (JointElasticity(1), [0.5, 30.0, 30.0, 30.0], False),  # its motor's friction and inertia alone
     (AsymmetricFriction(1), [0.0, -9.0], True),
-    (JointStiffness(1), [-9.0, 0.0], True)])
+    (JointStiffness(1), [9.0, 0.0], True),
+    (JointStiffness(1), [-9.0, 9.0], False),  # a spring that pushes
+    (JointStiffness(1), [-1.0, 9.0], True)])
 def test_an_effect_is_there_by_the_sizes_that_define_it(effect: Effect, sizes: list[float], there: bool) -> None:
     assert present(explained(effect, 1000.0, [0.0] * 6, sizes).model, 1.0) is there
