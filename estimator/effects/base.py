@@ -133,6 +133,8 @@ class Effect(ABC):
     per_joint: ClassVar[bool] = False
     alike: ClassVar[str] = ""
     """Effects of one such group cannot be told apart by small differences: these stem from what no model has right."""
+    kin: ClassVar[str] = ""
+    """Laws of one such group at one joint may differ by form alone: what one leaves to another is no second cause."""
     apart: ClassVar[int | None] = None
     """Which size sets an effect apart from its group: without it, it is the same function of the motion."""
     positive: ClassVar[int] = 0

@@ -98,6 +98,7 @@ class GearEffect(Effect):
     """
 
     per_joint = True
+    kin = "encoder"
     defining = 1
 
     @abstractmethod
