@@ -67,6 +67,17 @@ def invert_small(matrices: FloatArray) -> FloatArray:
     return a
 
 
+def mean_sign(a: FloatArray, b: FloatArray, scale: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean of v / sqrt(v^2 + scale^2) for v running linearly from a to b, and its derivatives by a and b.
+
+    It is (a + b) / (|a|_scale + |b|_scale), with |v|_scale the root.
+    """
+    ra, rb = np.sqrt(a * a + scale**2), np.sqrt(b * b + scale**2)
+    total = ra + rb
+    mean = (a + b) / total
+    return mean, (1.0 - mean * a / ra) / total, (1.0 - mean * b / rb) / total
+
+
 class Motion(NamedTuple):
     """Features at the Gauss points of K intervals; each array (n, 2, K)."""
 
@@ -168,14 +179,8 @@ class Collocation:
             return motion.accel[j], [Slope(j, ACCEL, j, 1.0)]
         if term == "offset":
             return np.ones_like(motion.rate[j]), []
-        # mean of v / sqrt(v^2 + eps^2) for v running linearly from a to b: (a + b) / (|a|_eps + |b|_eps)
-        a, b = motion.rate_from[j], motion.rate_to[j]
-        eps2 = self.mechanism.velocity_scale**2
-        ra, rb = np.sqrt(a * a + eps2), np.sqrt(b * b + eps2)
-        total = ra + rb
-        mean = (a + b) / total
-        return mean, [Slope(j, RATE_FROM, j, (1.0 - mean * a / ra) / total),
-                      Slope(j, RATE_TO, j, (1.0 - mean * b / rb) / total)]
+        mean, by_from, by_to = mean_sign(motion.rate_from[j], motion.rate_to[j], self.mechanism.velocity_scale)
+        return mean, [Slope(j, RATE_FROM, j, by_from), Slope(j, RATE_TO, j, by_to)]
 
     @cached_property
     def _fast(self) -> FastTerms:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.collocation import ACCEL, ANGLE, GAUSS, RATE, Motion
+from estimator.collocation import ACCEL, ANGLE, GAUSS, RATE, mean_sign
 from estimator.effects.base import (
     MOTOR_ACCELERATION,
     MOTOR_RATE,
@@ -97,8 +97,8 @@ class ExtendedProblem(LatentProblem):
         motion = c.motion(x.q, x.v, left)
         taken = x.u if torque is None else x.u - torque.T
         qdd = m.forward_dynamics(x.q, x.v, taken, beta)
-        gauss = Points(motion.angle, motion.rate, motion.accel, c.torque(x.u, left), self._gauss_sign(motion),
-                       *self._gauss_times)
+        sign = mean_sign(motion.rate_from, motion.rate_to, m.velocity_scale)[0]
+        gauss = Points(motion.angle, motion.rate, motion.accel, c.torque(x.u, left), sign, *self._gauss_times)
         samples = Points(x.q.T, x.v.T, qdd.T, x.u.T, smooth_sign(x.v.T, m.velocity_scale), self._time, self._session,
                          self._run)
         return View(m, beta, gauss, samples, left, (GAUSS[0], GAUSS[1]), self._starts, self.dt, self.stage.reach,
@@ -113,11 +113,6 @@ class ExtendedProblem(LatentProblem):
             return np.stack([values[left] + w * (values[left + 1] - values[left]) for w in GAUSS])
 
         return between(self._time), between(self._session), np.broadcast_to(self._run[left], (2, left.size))
-
-    def _gauss_sign(self, motion: Motion) -> FloatArray:
-        eps2 = self.mechanism.velocity_scale**2
-        a, b = motion.rate_from, motion.rate_to
-        return (a + b) / (np.sqrt(a * a + eps2) + np.sqrt(b * b + eps2))
 
     @cached_property
     def _measured(self) -> dict[str, FloatArray]:
@@ -155,14 +150,15 @@ class ExtendedProblem(LatentProblem):
     def extra(self, x: Latents, parameters: FloatArray) -> Extra:
         """What the effects add at (x, parameters), with columns of effects, then of candidates."""
         beta, sizes = self.split(parameters)
+        pairs = list(zip(self.effects, sizes))
         n, count, total = self.n, self.left.size, self.total
         view = replace(self.view(x, beta), measured=self._measured)
-        torque, at_samples, readings = self.added(view, sizes)
+        torque, at_samples, readings = added(pairs, view)
         for _ in range(PASSES - 1):  # what an effect takes changes the acceleration it feels
             if not at_samples.any():
                 break
             view, before = replace(self.view(x, beta, at_samples), measured=self._measured), at_samples
-            torque, at_samples, readings = self.added(view, sizes)
+            torque, at_samples, readings = added(pairs, view)
             if np.array_equal(before, at_samples):
                 break
         else:
@@ -204,10 +200,6 @@ class ExtendedProblem(LatentProblem):
             for j, lost in effect.lost(view, size).items():
                 out[:, j] += lost
         return out
-
-    def added(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
-        """Torque of all effects at Gauss points (n, 2, K) and at samples (n, N), and what they add to readings."""
-        return added(list(zip(self.effects, sizes)), view)
 
     def _law_slopes(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray | None, FloatArray | None]:
         """Derivatives of the torque laws by the features of the motion, at Gauss points and at samples."""

@@ -131,8 +131,7 @@ class _Plant:
             size = float(np.max(np.abs(change)))
             if not size > SETTLED_NM:
                 break
-            if size > 0.9 * before:
-                share = max(0.2, 0.7 * share)
+            share = _calmed(share, size, before)
             before = size
         return samples
 
@@ -170,8 +169,7 @@ def _relaxed(plant: _Plant, depth: int, parts: Sequence[slice]) -> _Run | None:
             return q, v, plant.at_samples(q, v)
         if not depth and k >= HOPELESS and moved > LOOSE_RAD:
             return None
-        if moved > 0.9 * before:
-            share = max(0.2, 0.7 * share)
+        share = _calmed(share, moved, before)
         before = moved
     return (q, v, plant.at_samples(q, v)) if moved <= LOOSE_RAD else None
 
@@ -218,10 +216,14 @@ def _window(plant: _Plant, where: slice, before: _Run) -> _Run | None:
         q[where], v[where] = next_q, next_v
         if moved < SETTLED_RAD:
             break
-        if moved > 0.9 * last:
-            share = max(0.2, 0.7 * share)
+        share = _calmed(share, moved, last)
         last = moved
     return (q, v, samples) if moved <= LOOSE_RAD else None
+
+
+def _calmed(share: float, moved: float, before: float) -> float:
+    """Share of the next step: less where this one was hardly smaller than the one before."""
+    return max(0.2, 0.7 * share) if moved > 0.9 * before else share
 
 
 class Anderson:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.collocation import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Motion
+from estimator.collocation import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Motion, mean_sign
 from estimator.effects.base import Effect, Points, View
 
 FloatArray = NDArray[np.float64]
@@ -52,23 +52,19 @@ class Laws:
         at = self._points(motion, where)
         n = len(motion.angle)
         out = np.zeros((n, 5, n, *motion.angle.shape[1:]))
-        eps2 = self.view.mechanism.velocity_scale**2
         for effect, size in self.pairs:
             j = effect.joint or 0
             found = by_motion(effect, at, size, self.view)
             for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
                 out[j, feature, j] += found[name]
-            a, b = motion.rate_from[j], motion.rate_to[j]
-            ra, rb = np.sqrt(a * a + eps2), np.sqrt(b * b + eps2)
-            for feature, rate, size_of in ((RATE_FROM, a, ra), (RATE_TO, b, rb)):
-                out[j, feature, j] += found["sign"] * (1.0 - at.sign[j] * rate / size_of) / (ra + rb)
+            _, by_from, by_to = mean_sign(motion.rate_from[j], motion.rate_to[j], self.view.mechanism.velocity_scale)
+            out[j, RATE_FROM, j] += found["sign"] * by_from
+            out[j, RATE_TO, j] += found["sign"] * by_to
         return out
 
     def _points(self, motion: Motion, where: slice) -> Points:
         g = self.view.gauss
         cut = (..., slice(self.first + where.start, self.first + where.stop))
-        eps2 = self.view.mechanism.velocity_scale**2
-        a, b = motion.rate_from, motion.rate_to
-        sign = (a + b) / (np.sqrt(a * a + eps2) + np.sqrt(b * b + eps2))
+        sign = mean_sign(motion.rate_from, motion.rate_to, self.view.mechanism.velocity_scale)[0]
         return Points(motion.angle, motion.rate, motion.accel, g.u[cut], sign, g.time_s[cut], g.session_s[cut],
                       g.run[cut])

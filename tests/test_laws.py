@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -61,7 +59,7 @@ def test_a_rotor_heavier_than_its_link_is_a_heavier_link() -> None:
         problem = problem_of(joint1(), count, torque, list(effects))
         still = np.zeros((count, 1))
         state = State(Latents(still, still, torque), beta, Noise(np.ones(1), np.ones(1)), np.eye(beta.size))
-        run = free_run(problem, replace(state), torque)
+        run = free_run(problem, state, torque)
         assert run is not None
         runs.append(run)
     assert np.ptp(runs[0].q) > 1.0

@@ -133,6 +133,8 @@ class Effect(ABC):
     per_joint: ClassVar[bool] = False
     alike: ClassVar[str] = ""
     """Effects of one such group cannot be told apart by small differences: these stem from what no model has right."""
+    instant: ClassVar[bool] = False
+    """The torque that it adds in a simulation is `law` alone."""
     kin: ClassVar[str] = ""
     """Laws of one such group at one joint may differ by form alone: what one leaves to another is no second cause."""
     apart: ClassVar[int | None] = None
@@ -197,11 +199,6 @@ class Effect(ABC):
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         """What it adds at `size` (count,) to the motion in `view`."""
 
-    @property
-    def instant(self) -> bool:
-        """Whether the torque that it adds in a simulation is `law` alone."""
-        return False
-
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         """(...) torque on its own joint [N m] by the motion at the same instant; nil where there is none."""
         return np.zeros_like(at.time_s)
@@ -227,10 +224,7 @@ class TorqueEffect(Effect):
     """A torque that depends on the motion at the same instant."""
 
     per_joint = True
-
-    @property
-    def instant(self) -> bool:
-        return True
+    instant = True
 
     @abstractmethod
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:

@@ -98,6 +98,7 @@ class GearEffect(Effect):
     """
 
     per_joint = True
+    instant = True
     kin = "encoder"
     defining = 1
 
@@ -119,10 +120,6 @@ class GearEffect(Effect):
         gauss, samples = np.zeros_like(view.gauss.a), np.zeros_like(s.a)
         gauss[j], samples[j] = self.law(view.gauss, size, view), self.law(s, size, view)
         return Perturbation(gauss, samples, {f"encoder{j + 1}": self.twist(s.u[j] - friction - samples[j], size)[0]})
-
-    @property
-    def instant(self) -> bool:
-        return True
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         return np.asarray(self.motor(size)[2] * at.a[self.joint or 0])
