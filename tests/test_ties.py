@@ -15,7 +15,7 @@ from estimator.effects.drive import TorqueOffset
 from estimator.effects.friction import AsymmetricFriction, QuadraticDrag, StribeckFriction
 from estimator.effects.sensors import EncoderScale
 from estimator.effects.structure import JointElasticity, JointStiffness, RotorInertia
-from estimator.explaining import present
+from estimator.explaining import presence
 from estimator.ties import tied
 
 
@@ -102,4 +102,4 @@ def test_what_leaves_nothing_stands_before_what_is_likelier() -> None:
     (JointStiffness(1), [-9.0, 9.0], False),  # a spring that pushes
     (JointStiffness(1), [-1.0, 9.0], True)])
 def test_an_effect_is_there_by_the_sizes_that_define_it(effect: Effect, sizes: list[float], there: bool) -> None:
-    assert present(explained(effect, 1000.0, [0.0] * 6, sizes).model, 1.0) is there
+    assert presence(explained(effect, 1000.0, [0.0] * 6, sizes).model, 1.0) == [there]
