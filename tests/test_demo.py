@@ -2,6 +2,8 @@
 
 import json
 import re
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -15,12 +17,10 @@ from experiments.model_file import load_model
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a demo of four short runs leaves behind, and `said.txt` for what it printed."""
     out = tmp_path_factory.mktemp("demo")
-    with pytest.MonkeyPatch.context() as patch:
-        said: list[str] = []
-        patch.setattr("builtins.print", lambda *words, **_: said.append(" ".join(map(str, words))))
-        args = ["demo", "--out", str(out), "--seconds", "6", "--runs", "4", "--effect", "torque_offset"]
-        assert cli.main(args) == 0, said
-    (out / "said.txt").write_text("\n".join(said))
+    args = ["demo", "--out", str(out), "--seconds", "6", "--runs", "4", "--effect", "torque_offset"]
+    with redirect_stdout(StringIO()) as said:
+        assert cli.main(args) == 0, said.getvalue()
+    (out / "said.txt").write_text(said.getvalue())
     return out
 
 
