@@ -33,6 +33,7 @@ HORIZON_S = 1.0
 """Length of the pieces that are simulated where noise, added up over a whole run, hides what the extension gains."""
 NO_GAP = ("a free run over a whole run cannot show the gain: noise alone, added up, leaves about as much error as the "
           "nominal model has; what speaks for the extension is the likelihood of the confirm runs")
+UNSURE_GAP = "free runs over whole runs leave open whether the extension helps: the interval of its share holds zero"
 
 
 def base(session: Session, nominal: Model, refused: Mapping[str, str],
@@ -297,8 +298,9 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
         gain = measure_gain(session, nominal, model, rng or np.random.default_rng(0))
     except FitError as error:
         return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
-    if gain.closed is None:
-        found = replace(found, warnings=(*found.warnings, NO_GAP), short=in_pieces(session, nominal, model))
+    if gain.ci95 is None or gain.ci95[0] <= 0.0:
+        found = replace(found, warnings=(*found.warnings, NO_GAP if gain.closed is None else UNSURE_GAP),
+                        short=in_pieces(session, nominal, model))
     return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
 

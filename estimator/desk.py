@@ -48,9 +48,9 @@ class Explained:
     inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(m,) how much more variance than white noise gives them its parameters have; see `scores.own_inflation`"""
     beside: frozenset[str] = frozenset()
-    """Effects of a closed explanation that this one adds to, and ..."""
+    """Effects of the explanation that it was grown from, by one more, and ..."""
     margin: float = 0.0
-    """... the gain that it was sought for: the largest that they left"""
+    """... its gain over that one"""
     moved: FloatArray | None = None
     """(m,) by how much a sharper rounding of dry friction moved its parameters: as much again is uncertain of them"""
 

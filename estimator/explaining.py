@@ -30,11 +30,14 @@ Progress = Callable[[str, float], None]
 SINGLES = 5
 """Best effects that are re-fitted one by one, beside ..."""
 SCATTERED = 2
-"""... the best by gains that are not divided by their scatter between runs: what is badly missing scatters by itself.
-(Measured: an encoder's scale of 28 % came sixth, and was not tried.)"""
-PAIRS = 4
+"""... the best of the others by gains that are not divided by their own scatter between runs: what is badly missing
+scatters by itself. (Measured: an encoder's scale of 28 % came sixth, and was not tried; an IMU 13 ms late scattered 21
+times as much as all else beside a soft gear, and came sixth.)"""
+PAIRS = 3
 HELD_STEPS, FREE_STEPS = 12, 24
 """Most steps of a re-fit with shapes held, and then with all free."""
+WEIGHED = 6
+"""Most fits that are compared under the noise of the best: the likeliest under their own."""
 WEIGH_STEPS = 25
 """... and of one under the noise levels of the best explanation."""
 LEFT_OVER = 0.03
@@ -85,7 +88,8 @@ def swapped(desk: Desk, tests: Tests, best: Explained, known: set[frozenset[str]
                 scatter = best.left.scatter
                 more = (found.gain - mine.gain) / scatter  # both weighed under one noise, unlike `best`
                 out.append(replace(judged(desk, found, best.bias, scatter), gain=best.gain + more,
-                                   by_run=best.by_run + found.by_run - mine.by_run))
+                                   beside=best.beside if best.beside <= keys else frozenset(),
+                                   margin=best.margin + more, by_run=best.by_run + found.by_run - mine.by_run))
     return out
 
 
@@ -111,14 +115,13 @@ def search(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
     that leaves next to nothing is preferred. (Measured: a lever arm gained 609,000 and left 1,800, which was a spring;
     a stand 194,000, and left 860, which was a late torque.)
     """
-    order = best_shapes(desk, tests)
-    raw = sorted(order, key=lambda i: -desk.gain(tests, i) * float(np.mean(tests.inflation[desk.columns[i]])))
-    chosen = dict.fromkeys([*order[:SINGLES], *raw[:SCATTERED]])
-    promising = [i for i in chosen if p_of(desk, tests, i) < 0.5]
-    starts = [[(desk.candidates[i].effect, start_size(desk, tests, i))] for i in promising]
-    if desk.too_loud(desk.nominal):
-        effects = [desk.candidates[i].effect for i in order]
-        starts += [[(e, np.array(size))] for e in effects for size in e.starts]
+    far = best_shapes(desk, tests) if desk.too_loud(desk.nominal) else []  # from where one step may lead nowhere
+    effects = [desk.candidates[i].effect for i in far]
+    starts = [[(e, np.array(size))] for e in effects for size in e.starts]
+    known = {e.key for e in effects if e.starts}
+    for i in promising(desk, tests, SINGLES):
+        if desk.candidates[i].effect.key not in known:
+            starts.append([(desk.candidates[i].effect, start_size(desk, tests, i))])
     singles = weigh(desk, starts)
     say("looking at what they leave over", 0.6)
     singles = judge(desk, singles[:4])
@@ -129,10 +132,9 @@ def search(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
         if best.clean:
             return singles
         say("trying pairs", 0.7)
-        margin = desk.gain(best.left, best.best_left)
-        pairs = [replace(p, beside=keys_of(best), margin=margin) for p in grow(desk, [best], PAIRS)
+        pairs = [p for p in grow(desk, [best], PAIRS)
                  if p.closed and keys_of(best) < keys_of(p) and not akin(best, p)
-                 and (p.clean or desk.gain(p.left, p.best_left) < STILL_LEFT * margin)]
+                 and (p.clean or desk.gain(p.left, p.best_left) < STILL_LEFT * p.margin)]
         return [*pairs, *(replace(s, closed=False) for s in singles)] if pairs else singles
     say("trying pairs", 0.7)
     pairs = grow(desk, singles[:2], PAIRS)
@@ -157,6 +159,18 @@ def reduced(desk: Desk, explained: Sequence[Explained]) -> list[Explained]:
     return [e for e in judge(desk, weigh(desk, list(starts.values()))) if e.closed]
 
 
+def promising(desk: Desk, tests: Tests, most: int, skip: Sequence[str] = ()) -> list[int]:
+    """Candidates worth a re-fit, each effect in its best shape: the best by gain, and by gain over the common scatter
+    instead of their own."""
+    order = best_shapes(desk, tests, skip)
+    chance = {i: p_of(desk, tests, i) for i in order}
+    best = [i for i in order[:most] if chance[i] < 0.5]
+    common = {i: desk.gain(tests, i) * float(np.mean(tests.inflation[desk.columns[i]])) / tests.scatter
+              for i in order if i not in best and chance[i] < 0.5}
+    badly = sorted(common, key=lambda i: -common[i])[:SCATTERED]
+    return [*best, *(i for i in badly if common[i] > desk.material(desk.session.discover))]
+
+
 def akin(best: Explained, pair: Explained) -> bool:
     """Whether what `pair` adds to `best` is of the kin of one of its effects, at the same joint.
 
@@ -176,15 +190,17 @@ def start_size(desk: Desk, tests: Tests, i: int) -> FloatArray:
     return np.concatenate([size, shape])
 
 
-def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> list[Explained]:
-    """Fit every start, compare all under the noise of the best, most likely first, each set of effects once."""
+def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]],
+          fits: Sequence[Model] = ()) -> list[Explained]:
+    """Fit every start, compare all and `fits` under the noise of the best, most likely first, each set of effects
+    once."""
     session, reach = desk.session, desk.nominal.problem.stage.reach
 
     def fitted(k: int) -> State | None:
         model = fit_extension(desk, starts[k])
         return None if model is None else model.state
 
-    models = []
+    models = list(fits)
     for start, state in zip(starts, spread(fitted, len(starts), session.workers)):
         if state is not None:
             effects = tuple(e for e, _ in start)
@@ -192,6 +208,8 @@ def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]]) -> 
     if not models:
         return []
     noise = min((m.state.noise for m in models), key=lambda s: log_volume(desk.nominal.problem, s))
+    models.sort(key=lambda m: misfit(m) + 2.0 * log_volume(desk.nominal.problem, m.state.noise))
+    models = [*models[:WEIGHED], *(m for m in models[WEIGHED:] if any(m is f for f in fits))]
     every = [desk.nominal, *models]
 
     def weighed(k: int) -> tuple[float, FloatArray] | None:
@@ -233,12 +251,13 @@ def fit_extension(desk: Desk, start: Sequence[tuple[Effect, FloatArray]]) -> Mod
     return None
 
 
-def judge(desk: Desk, explained: Sequence[Explained]) -> list[Explained]:
-    """Each with what it leaves over, gains over the scatter that the most likely one leaves."""
+def judge(desk: Desk, explained: Sequence[Explained], bias: Sequence[RunScore] = ()) -> list[Explained]:
+    """Each with what it leaves over, gains over the scatter that the most likely one leaves; with its `bias`, which is
+    rehearsed where it is not given."""
     if not explained:
         return []
     scores = score_discover(desk.session, explained[0].model, desk.candidates)
-    bias = rehearsed(desk, explained[0].model, scores)
+    bias = bias or rehearsed(desk, explained[0].model, scores)
     first = judged(desk, explained[0], bias, None, scores)
     scatter = first.left.scatter
     rivals = [e for e in explained[1:] if e.gain > RIVAL * explained[0].gain]
@@ -250,13 +269,17 @@ def rehearsed(desk: Desk, model: Model, scores: Sequence[RunScore]) -> list[RunS
 
     Motion and noise of an explanation differ from the nominal fit's, and so does the bias.
     """
-    p = desk.session.mechanism.p
-    own = np.arange(p, model.problem.parameter_count)
     try:
         found = rehearsal_scores(desk.session, model, desk.candidates, scores, desk.rng)
     except FitError:
         return desk.bias
-    return [RunScore(np.delete(r.score, own), np.delete(np.delete(r.information, own, 0), own, 1)) for r in found]
+    return [bare(r, model) for r in found]
+
+
+def bare(score: RunScore, model: Model) -> RunScore:
+    """Without the entries of the model's own sizes; `padded` puts them back, as zeros."""
+    own = np.arange(model.problem.mechanism.p, model.problem.parameter_count)
+    return RunScore(np.delete(score.score, own), np.delete(np.delete(score.information, own, 0), own, 1))
 
 
 def judged(desk: Desk, explained: Explained, rehearsals: Sequence[RunScore], scatter: float | None,
@@ -264,22 +287,22 @@ def judged(desk: Desk, explained: Explained, rehearsals: Sequence[RunScore], sca
     """With what it leaves over on the discover runs, and its gain over the scatter (by default its own)."""
     model = explained.model
     scores = scores or score_discover(desk.session, model, desk.candidates)
-    p = desk.session.mechanism.p
-    bias = [padded(b, model.problem.parameter_count - p, p) for b in rehearsals]
-    left = tests_of(desk.session, model, scores, bias)
+    left = tests_of(desk.session, model, scores, [padded(b, model) for b in rehearsals])
     own = {e.key for e in model.effects}
     gains = [desk.gain(left, i) if c.effect.key not in own else 0.0 for i, c in enumerate(desk.candidates)]
     best = int(np.argmax(gains))
     best_named = int(np.argmax(gains[: desk.named]))
-    gain = explained.gain / (left.scatter if scatter is None else scatter)
+    scatter = left.scatter if scatter is None else scatter
+    gain = explained.gain / scatter
     least = desk.material(desk.session.discover)
     detectable = [i for i, g in enumerate(gains) if g > least and p_of(desk, left, i) < ALPHA]
     small = all(gains[i] < may_leave(model, desk.candidates[i].effect) * gain for i in detectable)
     closed = (gain > least and small and not desk.too_loud(model)
               and all(presence(model, float(np.sqrt(left.scatter)))))
     own_scatter = own_inflation(scores, np.diag(model.state.covariance) > 0.0, left.scatter)
-    return replace(explained, gain=gain, left=left, best_left=best, best_named_left=best_named, closed=closed,
-                   clean=not detectable, bias=tuple(rehearsals), inflation=own_scatter)
+    return replace(explained, gain=gain, margin=explained.margin / scatter, left=left, best_left=best,
+                   best_named_left=best_named, closed=closed, clean=not detectable, bias=tuple(rehearsals),
+                   inflation=own_scatter)
 
 
 def may_leave(model: Model, other: Effect) -> float:
@@ -308,31 +331,26 @@ def significant(model: Model, which: int, spread: float | FloatArray) -> NDArray
     return np.asarray(np.abs(model.sizes()[which]) > NIL * std)[: len(model.effects[which].sizes)]
 
 
-def padded(score: RunScore, added: int, at: int) -> RunScore:
-    """A nominal run's bias as one of a model with `added` more parameters after the first `at`."""
-    return RunScore(np.insert(score.score, [at] * added, 0.0), score.information)
-
-
-def borrowed(bias: Sequence[RunScore], run: RunScore, added: int, at: int) -> RunScore:
-    """Mean bias of the discover runs, scaled column by column to what this run informs of.
-
-    A run that never reaches a stop says nothing of it, and has no bias about it either.
-    """
-    score = np.mean([b.score for b in bias], axis=0)
-    known = np.mean([np.diag(b.information) for b in bias], axis=0)
-    here = np.delete(np.diag(run.information), np.arange(at, at + added))
-    share = np.clip(here / np.maximum(known, 1e-100), 0.0, 3.0)
-    return padded(RunScore(score * share, bias[0].information), added, at)
+def padded(score: RunScore, model: Model) -> RunScore:
+    """The bias of a run of the nominal model as one of `model`, which has more parameters."""
+    p = model.problem.mechanism.p
+    return RunScore(np.insert(score.score, [p] * (model.problem.parameter_count - p), 0.0), score.information)
 
 
 def grow(desk: Desk, parents: Sequence[Explained], most: int) -> list[Explained]:
     """Each parent with one more effect: those that its left-over scores best."""
     starts = []
     for parent in parents:
-        own = [e.key for e in parent.model.effects]
-        for i in best_shapes(desk, parent.left, own)[: max(1, most // len(parents))]:
-            if p_of(desk, parent.left, i) < 0.5:
-                begin = list(zip(parent.model.effects, parent.model.sizes()))
-                starts.append([*begin, (desk.candidates[i].effect, start_size(desk, parent.left, i))])
+        begin = list(zip(parent.model.effects, parent.model.sizes()))
+        for i in promising(desk, parent.left, max(1, most // len(parents)), [e.key for e in parent.model.effects]):
+            starts.append([*begin, (desk.candidates[i].effect, start_size(desk, parent.left, i))])
     unique = {tuple(sorted(e.key for e, _ in s)): s for s in reversed(starts)}
-    return judge(desk, weigh(desk, list(unique.values()))[:3])
+    weighed = weigh(desk, list(unique.values()), [p.model for p in parents])
+    gains = {keys_of(e): e.gain for e in weighed}
+    grown = []
+    for e in weighed:
+        beside = next((keys_of(p) for p in parents if keys_of(p) < keys_of(e)), None)
+        if beside is not None:
+            grown.append(replace(e, beside=beside, margin=e.gain - gains.get(beside, 0.0)))
+    bias = parents[0].bias if parents[0].closed else ()  # what little its effect leaves hardly changes noise levels
+    return judge(desk, grown[:3], bias)

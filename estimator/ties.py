@@ -37,7 +37,7 @@ def tied(closed: Sequence[Explained]) -> list[Explained]:
 def close(other: Explained, most: Explained) -> bool:
     """Whether `other` is about as likely as the `most` likely.
 
-    Second causes beside one and the same first are compared by what they were sought for, not by the first one's gain
+    Second causes beside one and the same first are compared by what they add to it, not by the first one's gain
     too. (Measured: drag beside a late IMU gained 319,713 with it, and tied with Stribeck friction's 319,410; the late
     IMU had left 1,047.)
     """

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 from daq.dataset import Dataset
 from estimator import evidence
 from estimator.account import base
-from estimator.diagnosis import diagnose
+from estimator.diagnosis import diagnose, falls_short
 from estimator.effects import CLASSES, library
 from estimator.effects.friction import LoadDependentFriction
 from estimator.errors import FitError
@@ -24,6 +24,7 @@ from estimator.options import FitOptions
 from estimator.scores import RunScore, own_inflation, project
 from estimator.session import open_session
 from estimator.signalset import SignalSet, split_signals
+from estimator.verdict import Diagnosis, SensorGain, ShortRuns
 from tests.mujoco_leg import Leg, record
 
 CONTRACT = {
@@ -200,3 +201,21 @@ def test_a_combination_that_the_confirm_runs_hardly_know_is_not_tested_on_them()
     assert project(few, 1, scatter=lender).gain(columns) < 1.0
     same = runs(0.0, 2, np.array([0.0, 1.0, -1.0]))
     assert project(same, 1, scatter=lender).gain(columns) == pytest.approx(4.0 / lender.inflation[0])
+
+
+@pytest.mark.parametrize("whole, ci95, pieces, why", [
+    (0.9, (0.8, 1.0), None, ""),
+    (-0.2, (-0.4, -0.1), 0.3, "closes -20 % over whole runs and 30 % over pieces of 1 s"),
+    (-0.1, (-0.3, 0.2), 0.4, ""),  # noise adds up over a run: pieces show what the whole does not
+    (0.1, (-0.3, 0.2), -0.2, ""),
+    (-0.1, (-0.3, 0.2), -0.2, "closes -10 % over whole runs and -20 % over pieces of 1 s"),
+    (None, None, 0.1, ""),
+    (None, None, -0.1, "closes -10 % over pieces of 1 s"),
+    (None, None, None, "")])
+def test_a_finding_lowers_the_error_of_free_runs_that_it_has_not_seen(
+        whole: float | None, ci95: tuple[float, float] | None, pieces: float | None, why: str) -> None:
+    sensors = {"q1_rad": SensorGain(2.0, 1.0, 1.0)}
+    short = None if pieces is None else ShortRuns(1.0, sensors, pieces, (pieces - 0.1, pieces + 0.1))
+    found = Diagnosis("named", "", sensors=sensors, gap_closed=whole, gap_closed_ci95=ci95, short=short)
+    assert why in falls_short(found) and bool(why) == bool(falls_short(found))
+    assert "diverges" in falls_short(Diagnosis("named", ""))

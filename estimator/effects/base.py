@@ -51,6 +51,8 @@ class Shape(NamedTuple):
     name: str
     unit: str
     grid: tuple[float, ...]
+    above: float = 4.0
+    """By how much a fit may exceed the grid's largest value; its smallest one it may fall below by four."""
 
 
 @dataclass(frozen=True)
@@ -183,12 +185,12 @@ class Effect(ABC):
         return combinations
 
     def clipped(self, size: FloatArray) -> FloatArray:
-        """`size` with its shapes kept within four times the range of their grids, on their side of zero."""
+        """`size` with its shapes kept near the range of their grids (`Shape.above`), on their side of zero."""
         out = np.array(size, dtype=np.float64)
         for i, shape in enumerate(self.shapes, len(self.sizes)):
             magnitudes = np.abs(self.tried(shape))
             side = np.sign(out[i]) if min(shape.grid) < 0 else 1.0
-            out[i] = side * np.clip(side * out[i], magnitudes.min() / 4.0, magnitudes.max() * 4.0)
+            out[i] = side * np.clip(side * out[i], magnitudes.min() / 4.0, magnitudes.max() * shape.above)
         return out
 
     def eased(self, size: FloatArray, slack: float) -> FloatArray:

@@ -20,7 +20,8 @@ class StribeckFriction(TorqueEffect):
     near_rest = True
     positive = 1
     sizes = (Size("excess_torque", "N m", 0.01),)
-    shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.2, 0.4, 0.8)),)  # slower is the rounding of sign(v)
+    shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.2, 0.4, 0.8), 1.25),)
+    """Slower is the rounding of sign(v), faster not near standstill. (Measured: with 1.4 rad/s, drag was named so.)"""
     sentence = "friction is higher near standstill than in motion (Stribeck)"
     reference = "Stribeck 1902; Armstrong-Helouvry 1991"
     experiment = "slow reversals: a multisine below 0.3 Hz at small amplitude"
