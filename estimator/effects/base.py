@@ -52,7 +52,9 @@ class Shape(NamedTuple):
     unit: str
     grid: tuple[float, ...]
     above: float = 4.0
-    """By how much a fit may exceed the grid's largest value; its smallest one it may fall below by four."""
+    """A fit may exceed the grid's largest value by this factor, ..."""
+    below: float = 4.0
+    """... and fall below its smallest one by this."""
 
 
 @dataclass(frozen=True)
@@ -185,12 +187,12 @@ class Effect(ABC):
         return combinations
 
     def clipped(self, size: FloatArray) -> FloatArray:
-        """`size` with its shapes kept near the range of their grids (`Shape.above`), on their side of zero."""
+        """`size` with its shapes kept near the range of their grids (`Shape`), on their side of zero."""
         out = np.array(size, dtype=np.float64)
         for i, shape in enumerate(self.shapes, len(self.sizes)):
             magnitudes = np.abs(self.tried(shape))
             side = np.sign(out[i]) if min(shape.grid) < 0 else 1.0
-            out[i] = side * np.clip(side * out[i], magnitudes.min() / 4.0, magnitudes.max() * shape.above)
+            out[i] = side * np.clip(side * out[i], magnitudes.min() / shape.below, magnitudes.max() * shape.above)
         return out
 
     def eased(self, size: FloatArray, slack: float) -> FloatArray:
