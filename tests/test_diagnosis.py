@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,7 +16,9 @@ from estimator import evidence
 from estimator.account import base
 from estimator.diagnosis import diagnose, falls_short
 from estimator.effects import CLASSES, library
+from estimator.effects.drive import TorqueOffset
 from estimator.effects.friction import LoadDependentFriction
+from estimator.effects.sensors import EncoderScale
 from estimator.errors import FitError
 from estimator.evidence import fit_nominal
 from estimator.extended import Candidate, ExtendedProblem, Stage, slopes
@@ -186,6 +191,36 @@ def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, li
     nominal = fit_nominal(session)
     assert np.isinf(nominal.std()[:9]).all() and np.isfinite(nominal.state.beta).all()
     assert any("no intervals" in warning for warning in base(session, nominal, {}, None).warnings)
+
+
+def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
+                                               monkeypatch: pytest.MonkeyPatch) -> None:
+    leg, data = runs
+    session = open_session(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+    nominal, candidates = fit_nominal(session), [Candidate(kind(1)) for kind in (TorqueOffset, EncoderScale)]
+    scores = evidence.score_discover(session, nominal, candidates)
+    plain, count = evidence.rehearse, len(session.discover)
+
+    def going_off(problem: ExtendedProblem, state: State, signals: list[SignalSet], *rest: Any) -> list[SignalSet]:
+        found = plain(problem, state, signals, *rest)
+        off = signals[0].run in bad
+        return [replace(s, angles=s.angles + 0.02 * np.sin(40.0 * s.time_s)[:, None] * [0, 1]) if off else s
+                for s in found]
+
+    monkeypatch.setattr(evidence, "rehearse", going_off)
+    names = [session.runs[i][0].run for i in session.discover]
+    bad: list[str] = []
+    means = []
+    for which in ([], names[:1]):
+        bad[:] = which
+        rng = np.random.default_rng(3)
+        means.append(evidence.rehearsal_scores(session, nominal, candidates, scores, rng))
+    for k in range(1, count):
+        assert means[1][k].score == pytest.approx(means[0][k].score, rel=1e-5)
+    assert means[1][0].score == pytest.approx(evidence.borrowed(means[0][1:], scores[0]).score, rel=1e-5)
+    bad[:] = names
+    with pytest.raises(FitError, match="rehearsal"):
+        evidence.rehearsal_scores(session, nominal, candidates, scores, np.random.default_rng(3))
 
 
 def test_a_combination_that_the_confirm_runs_hardly_know_is_not_tested_on_them() -> None:
