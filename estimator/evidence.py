@@ -27,8 +27,8 @@ REHEARSED = 24_000
 """... so many samples in all: with two of short records a verdict hangs on the seed."""
 OFF = 1.5
 """Times the run's own sum of squares above which a rehearsal is left out. (Measured: on two runs of six a stand's
-motion went off, 6 to 50 times, their scores by 700 standard deviations; the runs' scatter rose from 1.9 to 230, and the
-late torque beside the stand was not seen under it.)"""
+motion went off, 6 to 50 times, their scores by 700 standard deviations; the runs' scatter rose from 1.9 to 230, and
+nothing beside the stand could be seen under it.)"""
 SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
 """Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
 LONGER = ((1000.0, 6), (200.0, 6), (40.0, 6), (16.0, 6), (8.0, 6), (4.0, 6), (2.0, 8), (1.4, 8), (1.0, 30))
