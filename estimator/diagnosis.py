@@ -52,8 +52,8 @@ LEAST_CLOSED = 0.0
 """Share of the free-run gap on the confirm runs that the interval of a named share must reach, and that the share must
 exceed over whole runs or over pieces of a second. Torque noise adds up over a run, to more than the white noise of
 `noise alone`, and parameters can imitate most of a rotor: a right cause may close little. (Measured on tuning and spent
-seeds: asking for a tenth refused four right causes and a wrong one. Of nine whose share over whole runs held zero, seven
-right ones close 3 to 84 % over pieces, two wrong ones -9 and -30 %.)"""
+seeds: asking for a tenth refused four right causes and a wrong one. Of nine whose share over whole runs held zero,
+seven right ones close 3 to 84 % over pieces, two wrong ones -9 and -30 %.)"""
 
 
 def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,
