@@ -315,8 +315,9 @@ def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Ca
     out = []
     for effect, size, here in zip(model.named, model.sizes(), model.places()):
         parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
+        told = np.append(np.ones(len(effect.sizes), dtype=bool), ~effect.at_limits(size))
         sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), (float(v - d), float(v + d)))
-                      for s, v, d, sought in zip(parts, size, half[here], model.state.beta[here]) if v == sought)
+                      for s, v, d, known in zip(parts, size, half[here], told) if known)
         near: tuple[str, ...] = ()
         if effect.key in keys:
             row = np.abs(cosines[keys.index(effect.key)])

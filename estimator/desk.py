@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimator.effects.timing import SensorTimeSkew
 from estimator.evidence import Model, begin_afresh
 from estimator.extended import Candidate
-from estimator.levels import loud, ratios
+from estimator.levels import loud, ratios, swamped
 from estimator.scores import RunScore, Tests
 from estimator.session import Session
 
@@ -88,6 +88,11 @@ class Desk:
     def too_loud(self, model: Model) -> str:
         """What `model` leaves to the noise levels, in words; empty where that is in order."""
         return loud(self.session, model, None if model is self.nominal else self.levels)
+
+    @cached_property
+    def swamped(self) -> str:
+        """Why nothing found does not mean that nothing is wrong; empty where it does."""
+        return swamped(self.session, self.nominal)
 
     @property
     def trials(self) -> int:

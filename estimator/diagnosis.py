@@ -99,6 +99,8 @@ def _diagnose(session: Session, rng: np.random.Generator, say: Progress,
     base = account.base(session, nominal, refused, reference)
     base = replace(base, candidates=ranked, separability=separability(desk, tests))
     if not detected(desk, tests) and not desk.too_loud(nominal):
+        if desk.swamped:
+            raise FitError(desk.swamped)
         return account.nothing(base, desk.session, nominal)
     say("re-fitting the best explanations", 0.4)
     options = explain(desk, tests, say)
@@ -133,7 +135,7 @@ def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.
     session = desk.session
     closed = sorted((o for o in options if o.closed), key=lambda o: (len(o.model.effects), -o.gain))
     if not options:
-        why = desk.too_loud(desk.nominal) or "no effect of the library fits"
+        why = desk.too_loud(desk.nominal) or desk.swamped or "no effect of the library fits"
         return account.unexplained(base, session, desk.nominal, None, why)
     if not closed:
         best = max(options, key=lambda o: o.gain)

@@ -117,10 +117,12 @@ def begin_afresh(session: Session, nominal: Model) -> Model:
 
 
 def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30,
-          noise: Noise | None = None, hold_shapes: bool = False) -> Model:
+          noise: Noise | None = None, hold_shapes: bool = False, hold_limits: bool = True) -> Model:
     """Full non-linear fit of the discover runs with `effects` at their starting sizes; keeps `noise` if given.
 
-    `hold_shapes` estimates the sizes alone. Raises `FitError`.
+    `hold_shapes` estimates the sizes alone, `hold_limits` holds shapes that start at a limit of their range: a step
+    beyond it foresees what never comes. (Measured on play: the encoder's noise level of such a fit stood at a quarter
+    of what it left over, and it did not settle.) Raises `FitError`.
     """
     problem = session.problem(session.discover, start.problem.stage.reach, [e for e, _ in effects])
     p = session.mechanism.p
@@ -130,9 +132,9 @@ def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatA
                   np.zeros((parameters.size, parameters.size)))
     free = np.ones(parameters.size, dtype=bool)
     free[:p] = free_mask(session.mechanism, session.options)[0]
-    for (effect, _), place in zip(effects, problem.places()):
-        if hold_shapes or effect.whole_shapes:
-            free[place.stop - len(effect.shapes) : place.stop] = False
+    for (effect, size), place in zip(effects, problem.places()):
+        held = hold_shapes or effect.whole_shapes or (effect.at_limits(size) if hold_limits else False)
+        free[place.stop - len(effect.shapes) : place.stop] = ~np.asarray(held)
     floors = None if noise is not None else session.floors(problem, state.beta[:p])
     iterate(problem, state, free, session.options, floors, limit)
     if floors is not None and mistakes_torque(problem, state, floors):

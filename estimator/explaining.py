@@ -146,7 +146,7 @@ def search(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
 
 
 def reduced(desk: Desk, explained: Sequence[Explained]) -> list[Explained]:
-    """Those that leave nothing but hold an effect that is nil, fitted without it, as far as they close then.
+    """Those that leave little but hold an effect that is nil, fitted without it, as far as they close then.
 
     A nominal fit that is far wrong can hide the one cause there is from the first singles. (Measured: a tilted IMU was
     found beside a bias of the accelerometer only, which was nil then.)
@@ -154,7 +154,8 @@ def reduced(desk: Desk, explained: Sequence[Explained]) -> list[Explained]:
     starts = {}
     for e in explained:
         there = presence(e.model, float(np.sqrt(e.left.scatter)))
-        if e.clean and not e.closed and any(there):
+        little = e.clean or desk.gain(e.left, e.best_left) < LEFT_OVER * e.gain
+        if little and any(there) and not all(there):
             starts[keys_of(e)] = [pair for pair, real in zip(zip(e.model.effects, e.model.sizes()), there) if real]
     return [e for e in judge(desk, weigh(desk, list(starts.values()))) if e.closed]
 
@@ -245,7 +246,10 @@ def fit_extension(desk: Desk, start: Sequence[tuple[Effect, FloatArray]]) -> Mod
         if not any(e.shapes and not e.whole_shapes for e in held.effects) and held.state.converged:
             return held
         try:
-            return refit(desk.session, held, list(zip(held.effects, held.sizes())), FREE_STEPS)
+            found = refit(desk.session, held, list(zip(held.effects, held.sizes())), FREE_STEPS, hold_limits=False)
+            if not found.state.converged and any(np.any(e.at_limits(s)) for e, s in zip(found.effects, found.sizes())):
+                return refit(desk.session, found, list(zip(found.effects, found.sizes())), FREE_STEPS)
+            return found
         except (FitError, np.linalg.LinAlgError):
             return held
     return None

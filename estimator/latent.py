@@ -264,8 +264,8 @@ class LatentProblem:
                 r += extra.readings[channel]  # a view: the residual of record moves with it
             diagonal[:, column, column] += 1.0 / variance
             gradient[:, column] += r / variance
-            if extra is not None and channel in extra.encoder_slopes:
-                slope, other = extra.encoder_slopes[channel], 2 * n + column
+            if extra is not None and channel in extra.by_torque:
+                slope, other = extra.by_torque[channel], 2 * n + column % n
                 diagonal[:, other, other] += slope**2 / variance
                 diagonal[:, other, column] += slope / variance
                 diagonal[:, column, other] += slope / variance
@@ -284,8 +284,8 @@ class LatentProblem:
             kind, joint = channel.rstrip("0123456789"), channel.lstrip("abcdefghijklmnopqrstuvwxyz")
             r = residuals[kind][:, int(joint) - 1] if joint else residuals[kind]
             border[:, column, p:] += c.T
-            if channel in extra.encoder_slopes:
-                border[:, 2 * self.n + column, p:] += (extra.encoder_slopes[channel] * c).T
+            if channel in extra.by_torque:
+                border[:, 2 * self.n + column % self.n, p:] += (extra.by_torque[channel] * c).T
             corner[p:, p:] += c @ extra.reading_columns[channel].T
             gradient_beta[p:] += c @ r
 
@@ -338,9 +338,9 @@ class LatentProblem:
         if point.extra is not None:
             size = np.zeros(len(point.gradient_beta))
             size[index] = step_beta
-            for channel, slope in point.extra.encoder_slopes.items():
+            for channel, slope in point.extra.by_torque.items():
                 j = int(channel[-1]) - 1
-                out["encoder"][:, j] += slope * step[:, 2 * n + j]
+                out[channel[:-1]][:, j] += slope * step[:, 2 * n + j]
             for channel, columns in point.extra.reading_columns.items():
                 moved = size[p:] @ columns
                 if channel.startswith(("torque", "encoder")):
@@ -358,10 +358,14 @@ class LatentProblem:
         variance = np.einsum("kii->ki", p_diagonal)
         taken = {"torque": np.sum(variance[:, 2 * n:] * self.torque_weight(noise) ** 2, axis=0) / noise.torque**2,
                  "encoder": variance[:, :n].sum(axis=0) / noise.encoder**2}
-        for channel, slope in (point.extra.encoder_slopes.items() if point.extra is not None else ()):
-            j = int(channel[-1]) - 1
-            both = slope**2 * variance[:, 2 * n + j] + 2.0 * slope * p_diagonal[:, j, 2 * n + j]
-            taken["encoder"][j] += both.sum() / noise.encoder[j] ** 2
+        for channel, slope in (point.extra.by_torque.items() if point.extra is not None else ()):
+            kind, j = channel[:-1], int(channel[-1]) - 1
+            u = 2 * n + j
+            own = u if kind == "torque" else j
+            both = slope**2 * variance[:, u] + 2.0 * slope * p_diagonal[:, own, u]
+            if kind == "torque":
+                both *= self.torque_weight(noise)[:, j] ** 2
+            taken[kind][j] += both.sum() / (noise.torque if kind == "torque" else noise.encoder)[j] ** 2
         if self.has_imu:
             taken["gyro"] = np.array([variance[:, n].sum() / noise.gyro**2])
             a = point.accel_rows

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from estimator.evidence import Model
+from estimator.gauss_newton import TORQUE_SHARE, mistakes_torque
 from estimator.session import Session
 from estimator.signals import white_noise_level
 
@@ -57,3 +58,18 @@ def loud(session: Session, model: Model, before: Mapping[str, tuple[float, float
         if ratio**2 > worst * allowed:
             worst, text = ratio**2 / allowed, f"what is left in the {name} is {ratio:.1f} times its noise"
     return text
+
+
+def swamped(session: Session, nominal: Model) -> str:
+    """Says so where the nominal fit takes as much of a measured torque for noise as a fit may; else empty.
+
+    What is missing can hide in so much noise, and a re-fit that needs as much is refused: nothing found then does not
+    mean that nothing is wrong. (Measured on an arm with play in its gears: nothing was detectable at 100 Hz, where
+    40 % of the torque was left to noise; at 25 Hz, where it was a quarter, play was, at p < 1e-6.)
+    """
+    floors = session.floors(nominal.problem, nominal.state.beta)
+    if not mistakes_torque(nominal.problem, nominal.state, floors):
+        return ""
+    share, rate = 100 * TORQUE_SHARE, session.runs[0][0].rate_hz
+    return (f"the nominal fit leaves {share:.0f} % of a measured torque to noise, the most that it may; if the angles "
+            f"are too coarse to check torque at {rate:g} Hz, a lower rate_hz under [sampling] leaves less")

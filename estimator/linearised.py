@@ -31,8 +31,8 @@ class Extra:
     """(n, 5, n, 2, K) derivative of `torque` by the features of the motion, where it is known."""
     sample_slopes: FloatArray | None = None
     """(n, 5, n, N)"""
-    encoder_slopes: Mapping[str, FloatArray] = field(default_factory=dict)
-    """Encoder channel to the derivative of what is added to its reading by its own joint's torque latent, (N,)."""
+    by_torque: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Encoder or torque channel to the derivative (N,) of what is added to its reading by its joint's torque latent."""
 
 
 @dataclass(frozen=True)

@@ -135,6 +135,19 @@ def test_nothing_hidden_is_never_named(runs: tuple[Leg, list[Dataset]]) -> None:
     assert all(r.smallest_detectable > 0 for r in found.candidates)
 
 
+def test_torque_that_is_mostly_noise_allows_no_verdict_that_nothing_is_wrong(runs: tuple[Leg, list[Dataset]]) -> None:
+    leg, data = runs
+    rng = np.random.default_rng(31)
+    spoiled = []
+    for run in data:
+        torque = run["tau2_nm"]
+        drowned = torque + rng.normal(0.0, 1.5 * float(np.std(torque)), torque.size)
+        spoiled.append(replace(run, columns=dict(run.columns) | {"tau2_nm": drowned}))
+    found = diagnose(spoiled, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), seed=1)
+    assert found.verdict in ("fit_failed", "unexplained")
+    assert "40 % of a measured torque to noise" in found.sentence and "rate_hz" in found.sentence
+
+
 def test_too_little_data_is_refused_in_words() -> None:
     run = record(Leg(), np.random.default_rng(9), seconds=3.0)
     found = diagnose([run], leg2(lever_arm=0.2), FitOptions(sensors="imu"))

@@ -10,15 +10,20 @@ from scipy.integrate import solve_ivp
 from estimator.collocation import Motion
 from estimator.effects import CLASSES
 from estimator.effects.base import Effect
-from estimator.effects.structure import BaseCompliance, RotorInertia
+from estimator.effects.drive import TorqueSaturation
+from estimator.effects.friction import StribeckFriction
+from estimator.effects.structure import Backlash, BaseCompliance, RotorInertia
+from estimator.evidence import fit_nominal, refit
 from estimator.extended import ExtendedProblem, Stage
 from estimator.freerun import free_run
 from estimator.gauss_newton import State
 from estimator.latent import Latents, Noise
 from estimator.laws import Laws
 from estimator.mechanism import Mechanism, joint1, leg2
+from estimator.options import FitOptions
+from estimator.session import open_session
 from estimator.signalset import SignalSet
-from tests.mujoco_leg import Leg
+from tests.mujoco_leg import Leg, record
 
 FloatArray = NDArray[np.float64]
 REACH = np.array([[-1.0, 1.0], [-1.0, 1.0]])
@@ -109,3 +114,62 @@ def test_a_free_run_on_a_stand_near_its_resonance_settles() -> None:
     found = free_run(problem, State(Latents(q, v, tau), beta, noise, np.zeros((12, 12))), tau)
     assert found is not None and np.abs(q).max() > 0.8
     assert found.q == pytest.approx(q, abs=5e-3)
+
+
+@pytest.mark.parametrize("effect", [TorqueSaturation(), Backlash(1)], ids=lambda e: e.name)
+def test_readings_that_follow_the_torque_are_linearised(effect: Effect) -> None:
+    """At random latents, half the derivative of the objective by a torque is the gradient, and the torque channel's
+    degrees of freedom are those of its whole derivative."""
+    rng, count = np.random.default_rng(8), 60
+    size = np.array([0.9] if effect.joint is None else [0.1, 0.02, 0.03, 1e-4, 0.2])
+    problem = problem_of(leg2(lever_arm=0.2), count, rng.normal(size=(count, 2)), [effect])
+    beta = np.concatenate([[0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06], size])
+    noise = Noise(np.array([5.0, 2.0]), np.array([np.inf, 0.1]), 1.0, 20.0)
+    x = Latents(*(scale * rng.normal(size=(count, 2)) for scale in (0.5, 1.0, 0.4)))
+    point = problem.linearise(x, beta, noise)
+    assert point.extra is not None
+    gradient = point.gradient.reshape(count, problem.block)
+    for k in (0, 7, 31, count - 1):
+        step = np.zeros((count, problem.block))
+        step[k, 5] = 1e-4
+        up, down = (problem.linearise(x.moved(a * step), beta, noise).objective for a in (1.0, -1.0))
+        assert gradient[k, 5] == pytest.approx((up - down) / 4e-4, rel=1e-3)
+    step = 1e-5 * rng.normal(size=(count, problem.block))
+    after = problem.residuals_after(point, step, np.zeros(0), np.zeros(0, dtype=np.intp))
+    moved = problem.linearise(x.moved(step), beta, noise).residuals
+    for channel in ("torque", "encoder"):
+        change = moved[channel] - point.residuals[channel]
+        assert after[channel] - point.residuals[channel] == pytest.approx(change, rel=1e-2, abs=1e-8)
+    variance = np.einsum("k,ij->kij", rng.uniform(1.0, 2.0, count), np.eye(problem.block))
+    by_u = 1.0 + point.extra.by_torque.get("torque2", 0.0)
+    taken = problem.effective_samples(point, variance, noise)["torque"][1]
+    assert taken == pytest.approx(np.sum(by_u**2 * variance[:, 5, 5]) / 2.0**2)
+
+
+def test_a_saturated_motor_needs_more_current_than_its_torque_says() -> None:
+    """i of u = i / sqrt(1 + 2 c i^2), which has a limit; above it the reading goes on."""
+    current, c = np.linspace(-1.0, 1.0, 41), 1.2
+    torque = current / np.sqrt(1.0 + 2.0 * c * current**2)
+    torque[-1] = 2.0  # more than the motor can give
+    problem = problem_of(leg2(lever_arm=0.2), 41, np.zeros((41, 2)), [])
+    x = Latents(np.zeros((41, 2)), np.zeros((41, 2)), np.column_stack([np.zeros(41), torque]))
+    effect = TorqueSaturation()
+    beta = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
+    added = effect.readings(problem.view(x, beta), np.array([c]))["torque2"]
+    assert (torque + added)[:-1] == pytest.approx(current[:-1])
+    assert np.isfinite(added[-1]) and added[-1] > 10.0
+
+
+def test_a_shape_at_a_limit_is_held_and_has_no_interval() -> None:
+    leg = Leg()
+    runs = [record(leg, np.random.default_rng(40 + k), seconds=6.0, name=f"r{k}") for k in range(2)]
+    session = open_session(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+    nominal = fit_nominal(session)
+    effect = StribeckFriction(1)
+    low = effect.clipped(np.array([0.01, 1e-9]))[1]
+    assert list(effect.at_limits(np.array([0.01, low]))) == [True]
+    assert list(effect.at_limits(np.array([0.01, 1.5 * low]))) == [False]
+    held = refit(session, nominal, [(effect, np.array([0.01, low]))], 4)
+    free = refit(session, nominal, [(effect, np.array([0.01, low]))], 4, hold_limits=False)
+    assert held.state.beta[-1] == low and held.state.covariance[-1, -1] == 0.0
+    assert free.state.covariance[-1, -1] > 0.0

@@ -190,10 +190,19 @@ class Effect(ABC):
         """`size` with its shapes kept near the range of their grids (`Shape`), on their side of zero."""
         out = np.array(size, dtype=np.float64)
         for i, shape in enumerate(self.shapes, len(self.sizes)):
-            magnitudes = np.abs(self.tried(shape))
             side = np.sign(out[i]) if min(shape.grid) < 0 else 1.0
-            out[i] = side * np.clip(side * out[i], magnitudes.min() / shape.below, magnitudes.max() * shape.above)
+            out[i] = side * np.clip(side * out[i], *self._range(shape))
         return out
+
+    def at_limits(self, size: FloatArray) -> NDArray[np.bool_]:
+        """For each shape, whether it is at a limit of its range: what the data would have there is not to be had."""
+        limits = [self._range(shape) for shape in self.shapes]
+        return np.array([abs(s) <= low or abs(s) >= high for s, (low, high) in zip(size[len(self.sizes) :], limits)],
+                        dtype=bool)
+
+    def _range(self, shape: Shape) -> tuple[float, float]:
+        magnitudes = np.abs(self.tried(shape))
+        return float(magnitudes.min() / shape.below), float(magnitudes.max() * shape.above)
 
     def eased(self, size: FloatArray, slack: float) -> FloatArray:
         """`size` of a law that is less steep by up to `slack`: a motion that is sought from afar comes by it."""
@@ -208,7 +217,8 @@ class Effect(ABC):
         return np.zeros_like(at.time_s)
 
     def by_torque(self, view: View, size: FloatArray) -> Mapping[str, FloatArray]:
-        """Encoder channel to the derivative (N,) of what it adds there by its joint's torque latent; else lagged."""
+        """Encoder or torque channel to the derivative (N,) of what it adds there by its joint's torque latent; else
+        lagged."""
         return {}
 
     def simulated(self, beta: FloatArray, size: FloatArray, mechanism: Mechanism) -> FloatArray:

@@ -13,6 +13,8 @@ from estimator.effects.timing import shifted
 from estimator.mechanism import Mechanism
 
 FloatArray = NDArray[np.float64]
+STEEP = 0.1
+"""A saturated motor's current grows without bound; beyond this its slope, 32 then, stays."""
 
 
 class TorqueRipple(TorqueEffect):
@@ -49,17 +51,33 @@ class TorqueSensorEffect(SensorEffect):
 
 
 class TorqueSaturation(TorqueSensorEffect):
-    """The torque that acts falls short of the measured one at high level: reading = u + c u^3."""
+    """The torque that acts falls short of what the current i says, u = i / sqrt(1 + 2 c i^2) = i - c i^3 + ...
+
+    So reading = u / sqrt(1 - 2 c u^2); where less than STEEP is left under the root it goes on straight.
+    """
 
     name = "torque_saturation"
     positive = 1
     sizes = (Size("cubic_shortfall", "1/(N m)^2", 0.01),)
     sentence = "at high current the motor gives less torque than the current says (saturation)"
-    reference = "magnetic saturation, leading odd term"
+    reference = "torque constant of an iron core that saturates, K0 / sqrt(1 + (i / i_s)^2)"
     experiment = "the same motion at two amplitudes"
 
     def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
-        return {f"torque{j + 1}": size[0] * view.samples.u[j] ** 3 for j in self._driven(view)}
+        return {f"torque{j + 1}": self._current(view.samples.u[j], size)[0] - view.samples.u[j]
+                for j in self._driven(view)}
+
+    def by_torque(self, view: View, size: FloatArray) -> Mapping[str, FloatArray]:
+        return {f"torque{j + 1}": self._current(view.samples.u[j], size)[1] - 1.0 for j in self._driven(view)}
+
+    @staticmethod
+    def _current(torque: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """i, in units of the torque, and its slope."""
+        most = np.sqrt((1.0 - STEEP) / (2.0 * size[0])) if size[0] > 0.0 else np.inf
+        known = np.clip(torque, -most, most)
+        root = 1.0 - 2.0 * size[0] * known**2
+        slope = root**-1.5
+        return known / np.sqrt(root) + slope * (torque - known), slope
 
 
 class TorqueOffset(TorqueSensorEffect):

@@ -171,7 +171,7 @@ class Backlash(GearEffect):
     name = "backlash"
     positive = 1
     sizes = (Size("gap", "rad", 0.002), *MOTOR)
-    shapes = (Shape("contact_torque", "N m", (0.06, 0.1, 0.2)),)
+    shapes = (Shape("contact_torque", "N m", (0.06, 0.1, 0.2), below=16.0),)
     sentence = "the gear has play: the link lies at one or the other side of a gap"
     reference = "Nordin and Gutman 2002"
     experiment = "slow torque reversals across zero with the link held by gravity"
