@@ -30,6 +30,8 @@ from estimator.signalset import (
 )
 
 FloatArray = NDArray[np.float64]
+ROWS = 256
+"""Rows of a regressor that are factored at a time."""
 WEIGHT_SHARE = 0.3
 """Least residual level of a joint as a share of the largest: a passive joint's equation is homogeneous in beta,
 so weighting it by its own residual alone ends at beta = 0."""
@@ -69,8 +71,16 @@ def weighted_least_squares(z: FloatArray, tau: FloatArray, free: NDArray[np.bool
 
 def _triangles(z: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
     """z (m, n, p) and tau (m, n) as n joints' (n, r, p) and (n, r) with the same sums of squares, r <= p + 1."""
-    both = np.concatenate([z, tau[:, :, None]], axis=2).swapaxes(0, 1)
-    small: FloatArray = np.asarray(np.linalg.qr(both, mode="r"))
+    small: FloatArray = np.concatenate([z, tau[:, :, None]], axis=2).swapaxes(0, 1)
+    n, _, width = small.shape
+    # piece by piece: a tall matrix is factored on several threads, which wait for each other on a busy machine
+    # (measured: 20 ms instead of 1 for 5,000 rows)
+    while small.shape[1] > max(ROWS, 2 * width):
+        pieces = -(-small.shape[1] // ROWS)
+        whole = np.zeros((n, pieces * ROWS, width))
+        whole[:, : small.shape[1]] = small
+        small = np.asarray(np.linalg.qr(whole.reshape(n, pieces, ROWS, width), mode="r")).reshape(n, -1, width)
+    small = np.asarray(np.linalg.qr(small, mode="r"))
     return small[:, :, :-1], small[:, :, -1]
 
 

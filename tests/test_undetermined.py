@@ -14,6 +14,7 @@ from estimator.fit import fit
 from estimator.identifiability import name_directions
 from estimator.mechanism import leg2
 from estimator.options import FitOptions
+from estimator.wls import weighted_least_squares
 from experiments.cli import main
 
 LEG, G, N = Leg(), 9.81, 1000
@@ -151,3 +152,14 @@ def test_names_do_not_depend_on_the_basis_of_the_space() -> None:
     for directions in (space, turned, np.hstack([space, turned])):
         found = name_directions(names, directions / np.linalg.norm(directions, axis=0), scale)
         assert set(found) in ({"a +2*b", "c"}, {"b +0.5*a", "c"})
+
+
+@pytest.mark.parametrize("rows", [6, 256, 257, 700, 70_000])
+def test_least_squares_piece_by_piece_is_that_of_the_whole(rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    z, beta = rng.normal(size=(rows, 1, 4)), np.array([1.0, -2.0, 0.5, 3.0])
+    tau = z @ beta + rng.normal(0.0, 0.1, (rows, 1))
+    found, _, sigma = weighted_least_squares(z, tau, np.ones(4, dtype=bool), np.zeros(4), 1.0)
+    plain = np.linalg.lstsq(z[:, 0], tau[:, 0], rcond=None)[0]
+    assert found == pytest.approx(plain, rel=1e-10)
+    assert sigma[0] == pytest.approx(np.sqrt(np.mean((tau[:, 0] - z[:, 0] @ plain) ** 2)), rel=1e-10)
