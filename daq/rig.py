@@ -41,6 +41,8 @@ class Terms(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """J*qdd of a geared rotor, in the joint's own row only [kg m^2]."""
     torque_offset: tuple[Joint, ...] = ()
     """A constant added to the joint's measured torque [N m]."""
+    encoder_zero: tuple[Joint, ...] = ()
+    """The encoder's zero, another in every run [rad]: of drives that count from where they were switched on."""
     friction_velocity_radps: Positive = 0.005
     """Velocity over which sign(qd) is rounded off [rad/s]."""
 
@@ -177,7 +179,7 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
         raise InputError(where, message[0].lower() + message[1:], "see the rig.toml section of the README") from None
     n = joint_count(rig.mechanism)
     named = [("mechanism.actuated", rig.mechanism.actuated), ("terms.rotor_inertia", rig.terms.rotor_inertia),
-             ("terms.torque_offset", rig.terms.torque_offset)]
+             ("terms.torque_offset", rig.terms.torque_offset), ("terms.encoder_zero", rig.terms.encoder_zero)]
     for key, joints in named:
         bad = [j for j in joints if j > n]
         if bad:

@@ -18,13 +18,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from daq.dataset import Dataset
 from daq.errors import InputError, WorkError
 from daq.plan import Plan, read_plan, write_plan
 from daq.recorder import RecordReport
 from daq.rig import Rig, load_rig
 from drivers.errors import DriverError
-from estimator import fit as fitting
 from estimator.errors import FitError
 from estimator.result import FitResult
 from estimator.validation import Validation
@@ -34,6 +35,7 @@ from experiments.diagnosing import diagnose_setup, reference_values
 from experiments.diagnosis_json import diagnosed_model
 from experiments.excitation import random_multisine
 from experiments.fit_json import check_sound, model_of
+from experiments.fitting import fit_setup
 from experiments.model_file import Model, load_model, save_model
 from experiments.recording import record_plan
 from experiments.rigs import load_runs, setup_of
@@ -82,8 +84,7 @@ def fit(runs: Sequence[Dataset], rig: RigLike, method: str = "mle", sensors: str
     name what is `undetermined`: look, or let `model` refuse it. Raises `InputError`, or `FitError` where the data
     cannot answer.
     """
-    setup = setup_of(runs, _rig(rig), sensors, fixed, latent)
-    return fitting.fit(setup.datasets, setup.mechanism, setup.options, method)
+    return fit_setup(setup_of(runs, _rig(rig), sensors, fixed, latent), method)
 
 
 def validate(model: Model, runs: Sequence[Dataset], rig: RigLike, sensors: str | None = None) -> list[Validation]:
@@ -93,7 +94,7 @@ def validate(model: Model, runs: Sequence[Dataset], rig: RigLike, sensors: str |
     stretch: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold effects. Raises
     `InputError` for a model of another mechanism, `FitError` where a first state cannot be estimated.
     """
-    return validation.validate_runs(model, setup_of(runs, _rig(rig), sensors), "the model")
+    return validation.validate_runs(model, setup_of(runs, _rig(rig), sensors, beta=np.array(model.beta)), "the model")
 
 
 def diagnose(runs: Sequence[Dataset], rig: RigLike, seed: int = 0, reference: Model | None = None,

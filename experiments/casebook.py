@@ -19,7 +19,6 @@ from msgspec import Meta, Struct
 from daq.errors import InputError, WorkError
 from daq.rig import load_rig
 from estimator.errors import FitError
-from estimator.fit import fit
 from estimator.imu_encoder import SIGNALS, EncoderFit
 from estimator.result import FitResult
 from estimator.signalset import torque_column
@@ -28,6 +27,7 @@ from estimator.verdict import Diagnosis
 from experiments.calibrating_encoder import compare, read_moving
 from experiments.diagnosing import diagnose_setup
 from experiments.diagnosis_json import pieces, rmse
+from experiments.fitting import fit_setup
 from experiments.rigs import Setup, load_setup
 from experiments.validation import validate_setup
 
@@ -229,8 +229,7 @@ def _fit(task: FitTask, home: Path) -> Fitted:
     rig = load_rig(RIGS / task.rig)
 
     def estimate() -> FitResult:
-        setup = load_setup([home / run for run in task.runs], rig, None, task.fix)
-        return fit(setup.datasets, setup.mechanism, setup.options, task.method)
+        return fit_setup(load_setup([home / run for run in task.runs], rig, None, task.fix), task.method)
 
     result, refusal = _attempt(estimate)
     if result is None or not task.validate:
@@ -238,7 +237,8 @@ def _fit(task: FitTask, home: Path) -> Fitted:
     beta = result.beta
 
     def simulate() -> list[Validation]:
-        return validate_setup(load_setup([home / run for run in task.validate], rig, None, task.fix), beta)
+        setup = load_setup([home / run for run in task.validate], rig, None, task.fix, beta=beta)
+        return validate_setup(setup, beta)
 
     validations, problem = _attempt(simulate)
     return Fitted(task, result, refusal, validations or (), problem)
@@ -251,7 +251,7 @@ def _sweep(task: SweepTask, home: Path) -> Swept:
         narrow = msgspec.structs.replace(rig, filter=msgspec.structs.replace(rig.filter, cutoff_hz=cutoff))
         setup = load_setup([home / run for run in task.runs], narrow)
         for method in task.methods:
-            result, refusal = _attempt(partial(fit, setup.datasets, setup.mechanism, setup.options, method))
+            result, refusal = _attempt(partial(fit_setup, setup, method))
             if result is None:
                 found[method, cutoff] = refusal
             else:  # also what is not determined: what a method makes of noise is what a sweep shows

@@ -30,8 +30,9 @@ def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str
     known_effects()
     require_alike(setup.datasets)
     setup = without_benchmark(setup)
-    return diagnose(setup.datasets, setup.mechanism, setup.options, gear_ratio=rig.motor.gear_ratio, seed=seed,
-                    progress=progress, reference=reference, workers=workers)
+    found = diagnose(setup.datasets, setup.mechanism, setup.options, gear_ratio=rig.motor.gear_ratio, seed=seed,
+                     progress=progress, reference=reference, workers=workers)
+    return replace(found, warnings=(*found.warnings, *setup.notes))
 
 
 def without_benchmark(setup: Setup) -> Setup:

@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from daq.columns import IMU
 from daq.dataset import Dataset
 from daq.errors import InputError
@@ -14,6 +17,7 @@ from daq.rig import Rig, joint_count
 from estimator import mechanism as mechanisms
 from estimator.mechanism import Mechanism
 from estimator.options import FitOptions
+from estimator.zeros import find_zeros, subtract, zeros_text
 from experiments.model_file import MechanismSettings
 from experiments.output import progress
 
@@ -26,12 +30,26 @@ class Setup:
     mechanism: Mechanism
     options: FitOptions
     datasets: tuple[Dataset, ...]
+    notes: tuple[str, ...] = ()
+    """What was done to the runs, in sentences."""
 
 
 def load_setup(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
-               fixed: Mapping[str, float] | None = None, latent: str = "trajectory") -> Setup:
-    """Runs read and aligned, mechanism and options by the rig. Raises `InputError`."""
-    return setup_of(load_runs(paths, rig), rig, sensors, fixed, latent)
+               fixed: Mapping[str, float] | None = None, latent: str = "trajectory",
+               beta: NDArray[np.float64] | None = None) -> Setup:
+    """Runs read and aligned; the rest as `setup_of`. Raises `InputError`, and `FitError` as that does."""
+    return setup_of(load_runs(paths, rig), rig, sensors, fixed, latent, beta)
+
+
+def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> Setup:
+    """`setup` less the encoders' zeros that its rig declares to differ from run to run; see `estimator.zeros`."""
+    joints = [j - 1 for j in rig.terms.encoder_zero]
+    known = beta if beta is not None and len(beta) == setup.mechanism.p else None
+    if not joints or (len(setup.datasets) == 1 and known is None):  # one run says nothing of differences
+        return setup
+    zeros = find_zeros(setup.datasets, setup.mechanism, setup.options, joints, known)
+    return replace(setup, datasets=subtract(setup.datasets, setup.mechanism, zeros),
+                   notes=(*setup.notes, zeros_text(setup.datasets, zeros)))
 
 
 def load_runs(paths: Sequence[Path | str], rig: Rig) -> tuple[Dataset, ...]:
@@ -40,8 +58,13 @@ def load_runs(paths: Sequence[Path | str], rig: Rig) -> tuple[Dataset, ...]:
 
 
 def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
-             fixed: Mapping[str, float] | None = None, latent: str = "trajectory") -> Setup:
-    """Mechanism and options by the rig, for runs that are in memory. Raises `InputError`."""
+             fixed: Mapping[str, float] | None = None, latent: str = "trajectory",
+             beta: NDArray[np.float64] | None = None) -> Setup:
+    """Mechanism and options by the rig, for runs that are in memory, less encoders' zeros that it declares: those by
+    a known `beta` (p,), else beside beta.
+
+    Raises `InputError`, and `FitError` where the zeros are not to be found.
+    """
     settings = mechanism_settings(rig, prismatic=any("q1_m" in d and "q1_rad" not in d for d in datasets))
     try:
         mechanism = build_mechanism(settings)
@@ -52,7 +75,7 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
             raise InputError("--fix", f"{settings.model} has no parameter {name}",
                              f"it has {', '.join(mechanism.names)}")
     options = fit_options(rig, choose_sensors(rig, datasets, sensors), fixed or {}, latent)
-    return Setup(settings, mechanism, options, tuple(datasets))
+    return zeroed(Setup(settings, mechanism, options, tuple(datasets)), rig, beta)
 
 
 def prepare(data: Dataset, rig: Rig) -> Dataset:

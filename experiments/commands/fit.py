@@ -72,15 +72,15 @@ def run(args: argparse.Namespace) -> int:
     if args.each:
         return _run_each(args)
     from daq.rig import load_rig
-    from estimator.fit import fit
     from experiments.fit_json import check_sound, fit_document, model_of
     from experiments.fit_text import fit_text
+    from experiments.fitting import fit_setup
     from experiments.output import busy, write_json
     from experiments.rigs import load_setup
 
     setup = load_setup(args.runs, load_rig(args.rig), args.sensors, dict(args.fix), args.latent)
     with busy(f"fitting {len(setup.datasets)} runs by {args.method}"):
-        result = fit(setup.datasets, setup.mechanism, setup.options, args.method)
+        result = fit_setup(setup, args.method)
     print(fit_text(result, setup.settings.model))
     if args.json:
         write_json(args.json, fit_document(result, setup.settings))

@@ -23,6 +23,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, compare, print, write what was asked for."""
+    import numpy as np
+
     from daq.rig import load_rig
     from experiments.model_file import load_model
     from experiments.output import write_json
@@ -31,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     from experiments.validation_report import validation_document, validation_section, validation_text
 
     model = load_model(args.model)
-    setup = load_setup(args.runs, load_rig(args.rig), args.sensors)
+    setup = load_setup(args.runs, load_rig(args.rig), args.sensors, beta=np.array(model.beta))
     validations = validate_runs(model, setup, args.model)
     print(validation_text(validations))
     if args.json:

@@ -1,0 +1,133 @@
+"""Zeros of encoders that differ from run to run, such as of drives that count from where they were switched on.
+
+A wrong zero turns gravity, so it shows as a torque that the model has no term for, different in every run. It is found
+by least squares of (28) beside beta, (Z beta) linearised in the angle, and taken off before anything else is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dataset import Dataset
+from estimator.errors import FitError
+from estimator.mechanism import Mechanism
+from estimator.options import FitOptions
+from estimator.signals import lowpass
+from estimator.signalset import SignalSet, angle_column, differentiate, split_signals
+from estimator.wls import free_mask, weighted_least_squares
+
+FloatArray = NDArray[np.float64]
+SLOW_HZ = 3.0
+"""Most of a cutoff: gravity's torque is as slow as the motion. (Measured on two arms: the same zeros with 1 to 10 Hz,
+on grids of 25 to 200 Hz, within 10 mrad; none with 30 Hz, where accelerations are noise.)"""
+STEPS = 10
+SETTLED_RAD = 1e-4
+"""Zeros are found when a step moves none by more."""
+PROBE_RAD = 1e-4
+"""Angle over which (Z beta) is differenced."""
+
+
+@dataclass(frozen=True)
+class Zeros:
+    """What each run's encoders read too much."""
+
+    joints: tuple[int, ...]
+    """0-based"""
+    values: FloatArray
+    """(runs, joints) [rad, or m on a slide]"""
+    std: FloatArray
+    """(runs, joints), white noise of the filtered equations taken for granted"""
+
+
+def find_zeros(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, joints: Sequence[int],
+               beta: FloatArray | None = None) -> Zeros:
+    """Zeros of `joints` in each run: for a known `beta` (p,), or beside beta with a mean of zero over the runs.
+
+    What all runs have in common is the encoder's offset, or a constant torque, which these runs need not tell apart.
+    Raises `FitError` where a joint has no encoder on this path, or where the search leads nowhere.
+    """
+    runs = [split_signals([data], mechanism, options) for data in datasets]
+    options = replace(options, cutoff_hz=min(SLOW_HZ, options.cutoff(runs[0][0].rate_hz)))
+    for j in joints:
+        if not np.isfinite(runs[0][0].angles[:, j]).all():
+            raise FitError(f"encoder_zero names joint {j + 1}, which has no encoder on the {options.sensors} path")
+    count, width = len(runs), len(joints)
+    free, start = free_mask(mechanism, options)
+    if beta is not None:
+        free, start = np.zeros_like(free), beta
+    spread = np.eye(count) if beta is not None else _centred(count)
+    values = np.zeros((count, width))
+    if not spread.size:  # one run says nothing of a difference between runs
+        return Zeros(tuple(joints), values, values)
+    per_dof = max(1.0, 0.5 * runs[0][0].rate_hz / options.cutoff(runs[0][0].rate_hz))
+    known, parts = start, width * spread.shape[1]
+    for step in range(STEPS):
+        equations = [_equations(run, mechanism, options, known, joints, zero, own)
+                     for run, zero, own in zip(runs, values, spread)]
+        sought = step > 0 or beta is not None  # before beta is known, (Z beta) has no slope
+        mask = np.append(free, np.full(parts, sought))
+        found, covariance, _ = weighted_least_squares(np.concatenate([z for z, _ in equations]),
+                                                      np.concatenate([tau for _, tau in equations]), mask,
+                                                      np.append(start, np.zeros(parts)), per_dof)
+        known = found[: start.size]
+        change = spread @ found[start.size :].reshape(width, -1).T
+        values = values + change
+        if sought and np.max(np.abs(change)) < SETTLED_RAD:
+            own = covariance[start.size :, start.size :].reshape(width, spread.shape[1], width, -1)
+            std = np.sqrt(np.einsum("rk,jkjl,rl->rj", spread, own, spread))
+            if not std.all():  # directions that no equation knows of have neither step nor variance
+                break
+            return Zeros(tuple(joints), values, std)
+    raise FitError("the encoders' zeros are not to be found: the motion does not show them, or the model is far off")
+
+
+def subtract(datasets: Sequence[Dataset], mechanism: Mechanism, zeros: Zeros) -> tuple[Dataset, ...]:
+    """The runs with their zeros taken off."""
+    out = []
+    for data, own in zip(datasets, zeros.values):
+        moved = {angle_column(mechanism, j): data[angle_column(mechanism, j)] - zero
+                 for j, zero in zip(zeros.joints, own)}
+        out.append(replace(data, columns={**data.columns, **moved}))
+    return tuple(out)
+
+
+def zeros_text(datasets: Sequence[Dataset], zeros: Zeros) -> str:
+    """One sentence: what was taken off, by joint and run."""
+    tables = [f"joint {j + 1}: " + ", ".join(f"{data.name} {1e3 * value:.1f} +- {1e3 * std:.1f}"
+                                             for data, value, std in zip(datasets, own, spread))
+              for j, own, spread in zip(zeros.joints, zeros.values.T, zeros.std.T)]
+    return f"encoders' zeros, another in every run, are taken off [1e-3 rad or m]; {'; '.join(tables)}"
+
+
+def _centred(count: int) -> FloatArray:
+    """(count, count - 1) orthonormal columns of sum zero."""
+    return np.asarray(np.linalg.qr(np.eye(count) - 1.0 / count)[0])[:, : count - 1]
+
+
+def _equations(run: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions, beta: FloatArray,
+               joints: Sequence[int], zero: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Filtered [Z, -d(Z beta)/dq own] (m, n, p + joints * k) and torque (m, n) of one run less its `zero`.
+
+    A zero in excess by o makes the true angle the reading less o; `own` (k,) are the weights in it of what is sought.
+    """
+    left, right = [], []
+    for s in run:
+        angles = s.angles.copy()
+        angles[:, list(joints)] -= zero
+        cutoff = options.cutoff(s.rate_hz)
+        motion = differentiate(replace(s, angles=angles), mechanism, min(4.0 * cutoff, 0.4 * s.rate_hz),
+                               options.filter_order)
+        columns = [mechanism.regressor(*motion)]
+        for j in joints:
+            step = PROBE_RAD * np.eye(mechanism.n)[j]
+            up, down = (mechanism.regressor(motion.q + way * step, motion.qd, motion.qdd) @ beta for way in (1.0, -1.0))
+            columns.append((down - up)[:, :, None] / (2.0 * PROBE_RAD) * own)
+        edge = min(len(angles) // 10, int(0.5 * s.rate_hz / cutoff))
+        inner = slice(edge, len(angles) - edge)
+        left.append(lowpass(np.concatenate(columns, axis=2), cutoff, s.rate_hz, options.filter_order)[inner])
+        right.append(lowpass(s.torque, cutoff, s.rate_hz, options.filter_order)[inner])
+    return np.concatenate(left), np.concatenate(right)
