@@ -149,6 +149,8 @@ class Effect(ABC):
     """One of the first so many sizes is not zero where the effect is present; by default, of all."""
     whole_shapes: ClassVar[bool] = False
     """Shapes are whole numbers: held where the grid has them, not re-fitted."""
+    lag_s: ClassVar[float] = 0.0
+    """By how much it may act later than its law says: a delay of less, found beside it, is no second cause."""
     near_rest: ClassVar[bool] = False
     """It acts where a joint reverses: there no rounded sign is right, and tests find a little of it in every leg."""
     rough: ClassVar[Mapping[str, float]] = {}
