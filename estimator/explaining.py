@@ -173,8 +173,8 @@ def promising(desk: Desk, tests: Tests, most: int, skip: Sequence[str] = ()) -> 
 
 
 def akin(best: Explained, pair: Explained) -> bool:
-    """Whether what `pair` adds to `best` is of the kin of one of its effects, at the same joint, or a delay that the law
-    of one leaves out.
+    """Whether what `pair` adds to `best` is of the kin of one of its effects, at the same joint, or a delay that a law
+    leaves out.
 
     (Measured: play with an elastic stop was named play and a soft gear; an encoder's disc off centre, an offset too.)
     """

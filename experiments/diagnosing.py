@@ -14,6 +14,7 @@ from daq.rig import Rig
 from daq.runfile import read_run
 from estimator.diagnosis import diagnose
 from estimator.verdict import Diagnosis
+from estimator.zeros import differing_text, find_differing
 from experiments.effect_library import known_effects
 from experiments.model_file import Model, values_of
 from experiments.rigs import Setup
@@ -32,7 +33,9 @@ def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str
     setup = without_benchmark(setup)
     found = diagnose(setup.datasets, setup.mechanism, setup.options, gear_ratio=rig.motor.gear_ratio, seed=seed,
                      progress=progress, reference=reference, workers=workers)
-    return replace(found, warnings=(*found.warnings, *setup.notes))
+    differing = None if rig.terms.encoder_zero else find_differing(setup.datasets, setup.mechanism, setup.options)
+    told = () if differing is None else (differing_text(differing),)
+    return replace(found, warnings=(*found.warnings, *setup.notes, *told))
 
 
 def without_benchmark(setup: Setup) -> Setup:

@@ -13,7 +13,7 @@ from daq.dataset import Dataset
 from estimator.errors import FitError
 from estimator.mechanism import leg2
 from estimator.options import FitOptions
-from estimator.zeros import find_zeros, subtract
+from estimator.zeros import differing_text, find_differing, find_zeros, subtract
 from experiments.cli import main
 from tests.mujoco_leg import Leg, record
 
@@ -77,6 +77,17 @@ def test_without_motion_there_is_nothing_to_find() -> None:
     rest = record(LEG, np.random.default_rng(1), seconds=4.0, tau=np.zeros(400), name="rest")
     with pytest.raises(FitError, match="zeros are not to be found"):
         find_zeros([rest, rest], leg2(), FitOptions(sensors="encoder"), (0, 1))
+
+
+def test_zeros_that_differ_are_noticed_and_others_are_not(runs: list[Dataset], plain: list[Dataset]) -> None:
+    for mechanism, options, joints in ((leg2(), FitOptions(sensors="encoder"), (0, 1)),
+                                       (leg2(lever_arm=LEG.lever), FitOptions(sensors="imu"), (1,))):
+        found = find_differing(runs, mechanism, options)
+        assert found is not None and found.joints == joints
+        assert found.spread == pytest.approx(np.std(SHIFTS[:, list(joints)], axis=0, ddof=1), rel=0.15)
+        assert f"encoder_zero = [{', '.join(str(j + 1) for j in joints)}]" in differing_text(found)
+        assert find_differing(plain, mechanism, options) is None
+        assert find_differing(runs[:3], mechanism, options) is None
 
 
 def test_the_commands_take_declared_zeros_off(runs: list[Dataset], tmp_path: Path,
