@@ -306,8 +306,8 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
 
 
 def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Cause]:
-    """Sizes with 95 % intervals by Student's t, of their own scatter between runs; none of shapes at a limit of their
-    range."""
+    """Sizes with 95 % intervals by Student's t, of their own scatter between runs; none of shapes that were held, or are
+    at a limit of their range."""
     model = explained.model
     unit = model.problem.mechanism.unit
     half = float(student.isf(0.025, explained.left.freedom)) * np.sqrt(np.diag(explained.covariance()))
@@ -315,7 +315,8 @@ def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Ca
     out = []
     for effect, size, here in zip(model.named, model.sizes(), model.places()):
         parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
-        told = np.append(np.ones(len(effect.sizes), dtype=bool), ~effect.at_limits(size))
+        held = effect.at_limits(size) | ((half[here][len(effect.sizes) :] == 0.0) & (not effect.whole_shapes))
+        told = np.append(np.ones(len(effect.sizes), dtype=bool), ~held)
         sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), (float(v - d), float(v + d)))
                       for s, v, d, known in zip(parts, size, half[here], told) if known)
         near: tuple[str, ...] = ()

@@ -42,9 +42,9 @@ WEIGH_STEPS = 25
 """... and of one under the noise levels of the best explanation."""
 LEFT_OVER = 0.03
 """What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
-LEFT_AT_REST = 0.08
+LEFT_AT_REST = 0.15
 """... and this share to another friction near rest at its joint. (Measured: Stribeck friction of the form 1/(1 + v^2)
-left 5 % to bristles, of a level below zero.)"""
+left 5 to 12 % to bristles, of a level below zero.)"""
 STILL_LEFT = 0.1
 """Share of what a single leaves that a second cause may still leave beside it: forms differ, as above."""
 COLLINEAR = 0.9
@@ -212,7 +212,7 @@ def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]],
     if not models:
         return []
     noise = min((m.state.noise for m in models), key=lambda s: log_volume(desk.nominal.problem, s))
-    models.sort(key=lambda m: misfit(m) + 2.0 * log_volume(desk.nominal.problem, m.state.noise))
+    models.sort(key=lambda m: deviance(desk, m))
     models = [*models[:WEIGHED], *(m for m in models[WEIGHED:] if any(m is f for f in fits))]
     every = [desk.nominal, *models]
 
@@ -236,6 +236,11 @@ def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]],
     return [e for i, e in enumerate(out) if first[keys_of(e)] == i]
 
 
+def deviance(desk: Desk, model: Model) -> float:
+    """-2 log likelihood under the model's own noise levels, up to a constant."""
+    return misfit(model) + 2.0 * log_volume(desk.nominal.problem, model.state.noise)
+
+
 def fit_extension(desk: Desk, start: Sequence[tuple[Effect, FloatArray]]) -> Model | None:
     """Full re-fit, first with shapes held; None where it fails.
 
@@ -250,8 +255,10 @@ def fit_extension(desk: Desk, start: Sequence[tuple[Effect, FloatArray]]) -> Mod
             return held
         try:
             found = refit(desk.session, held, list(zip(held.effects, held.sizes())), FREE_STEPS, hold_limits=False)
-            if not found.state.converged and any(np.any(e.at_limits(s)) for e, s in zip(found.effects, found.sizes())):
-                return refit(desk.session, found, list(zip(found.effects, found.sizes())), FREE_STEPS)
+            if any(np.any(e.at_limits(s)) for e, s in zip(found.effects, found.sizes())):
+                if not found.state.converged:
+                    found = refit(desk.session, found, list(zip(found.effects, found.sizes())), FREE_STEPS)
+                return min(found, held, key=lambda m: deviance(desk, m))  # a shape can run away
             return found
         except (FitError, np.linalg.LinAlgError):
             return held
