@@ -306,8 +306,8 @@ def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explaine
 
 
 def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Cause]:
-    """Sizes with 95 % intervals by Student's t, of their own scatter between runs; none of shapes that were held or are at
-    a limit of their range."""
+    """Sizes with 95 % intervals by Student's t, of their own scatter between runs; none of shapes that were held or
+    are at a limit of their range."""
     model = explained.model
     unit = model.problem.mechanism.unit
     half = float(student.isf(0.025, explained.left.freedom)) * np.sqrt(np.diag(explained.covariance()))
