@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import blocktri
-from estimator.latent import LatentProblem, Latents, Noise
+from estimator.latent import LatentProblem, Noise
+from estimator.linearised import Latents
 from estimator.mechanism import Mechanism
 from estimator.signalset import IMU_COLUMNS, SignalSet
 
@@ -27,8 +28,9 @@ def cramer_rao(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatA
     signals = SignalSet("truth", rate_hz, np.arange(len(q)) / rate_hz, angles, torque, imu)
     problem = LatentProblem([signals], mechanism, hold)
     point = problem.linearise(Latents(q, qd, torque), beta, noise)
-    eliminated = blocktri.solve(blocktri.factor(point.diagonal, point.lower), point.border)
-    information = point.corner - point.border.T @ eliminated
+    border = point.chain.flat_right(slice(1, None))
+    eliminated = blocktri.solve(blocktri.factor(point.chain.diagonal, point.chain.lower), border)
+    information = point.corner - border.T @ eliminated
     scale = 1.0 / np.sqrt(np.diag(information))
     covariance = np.linalg.inv(0.5 * (information + information.T) * np.outer(scale, scale))
     return np.asarray(covariance * np.outer(scale, scale), dtype=np.float64)

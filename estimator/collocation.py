@@ -183,13 +183,14 @@ class Collocation:
         return mean, [Slope(j, RATE_FROM, j, by_from), Slope(j, RATE_TO, j, by_to)]
 
     @cached_property
-    def _fast(self) -> FastTerms:
+    def fast(self) -> FastTerms:
+        """The compiled counterpart of `evaluate`."""
         return FastTerms(self.mechanism)
 
     def evaluate(self, motion: Motion, beta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Z (p, n, S, K) in joint rows and d(Z beta)/d(features) (n, S, 5, n, K) at S points an interval."""
         if compiled.ready():
-            return self._fast(*motion, beta)
+            return self.fast(*motion, beta)
         z, slopes = self.terms(motion)
         return self.to_joint(z), self._slopes(slopes, beta, motion.angle.shape[1:])
 

@@ -32,11 +32,10 @@ def at_hand() -> bool:
     return _numba() is not None
 
 
-def in_use(samples: int) -> bool:
-    """Whether a step over so many samples is one for kernels; counts them."""
+def note(samples: int) -> None:
+    """Count a step of a fit over so many samples."""
     global _done
     _done += samples
-    return ready()
 
 
 def expect() -> None:
@@ -46,13 +45,17 @@ def expect() -> None:
 
 
 def ready() -> bool:
-    """`in_use`, without counting."""
+    """Whether work is for kernels by now."""
     return _done > LOAD_WORTH and at_hand()
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`function` as machine code, kept on disk for the next process. Only where they are `in_use`."""
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
+def compiled(function: Callable[..., Any], exact: bool = False) -> Callable[..., Any]:
+    """`function` as machine code, kept on disk for the next process. Only where they are `ready`.
+
+    `exact` keeps sums in the order in which they are written.
+    """
+    loose = {"contract", "nsz"} if exact else {"contract", "reassoc", "nsz"}
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": loose}
     try:
         return _numba().njit(cache=True, **options)(function)
     except RuntimeError:  # no directory to keep it in

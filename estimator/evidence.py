@@ -12,7 +12,8 @@ from estimator.effects.base import Effect
 from estimator.errors import FitError
 from estimator.extended import Candidate, ExtendedProblem
 from estimator.gauss_newton import MAX_ITERATIONS, State, iterate, mistakes_torque
-from estimator.latent import Latents, Noise
+from estimator.latent import Noise
+from estimator.linearised import Latents
 from estimator.rehearsal import perform, rehearse
 from estimator.scores import RunScore, Tests, project, score_alone, score_run
 from estimator.session import Session

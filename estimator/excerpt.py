@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from estimator.errors import FitError
 from estimator.gauss_newton import State, iterate
 from estimator.identifiability import undetermined
-from estimator.latent import LatentProblem, Latents
+from estimator.latent import LatentProblem
+from estimator.linearised import Latents
 from estimator.options import FitOptions
 from estimator.signalset import SignalSet
 from estimator.start import noise_floors

@@ -26,9 +26,9 @@ from estimator.effects.base import (
     TorqueEffect,
     View,
 )
-from estimator.latent import LatentProblem, Latents, Noise
+from estimator.latent import LatentProblem, Noise
 from estimator.laws import by_motion
-from estimator.linearised import Extra, Linearised
+from estimator.linearised import Extra, Latents, Linearised
 from estimator.mechanism import Mechanism, smooth_sign
 from estimator.signals import lowpass
 from estimator.signalset import SignalSet

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from estimator.effects.base import SensorEffect, View
 from estimator.extended import ExtendedProblem, added
 from estimator.gauss_newton import State
-from estimator.latent import Latents
 from estimator.laws import Laws
+from estimator.linearised import Latents
 from estimator.sensors import accelerometer
 from estimator.simulation import simulate
 

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import compiled, oddeven, sweep
+from estimator import compiled
+from estimator.elimination import eliminate
 from estimator.errors import FitError
-from estimator.latent import LatentProblem, Latents, Noise
+from estimator.latent import LatentProblem, Noise
+from estimator.linearised import Latents
 from estimator.options import FitOptions
 
 FloatArray = NDArray[np.float64]
@@ -80,21 +82,21 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         state.iterations = iteration + 1
         if finds_rest and iteration < REST_STEPS:
             problem.rest = problem.rest_variance(state.x.v, state.beta)
+        compiled.note(problem.total)
         point = problem.linearise(state.x, state.beta, state.noise)
         if floors is None:
             state.lowest = min(state.lowest, point.objective)
-        chain = sweep if compiled.in_use(problem.total) else oddeven
-        columns = np.append(0, 1 + index)
-        whole = columns.size == point.right.shape[1]
         try:
-            solved = chain.eliminate(point.diagonal, point.lower, point.right if whole else point.right[:, columns])
+            solved = eliminate(point.chain)
         except np.linalg.LinAlgError:
             raise FitError("the equations of the fit became singular; the motion is not excited enough") from None
         product = solved.product()
-        information = point.corner[np.ix_(index, index)] - product[1:, 1:]
+        information = point.corner[np.ix_(index, index)] - product[np.ix_(1 + index, 1 + index)]
         covariance = _pseudo_inverse(information)
-        step_beta = -covariance @ (point.gradient_beta[index] - product[1:, 0])
-        step = -solved.solution(np.append(1.0, step_beta))
+        step_beta = -covariance @ (point.gradient_beta[index] - product[1 + index, 0])
+        weights = np.zeros(point.chain.width)
+        weights[0], weights[1 + index] = 1.0, step_beta
+        step = -solved.solution(weights)
         if iteration > 2:  # the first steps come from far off and their noise levels are rough
             along = float(step_beta @ information @ before)
             swings = along < -0.25 * float(before @ information @ before)
@@ -114,8 +116,8 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
             if taken is None or change > SAME_NOISE:
                 taken = problem.effective_samples(point, solved.inverse_diagonal(), state.noise)
             change = _update_noise(problem, state, taken, residuals, options, floors)
-        state.misfit = np.minimum(
-            np.mean(residuals["torque"] ** 2 / problem.torque_variance(state.noise), axis=0), 1.0)
+        share_left = np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / problem.torque_variance(state.noise))
+        state.misfit = np.minimum(share_left / problem.total, 1.0)
         problem.foreseen = MARGIN * problem.total * state.misfit
         std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         moved = damping * float(np.max(np.abs(step_beta) / std, initial=0.0))
@@ -132,7 +134,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
 
 def most_noise(problem: LatentProblem, joint: int, floors: Noise) -> float:
     """Highest noise level that a driven joint's measured torque is allowed."""
-    return TORQUE_SHARE * float(np.std(problem.torque[:, joint])) + float(floors.torque[joint])
+    return TORQUE_SHARE * float(problem.torque_spread[joint]) + float(floors.torque[joint])
 
 
 def mistakes_torque(problem: LatentProblem, state: State, floors: Noise) -> bool:
@@ -172,7 +174,7 @@ def _update_noise(problem: LatentProblem, state: State, taken: Mapping[str, Floa
               count: float | None = None) -> float:
         size = r.size if count is None else count
         freedom = max(size - gamma, 0.002 * size)
-        ratio = float(np.sqrt(np.sum(r * r) / freedom)) / previous
+        ratio = float(np.sqrt(np.vdot(r, r) / freedom)) / previous
         value = previous * ratio ** (haste if ratio < STEEP else 1.0)
         return max(floor, float(np.clip(value, previous / 2.0, previous * 3.0)))
 
@@ -188,7 +190,7 @@ def _update_noise(problem: LatentProblem, state: State, taken: Mapping[str, Floa
             r = residuals["encoder"][:, j]
             encoder[j] = level(r, float(taken["encoder"][j]), floors.encoder[j], old.encoder[j])
     driven = [torque[j] for j in actuated]
-    most = max((TORQUE_SHARE * float(np.std(problem.torque[:, j])) for j in actuated), default=np.inf) or np.inf
+    most = max((TORQUE_SHARE * float(problem.torque_spread[j]) for j in actuated), default=np.inf) or np.inf
     for j in problem.mechanism.passive:
         if driven:
             torque[j] = min(max(torque[j], PASSIVE_SHARE * min(driven)), most)

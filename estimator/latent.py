@@ -22,12 +22,12 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import compiled
-from estimator.assembly import Samples, Sums, add_intervals, add_samples, padded
+from estimator import arrayrows, compiled, fastrows
+from estimator.chain import Chain
 from estimator.collocation import Collocation
-from estimator.linearised import Extra, Linearised
+from estimator.linearised import Extra, Latents, Linearised, Samples, Sums
 from estimator.mechanism import Mechanism, smooth_sign
-from estimator.sensors import accelerometer
+from estimator.signals import encoder_level, white_noise_level
 from estimator.signalset import IMU_COLUMNS, SignalSet
 
 FloatArray = NDArray[np.float64]
@@ -65,20 +65,6 @@ class Noise:
     accel: float = np.inf
 
 
-@dataclass(frozen=True)
-class Latents:
-    """Values at all N samples, each (N, n)."""
-
-    q: FloatArray
-    v: FloatArray
-    u: FloatArray
-
-    def moved(self, step: FloatArray) -> Latents:
-        """Shifted by step (N, 3 n) in the order q, v, u."""
-        n = self.q.shape[1]
-        return Latents(self.q + step[:, :n], self.v + step[:, n:2 * n], self.u + step[:, 2 * n:])
-
-
 class LatentProblem:
     """All stretches of all runs on one stack of samples; see the module's text."""
 
@@ -103,7 +89,9 @@ class LatentProblem:
         self.foreseen: FloatArray | None = None
         """(n,) misfit of each joint's torque that the last step of a search foresaw; see `_inertia_gradient`."""
         if self.has_imu:
-            self.gyro, self.ax, self.ay = (np.concatenate([s.imu[c] for s in signals]) for c in IMU_COLUMNS)
+            self.gyro, *accel = (np.concatenate([s.imu[c] for s in signals]) for c in IMU_COLUMNS)
+            self.accel = np.stack(accel)
+            self.ax, self.ay = self.accel
 
     def rest_variance(self, v: FloatArray, beta: FloatArray) -> FloatArray:
         """(N, n) what the rounded sign(qd) leaves open where a joint hardly moves, squared [N^2 m^2].
@@ -126,35 +114,31 @@ class LatentProblem:
         b, n, width = self.block, self.n, 1 + self.mechanism.p
         if extra is not None:
             width += extra.sample_columns.shape[0]
-        fast = compiled.ready()
-        diagonal, lower = np.zeros((self.total, b, b)), np.zeros((self.total - 1, b, b))
-        right = np.zeros((self.total, b, width))  # residual, then parameters
-        sums = Sums(diagonal, lower, right)
-        square, misfit = np.zeros((width, width)), np.zeros(n)
+        rows = fastrows if compiled.ready() else arrayrows
+        chain = Chain.zeros(self.total, b, width)  # right sides: residual, then parameters
+        sums = Sums(chain, np.zeros((width, width)), np.zeros(n))
+        weight = 1.0 / (TIGHT * noise.torque)
         for intervals, here, there in self._pieces(self.left):
-            rows, columns = self._motion_rows(x, beta, noise, intervals, here, there, extra)
-            square += np.sum(columns @ columns.swapaxes(1, 2), axis=0)
-            misfit += np.sum(columns[:, 0] ** 2, axis=-1).reshape(n, 2).sum(axis=1)
-            add_intervals(rows, here, there, sums, fast)
+            rows.add_motion(self.collocation, x, beta, weight, intervals, here, there, extra, sums)
         residuals: dict[str, FloatArray] = {}
         accel = np.empty((self.total if self.has_imu else 0, 2, b + width))
         if self.has_imu:
             for start in range(0, self.total, PIECE):
-                at = slice(start, min(start + PIECE, self.total))
-                rows = self._accelerometer_rows(x, beta, at, extra)
-                columns = rows[:, b:]
-                square += np.sum(columns @ columns.swapaxes(1, 2), axis=0) / noise.accel**2
-                add_samples(rows, at, 1.0 / noise.accel**2, sums, accel, fast)
+                here = slice(start, min(start + PIECE, self.total))
+                rows.add_accelerometer(self.collocation, x, beta, self.accel, 1.0 / noise.accel**2, here, extra, sums,
+                                       accel)
             residuals["accel"] = accel[:, :, b]
-        gradient, border = right[:, :, 0], right[:, :, 1:]
+        upper = np.triu(sums.square)
+        square, misfit = upper + np.triu(upper, 1).T, sums.misfit
+        gradient, border = chain.right[:, :, 0], chain.right[:, :, 1:]
         objective, gradient_beta, corner = float(square[0, 0]), square[1:, 0], square[1:, 1:]
-        objective += self._node_rows(x, noise, diagonal, gradient, residuals, extra)
+        variances = self.torque_variance(noise)
+        objective += self._node_rows(x, variances, noise, chain.diagonal, gradient, residuals, extra)
         if extra is not None:
-            self._node_columns(extra, noise, residuals, border, corner, gradient_beta)
-        misfit += np.sum(residuals["torque"] ** 2 / self.torque_variance(noise), axis=0)
+            self._node_columns(extra, variances, noise, residuals, border, corner, gradient_beta)
+        misfit += np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / variances)
         gradient_beta[: self.mechanism.p] -= self._inertia_gradient(beta, misfit)
-        return Linearised(objective, diagonal, lower, right.reshape(self.total * b, -1), corner, gradient_beta,
-                          accel[:, :, :b], accel[:, :, b + 1 :], residuals, extra)
+        return Linearised(objective, chain, corner, gradient_beta, accel, residuals, extra)
 
     def _inertia_gradient(self, beta: FloatArray, misfit: FloatArray) -> FloatArray:
         """(p,) what makes a passive joint's misfit count as one of acceleration, not of torque.
@@ -196,38 +180,17 @@ class LatentProblem:
             else:
                 yield slice(start, start + part.size), part, part + 1
 
-    def _motion_rows(self, x: Latents, beta: FloatArray, noise: Noise, intervals: slice,
-                     here: Samples, there: Samples,
-                     extra: Extra | None) -> tuple[FloatArray, FloatArray]:
-        """Weighted rows of the equation of motion, (2 n, 2 b + 1 + p, padded K).
+    @cached_property
+    def shown(self) -> Noise:
+        """Noise levels that differences between neighbouring samples show; inf for what is not measured."""
+        encoder = [encoder_level(self.angles[:, j]) if self.has_encoder[j] else np.inf for j in range(self.n)]
+        imu = [white_noise_level(self.gyro), max(map(white_noise_level, self.accel))] if self.has_imu else []
+        return Noise(np.array([white_noise_level(t) for t in self.torque.T]), np.array(encoder), *imu)
 
-        Columns are both ends' latents, residual, parameters. Second are the last 1 + p alone.
-        """
-        c, n, p, b = self.collocation, self.n, self.mechanism.p, self.block
-        motion = c.motion_between(np.stack([x.q[here].T, x.v[here].T, x.q[there].T, x.v[there].T], axis=1))
-        z, own = c.evaluate(motion, beta)  # (p, n, 2, K), (n, 2, 5, n, K)
-        count = z.shape[-1]
-        w = c.torque_weights
-        residual = (beta @ z.reshape(p, -1)).reshape(n, 2, count)
-        residual -= w[:, 0, None] * x.u[here].T[:, None]
-        residual -= w[:, 1, None] * x.u[there].T[:, None]
-        added = None
-        if extra is not None:
-            residual += extra.torque[:, :, intervals]
-            z = np.concatenate([z, extra.torque_columns[:, :, :, intervals]])
-            added = None if extra.slopes is None else extra.slopes[..., intervals]
-        weight = (1.0 / (TIGHT * noise.torque))[:, None, None]
-        whole = np.zeros((n, 2, 2 * b + 1 + len(z), padded(count)))
-        rows = whole[..., :count]
-        ends = whole[:, :, : 2 * b].reshape(n, 2, 2, 3, n, -1)[..., :count]  # joint, Gauss point; end, variable, joint
-        np.multiply(c.by_ends(own, added).reshape(n, 2, 2, 2, n, count),
-                    weight[..., None, None, None], out=ends[:, :, :, :2])
-        for i in range(n):
-            ends[i, :, :, 2, i] = -weight[i] * w[:, :, None]
-        np.multiply(residual, weight, out=rows[:, :, 2 * b])
-        np.multiply(z.transpose(1, 2, 0, 3), weight[..., None], out=rows[:, :, 2 * b + 1 :])
-        flat = whole.reshape(2 * n, -1, padded(count))
-        return flat, flat[:, 2 * b :]
+    @cached_property
+    def torque_spread(self) -> FloatArray:
+        """(n,) standard deviation of each joint's measured torque [N m]."""
+        return np.std(self.torque, axis=0)
 
     def torque_variance(self, noise: Noise) -> FloatArray:
         """(N, n) of every torque sample [N^2 m^2]."""
@@ -238,18 +201,17 @@ class LatentProblem:
         """(N, n) share of each torque sample's variance that is noise, not dry friction at rest."""
         return noise.torque**2 / self.torque_variance(noise)
 
-    def _channels(self, noise: Noise) -> list[tuple[str, int, float | FloatArray]]:
+    def _channels(self, torque: FloatArray, noise: Noise) -> list[tuple[str, int, float | FloatArray]]:
         """(channel, column of its latent, variance) of every sensor that reads one latent directly."""
         n = self.n
-        torque = self.torque_variance(noise)
         found: list[tuple[str, int, float | FloatArray]] = []
         found += [(f"torque{i + 1}", 2 * n + i, torque[:, i]) for i in range(n)]
         found += [(f"encoder{i + 1}", i, float(noise.encoder[i]) ** 2) for i in range(n) if self.has_encoder[i]]
         return [*found, ("gyro", n, noise.gyro**2)] if self.has_imu else found
 
-    def _node_rows(self, x: Latents, noise: Noise, diagonal: FloatArray, gradient: FloatArray,
+    def _node_rows(self, x: Latents, variances: FloatArray, noise: Noise, diagonal: FloatArray, gradient: FloatArray,
                    residuals: dict[str, FloatArray], extra: Extra | None) -> float:
-        """Add torque, encoder and gyro samples; returns their part of the objective."""
+        """Add torque (of `variances`), encoder and gyro samples; returns their part of the objective."""
         n = self.n
         residuals["torque"] = x.u - self.torque
         residuals["encoder"] = x.q - self.angles
@@ -258,26 +220,27 @@ class LatentProblem:
         if self.has_imu:
             values["gyro"] = residuals["gyro"] = x.v[:, 0] - self.gyro
         total = 0.0
-        for channel, column, variance in self._channels(noise):
-            r = values[channel]
+        for channel, column, variance in self._channels(variances, noise):
+            r, weight = values[channel], 1.0 / variance
             if extra is not None and channel in extra.readings:
                 r += extra.readings[channel]  # a view: the residual of record moves with it
-            diagonal[:, column, column] += 1.0 / variance
-            gradient[:, column] += r / variance
+            pull = weight * r
+            diagonal[:, column, column] += weight
+            gradient[:, column] += pull
             if extra is not None and channel in extra.by_torque:
                 slope, other = extra.by_torque[channel], 2 * n + column % n
-                diagonal[:, other, other] += slope**2 / variance
-                diagonal[:, other, column] += slope / variance
-                diagonal[:, column, other] += slope / variance
-                gradient[:, other] += slope * r / variance
-            total += float(r @ (r / variance))
+                diagonal[:, other, other] += slope**2 * weight
+                diagonal[:, other, column] += slope * weight
+                diagonal[:, column, other] += slope * weight
+                gradient[:, other] += slope * pull
+            total += float(r @ pull)
         return total
 
-    def _node_columns(self, extra: Extra, noise: Noise, residuals: dict[str, FloatArray], border: FloatArray,
-                      corner: FloatArray, gradient_beta: FloatArray) -> None:
+    def _node_columns(self, extra: Extra, variances: FloatArray, noise: Noise, residuals: dict[str, FloatArray],
+                      border: FloatArray, corner: FloatArray, gradient_beta: FloatArray) -> None:
         """Border and corner of the sizes through the sensors that read one latent directly."""
         p = self.mechanism.p
-        for channel, column, variance in self._channels(noise):
+        for channel, column, variance in self._channels(variances, noise):
             if channel not in extra.reading_columns:
                 continue
             c = extra.reading_columns[channel] / variance
@@ -289,41 +252,6 @@ class LatentProblem:
             corner[p:, p:] += c @ extra.reading_columns[channel].T
             gradient_beta[p:] += c @ r
 
-    def _accelerometer_rows(self, x: Latents, beta: FloatArray, here: Samples,
-                            extra: Extra | None) -> FloatArray:
-        """Rows (2, b + 1 + p, padded K) of the accelerometer's two axes: by the latents, residual, by the parameters.
-
-        q1dd comes from the equation of motion at the sample, not from the cubic: friction that changes sign
-        inside an interval makes the acceleration jump there, and the cubic's value at its end would carry
-        that jump to the wrong side (measured: 5 % on the knee's Coulomb level).
-        """
-        m, n, b = self.mechanism, self.n, self.block
-        lever, g = m.lever_arm, m.gravity_mps2
-        q, v, u = (np.ascontiguousarray(a[here].T) for a in (x.q, x.v, x.u))
-        added = None
-        if extra is not None:
-            u = u - extra.torque_at_samples[:, here]
-            added = None if extra.sample_slopes is None else extra.sample_slopes[..., here]
-        qdd, by_latents, by_beta, inverse = self.collocation.acceleration(q, v, u, beta, 0, added)
-        ax, ay = accelerometer(q[0], v[0], qdd, lever, g)
-        count = 0 if extra is None else extra.sample_columns.shape[0]
-        whole = np.zeros((2, b + 1 + m.p + count, padded(qdd.size)))
-        rows = whole[..., : qdd.size]
-        rows[0, :b] = lever * by_latents.reshape(b, -1)
-        rows[0, 0] += g * np.cos(q[0])
-        rows[1, 0] = g * np.sin(q[0])
-        rows[1, n] = -2.0 * lever * v[0]
-        rows[0, b], rows[1, b] = ax - self.ax[here], ay - self.ay[here]
-        rows[0, b + 1 : b + 1 + m.p] = lever * by_beta
-        if extra is not None:
-            rows[0, b + 1 + m.p :] = -lever * np.einsum("jN,kjN->kN", inverse, extra.sample_columns[:, :, here])
-            for axis, channel in enumerate(("accel_x", "accel_y")):
-                if channel in extra.readings:
-                    rows[axis, b] += extra.readings[channel][here]
-                if channel in extra.reading_columns:
-                    rows[axis, b + 1 + m.p :] += extra.reading_columns[channel][:, here]
-        return whole
-
     def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,
                         index: NDArray[np.intp]) -> dict[str, FloatArray]:
         """Sensor residuals `step` (N, b) and `step_beta` (on columns `index`) away from `point`, to first order.
@@ -333,8 +261,9 @@ class LatentProblem:
                "encoder": point.residuals["encoder"] + step[:, :n]}
         if self.has_imu:
             out["gyro"] = point.residuals["gyro"] + step[:, n]
-            out["accel"] = (point.residuals["accel"] + np.einsum("kab,kb->ka", point.accel_rows, step)
-                            + point.accel_border[:, :, index] @ step_beta)
+            by_beta = np.zeros(point.accel.shape[2] - self.block)
+            by_beta[0], by_beta[1 + index] = 1.0, step_beta
+            out["accel"] = (point.accel_rows @ step[:, :, None])[:, :, 0] + point.accel[:, :, self.block :] @ by_beta
         if point.extra is not None:
             size = np.zeros(len(point.gradient_beta))
             size[index] = step_beta
@@ -356,7 +285,8 @@ class LatentProblem:
         """
         n = self.n
         variance = np.einsum("kii->ki", p_diagonal)
-        taken = {"torque": np.sum(variance[:, 2 * n:] * self.torque_weight(noise) ** 2, axis=0) / noise.torque**2,
+        weight = self.torque_weight(noise)
+        taken = {"torque": np.einsum("kj,kj->j", variance[:, 2 * n:], weight**2) / noise.torque**2,
                  "encoder": variance[:, :n].sum(axis=0) / noise.encoder**2}
         for channel, slope in (point.extra.by_torque.items() if point.extra is not None else ()):
             kind, j = channel[:-1], int(channel[-1]) - 1
@@ -364,11 +294,11 @@ class LatentProblem:
             own = u if kind == "torque" else j
             both = slope**2 * variance[:, u] + 2.0 * slope * p_diagonal[:, own, u]
             if kind == "torque":
-                both *= self.torque_weight(noise)[:, j] ** 2
+                both *= weight[:, j] ** 2
             taken[kind][j] += both.sum() / (noise.torque if kind == "torque" else noise.encoder)[j] ** 2
         if self.has_imu:
             taken["gyro"] = np.array([variance[:, n].sum() / noise.gyro**2])
             a = point.accel_rows
-            taken["accel"] = np.array([np.sum((a @ p_diagonal) * a) / noise.accel**2])
+            taken["accel"] = np.array([np.vdot(a @ p_diagonal, a) / noise.accel**2])
         return taken
 

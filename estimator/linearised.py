@@ -4,11 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.chain import Chain
+
 FloatArray = NDArray[np.float64]
+Samples = slice | NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Latents:
+    """Values at all N samples, each (N, n)."""
+
+    q: FloatArray
+    v: FloatArray
+    u: FloatArray
+
+    def moved(self, step: FloatArray) -> Latents:
+        """Shifted by step (N, 3 n) in the order q, v, u."""
+        n = self.q.shape[1]
+        return Latents(self.q + step[:, :n], self.v + step[:, n:2 * n], self.u + step[:, 2 * n:])
+
+
+class Sums(NamedTuple):
+    """Where normal equations are summed up."""
+
+    chain: Chain
+    square: FloatArray
+    """(m, m) products of the right sides' columns, in the upper half at least."""
+    misfit: FloatArray
+    """(n,) sum of squares of each joint's equation of motion."""
 
 
 @dataclass(frozen=True)
@@ -40,30 +68,19 @@ class Linearised:
     """Gauss-Newton normal equations at one point."""
 
     objective: float
-    diagonal: FloatArray
-    """(N, b, b)"""
-    lower: FloatArray
-    """(N-1, b, b)"""
-    right: FloatArray
-    """(N b, 1 + p) gradient by the latents, then border."""
+    chain: Chain
+    """Of the latents; its right sides are the gradient by the latents, then the border. Elimination uses it up."""
     corner: FloatArray
     """(p, p)"""
     gradient_beta: FloatArray
     """(p,)"""
-    accel_rows: FloatArray
-    """(N, 2, b) unscaled accelerometer rows, none without an IMU."""
-    accel_border: FloatArray
-    """(N, 2, p) their derivative by beta."""
+    accel: FloatArray
+    """(N, 2, b + 1 + p) unscaled accelerometer rows: by the latents, residual, by beta; none without an IMU."""
     residuals: dict[str, FloatArray]
     """Unscaled residuals by channel."""
     extra: Extra | None = None
 
     @property
-    def gradient(self) -> FloatArray:
-        """(N b,)"""
-        return self.right[:, 0]
-
-    @property
-    def border(self) -> FloatArray:
-        """(N b, p)"""
-        return self.right[:, 1:]
+    def accel_rows(self) -> FloatArray:
+        """(N, 2, b) accelerometer rows by the latents, a view."""
+        return self.accel[:, :, : self.chain.block]

@@ -22,7 +22,8 @@ from estimator.excerpt import from_excerpt
 from estimator.extended import ExtendedProblem, Stage
 from estimator.gauss_newton import State, iterate
 from estimator.identifiability import undetermined
-from estimator.latent import LatentProblem, Latents, Noise
+from estimator.latent import LatentProblem, Noise
+from estimator.linearised import Latents
 from estimator.mechanism import Mechanism
 from estimator.options import FitOptions
 from estimator.result import FitResult, Trajectory

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri
 
+from estimator.chain import Chain
+
 FloatArray = NDArray[np.float64]
 PIECE = 1024
 """Blocks that are worked on at a time."""
@@ -99,13 +101,13 @@ class Eliminated:
         return inverse_diagonal(self.factor)
 
 
-def eliminate(diagonal: FloatArray, lower: FloatArray, right: FloatArray) -> Eliminated:
-    """H with blocks diagonal (N, b, b) and lower (N-1, b, b) = H[k+1, k]; right sides (N b, m).
+def eliminate(chain: Chain) -> Eliminated:
+    """Factor H and go forward through its right sides.
 
     Raises numpy.linalg.LinAlgError where H is not positive definite.
     """
-    factored = factor(diagonal, lower)
-    return Eliminated(factored, halve(factored, right))
+    factored = factor(chain.diagonal, chain.lower)
+    return Eliminated(factored, halve(factored, chain.flat_right()))
 
 
 def gram(matrices: FloatArray) -> FloatArray:

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from estimator import compiled, oddeven, sweep
+from estimator.elimination import eliminate
 from estimator.extended import Candidate, ExtendedProblem
 from estimator.gauss_newton import State
 
@@ -46,19 +45,15 @@ class RunScore:
 def score_run(problem: ExtendedProblem, state: State) -> RunScore:
     """Score and information of the problem's candidates at the smoothed motion in `state`."""
     point = problem.linearise(state.x, state.beta, state.noise)
-    product = _chain().eliminate(point.diagonal, point.lower, point.right).product()
+    product = eliminate(point.chain).product()
     return RunScore(product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:])
 
 
 def score_alone(problem: ExtendedProblem, state: State) -> FloatArray:
     """`score_run` without the information, for a third of the time."""
     point = problem.linearise(state.x, state.beta, state.noise)
-    step = _chain().eliminate(point.diagonal, point.lower, point.right[:, :1]).solution(np.ones(1))
-    return np.asarray(point.border.T @ step.ravel() - point.gradient_beta)
-
-
-def _chain() -> ModuleType:
-    return sweep if compiled.ready() else oddeven
+    step = eliminate(point.chain.first(1)).solution(np.ones(1))
+    return np.asarray(point.chain.flat_right(slice(1, None)).T @ step.ravel() - point.gradient_beta)
 
 
 @dataclass(frozen=True)

@@ -22,17 +22,22 @@ def lowpass(x: FloatArray, cutoff_hz: float | None, rate_hz: float, order: int =
     """Forward-backward Butterworth along axis 0; x (n, ...). `cutoff_hz` is where each pass has -3 dB.
 
     No cutoff, or one at or above 0.95 of the Nyquist rate, leaves x as it is. The ends are continued by odd
-    reflection, as SciPy's `sosfiltfilt` does, which finds the filter's state anew each time.
+    reflection, as SciPy's `sosfiltfilt` does, which finds the filter's state anew each time. Columns that are zero,
+    such as half of a regressor's, are passed over.
     """
     if cutoff_hz is None or cutoff_hz >= 0.475 * rate_hz:
         return x
     sos, state = _sections(order, 2.0 * cutoff_hz / rate_hz)
     pad = min(x.shape[0] - 1, int(3 * rate_hz / cutoff_hz))
-    y = np.ascontiguousarray(x.reshape(x.shape[0], -1).T)
+    flat = x.reshape(x.shape[0], -1)
+    live = flat.any(axis=0)
+    y = np.ascontiguousarray(flat[:, live].T)
     y = np.concatenate([2.0 * y[:, :1] - y[:, pad:0:-1], y, 2.0 * y[:, -1:] - y[:, -2:-pad - 2:-1]], axis=1)
     for _ in range(2):  # forward, then backward
         y = sosfilt(sos, y, zi=state * y[:, :1])[0][:, ::-1]
-    return np.ascontiguousarray(y[:, pad : pad + x.shape[0]].T).reshape(x.shape)
+    out = np.zeros(flat.shape)
+    out[:, live] = y[:, pad : pad + x.shape[0]].T
+    return out.reshape(x.shape)
 
 
 def central_difference(x: FloatArray, dt_s: float, spacing: int = 1) -> FloatArray:
@@ -57,6 +62,11 @@ def white_noise_level(x: FloatArray) -> float:
     if d.size == 0:
         return 0.0
     return float(1.4826 * np.median(np.abs(d - np.median(d))) / np.sqrt(20.0))
+
+
+def encoder_level(angle: FloatArray) -> float:
+    """What differences between neighbours show of an encoder's error: its quantum, or white noise."""
+    return max(white_noise_level(angle), quantum(angle) / np.sqrt(12.0))
 
 
 def quantum(x: FloatArray) -> float:

@@ -8,7 +8,7 @@ more of it to the measurements and forming Z again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +26,8 @@ from estimator.wls import design_rows, free_mask, weighted_least_squares
 FloatArray = NDArray[np.float64]
 DRAWS = 2
 """Times that noise is added; its part of Z is the mean over them."""
+CLEAR = 10.0
+"""Where every direction has so many times the power that it needs, noise added once is enough."""
 LEAST_POWER, LEAST_POWER_MLE = 3.0, 1.5
 """Power of Z along a direction, in units of noise's own, below which the direction is not excited. At 3 a third of it
 is noise, and least squares shrinks by as much. `mle` allows for noise and comes through to about 1.5 (legs with an
@@ -62,36 +64,56 @@ def unexcited_directions(signals: Sequence[SignalSet], mechanism: Mechanism, opt
     rng = np.random.default_rng(0)
     index = np.flatnonzero(free)
     z = regressor[:, :, index].reshape(-1, index.size)
-    noise = np.zeros((index.size, index.size))
-    for _ in range(DRAWS):
-        noisier = design_rows([_noisier(s, options, rng) for s in signals], mechanism, options).z
+    power, noise = z.T @ z, len(z) * FLAT**2 * np.eye(index.size)
+    levels = [_levels(s, options) for s in signals]
+    for draw in range(DRAWS):
+        noisier = design_rows([_noisier(*pair, rng) for pair in zip(signals, levels)], mechanism, options).z
         more = noisier[:, :, index].reshape(-1, index.size) - z
-        noise += more.T @ more / DRAWS
-    noise += len(z) * FLAT**2 * np.eye(index.size)
-    power = z.T @ z
-    scale = 1.0 / np.sqrt(np.diag(power) + np.diag(noise))
-    both = np.outer(scale, scale)
-    ratios, vectors = eigh(power * both, noise * both + ROUNDING * np.eye(index.size))
+        once = more.T @ more
+        if draw == 0 and _ratios(power, noise + once)[0][0] > CLEAR * least_power:
+            return np.zeros((free.size, 0))
+        noise += once / DRAWS
+    ratios, vectors = _ratios(power, noise)
     out = np.zeros((free.size, int(np.sum(ratios < least_power))))
-    out[index] = scale[:, None] * vectors[:, ratios < least_power]
+    out[index] = vectors[:, ratios < least_power]
     return out
 
 
-def _noisier(s: SignalSet, options: FitOptions, rng: np.random.Generator) -> SignalSet:
-    """The stretch with noise of the levels declared, or shown by the measurements themselves, added once more."""
-    angles = s.angles.copy()
-    for j in range(angles.shape[1]):
-        if np.isfinite(angles[:, j]).all():
+def _ratios(power: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Ratios (p,) of power to noise, both (p, p), ascending, and the directions (p, p) that have them."""
+    scale = 1.0 / np.sqrt(np.diag(power) + np.diag(noise))
+    both = np.outer(scale, scale)
+    ratios, vectors = eigh(power * both, noise * both + ROUNDING * np.eye(scale.size))
+    return ratios, scale[:, None] * vectors
+
+
+def _levels(s: SignalSet, options: FitOptions) -> dict[int | str, float]:
+    """Noise of each joint's encoder, by number, and of each IMU column: as declared, or as the measurements show."""
+    found: dict[int | str, float] = {}
+    for j in range(s.angles.shape[1]):
+        if np.isfinite(s.angles[:, j]).all():
             declared = options.encoder_noise(j)
-            angles[:, j] += (_level(angles[:, j]) if declared is None else declared) * rng.normal(size=len(angles))
-    imu = dict(s.imu)
+            found[j] = _level(s.angles[:, j]) if declared is None else declared
     for name, channel in zip(IMU_COLUMNS, ("gyro_radps", "accel_mps2", "accel_mps2")):
-        if name in imu:
-            imu[name] = imu[name] + options.noise.get(channel, _level(imu[name])) * rng.normal(size=len(imu[name]))
+        if name in s.imu:
+            declared = options.noise.get(channel)
+            found[name] = _level(s.imu[name]) if declared is None else declared
+    return found
+
+
+def _noisier(s: SignalSet, levels: Mapping[int | str, float], rng: np.random.Generator) -> SignalSet:
+    """The stretch with noise of these levels added once more."""
+    angles, imu = s.angles.copy(), dict(s.imu)
+    for place, level in levels.items():
+        noise = level * rng.normal(size=len(angles))
+        if isinstance(place, str):
+            imu[place] = imu[place] + noise
+        else:
+            angles[:, place] += noise
     return replace(s, angles=angles, imu=imu)
 
 
 def _level(x: FloatArray) -> float:
     values = np.unique(x)
-    step = float(np.min(np.diff(values))) if 1 < values.size <= FEW_VALUES else quantum(x)
+    step = float(np.min(np.diff(values))) if 1 < values.size <= FEW_VALUES else quantum(values)
     return max(white_noise_level(x), step / np.sqrt(12.0))

@@ -18,7 +18,8 @@ from estimator.effects import Effect
 from estimator.extended import ExtendedProblem, Stage
 from estimator.freerun import FreeRun, free_run
 from estimator.gauss_newton import State, iterate
-from estimator.latent import Latents, Noise
+from estimator.latent import Noise
+from estimator.linearised import Latents
 from estimator.mechanism import Mechanism
 from estimator.options import FitOptions
 from estimator.signalset import IMU_COLUMNS, SignalSet, angle_column, split_signals

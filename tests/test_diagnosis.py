@@ -23,7 +23,7 @@ from estimator.errors import FitError
 from estimator.evidence import fit_nominal
 from estimator.extended import Candidate, ExtendedProblem, Stage, slopes
 from estimator.gauss_newton import State, iterate
-from estimator.latent import Latents
+from estimator.linearised import Latents
 from estimator.mechanism import joint1, leg2
 from estimator.options import FitOptions
 from estimator.scores import RunScore, own_inflation, project

@@ -11,7 +11,8 @@ from estimator import excerpt as module
 from estimator import mle
 from estimator.excerpt import LEAST, LEAST_STRETCH, WORTH, excerpt
 from estimator.fit import fit
-from estimator.latent import LatentProblem, Latents
+from estimator.latent import LatentProblem
+from estimator.linearised import Latents
 from estimator.mechanism import leg2
 from estimator.options import FitOptions
 from estimator.signalset import SignalSet, split_signals

@@ -19,7 +19,8 @@ from estimator.evidence import Model, begin_afresh, fit_nominal, per_value, refi
 from estimator.extended import ExtendedProblem, Stage
 from estimator.freerun import free_run
 from estimator.gauss_newton import State
-from estimator.latent import Latents, Noise
+from estimator.latent import Noise
+from estimator.linearised import Latents
 from estimator.mechanism import joint1, leg2
 from estimator.options import FitOptions
 from estimator.session import open_session
