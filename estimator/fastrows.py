@@ -16,9 +16,10 @@ from estimator.chain import padded
 from estimator.collocation import Collocation, Motion
 from estimator.compiled import compiled
 from estimator.linearised import Extra, Latents, Samples, Sums
-from estimator.sensors import accelerometer
 
 FloatArray = NDArray[np.float64]
+at = np.uint64
+"""A sum of indices as the compiler needs it to know that it does not count from an array's end."""
 STRIP = 16
 """Samples whose rows are made at a time."""
 COMMON = 24
@@ -57,7 +58,7 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
     qdd, inverse = np.empty((n, 1, count)), np.empty((n, n, count))
     _accelerations(n)(own[:, 0], excess, qdd[:, 0], inverse)
     z, own = c.fast(*at_rest._replace(accel=qdd), beta, turned)
-    residual = np.stack(accelerometer(q[0, 0], v[0, 0], qdd[0, 0], m.lever_arm, m.gravity_mps2)) - measured[:, here]
+    q1dd, shown = qdd[0, 0], measured[:, here].copy()
     if extra is not None:
         z = np.concatenate([z, extra.sample_columns[:, :, None, here]])
         columns = np.zeros((2, len(extra.sample_columns), count))
@@ -66,13 +67,15 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
             _accelerations(n)(own[:, 0], excess, np.empty_like(excess), inverse)
         for axis, channel in enumerate(("accel_x", "accel_y")):
             if channel in extra.readings:
-                residual[axis] += extra.readings[channel][here]
+                shown[axis] -= extra.readings[channel][here]
             if channel in extra.reading_columns:
                 columns[axis] = extra.reading_columns[channel][:, here]
     chain = sums.chain
     _samples(n, _constant(chain.edge))(
-        z[:, :, 0], own[:, 0], inverse, turned[0][0, 0], turned[1][0, 0], v[0, 0], residual, columns, m.lever_arm,
-        m.gravity_mps2, weight, chain.edge, chain.rows[here], sums.square, accel[here])
+        z[:, :, 0], own[:, 0], inverse, turned[0][0, 0], turned[1][0, 0], v[0, 0], q1dd, shown, columns, m.lever_arm,
+        m.gravity_mps2, weight, chain.edge, chain.rows[here], accel[here])
+    right = accel[here].reshape(2 * count, -1)[:, chain.block :]
+    sums.square[:] += weight * (right.T @ right)
 
 
 def _constant(edge: int) -> int:
@@ -113,16 +116,17 @@ def _intervals(n: int, fixed: int) -> Callable[..., Any]:
                                 for w in range(size):
                                     t = 0.0
                                     for f in range(5):
-                                        t += basis[g, f, 2 * e + d] * own[i, g, f, j, start + w]
+                                        t += basis[g, f, 2 * e + d] * own[i, g, f, j, at(start + w)]
                                     line[r, e * edge + d * n + j, w] = scale * t
                     for w in range(size):
-                        k = left[start + w]
-                        t = scale * (torque[i, g, start + w] - holds[g, 0] * u[k, i] - holds[g, 1] * u[k + 1, i])
+                        k = left[at(start + w)]
+                        pull = holds[g, 0] * u[at(k), i] + holds[g, 1] * u[at(k + 1), i]
+                        t = scale * (torque[i, g, at(start + w)] - pull)
                         line[r, b, w] = t
                         misfit[i] += t * t
                     for k in range(width - 1):
                         for w in range(size):
-                            line[r, b + 1 + k, w] = scale * z[k, i, g, start + w]
+                            line[r, b + 1 + k, w] = scale * z[k, i, g, at(start + w)]
             for c in range(width):
                 for d in range(c, width):
                     t = 0.0
@@ -138,19 +142,19 @@ def _intervals(n: int, fixed: int) -> Callable[..., Any]:
                         after[r, c] = turned[r, c]
                     for c in range(b):
                         after[r, c] = turned[r, edge + c]
-                k = left[start + w]
+                k = left[at(start + w)]
                 for i in range(b):
                     for c in range(full):
-                        t = rows[k, i, c]
+                        t = rows[at(k), i, c]
                         for r in range(height):
                             t += turned[r, i] * turned[r, c]
-                        rows[k, i, c] = t
+                        rows[at(k), i, c] = t
                 for i in range(b):
                     for c in range(edge):
-                        t = rows[k + 1, i, c]
+                        t = rows[at(k + 1), i, c]
                         for r in range(height):
                             t += after[r, i] * after[r, c]
-                        rows[k + 1, i, c] = t
+                        rows[at(k + 1), i, c] = t
 
     return compiled(run)
 
@@ -194,14 +198,14 @@ def _accelerations(n: int) -> Callable[..., Any]:
 def _samples(n: int, fixed: int) -> Callable[..., Any]:
     """The kernel that adds the accelerometer's two axes at N samples of n joints to a chain's first N rows.
 
-    From z (m, n, N), slopes (n, 5, n, N), inverse (n, n, N), the angle's cosine and sine and the rate of joint 1, and
-    what the two axes show too little, (2, N), with its derivatives by the last of the m parameters (2, k, N), it makes
-    the unscaled rows (N, 2, 3 n + 1 + m), and adds their products times `weight` as `_intervals` does.
+    From z (m, n, N), slopes (n, 5, n, N), inverse (n, n, N), the angle's cosine and sine, the rate and the acceleration
+    of joint 1, what the two axes show (2, N), and the derivatives by the last of the m parameters of what effects add
+    to that (2, k, N), it makes the unscaled rows (N, 2, 3 n + 1 + m), and adds their products times `weight`.
     """
     b = 3 * n
 
-    def run(z: Any, slopes: Any, inverse: Any, cosine: Any, sine: Any, rate: Any, residual: Any, columns: Any,
-            lever: float, gravity: float, weight: float, edge: int, rows: Any, square: Any, accel: Any) -> None:
+    def run(z: Any, slopes: Any, inverse: Any, cosine: Any, sine: Any, rate: Any, q1dd: Any, shown: Any,
+            columns: Any, lever: float, gravity: float, weight: float, edge: int, rows: Any, accel: Any) -> None:
         count, width, extra = rate.size, 1 + z.shape[0], columns.shape[1]
         if fixed > 0:
             edge = fixed
@@ -212,44 +216,39 @@ def _samples(n: int, fixed: int) -> Callable[..., Any]:
                 for w in range(size):
                     by_angle, by_rate = 0.0, 0.0
                     for i in range(n):
-                        f = lever * inverse[0, i, start + w]
-                        by_angle -= f * slopes[i, 0, j, start + w]
-                        by_rate -= f * (slopes[i, 1, j, start + w] + slopes[i, 3, j, start + w]
-                                        + slopes[i, 4, j, start + w])
+                        f = lever * inverse[0, i, at(start + w)]
+                        by_angle -= f * slopes[i, 0, j, at(start + w)]
+                        by_rate -= f * (slopes[i, 1, j, at(start + w)] + slopes[i, 3, j, at(start + w)]
+                                        + slopes[i, 4, j, at(start + w)])
                     line[0, j, w], line[0, n + j, w] = by_angle, by_rate
-                    line[0, 2 * n + j, w] = lever * inverse[0, j, start + w]
+                    line[0, 2 * n + j, w] = lever * inverse[0, j, at(start + w)]
             for w in range(size):
-                line[0, 0, w] += gravity * cosine[start + w]
-                line[1, 0, w] = gravity * sine[start + w]
-                line[1, n, w] = -2.0 * lever * rate[start + w]
-                line[0, b, w] = residual[0, start + w]
-                line[1, b, w] = residual[1, start + w]
+                line[0, 0, w] += gravity * cosine[at(start + w)]
+                line[1, 0, w] = gravity * sine[at(start + w)]
+                line[1, n, w] = -2.0 * lever * rate[at(start + w)]
+                tangential = lever * q1dd[at(start + w)] + gravity * sine[at(start + w)]
+                radial = -lever * rate[at(start + w)] * rate[at(start + w)] - gravity * cosine[at(start + w)]
+                line[0, b, w], line[1, b, w] = tangential - shown[0, at(start + w)], radial - shown[1, at(start + w)]
             for k in range(width - 1):
                 for w in range(size):
                     t = 0.0
                     for i in range(n):
-                        t -= inverse[0, i, start + w] * z[k, i, start + w]
+                        t -= inverse[0, i, at(start + w)] * z[k, i, at(start + w)]
                     line[0, b + 1 + k, w] = lever * t
             for k in range(extra):
-                at = b + width - extra + k
+                place = b + width - extra + k
                 for w in range(size):
-                    line[0, at, w] += columns[0, k, start + w]
-                    line[1, at, w] = columns[1, k, start + w]
-            for c in range(width):
-                for d in range(c, width):
-                    t = 0.0
-                    for r in range(2):
-                        for w in range(size):
-                            t += line[r, b + c, w] * line[r, b + d, w]
-                    square[c, d] += weight * t
+                    line[0, place, w] += columns[0, k, at(start + w)]
+                    line[1, place, w] = columns[1, k, at(start + w)]
             for w in range(size):
                 for r in range(2):
                     for c in range(edge):
                         turned[r, c] = line[r, c, w]
                     for c in range(b + width):
-                        accel[start + w, r, c] = turned[r, c]
+                        accel[at(start + w), r, c] = turned[r, c]
                 for i in range(b):
+                    f, g = weight * turned[0, i], weight * turned[1, i]
                     for c in range(edge):
-                        rows[start + w, i, c] += weight * (turned[0, i] * turned[0, c] + turned[1, i] * turned[1, c])
+                        rows[at(start + w), i, c] += f * turned[0, c] + g * turned[1, c]
 
     return compiled(run)
