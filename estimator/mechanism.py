@@ -105,25 +105,28 @@ class Mechanism:
     def regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """Z of tau = Z(q, qd, qdd) beta, eq. (13). Arguments (..., n) in rad, rad/s, rad/s2; Z (..., n, p)."""
         lead = q.shape[:-1]
-        theta, thetad, thetadd = q @ self.transform.T, qd @ self.transform.T, qdd @ self.transform.T
-        links = np.zeros((*lead, self.n, self.p))
-        joints = np.zeros((*lead, self.n, self.p))
+        theta, thetad, thetadd = (np.moveaxis(x @ self.transform.T, -1, 0).copy() for x in (q, qd, qdd))
+        z = np.zeros((self.n, self.p, *lead))
+
+        def turn(link: int, k: int, values: FloatArray) -> None:
+            for joint in np.flatnonzero(self.transform[link]):
+                z[joint, k] += self.transform[link, joint] * values
+
         for k, (_, _, _, term, at) in enumerate(self.parameters):
             if term == "inertia":
                 i, j = at
                 if i == j:
-                    links[..., i, k] = thetadd[..., i]
+                    turn(i, k, thetadd[i])
                 else:
-                    delta = theta[..., i] - theta[..., j]
+                    delta = theta[i] - theta[j]
                     c, s = np.cos(delta), np.sin(delta)
-                    links[..., i, k] = c * thetadd[..., j] + s * thetad[..., j] ** 2
-                    links[..., j, k] = c * thetadd[..., i] - s * thetad[..., i] ** 2
+                    turn(i, k, c * thetadd[j] + s * thetad[j] ** 2)
+                    turn(j, k, c * thetadd[i] - s * thetad[i] ** 2)
             elif term == "gravity":
-                links[..., at[0], k] = self.gravity * np.sin(theta[..., at[0]])
+                turn(at[0], k, self.gravity * np.sin(theta[at[0]]))
             else:
-                j = at[0]
-                joints[..., j, k] = self._joint_term(term, qd[..., j], qdd[..., j])
-        return np.swapaxes(self.transform, 0, 1) @ links + joints
+                z[at[0], k] = self._joint_term(term, qd[..., at[0]], qdd[..., at[0]])
+        return np.moveaxis(z, (0, 1), (-2, -1))
 
     def _joint_term(self, term: str, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         if term == "viscous":

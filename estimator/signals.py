@@ -29,15 +29,15 @@ def lowpass(x: FloatArray, cutoff_hz: float | None, rate_hz: float, order: int =
         return x
     sos, state = _sections(order, 2.0 * cutoff_hz / rate_hz)
     pad = min(x.shape[0] - 1, int(3 * rate_hz / cutoff_hz))
-    flat = x.reshape(x.shape[0], -1)
-    live = flat.any(axis=0)
-    y = np.ascontiguousarray(flat[:, live].T)
+    flat = x.reshape(x.shape[0], -1).T
+    live = flat.any(axis=1)
+    y = flat[live]
     y = np.concatenate([2.0 * y[:, :1] - y[:, pad:0:-1], y, 2.0 * y[:, -1:] - y[:, -2:-pad - 2:-1]], axis=1)
     for _ in range(2):  # forward, then backward
         y = sosfilt(sos, y, zi=state * y[:, :1])[0][:, ::-1]
     out = np.zeros(flat.shape)
-    out[:, live] = y[:, pad : pad + x.shape[0]].T
-    return out.reshape(x.shape)
+    out[live] = y[:, pad : pad + x.shape[0]]
+    return out.T.reshape(x.shape)
 
 
 def central_difference(x: FloatArray, dt_s: float, spacing: int = 1) -> FloatArray:

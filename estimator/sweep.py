@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.chain import Chain
+from estimator.chain import Chain, padded
 from estimator.compiled import compiled
 
 FloatArray = NDArray[np.float64]
+at = np.uint64
+"""The number of a block as the compiler needs it to know that it does not count from an array's end."""
 
 
 @dataclass(frozen=True)
@@ -38,15 +40,15 @@ class Swept:
     def solution(self, weights: FloatArray) -> FloatArray:
         """H^-1 rhs weights (N, b) for weights (m,)."""
         c = self.chain
-        out = c.flat_right() @ weights
-        _back(c.block)(c.rows, c.edge, out)
-        return np.asarray(out.reshape(-1, c.block))
+        out = np.empty((len(c.rows), c.block))
+        _back(c.block)(c.rows, c.edge, weights, out)
+        return out
 
     def inverse_diagonal(self) -> FloatArray:
         """Blocks P[k, k] (N, b, b) of P = H^-1."""
         c = self.chain
         out = np.empty((len(c.rows), c.block, c.block))
-        _inverse(c.block)(c.rows, c.edge, out)
+        _inverse(c.block)(c.rows, c.edge, padded(c.block), out)
         return out
 
 
@@ -102,23 +104,26 @@ def _forward(b: int) -> Callable[..., Any]:
 
 @cache
 def _back(b: int) -> Callable[..., Any]:
-    """Backward substitution, in the place of the right side."""
+    """Backward substitution of a combination of the right sides."""
 
-    def run(rows: Any, edge: int, out: Any) -> None:
+    def run(rows: Any, edge: int, weights: Any, out: Any) -> None:
         x, t = np.zeros(b), np.zeros(b)
         for k in range(rows.shape[0] - 1, -1, -1):
+            here = at(k)
             for i in range(b):
-                f = out[k * b + i]
+                f = 0.0
+                for j in range(weights.size):
+                    f += rows[here, i, b + j] * weights[j]
                 for j in range(b):
-                    f -= rows[k, i, edge + j] * x[j]
+                    f -= rows[here, i, edge + j] * x[j]
                 t[i] = f
             for i in range(b - 1, -1, -1):
-                f = t[i] * rows[k, i, i]
+                f = t[i] * rows[here, i, i]
                 for j in range(i):
-                    t[j] -= rows[k, j, i] * f
+                    t[j] -= rows[here, j, i] * f
                 x[i] = f
             for i in range(b):
-                out[k * b + i] = x[i]
+                out[here, i] = x[i]
 
     return compiled(run)
 
@@ -127,37 +132,41 @@ def _back(b: int) -> Callable[..., Any]:
 def _inverse(b: int) -> Callable[..., Any]:
     """P[k, k] = V V^T + (V S) P[k+1, k+1] (V S)^T with V = U[k, k]^-1 and S = U[k, k+1]."""
 
-    def run(rows: Any, edge: int, out: Any) -> None:
-        both, a, turned = np.zeros((b, 2 * b)), np.zeros((b, 2 * b)), np.zeros((2 * b, b))
-        p = np.zeros((b, b))
+    def run(rows: Any, edge: int, wide: int, out: Any) -> None:
+        v, vs, a, p = np.zeros((b, wide)), np.zeros((b, wide)), np.zeros((b, wide)), np.zeros((b, wide))
+        v_turned, vs_turned = np.zeros((b, wide)), np.zeros((b, wide))
         for k in range(rows.shape[0] - 1, -1, -1):
-            for i in range(b - 1, -1, -1):  # both = V [1, S]
+            here = at(k)
+            for i in range(b - 1, -1, -1):
                 for j in range(b):
-                    both[i, j] = 0.0
-                    both[i, b + j] = rows[k, i, edge + j]
-                both[i, i] = 1.0
+                    v[i, j] = 0.0
+                    vs[i, j] = rows[here, i, edge + j]
+                v[i, i] = 1.0
                 for h in range(i + 1, b):
-                    f = rows[k, i, h]
-                    for j in range(2 * b):
-                        both[i, j] -= f * both[h, j]
-                f = rows[k, i, i]
-                for j in range(2 * b):
-                    both[i, j] *= f
+                    f = rows[here, i, h]
+                    for j in range(wide):
+                        v[i, j] -= f * v[h, j]
+                        vs[i, j] -= f * vs[h, j]
+                f = rows[here, i, i]
+                for j in range(wide):
+                    v[i, j] *= f
+                    vs[i, j] *= f
             for i in range(b):
-                for j in range(b):
-                    a[i, j] = both[i, j]
+                for j in range(wide):
                     t = 0.0
                     for h in range(b):
-                        t += both[i, b + h] * p[h, j]
-                    a[i, b + j] = t
-                for j in range(2 * b):
-                    turned[j, i] = both[i, j]
-            for i in range(b):
+                        t += vs[i, h] * p[h, j]
+                    a[i, j] = t
                 for j in range(b):
+                    v_turned[j, i] = v[i, j]
+                    vs_turned[j, i] = vs[i, j]
+            for i in range(b):
+                for j in range(wide):
                     t = 0.0
-                    for h in range(2 * b):
-                        t += a[i, h] * turned[h, j]
+                    for h in range(b):
+                        t += v[i, h] * v_turned[h, j] + a[i, h] * vs_turned[h, j]
                     p[i, j] = t
-                    out[k, i, j] = t
+                for j in range(b):
+                    out[here, i, j] = p[i, j]
 
     return compiled(run)

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from estimator import compiled
+from estimator.arrayrows import accelerometer_rows, motion_rows
 from estimator.fit import fit
+from estimator.latent import PIECE, TIGHT
 from tests.bench.record import OPTIONS, Posed, Recorded, Watch, pose
 
 
@@ -36,13 +38,14 @@ def peak_memory_mb() -> float:
 def evaluate(posed: Posed) -> Callable[[], None]:
     """One evaluation of all residuals and their Jacobian, nothing made of them."""
     p, x, beta, noise = posed.problem, posed.end.x, posed.end.beta, posed.end.noise
-    every = np.arange(p.total)
+    weight = 1.0 / (TIGHT * noise.torque)
 
     def run() -> None:
         for intervals, here, there in p._pieces(p.left):
-            p._motion_rows(x, beta, noise, intervals, here, there, None)
-        for here, _, _ in p._pieces(every):
-            p._accelerometer_rows(x, beta, here, None)
+            motion_rows(p.collocation, x, beta, weight, intervals, here, there)
+        for start in range(0, p.total, PIECE):
+            here = slice(start, min(start + PIECE, p.total))
+            accelerometer_rows(p.collocation, x, beta, p.accel, here)
 
     return run
 
