@@ -20,7 +20,7 @@ from estimator.linearised import Extra, Latents, Samples, Sums
 FloatArray = NDArray[np.float64]
 at = np.uint64
 """A sum of indices as the compiler needs it to know that it does not count from an array's end."""
-STRIP = 16
+STRIP = 32
 """Samples whose rows are made at a time."""
 COMMON = 24
 """Up to this edge a chain's edge is a constant to the compiler, too, which makes the sums a third faster; each takes
