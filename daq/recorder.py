@@ -28,9 +28,7 @@ from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import Lsm9ds1
 from drivers.protocol import State, describe_faults
 
-LEAD_IN_S = 1.0
-LEAD_OUT_S = 0.3
-RAMP_S = 0.1
+LEAD_IN_S, LEAD_OUT_S, RAMP_S = 1.0, 0.3, 0.1
 ARM_TIMEOUT_S = 0.5
 CONFIRM_S = 0.2
 PING_EVERY_S = 0.25

@@ -102,9 +102,14 @@ def differing_text(found: Differing) -> str:
             "under [terms], and what else is missing shows better")
 
 
+def _slow(options: FitOptions, rate_hz: float) -> FitOptions:
+    """`options` with a cutoff at which zeros are sought."""
+    return replace(options, cutoff_hz=min(SLOW_HZ, options.cutoff(rate_hz)))
+
+
 def _left_over(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FloatArray:
     """(n,) rms of the torque that slow least squares leaves over at each joint."""
-    slow = replace(options, cutoff_hz=min(SLOW_HZ, options.cutoff(datasets[0].rate_hz)))
+    slow = _slow(options, datasets[0].rate_hz)
     design = design_rows(split_signals(datasets, mechanism, slow), mechanism, slow)
     free, beta = free_mask(mechanism, slow)
     beta, _, _ = weighted_least_squares(design.z, design.torque, free, beta, design.samples_per_dof)
@@ -120,7 +125,7 @@ def find_zeros(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
     Raises `FitError` where a joint has no encoder on this path, or where the search leads nowhere.
     """
     runs = [split_signals([data], mechanism, options) for data in datasets]
-    options = replace(options, cutoff_hz=min(SLOW_HZ, options.cutoff(runs[0][0].rate_hz)))
+    options = _slow(options, runs[0][0].rate_hz)
     for j in joints:
         if not np.isfinite(runs[0][0].angles[:, j]).all():
             raise FitError(f"encoder_zero names joint {j + 1}, which has no encoder on the {options.sensors} path")

@@ -41,17 +41,6 @@ def load_setup(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None
     return setup_of(load_runs(paths, rig), rig, sensors, fixed, latent, beta)
 
 
-def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> Setup:
-    """`setup` less the encoders' zeros that its rig declares to differ from run to run; see `estimator.zeros`."""
-    joints = [j - 1 for j in rig.terms.encoder_zero]
-    known = beta if beta is not None and len(beta) == setup.mechanism.p else None
-    if not joints or (len(setup.datasets) == 1 and known is None):  # one run says nothing of differences
-        return setup
-    zeros = find_zeros(setup.datasets, setup.mechanism, setup.options, joints, known)
-    return replace(setup, datasets=subtract(setup.datasets, setup.mechanism, zeros),
-                   notes=(*setup.notes, zeros_text(setup.datasets, zeros)))
-
-
 def load_runs(paths: Sequence[Path | str], rig: Rig) -> tuple[Dataset, ...]:
     """Runs read, aligned, with the input that the mechanism is driven by. Raises `InputError`."""
     return tuple(prepare(load_run(path, rig), rig) for path in progress(list(paths), "reading runs", unit="run"))
@@ -76,6 +65,17 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
                              f"it has {', '.join(mechanism.names)}")
     options = fit_options(rig, choose_sensors(rig, datasets, sensors), fixed or {}, latent)
     return zeroed(Setup(settings, mechanism, options, tuple(datasets)), rig, beta)
+
+
+def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> Setup:
+    """`setup` less the encoders' zeros that its rig declares to differ from run to run; see `estimator.zeros`."""
+    joints = [j - 1 for j in rig.terms.encoder_zero]
+    known = beta if beta is not None and len(beta) == setup.mechanism.p else None
+    if not joints or (len(setup.datasets) == 1 and known is None):  # one run says nothing of differences
+        return setup
+    zeros = find_zeros(setup.datasets, setup.mechanism, setup.options, joints, known)
+    return replace(setup, datasets=subtract(setup.datasets, setup.mechanism, zeros),
+                   notes=(*setup.notes, zeros_text(setup.datasets, zeros)))
 
 
 def prepare(data: Dataset, rig: Rig) -> Dataset:

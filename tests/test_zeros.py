@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -110,8 +111,6 @@ def test_the_commands_take_declared_zeros_off(runs: list[Dataset], tmp_path: Pat
 
 
 def rmse(path: Path) -> float:
-    import json
-
     (found,) = json.loads(path.read_text())["runs"]
     return float(found["rmse"]["q2_rad"])
 
