@@ -1,7 +1,7 @@
 """`compiled`: a function made machine code by Numba, where the extra `fast` is installed.
 
-To import Numba and fetch its kernels from disk takes about a second, as long as a fit of fifteen thousand samples
-without them; to compile them, once on a machine, ten. So a process uses them only after it has worked for longer than
+To import Numba and fetch its kernels from disk takes half a second, as long as a fit of ten thousand samples without
+them; to compile them, once on a machine, eight. So a process uses them only after it has worked for longer than
 they cost to fetch.
 """
 
@@ -13,8 +13,9 @@ from functools import cache
 from typing import Any
 
 LOAD_WORTH = 1_000_000
-"""Samples, counted once a step of a fit, that a process goes through before it loads the kernels: they save 2 us on
-each, and fetching them costs a second. So many that the first fit of 60,000 samples does not stop to compile them."""
+"""Samples, counted once a step of a fit, that a process goes through before it loads the kernels: they save 3 us on
+each, and fetching them costs half a second. So many that the first fit of 60,000 samples does not stop to compile
+them."""
 _done = 0
 
 
