@@ -78,6 +78,6 @@ class Chain:
         """(N, b, width), a view."""
         return self.rows[:, :, self.block : self.block + self.width]
 
-    def flat_right(self, columns: slice | NDArray[np.intp] = slice(None)) -> FloatArray:
-        """(N b, columns) right sides, as a matrix; a view where `columns` is a slice."""
+    def flat_right(self, columns: slice = slice(None)) -> FloatArray:
+        """(N b, columns) right sides as a matrix, a view."""
         return self.rows.reshape(-1, self.rows.shape[2])[:, self.block : self.block + self.width][:, columns]
