@@ -68,7 +68,7 @@ def _forward(b: int) -> Callable[..., Any]:
     """Factor and forward substitution for blocks of size b, which is a constant to the compiler."""
 
     def run(flat: Any, full: int, edge: int) -> bool:
-        row, done = np.zeros((b, full)), np.zeros((b, edge))
+        row, done, inverse = np.zeros((b, full)), np.zeros((b, edge)), np.zeros(b)
         line = row.reshape(b * full)  # copied as one: for short lines the compiler copies number by number
         for k in range(flat.shape[0]):
             for c in range(b * full):
@@ -82,13 +82,15 @@ def _forward(b: int) -> Callable[..., Any]:
             for i in range(b):
                 if not row[i, i] > 0.0:
                     return False
-                f = 1.0 / np.sqrt(row[i, i])
+                inverse[i] = 1.0 / row[i, i]
+                for h in range(i + 1, b):
+                    f = row[i, h] * inverse[i]
+                    for c in range(full):
+                        row[h, c] -= f * row[i, c]
+            for i in range(b):  # roots afterwards: the next pivot need not wait for them
+                f = np.sqrt(inverse[i])
                 for c in range(full):
                     row[i, c] *= f
-                for h in range(i + 1, b):
-                    g = row[i, h]
-                    for c in range(full):
-                        row[h, c] -= g * row[i, c]
                 row[i, i] = f
             for c in range(b * full):
                 flat[k, c] = line[c]
