@@ -12,7 +12,9 @@ from pathlib import Path
 
 from tests.bench.record import Recorded, pose, read_record
 
-PEERS = ("legid", "casadi", "mujoco", "free", "paper")
+PEERS = ("legid", "casadi", "mujoco", "mujoco-2ms", "free", "paper")
+DEFAULT_STEP_S = 0.002
+"""MuJoCo's own (XML reference, option/timestep)."""
 
 
 def run(peer: str, recorded: Recorded) -> dict:
@@ -30,10 +32,10 @@ def run(peer: str, recorded: Recorded) -> dict:
         found = casadi_ipopt.solve(pose(recorded))
         return {"seconds": found.build_s + found.solve_s, "build_s": found.build_s, "solve_s": found.solve_s,
                 "iterations": found.iterations, "beta": found.beta.tolist()}
-    if peer == "mujoco":
+    if peer.startswith("mujoco"):
         from tests.bench import mujoco_sysid
 
-        by = mujoco_sysid.solve(recorded, 1.0 / recorded.data.rate_hz)
+        by = mujoco_sysid.solve(recorded, DEFAULT_STEP_S if peer == "mujoco-2ms" else 1.0 / recorded.data.rate_hz)
         return {"seconds": by.seconds, "beta": by.beta.tolist()}
     from tests.bench import paper
 
