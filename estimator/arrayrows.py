@@ -9,30 +9,31 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.collocation import Collocation
-from estimator.linearised import Extra, Latents, Samples, Sums
+from estimator.collocation import Collocation, Samples, after
+from estimator.linearised import Extra, Latents, Sums
 from estimator.oddeven import gram
 from estimator.sensors import accelerometer
 
 FloatArray = NDArray[np.float64]
 
 
-def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, here: Samples,
-               there: Samples, extra: Extra | None, sums: Sums) -> None:
-    """Add the equation of motion on `intervals`, from samples `here` to `there`, each row times its joint's weight."""
+def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
+               extra: Extra | None, sums: Sums) -> None:
+    """Add the equation of motion on `intervals`, which begin at samples `left`, each row times its joint's weight."""
     b, n = sums.chain.block, c.mechanism.n
-    rows = motion_rows(c, x, beta, weight, intervals, here, there, extra)
+    rows = motion_rows(c, x, beta, weight, intervals, left, extra)
     columns = rows[:, 2 * b :]
     sums.square[:] += np.sum(columns @ columns.swapaxes(1, 2), axis=0)
     sums.misfit[:] += np.sum(columns[:, 0] ** 2, axis=-1).reshape(n, 2).sum(axis=1)
     turned = _turned(rows)
-    before, after, rest = turned[:, :, :b], turned[:, :, b : 2 * b], turned[:, :, 2 * b :]
-    diagonal, lower, right = sums.chain.diagonal, sums.chain.lower, sums.chain.right
-    diagonal[here] += gram(before)
-    diagonal[there] += gram(after)
-    lower[here] = after.swapaxes(1, 2) @ before
-    right[here] += before.swapaxes(1, 2) @ rest
-    right[there] += after.swapaxes(1, 2) @ rest
+    first, second, rest = turned[:, :, :b], turned[:, :, b : 2 * b], turned[:, :, 2 * b :]
+    diagonal, lower, sides = sums.chain.diagonal, sums.chain.lower, sums.chain.right
+    right = after(left)
+    diagonal[left] += gram(first)
+    diagonal[right] += gram(second)
+    lower[left] = second.swapaxes(1, 2) @ first
+    sides[left] += first.swapaxes(1, 2) @ rest
+    sides[right] += second.swapaxes(1, 2) @ rest
 
 
 def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, weight: float, here: slice,
@@ -49,18 +50,14 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
     sums.chain.right[here] += back @ turned[:, :, b:]
 
 
-def motion_rows(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, here: Samples,
-                there: Samples, extra: Extra | None = None) -> FloatArray:
+def motion_rows(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
+                extra: Extra | None = None) -> FloatArray:
     """Weighted rows of the equation of motion, (2 n, 2 b + 1 + p, K): by both ends' latents, residual, parameters."""
     n, p = c.mechanism.n, c.mechanism.p
     b = 3 * n
-    motion = c.motion_between(np.stack([x.q[here].T, x.v[here].T, x.q[there].T, x.v[there].T], axis=1))
-    z, own = c.evaluate(motion, beta)  # (p, n, 2, K), (n, 2, 5, n, K)
+    z, own = c.evaluate(c.motion(x.q, x.v, left), beta)  # (p, n, 2, K), (n, 2, 5, n, K)
     count = z.shape[-1]
-    w = c.torque_weights
-    residual = (beta @ z.reshape(p, -1)).reshape(n, 2, count)
-    residual -= w[:, 0, None] * x.u[here].T[:, None]
-    residual -= w[:, 1, None] * x.u[there].T[:, None]
+    residual = (beta @ z.reshape(p, -1)).reshape(n, 2, count) - c.torque(x.u, left)
     added = None
     if extra is not None:
         residual += extra.torque[:, :, intervals]
@@ -71,7 +68,7 @@ def motion_rows(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray
     ends = rows[:, :, : 2 * b].reshape(n, 2, 2, 3, n, -1)  # joint, Gauss point; end, variable, joint
     np.multiply(jac, scale[..., None, None, None], out=ends[:, :, :, :2])
     for i in range(n):
-        ends[i, :, :, 2, i] = -scale[i] * w[:, :, None]
+        ends[i, :, :, 2, i] = -scale[i] * c.torque_weights[:, :, None]
     np.multiply(residual, scale, out=rows[:, :, 2 * b])
     np.multiply(z.transpose(1, 2, 0, 3), scale[..., None], out=rows[:, :, 2 * b + 1 :])
     return rows.reshape(2 * n, -1, count)

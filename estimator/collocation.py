@@ -23,10 +23,16 @@ from estimator.fastterms import FastTerms
 from estimator.mechanism import Mechanism
 
 FloatArray = NDArray[np.float64]
+Samples = slice | NDArray[np.intp]
 GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
 HOLDS = ("zero", "linear", "average")
 ANGLE, RATE, ACCEL, RATE_FROM, RATE_TO = range(5)
 """Features of the motion at a Gauss point; the last two are the rates at the ends of its half interval."""
+
+
+def after(samples: Samples) -> Samples:
+    """The samples one later; a slice stays one, for it costs no copies."""
+    return slice(samples.start + 1, samples.stop + 1) if isinstance(samples, slice) else samples + 1
 
 
 def hermite(s: float, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -120,20 +126,18 @@ class Collocation:
         """(2, 2) of `hold_weights`."""
         return hold_weights(self.hold)
 
-    def motion(self, q: FloatArray, v: FloatArray, left: NDArray[np.intp]) -> Motion:
-        """Features on the intervals from node left[k] to left[k] + 1; q, v (N, n)."""
-        return self.motion_between(np.stack([q[left].T, v[left].T, q[left + 1].T, v[left + 1].T], axis=1))
-
-    def motion_between(self, ends: FloatArray) -> Motion:
-        """Features from ends (n, 4, K): q, v before and q, v after each interval."""
+    def motion(self, q: FloatArray, v: FloatArray, left: Samples) -> Motion:
+        """Features on the intervals from each sample of `left` to the next; q, v (N, n)."""
+        right = after(left)
+        ends = np.stack([q[left].T, v[left].T, q[right].T, v[right].T], axis=1)
         n, _, count = ends.shape
         features = self.basis.transpose(1, 0, 2).reshape(10, 4) @ ends
         return Motion(*features.reshape(n, 5, 2, count).swapaxes(0, 1).copy())
 
-    def torque(self, u: FloatArray, left: NDArray[np.intp]) -> FloatArray:
+    def torque(self, u: FloatArray, left: Samples) -> FloatArray:
         """Torque at the Gauss points (n, 2, K) from samples u (N, n)."""
         w = self.torque_weights
-        return w[:, 0, None] * u[left].T[:, None, :] + w[:, 1, None] * u[left + 1].T[:, None, :]
+        return w[:, 0, None] * u[left].T[:, None, :] + w[:, 1, None] * u[after(left)].T[:, None, :]
 
     def terms(self, motion: Motion) -> tuple[FloatArray, list[list[Slope]]]:
         """Z (p, n, 2, K) in link rows for rigid terms, joint rows for the others, and each term's slopes.

@@ -12,10 +12,14 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 LOAD_WORTH = 1_000_000
 """Samples, counted once a step of a fit, that a process goes through before it loads the kernels: they save 3 us on
 each, and fetching them costs half a second. So many that the first fit of 60,000 samples does not stop to compile
 them."""
+at = np.uint64
+"""A sum of indices as the compiler needs it to know that it does not count from an array's end."""
 _done = 0
 
 

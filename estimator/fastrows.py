@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.chain import padded
-from estimator.collocation import Collocation, Motion
-from estimator.compiled import compiled
-from estimator.linearised import Extra, Latents, Samples, Sums
+from estimator.collocation import Collocation, Motion, Samples
+from estimator.compiled import at, compiled
+from estimator.linearised import Extra, Latents, Sums
 
 FloatArray = NDArray[np.float64]
-at = np.uint64
-"""A sum of indices as the compiler needs it to know that it does not count from an array's end."""
 STRIP = 32
 """Samples whose rows are made at a time."""
 COMMON = 24
@@ -27,11 +25,10 @@ COMMON = 24
 seconds to compile, once on a machine."""
 
 
-def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, here: Samples,
-               there: Samples, extra: Extra | None, sums: Sums) -> None:
+def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
+               extra: Extra | None, sums: Sums) -> None:
     """As `arrayrows.add_motion`."""
-    motion = c.motion_between(np.stack([x.q[here].T, x.v[here].T, x.q[there].T, x.v[there].T], axis=1))
-    z, own = c.fast(*motion, beta)
+    z, own = c.fast(*c.motion(x.q, x.v, left), beta)
     torque = (beta @ z.reshape(len(beta), -1)).reshape(z.shape[1:])
     if extra is not None:
         torque += extra.torque[:, :, intervals]
@@ -39,7 +36,7 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
         if extra.slopes is not None:
             own += extra.slopes[..., intervals].transpose(0, 3, 1, 2, 4)
     chain, u = sums.chain, np.ascontiguousarray(x.u)
-    left = np.arange(here.start, here.stop) if isinstance(here, slice) else here
+    left = np.arange(left.start, left.stop) if isinstance(left, slice) else left
     _intervals(c.mechanism.n, _constant(chain.edge))(
         z, own, torque, u, left, c.basis, c.torque_weights, weight, chain.edge, chain.rows, sums.square, sums.misfit)
 

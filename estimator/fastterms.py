@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
+from estimator.compiled import at, compiled
 from estimator.mechanism import Mechanism
 
 FloatArray = NDArray[np.float64]
 STRIP = 64
 """Points of a strip."""
-at = np.uint64
-"""A sum of indices as the compiler needs it to know that it does not count from an array's end."""
 CODES = ("inertia", "gravity", "viscous", "coulomb", "rotor", "offset")
 INERTIA, GRAVITY, VISCOUS, COULOMB, ROTOR, OFFSET = range(6)
 

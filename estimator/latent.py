@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from estimator import arrayrows, compiled, fastrows
 from estimator.chain import Chain
-from estimator.collocation import Collocation
-from estimator.linearised import Extra, Latents, Linearised, Samples, Sums
+from estimator.collocation import Collocation, Samples
+from estimator.linearised import Extra, Latents, Linearised, Sums
 from estimator.mechanism import Mechanism, smooth_sign
 from estimator.signals import encoder_level, white_noise_level
 from estimator.signalset import IMU_COLUMNS, SignalSet
@@ -118,8 +118,8 @@ class LatentProblem:
         chain = Chain.zeros(self.total, b, width)  # right sides: residual, then parameters
         sums = Sums(chain, np.zeros((width, width)), np.zeros(n))
         weight = 1.0 / (TIGHT * noise.torque)
-        for intervals, here, there in self._pieces(self.left):
-            rows.add_motion(self.collocation, x, beta, weight, intervals, here, there, extra, sums)
+        for intervals, left in self._pieces(self.left):
+            rows.add_motion(self.collocation, x, beta, weight, intervals, left, extra, sums)
         residuals: dict[str, FloatArray] = {}
         accel = np.empty((self.total if self.has_imu else 0, 2, b + width))
         if self.has_imu:
@@ -167,8 +167,8 @@ class LatentProblem:
         return np.array([np.diag(self.mechanism.inertia_matrix(straight, b)[0]) for b in one])
 
     @staticmethod
-    def _pieces(samples: NDArray[np.intp]) -> Iterator[tuple[slice, Samples, Samples]]:
-        """`samples` piece by piece: which of them, those themselves, and the samples after them.
+    def _pieces(samples: NDArray[np.intp]) -> Iterator[tuple[slice, Samples]]:
+        """`samples` piece by piece: which of them, and those themselves.
 
         Slices wherever a piece has no gap: they cost no copies.
         """
@@ -176,9 +176,9 @@ class LatentProblem:
             part = samples[start : start + PIECE]
             first, last = int(part[0]), int(part[-1])
             if last - first == part.size - 1:
-                yield slice(start, start + part.size), slice(first, last + 1), slice(first + 1, last + 2)
+                yield slice(start, start + part.size), slice(first, last + 1)
             else:
-                yield slice(start, start + part.size), part, part + 1
+                yield slice(start, start + part.size), part
 
     @cached_property
     def shown(self) -> Noise:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from estimator.chain import Chain
 
 FloatArray = NDArray[np.float64]
-Samples = slice | NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.chain import Chain, padded
-from estimator.compiled import compiled
+from estimator.compiled import at, compiled
 
 FloatArray = NDArray[np.float64]
-at = np.uint64
-"""The number of a block as the compiler needs it to know that it does not count from an array's end."""
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from test_latent import normal
 
 from estimator import compiled
 from estimator.effects import library
@@ -46,12 +47,9 @@ def both(problem: LatentProblem, x: Latents, beta: np.ndarray, monkeypatch: pyte
 
 def assert_alike(plain: Linearised, fast: Linearised) -> None:
     assert fast.objective == pytest.approx(plain.objective, rel=1e-10)
-    for name in ("diagonal", "lower", "right"):
-        known = getattr(plain.chain, name)
-        np.testing.assert_allclose(getattr(fast.chain, name), known, rtol=0.0, atol=1e-10 * np.abs(known).max())
-    for name in ("corner", "gradient_beta", "accel"):
-        known = getattr(plain, name)
-        np.testing.assert_allclose(getattr(fast, name), known, rtol=0.0, atol=1e-10 * np.abs(known).max(initial=1.0))
+    for name, known in normal(plain).items():
+        atol = 1e-10 * np.abs(known).max(initial=0.0)
+        np.testing.assert_allclose(normal(fast)[name], known, rtol=0.0, atol=atol, err_msg=name)
 
 
 @pytest.mark.parametrize("imu", [False, True], ids=["encoder", "imu"])

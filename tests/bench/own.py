@@ -41,8 +41,8 @@ def evaluate(posed: Posed) -> Callable[[], None]:
     weight = 1.0 / (TIGHT * noise.torque)
 
     def run() -> None:
-        for intervals, here, there in p._pieces(p.left):
-            motion_rows(p.collocation, x, beta, weight, intervals, here, there)
+        for intervals, left in p._pieces(p.left):
+            motion_rows(p.collocation, x, beta, weight, intervals, left)
         for start in range(0, p.total, PIECE):
             here = slice(start, min(start + PIECE, p.total))
             accelerometer_rows(p.collocation, x, beta, p.accel, here)
