@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq.align import align
-from daq.csv_run import read_csv
 from daq.dataset import Dataset
 from daq.errors import InputError
-from daq.resample import align_table
 from daq.rig import Rig
-from daq.runfile import read_run
+from daq.runs import read_csv, read_run
+from daq.timing import align, align_table
 
 SUFFIXES = (".csv", ".csv.gz")
 

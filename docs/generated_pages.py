@@ -27,7 +27,7 @@ def write_pages(folder: Path) -> None:
 
 def commands_page() -> str:
     """`--help` of every command."""
-    from experiments.cli import build_parser
+    from experiments.cli.main import build_parser
 
     parser = build_parser()
     (subparsers,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
@@ -41,7 +41,7 @@ def commands_page() -> str:
 
 def effects_page() -> str:
     """The library of effects."""
-    from experiments.effect_library import effects_document
+    from experiments.models.effect_library import effects_document
 
     document = effects_document()
     parts = ["# Effects that a diagnosis can name", "What `legid effects` lists. Sizes are estimated with intervals; "
@@ -60,7 +60,7 @@ def effects_page() -> str:
 
 def streams_part() -> str:
     """Topics, schemas and fields of a run file, for the page of formats."""
-    from daq.streams import NOTE_SCHEMA, NOTE_TOPICS, STREAMS
+    from daq.runs.streams import NOTE_SCHEMA, NOTE_TOPICS, STREAMS
 
     parts = []
     for stream in STREAMS.values():

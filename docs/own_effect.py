@@ -10,7 +10,7 @@ from tempfile import mkdtemp
 from msgspec import structs
 
 from experiments.api import diagnose, fit, load_rig, model, multisine, record, simulate
-from experiments.model_file import EffectValue
+from experiments.models.schema import EffectValue
 
 folder = Path(mkdtemp(prefix="legid-"))
 rig_file = folder / "rig.toml"

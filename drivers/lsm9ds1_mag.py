@@ -30,7 +30,7 @@ BDU = 0x40
 """CTRL_REG5_M."""
 OVERRUN, DATA_READY = 0x80, 0x08
 """Bits of STATUS_REG_M: all axes."""
-ODR_HZ: dict[float, int] = {0.625: 0, 1.25: 1, 2.5: 2, 5.0: 3, 10.0: 4, 20.0: 5, 40.0: 6, 80.0: 7}
+MAG_ODR_HZ: dict[float, int] = {0.625: 0, 1.25: 1, 2.5: 2, 5.0: 3, 10.0: 4, 20.0: 5, 40.0: 6, 80.0: 7}
 """Rate to CTRL_REG1_M[4:2] (table 111)."""
 FS_CODE: dict[int, int] = {4: 0b00, 8: 0b01, 12: 0b10, 16: 0b11}
 """Full scale [gauss] to CTRL_REG2_M[6:5]."""
@@ -50,7 +50,7 @@ class MagConfig:
     range_gauss: int = 4
 
     def __post_init__(self) -> None:
-        for name, value, allowed in (("rate_hz", self.rate_hz, list(ODR_HZ)),
+        for name, value, allowed in (("rate_hz", self.rate_hz, list(MAG_ODR_HZ)),
                                      ("range_gauss", self.range_gauss, list(FS_CODE))):
             if value not in allowed:
                 raise ValueError(f"LSM9DS1's magnetometer has no {name} of {value}; it has "
@@ -63,7 +63,7 @@ class MagConfig:
 
     def registers(self) -> tuple[tuple[int, int], ...]:
         """(register, value) in the order in which they are written; CTRL_REG3_M last starts it."""
-        return ((CTRL_REG1, TEMP_COMP | ULTRA_HIGH_XY | ODR_HZ[self.rate_hz] << 2),
+        return ((CTRL_REG1, TEMP_COMP | ULTRA_HIGH_XY | MAG_ODR_HZ[self.rate_hz] << 2),
                 (CTRL_REG2, FS_CODE[self.range_gauss] << 5),
                 (CTRL_REG4, ULTRA_HIGH_Z),
                 (CTRL_REG5, BDU),

@@ -87,7 +87,7 @@ class SelfTest:
         """The magnetometer, at 12 gauss and 80 Hz."""
         try:
             claim(self._bus, address)
-            plain = mag.TEMP_COMP | mag.ULTRA_HIGH_XY | mag.ODR_HZ[80.0] << 2
+            plain = mag.TEMP_COMP | mag.ULTRA_HIGH_XY | mag.MAG_ODR_HZ[80.0] << 2
             for register, value in ((mag.CTRL_REG1, plain), (mag.CTRL_REG2, mag.FS_CODE[12] << 5),
                                     (mag.CTRL_REG4, mag.ULTRA_HIGH_Z), (mag.CTRL_REG5, mag.BDU),
                                     (mag.CTRL_REG3, mag.CONTINUOUS)):

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from estimator.collocation import HOLDS
+from estimator.model import HOLDS
 
 NOISE_CHANNELS = ("gyro_radps", "accel_mps2", "torque_nm", "encoder_rad", "passive_nm")
 OWN_ENCODER = re.compile(r"encoder[1-9][0-9]*_rad")

@@ -7,12 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
-from estimator.mechanism import Mechanism
-
-FloatArray = NDArray[np.float64]
+from daq import FloatArray
+from estimator.model import Mechanism
 
 
 @dataclass(frozen=True)

@@ -20,25 +20,17 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.dataset import Dataset
-from daq.errors import InputError, WorkError
-from daq.plan import Plan, read_plan, write_plan
-from daq.recorder import RecordReport
-from daq.rig import Rig, load_rig
-from drivers.errors import DriverError
-from estimator.errors import FitError
-from estimator.result import FitResult
-from estimator.validation import Validation
-from estimator.verdict import Diagnosis
-from experiments import simulated_run, validation
-from experiments.diagnosing import diagnose_setup, reference_values
-from experiments.diagnosis_json import diagnosed_model
-from experiments.excitation import random_multisine
-from experiments.fit_json import check_sound, model_of
-from experiments.fitting import fit_setup
-from experiments.model_file import Model, load_model, save_model
-from experiments.recording import record_plan
-from experiments.rigs import load_runs, setup_of
+from daq import Dataset, InputError, Rig, WorkError, load_rig
+from daq.recording import Plan, RecordReport, read_plan, write_plan
+from drivers import DriverError
+from estimator import FitError, FitResult
+from estimator.diagnosis import Diagnosis
+from estimator.fitting import Validation
+from experiments.excite import random_multisine
+from experiments.models import Model, load_model, save_model
+from experiments.reports import check_sound, diagnosed_model, model_of
+from experiments.rig import load_runs, setup_of
+from experiments.workflows import diagnose_setup, fit_setup, record_plan, reference_values, simulate_run, validate_runs
 
 __all__ = ["Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError", "Model", "Plan", "Recording",
            "Rig", "Validation", "WorkError", "diagnose", "fit", "load", "load_model", "load_rig", "model", "multisine",
@@ -94,7 +86,7 @@ def validate(model: Model, runs: Sequence[Dataset], rig: RigLike, sensors: str |
     stretch: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold effects. Raises
     `InputError` for a model of another mechanism, `FitError` where a first state cannot be estimated.
     """
-    return validation.validate_runs(model, setup_of(runs, _rig(rig), sensors, beta=np.array(model.beta)), "the model")
+    return validate_runs(model, setup_of(runs, _rig(rig), sensors, beta=np.array(model.beta)), "the model")
 
 
 def diagnose(runs: Sequence[Dataset], rig: RigLike, seed: int = 0, reference: Model | None = None,
@@ -152,7 +144,7 @@ def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequ
     Columns (n,) as a recorded run has them, at `rate_hz` (default: the plan's). `noise_seed` adds the model's own
     noise levels. Raises `InputError` where the plan does not fit, `WorkError` where the motion runs away.
     """
-    return simulated_run.simulate_run(model, plan, "the model", rate_hz, start, noise_seed)
+    return simulate_run(model, plan, "the model", rate_hz, start, noise_seed)
 
 
 def _rig(rig: RigLike) -> Rig:

@@ -13,7 +13,7 @@ from drivers.mock.lsm9ds1 import NO_ACKNOWLEDGE
 
 DEFAULTS = {mag.WHO_AM_I: mag.WHO_AM_I_VALUE, mag.CTRL_REG1: 0x10, mag.CTRL_REG3: 0x03}
 RESET_NS = 200_000
-RATE_HZ = {code: rate for rate, code in mag.ODR_HZ.items()}
+RATE_HZ = {code: rate for rate, code in mag.MAG_ODR_HZ.items()}
 RANGE = {code: full for full, code in mag.FS_CODE.items()}
 POWER_DOWN = 0x02
 

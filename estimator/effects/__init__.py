@@ -1,50 +1,26 @@
 """What a simulation of the leg can get wrong: one small class an effect."""
 
-from __future__ import annotations
+from estimator.effects.base import (
+    MOTOR_ACCELERATION,
+    MOTOR_RATE,
+    SLOW_GYRO,
+    SLOW_TORQUE,
+    Effect,
+    Perturbation,
+    Points,
+    SensorEffect,
+    Shape,
+    Size,
+    TorqueEffect,
+    View,
+)
+from estimator.effects.derivatives import Laws, by_motion
+from estimator.effects.generic_terms import AnonymousReading, AnonymousTorque, battery
+from estimator.effects.registry import CLASSES, ENTRY_POINT, UNTESTABLE, classes, library
+from estimator.effects.timing import SensorTimeSkew
 
-from importlib.metadata import entry_points
-
-from estimator.effects import drive, friction, sensors, structure, timing
-from estimator.effects.base import Effect, Perturbation, Points, Shape, Size, View
-from estimator.mechanism import Mechanism
-
-CLASSES: tuple[type[Effect], ...] = (
-    friction.StribeckFriction, friction.AsymmetricFriction, friction.LoadDependentFriction,
-    friction.PreslidingFriction, friction.QuadraticDrag, friction.FrictionDrift, structure.JointStiffness,
-    structure.JointElasticity, structure.Backlash, structure.RotorInertia, structure.EndStopContact,
-    structure.BaseCompliance, drive.TorqueRipple, drive.TorqueOffset, drive.TorqueSaturation, drive.TorqueDelay,
-    timing.SensorTimeSkew, sensors.GyroBias, sensors.GyroScale, sensors.AccelerometerBias, sensors.ImuMisalignment,
-    sensors.ImuLeverArm, sensors.EncoderOffset, sensors.EncoderScale, sensors.EncoderEccentricity)
-
-UNTESTABLE = {
-    "torque_gain": "a wrong torque scale multiplies every parameter alike, so no motion shows it",
-    "payload": "a load on a link is absorbed exactly by the inertial parameters; only a reference model shows it",
-}
-ENTRY_POINT = "legid.effects"
-"""Group under which a user's own package names its `Effect` classes."""
-
-
-def classes() -> tuple[type[Effect], ...]:
-    """The library's effects, then those that installed packages add under the entry point group."""
-    added = [point.load() for point in entry_points(group=ENTRY_POINT)]
-    return CLASSES + tuple(added)
-
-
-def library(mechanism: Mechanism, has_imu: bool) -> tuple[list[Effect], dict[str, str]]:
-    """Effects that can be tested on this rig, joint by joint, and why the others cannot (key -> reason)."""
-    found: list[Effect] = []
-    refused = dict(UNTESTABLE)
-    for kind in classes():
-        joints: list[int | None] = list(range(mechanism.n)) if kind.per_joint else [None]
-        for joint in joints:
-            effect = kind(joint)
-            effect.slide = mechanism.length_unit == "m"
-            why = effect.testable(mechanism, has_imu, mechanism.actuated)
-            if why:
-                refused[effect.key] = why
-            else:
-                found.append(effect)
-    return found, refused
-
-
-__all__ = ["CLASSES", "Effect", "Perturbation", "Points", "Shape", "Size", "View", "classes", "library"]
+__all__ = [
+    "CLASSES", "ENTRY_POINT", "MOTOR_ACCELERATION", "MOTOR_RATE", "SLOW_GYRO", "SLOW_TORQUE", "UNTESTABLE",
+    "AnonymousReading", "AnonymousTorque", "Effect", "Laws", "Perturbation", "Points", "SensorEffect",
+    "SensorTimeSkew", "Shape", "Size", "TorqueEffect", "View", "battery", "by_motion", "classes", "library"
+]

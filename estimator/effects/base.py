@@ -15,9 +15,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.mechanism import Mechanism
+from daq import FloatArray
+from estimator.model import Mechanism
 
-FloatArray = NDArray[np.float64]
 WHEEL_M = 0.05
 """A slide's shapes are those of a joint that drives it by a wheel of this radius: grids of rad times this, in m."""
 SLOW_GYRO = "gyro below 12 Hz"
@@ -154,7 +154,7 @@ class Effect(ABC):
     near_rest: ClassVar[bool] = False
     """It acts where a joint reverses: there no rounded sign is right, and tests find a little of it in every leg."""
     rough: ClassVar[Mapping[str, float]] = {}
-    """Channel, as `estimator.levels` begins its name, to how much louder than usual it may stay beside this effect,
+    """Channel, as `noise_check` begins its name, to how much louder than usual it may stay beside this effect,
     whose law is not exact there."""
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
     """Sizes from which a re-fit begins, too, where the nominal fit is bad: its slopes say little of large ones."""

@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq import FloatArray
 from estimator.effects.base import CONSTANT, SLOW_TORQUE, Points, SensorEffect, Shape, Size, TorqueEffect, View
 from estimator.effects.timing import shifted
-from estimator.mechanism import Mechanism
+from estimator.model import Mechanism
 
-FloatArray = NDArray[np.float64]
 STEEP = 0.1
 """A saturated motor's current grows without bound; beyond this its slope, 32 then, stays."""
 

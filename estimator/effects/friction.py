@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
+from daq import FloatArray
 from estimator.effects.base import CONSTANT, Effect, Perturbation, Points, Shape, Size, TorqueEffect, View
-from estimator.mechanism import Mechanism
-
-FloatArray = NDArray[np.float64]
+from estimator.model import Mechanism
 
 
 class StribeckFriction(TorqueEffect):

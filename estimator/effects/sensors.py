@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq import FloatArray
 from estimator.effects.base import SensorEffect, Size, View
-from estimator.mechanism import Mechanism
-from estimator.sensors import accelerometer
-
-FloatArray = NDArray[np.float64]
+from estimator.model import Mechanism
+from estimator.signals import accelerometer
 
 
 class ImuEffect(SensorEffect):

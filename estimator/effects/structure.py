@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from daq import FloatArray
 from estimator.effects.base import (
     CONSTANT,
     MOTOR_ACCELERATION,
@@ -23,9 +23,7 @@ from estimator.effects.base import (
     TorqueEffect,
     View,
 )
-from estimator.mechanism import Mechanism, smooth_sign
-
-FloatArray = NDArray[np.float64]
+from estimator.model import Mechanism, smooth_sign
 
 
 class JointStiffness(TorqueEffect):

@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import shift
 
+from daq import FloatArray
 from estimator.effects.base import SensorEffect, Size, View
-from estimator.mechanism import Mechanism
-from estimator.sensors import accelerometer
-
-FloatArray = NDArray[np.float64]
+from estimator.model import Mechanism
+from estimator.signals import accelerometer
 
 
 def shifted(x: FloatArray, delay_s: float, view: View) -> FloatArray:

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.errors import InputError
-from daq.plan import read_plan
-from daq.rig import Rig
+from daq import InputError, Rig
+from daq.recording import read_plan
 from experiments.live.jobs import Job, Kind
 from experiments.live.session import Session
 

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from daq.errors import WorkError
-from experiments.hidden_effects import DEFAULT
+from daq import WorkError
+from experiments.emulation import DEFAULT
 from experiments.live.children import ROOT
 
 STARTED_S = 30.0

@@ -6,8 +6,8 @@ import math
 import time
 from typing import Any
 
-from daq.rig import Limits, Rig
-from daq.supervisor import WATCHED
+from daq import Limits, Rig
+from daq.recording import WATCHED
 from experiments.live.session import Phase, Session
 
 STALE_S = 1.0

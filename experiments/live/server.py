@@ -14,8 +14,7 @@ from fastapi import FastAPI, HTTPException
 from fastapi.responses import FileResponse
 from nicegui import ui
 
-from daq.errors import InputError
-from daq.rig import Rig
+from daq import InputError, Rig
 from experiments.live.access import Access, is_loopback, new_token
 from experiments.live.bench import Bench
 from experiments.live.page import Page

@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from daq.remote import ALIVE, EMERGENCY, PACKET_BYTES, STOP, Ended, Heard, Row, Status
+from daq.recording import ALIVE, EMERGENCY, PACKET_BYTES, STOP, Ended, Heard, Row, Status
 from experiments.live import children
 
 BEAT_S = 0.5

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from estimator.latent import TIGHT
+from estimator.likelihood.trajectory_likelihood import TIGHT
 from tests.bench.record import Posed, Watch
 
 GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))

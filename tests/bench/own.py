@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator import compiled
-from estimator.arrayrows import accelerometer_rows, motion_rows
-from estimator.fit import fit
-from estimator.latent import PIECE, TIGHT
+from estimator.fitting.fit import fit
+from estimator.likelihood.assembly_numpy import accelerometer_rows, motion_rows
+from estimator.likelihood.trajectory_likelihood import PIECE, TIGHT
+from estimator.numerics import jit
 from tests.bench.record import OPTIONS, Posed, Recorded, Watch, pose
 
 
@@ -72,8 +72,8 @@ def solve(recorded: Recorded) -> dict:
         at = (posed.end.x, posed.end.beta, posed.end.noise)
         evaluation = best_of(evaluate(posed), times + 3)
         linearise = best_of(lambda: posed.problem.linearise(*at), times + 3)
-    return {"seconds": fast if compiled.at_hand() else plain, "plain_s": plain, "first_s": first,
-            "load_s": loaded - fast if compiled.at_hand() else None, "iterations": result.iterations,
+    return {"seconds": fast if jit.at_hand() else plain, "plain_s": plain, "first_s": first,
+            "load_s": loaded - fast if jit.at_hand() else None, "iterations": result.iterations,
             "beta": result.beta.tolist(), "memory_mb": memory, "evaluation_s": evaluation,
             "linearise_s": linearise}
 
@@ -81,12 +81,12 @@ def solve(recorded: Recorded) -> dict:
 @contextlib.contextmanager
 def kernels(wanted: bool) -> Iterator[None]:
     """With compiled kernels from the first step on, or without them; where they are not at hand always without."""
-    worth = compiled.LOAD_WORTH
-    compiled.LOAD_WORTH = -1 if wanted else 10**15
+    worth = jit.LOAD_WORTH
+    jit.LOAD_WORTH = -1 if wanted else 10**15
     try:
         yield
     finally:
-        compiled.LOAD_WORTH = worth
+        jit.LOAD_WORTH = worth
 
 
 def solve_free(recorded: Recorded) -> dict:

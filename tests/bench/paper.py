@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from estimator.mle_free import FreeProblem, build_problem, first_latents
-from estimator.signalset import split_signals
+from estimator.fitting.mle_free import FreeProblem, build_problem, first_latents
+from estimator.signals.segments import split_signals
 from tests.bench.record import OPTIONS, Recorded, Watch
 
 STEP = 3e-3

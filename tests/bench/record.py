@@ -9,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.dataset import Dataset
-from estimator.gauss_newton import State, iterate
-from estimator.latent import LatentProblem
-from estimator.mechanism import Mechanism, leg2
+from estimator.fitting.gauss_newton import iterate
+from estimator.fitting.initial_guess import noise_floors, start_state
+from estimator.fitting.wls import free_mask
+from estimator.likelihood.state import State
+from estimator.likelihood.trajectory_likelihood import LatentProblem
+from estimator.model.mechanism import Mechanism, leg2
 from estimator.options import FitOptions
-from estimator.signalset import split_signals
-from estimator.start import noise_floors, start_state
-from estimator.wls import free_mask
+from estimator.signals.segments import split_signals
 
 RATE_HZ = 100.0
 SEED = 506
@@ -38,7 +39,7 @@ class Watch:
 
 def write_record(path: Path, samples: int) -> None:
     """Let MuJoCo move a leg with IMU, knee encoder and torque sensor; shorter records are its beginning."""
-    from tests.mujoco_leg import random_leg, record
+    from tests.support.mujoco_leg import random_leg, record
 
     rng = np.random.default_rng(SEED)
     leg = random_leg(rng)

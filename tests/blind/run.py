@@ -29,7 +29,7 @@ COMMAND = (sys.executable, "-m", "experiments.cli")
 # The command itself can leave no effect out, nor should it: a process of the bench takes one from the library first.
 WITHOUT = """
 import sys
-import estimator.effects as effects
+import estimator.effects.registry as effects
 gone = sys.argv.pop(1)
 left = tuple(kind for kind in effects.CLASSES if kind.name != gone)
 if len(left) != len(effects.CLASSES) - 1:

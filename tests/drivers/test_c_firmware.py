@@ -28,7 +28,7 @@ from drivers.protocol import (
     encode,
 )
 from drivers.serial_link import SerialLink
-from tests.drivers.c_firmware import SOURCES, STRICT, Answer, Event, Served, as_bytes, compiler, emulate, run_core
+from tests.support.c_firmware import SOURCES, STRICT, Answer, Event, Served, as_bytes, compiler, emulate, run_core
 
 LOST = -(2**31)
 UNKNOWN = bytes.fromhex("04 07 17 91 00")

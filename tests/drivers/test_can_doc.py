@@ -2,7 +2,6 @@
 
 import math
 import re
-from pathlib import Path
 from typing import NamedTuple
 
 import cantools
@@ -10,8 +9,8 @@ import pytest
 
 from drivers import protocol
 from drivers.can_codec import PARTS, CanCodec, CanFrame
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "firmware_protocol.md").read_text().split("\n## 10.")[1]
 DBC = cantools.database.load_file(ROOT / "drivers" / "leg.dbc")
 FIELD = re.compile(r"^  - `(\d+)\|(\d+)` - (\w+) = (0x[0-9A-F]+) = (\S+)")

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.clock import fit_ticks
-from daq.streams import CLOCK
+from daq.runs.streams import CLOCK
+from daq.timing.clock import fit_ticks
 
 EPOCH = 7_000_000_000_000
 SECONDS = 300.0

@@ -22,17 +22,18 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.plan import Plan
+from daq.recording.plan import Plan
 from daq.rig import Limits, Rig, parse_rig
-from estimator.fit import fit
-from experiments.emulated_rig import record_emulated
-from experiments.excite_design import RATE_HZ, TAPER_S, Band, Bench, Candidate, Search, design
-from experiments.machine import machine
-from experiments.markdown_page import markdown_table
-from experiments.model_file import MechanismSettings, Model, ParameterValue, Provenance
-from experiments.plant import LegBody
-from experiments.report import Table
-from experiments.rigs import build_mechanism, load_setup
+from estimator.fitting.fit import fit
+from experiments.emulation.emulated_rig import record_emulated
+from experiments.emulation.plant import LegBody
+from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Band, Bench, Candidate, Search, design
+from experiments.models.mechanism_settings import build_mechanism
+from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
+from experiments.reports.html import Table
+from experiments.reports.markdown import markdown_table
+from experiments.rig.setup import load_setup
+from experiments.studies.machine import machine
 
 WRONG = 0.2
 MARGIN = 0.8
@@ -126,7 +127,7 @@ def refit(plan: Plan, rig: Rig, rig_text: str, seeds: Sequence[int], body: LegBo
 
 def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> list[str]:
     """Markdown of one set of limits."""
-    text = (files("experiments") / "demo_rig.toml").read_text(encoding="utf-8")
+    text = (files("experiments.workflows") / "demo_rig.toml").read_text(encoding="utf-8")
     for key in ("torque_nm", "speed_radps", "q1_rad", "q2_rad"):
         text = re.sub(rf"^{key} = .*$", f"{key} = {getattr(limits, key)}", text, flags=re.MULTILINE)
     rig = parse_rig(text, "demo_rig.toml")

@@ -21,13 +21,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import psutil
 
-from daq.plan import Plan, write_plan
-from daq.runfile import read_run
+from daq.recording.plan import Plan, write_plan
+from daq.runs.mcap_run import read_run
 from drivers.mock.rig import STEP_NS
-from experiments.excitation import random_multisine
-from experiments.run_info import lost_frames
-from experiments.served_rig import ServedRig
-from tests.live_browser import ROOT, Browser, Live, open_page
+from experiments.emulation.served_rig import ServedRig
+from experiments.excite.multisine import random_multisine
+from experiments.reports.run_info import lost_frames
+from tests.support.live_browser import ROOT, Browser, Live, open_page
 
 WARM_UP_S = 60.0
 LOOK_EVERY_S = 10.0

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from daq.plan import Plan
-from daq.recorder import RecordReport, record_run
+from daq.recording.plan import Plan
+from daq.recording.recorder import RecordReport, record_run
 from daq.rig import parse_rig
-from daq.runfile import RawRun
+from daq.runs.mcap_run import RawRun
 from drivers import lsm9ds1_registers as reg
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1

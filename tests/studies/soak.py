@@ -17,11 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.runfile import FLUSH_MESSAGES, read_run, recover
-from daq.workers import QueuedSink
-from tests.drivers.c_firmware import Served
+from daq.recording.workers import QueuedSink
+from daq.runs.mcap_run import FLUSH_MESSAGES, read_run, recover
 from tests.studies import clock_laws, fuzz_codecs
 from tests.studies.rigs import losses, record_real, record_virtual
+from tests.support.c_firmware import Served
 
 PROGRESS = struct.Struct("<QQ")  # messages handed over, host time of the last [ns]
 

@@ -16,7 +16,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).parent.parent.parent
+from tests.support.paths import ROOT
+
 PAGE = ROOT / "docs" / "tutorial.md"
 INSTALL = ["make install", 'export PATH="$PWD/.venv/bin:$PATH"', "mkdir -p my-leg && cd my-leg"]
 """The first block: it makes what this very process runs in."""
@@ -76,9 +77,9 @@ def rewrite(page: str, said: list[str]) -> str:
 def draw(folder: Path, out: Path) -> None:
     """The page's figures, from the runs and models in `folder`."""
     from experiments.api import diagnose, load, load_model, validate
-    from experiments.diagnosis_figures import error_bars
-    from experiments.figures import standalone
-    from experiments.validation_report import validation_picture
+    from experiments.reports.diagnosis_figures import error_bars
+    from experiments.reports.figures import standalone
+    from experiments.reports.validation_page import validation_picture
 
     rig = folder / "rig.toml"
     runs = load([folder / f"run{n}.mcap" for n in range(1, 7)], rig)

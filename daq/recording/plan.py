@@ -1,0 +1,89 @@
+"""`Plan`: the torque to be commanded over time."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from daq.dataset import FloatArray
+from daq.errors import InputError
+from daq.rig import ControllerDevice, Rig
+from daq.runs import read_csv
+from drivers import LegController
+
+COLUMN = "tau2_cmd_nm"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Knee torque over time, held from each time to the next."""
+
+    time_s: FloatArray
+    """(n,) strictly increasing [s]; the first is the start of the run."""
+    torque_nm: FloatArray
+    """(n,) [N m]; the last holds for one step more."""
+
+    def __post_init__(self) -> None:
+        if self.time_s.shape != self.torque_nm.shape or self.time_s.ndim != 1 or self.time_s.size < 2:
+            raise ValueError("a plan needs two or more times and as many torques")
+        if not (np.isfinite(self.time_s).all() and np.isfinite(self.torque_nm).all()):
+            raise ValueError("a plan holds finite numbers only")
+        if (np.diff(self.time_s) <= 0).any():
+            raise ValueError("a plan's times increase")
+
+    @property
+    def duration_s(self) -> float:
+        """From the first command to the end of the last one's hold [s]."""
+        return float(self.time_s[-1] - self.time_s[0] + np.median(np.diff(self.time_s)))
+
+    @property
+    def offset_ns(self) -> list[int]:
+        """When each command is due, after the start [ns]."""
+        return [int(ns) for ns in np.rint((self.time_s - self.time_s[0]) * 1e9)]
+
+    @property
+    def peak_nm(self) -> float:
+        """Largest magnitude commanded [N m]."""
+        return float(np.abs(self.torque_nm).max())
+
+    def text(self) -> str:
+        """The plan as CSV with header `time_s,tau2_cmd_nm`."""
+        out = io.StringIO()
+        np.savetxt(out, np.column_stack((self.time_s, self.torque_nm)), fmt=["%.9f", "%.9g"], delimiter=",",
+                   header=f"time_s,{COLUMN}", comments="")
+        return out.getvalue()
+
+
+def read_plan(path: Path | str) -> Plan:
+    """Plan from CSV, checked like a run: raises `InputError` naming file, line and column."""
+    table = read_csv(path, min_samples=2)
+    if COLUMN not in table.columns:
+        raise InputError(f"{path}, line 1", f"column {COLUMN} is missing", "add the torque to command in N m")
+    return Plan(table.time_s, table.columns[COLUMN])
+
+
+def write_plan(plan: Plan, path: Path | str) -> None:
+    """Write `plan` as CSV. Raises `InputError` where the place cannot be written."""
+    try:
+        Path(path).write_text(plan.text())
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+
+
+def check_plan(plan: Plan, rig: Rig, controller: LegController) -> None:
+    """Raises `InputError` when the plan or rig.toml asks for more than rig and firmware allow."""
+    hello = controller.hello
+    if hello is None:
+        raise ValueError("open the leg controller first")
+    limits = {"limits.torque_nm of the rig": rig.limits.torque_nm, "the firmware's limit": hello.torque_limit_nm}
+    for name, bound in limits.items():
+        if plan.peak_nm > bound:
+            what = f"asks for {plan.peak_nm:g} N m, {name} is {bound:g} N m"
+            raise InputError("plan", what, "scale the plan down")
+    watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms
+    if watchdog_ms > hello.watchdog_ms:
+        raise InputError("rig", f"devices.controller.watchdog_ms is {watchdog_ms}, the firmware allows "
+                                f"{hello.watchdog_ms}", "lower it")

@@ -1,0 +1,397 @@
+"""`Recorder`: runs a plan on the rig, records everything, and stops the motor on every way out."""
+
+from __future__ import annotations
+
+import platform
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from daq.errors import WorkError
+from daq.recording.intake import ControllerIntake, ImuIntake, Sink
+from daq.recording.plan import Plan, check_plan
+from daq.recording.remote import LOST, Ending, Remote, Status
+from daq.recording.supervisor import Sample, Supervisor
+from daq.recording.workers import QueuedSink, Workers, real_time
+from daq.rig import ControllerDevice, Rig
+from daq.runs import RunWriter
+from drivers import DriverError, LegController, Lsm9ds1, State, describe_faults
+
+LEAD_IN_S, LEAD_OUT_S, RAMP_S = 1.0, 0.3, 0.1
+ARM_TIMEOUT_S = 0.5
+CONFIRM_S = 0.2
+PING_EVERY_S = 0.25
+LEAD_PING_EVERY_S = 0.05
+"""Probes come faster before the start: the clock must be known by then."""
+FIFO_DEPTH = 32
+DRAIN_EVERY_S = 0.010
+_TURN_S = 0.002
+"""Longest sleep of the commanding thread: supervision is at least this dense."""
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class RecordReport:
+    """What a finished recording did."""
+
+    duration_s: float
+    commands: int
+    late_commands: int
+    """Commands left out because the next was due already."""
+    imu_samples: int
+    messages: int
+    clock_bound_s: float
+
+
+class Recorder:
+    """One recording over open devices. With `threaded` every device has a thread, on the real clock; without,
+    one loop drives everything in turn, for a virtual clock that moves while the link is read.
+    """
+
+    def __init__(self, rig: Rig, imu: Lsm9ds1 | None, controller: LegController, writer: RunWriter,
+                 supervisor: Supervisor | None = None, now_ns: Callable[[], int] = time.monotonic_ns,
+                 threaded: bool = True, progress: Progress | None = None, remote: Remote | None = None) -> None:
+        self.supervisor = supervisor or Supervisor(rig.limits)
+        self._rig, self._controller, self._writer = rig, controller, writer
+        self._now_ns, self._threaded, self._progress, self._remote = now_ns, threaded, progress, remote
+        self._workers = Workers()
+        self._queue = QueuedSink(writer)
+        self._sink: Sink = self._queue if threaded else writer
+        self._leg = ControllerIntake(controller, self._sink, rig.calibration, now_ns)
+        slow_hz = rig.devices.imu.slow_hz if rig.devices.imu else 0.0
+        self._imu = None if imu is None else ImuIntake(imu, self._sink, rig.calibration, now_ns, slow_hz)
+        rate = imu.config.rate_hz if imu else 238.0
+        self._drain_every_s = min(DRAIN_EVERY_S, FIFO_DEPTH / rate / 3)
+        self._watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms
+        self._driving = False
+        self._supervising = True
+        self._torque_nm = 0.0
+        self._commanded_ns = self._ping_due_ns = self._drain_due_ns = 0
+        self._ping_every_s = LEAD_PING_EVERY_S
+        self._commands = self._late = 0
+        self._interrupt = ""
+        self._start_ns, self._total_s = 0, 0.0
+        self._describe_devices(imu)
+        if remote is not None:
+            remote.attach(controller.stop, self._status)
+
+    def record(self, plan: Plan) -> RecordReport:
+        """Lead in, arm, command the plan, stop, close the file.
+
+        Raises `InputError` when the plan is beyond the limits, `WorkError` naming what ended the run early;
+        what was recorded until then is in the file, closed and whole.
+        """
+        check_plan(plan, self._rig, self._controller)
+        try:
+            with self._signals(), real_time() if self._threaded else nullcontext(False) as granted:
+                if granted and self._remote is not None:
+                    self._remote.hurry()
+                self._sink.config(self._now_ns(), "priority", msgspec.json.encode({"real_time": granted}).decode())
+                self._start_threads()
+                self._run(plan)
+        except (WorkError, DriverError, KeyboardInterrupt) as error:
+            why = "stopped by Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
+            self._finish(why)
+            if self._remote is not None:
+                self._remote.kind = self._kind(error)
+            raise WorkError(f"{why}; what was recorded until then is kept in {self._writer.path}") from None
+        except BaseException as error:
+            self._finish(f"internal error: {error!r}")
+            raise
+        self._finish("")
+        return RecordReport(plan.duration_s, self._commands, self._late, self._imu.samples if self._imu else 0,
+                            self._writer.messages, self._leg.clock_bound_s() or 0.0)
+
+    # -- the phases ----------------------------------------------------------------------------------------
+
+    def _run(self, plan: Plan) -> None:
+        try:
+            self._keep(self._now_ns() + _ns(LEAD_IN_S))
+            self._check_heard()
+            self._ping_every_s = PING_EVERY_S
+            self._arm()
+            self._follow(plan)
+            self._driving = False
+            self._controller.stop()
+            self._sink.event(self._now_ns(), "stop", "plan done")
+            self._keep(self._now_ns() + _ns(LEAD_OUT_S))
+        except (_Tripped, _Interrupted) as error:
+            if not self._emergency:
+                self._ramp_down()
+            raise WorkError(str(error)) from None
+
+    def _check_heard(self) -> None:
+        if self._leg.telemetry is None:
+            raise WorkError("leg controller: shook hands but sends no telemetry; restart it")
+        if self._leg.clock_bound_s() is None:
+            raise WorkError("leg controller: answers no clock probe; restart it")
+        if self._imu is not None and not self._imu.samples:
+            raise WorkError("IMU: no sample within a second; power-cycle it")
+
+    def _arm(self) -> None:
+        if not self._emergency:
+            self._controller.arm(self._watchdog_ms)
+        deadline = self._now_ns() + _ns(ARM_TIMEOUT_S)
+        self._command(0.0)
+        while not self._armed():
+            if self._now_ns() > deadline:
+                raise WorkError("leg controller: did not arm; clear its faults, then start again")
+            self._keep(self._now_ns() + _ns(_TURN_S))
+            self._command(0.0)
+        self._driving = True
+        self._sink.event(self._now_ns(), "start", f"armed, watchdog {self._watchdog_ms} ms")
+
+    def _follow(self, plan: Plan) -> None:
+        start_ns = self._start_ns = self._now_ns()
+        self._total_s = plan.duration_s
+        due = [start_ns + offset for offset in plan.offset_ns]
+        end_ns = start_ns + _ns(plan.duration_s)
+        for k, torque in enumerate(plan.torque_nm.tolist()):
+            if k + 1 < len(due) and due[k + 1] <= self._now_ns():
+                self._late += 1
+                continue
+            self._keep(due[k])
+            self._command(torque)
+            if self._progress is not None:
+                self._progress((due[k] - start_ns) * 1e-9, plan.duration_s)
+        self._keep(end_ns)
+        self._command(0.0)
+
+    def _ramp_down(self) -> None:
+        """Torque to zero in a straight line: a step would shake the leg. Limits are past caring here."""
+        self._supervising = False
+        first_nm, start_ns = self._torque_nm, self._now_ns()
+        while self._driving and self._armed() and first_nm:
+            left = 1.0 - (self._now_ns() - start_ns) * 1e-9 / RAMP_S
+            self._command(first_nm * max(left, 0.0))
+            if left <= 0:
+                break
+            self._keep(self._now_ns() + _ns(_TURN_S))
+        self._driving = False
+
+    def _finish(self, why: str) -> None:
+        """Motor stopped, threads ended, event written, file closed; runs on every way out."""
+        self._driving = False
+        try:
+            self._controller.stop()
+            stopped = "stop sent"
+        except DriverError as error:
+            stopped = f"stop not sent ({error}): the firmware's watchdog stops the motor"
+        self._workers.stop()
+        if self._remote is not None:
+            self._remote.motor = self._confirm_off() or f"{stopped.split(' (')[0]}, the firmware's watchdog stops it"
+        try:
+            self._queue.drain()
+        finally:
+            self._close(why, stopped)
+
+    def _confirm_off(self) -> str:
+        """What the controller itself says of the torque after the Stop; empty when it says nothing in time."""
+        asked_ns = self._now_ns()
+        with suppress(DriverError):
+            while self._now_ns() < asked_ns + _ns(CONFIRM_S):
+                self._leg.poll()  # no thread does any more
+                if self._leg.telemetry is not None and self._leg.heard_ns > asked_ns and not self._armed():
+                    return f"torque off, the controller says {State(self._leg.telemetry.state).name}"
+        return ""
+
+    def _close(self, why: str, stopped: str) -> None:
+        """How well the clock was known, the last event where something went wrong, and the end of the file."""
+        try:
+            bound_s = self._leg.clock_bound_s()
+            if bound_s is not None:
+                self._writer.config(self._now_ns(), "clock", msgspec.json.encode({"bound_s": bound_s}).decode())
+            if why:
+                trip = self.supervisor.trip
+                self._writer.event(self._now_ns(), f"limit {trip.limit}" if trip else "abort", f"{why}; {stopped}")
+        finally:
+            self._writer.close()
+
+    # -- what goes on all the time -------------------------------------------------------------------------
+
+    def _keep(self, until_ns: int) -> None:
+        """Keep devices, clock probes, watchdog and supervision going until `until_ns`, at least once."""
+        while True:
+            self._serve()
+            now = self._now_ns()
+            if now >= until_ns:
+                return
+            if self._threaded:
+                time.sleep(min(_TURN_S, (until_ns - now) * 1e-9))
+
+    def _serve(self) -> None:
+        now = self._now_ns()
+        if not self._threaded:
+            self._leg.poll()
+            if self._imu is not None and now >= self._drain_due_ns:
+                self._drain_due_ns = now + _ns(self._drain_every_s)
+                self._imu.drain()
+        self._workers.check()
+        if now >= self._ping_due_ns:
+            self._ping_due_ns = now + _ns(self._ping_every_s)
+            self._leg.ping()
+        if self._supervising:
+            self._supervise()
+        if self._driving and now - self._commanded_ns > self._watchdog_ms * 250_000:
+            self._command(self._torque_nm)  # held: a quarter of the watchdog's time without a new one
+
+    def _supervise(self) -> None:
+        if self._remote is not None and self._remote.asked:
+            self._interrupt = self._interrupt or self._remote.asked
+        if self._interrupt:
+            raise _Interrupted(f"stopped by {self._interrupt}")
+        sample = self._sample()
+        trip = self.supervisor.check(sample)
+        if self._remote is not None:
+            self._show(self._remote, sample)
+        if trip is not None:
+            raise _Tripped(str(trip))
+        if self._leg.boot_id != self._leg.first_boot_id:
+            raise WorkError("leg controller: restarted during the run; check its supply")
+        telemetry = self._leg.telemetry
+        if telemetry is not None and telemetry.faults and (self._driving or telemetry.state == State.FAULT):
+            raise WorkError(f"leg controller: fault latched: {describe_faults(telemetry.faults)}; remove the cause")
+        if self._driving and not self._armed():
+            raise WorkError("leg controller: disarmed itself during the run")
+
+    def _sample(self) -> Sample:
+        now = self._now_ns()
+        telemetry, knee = self._leg.telemetry, self._leg.knee()
+        return Sample(
+            torque_nm=self._leg.torque_nm(), torque_cmd_nm=self._torque_nm,
+            q1_speed_radps=self._imu.gyro_radps if self._imu and self._imu.samples else None,
+            q2_speed_radps=knee[1] if knee else None, q2_rad=knee[0] if knee else None,
+            q1_rad=_or_none(telemetry.pivot_hall_rad) if telemetry else None,
+            temperature_degc=_or_none(telemetry.motor_degc) if telemetry else None,
+            controller_age_s=(now - self._leg.heard_ns) * 1e-9,
+            imu_age_s=(now - self._imu.heard_ns) * 1e-9 if self._imu else None,
+            clock_bound_s=self._leg.clock_bound_s())
+
+    def _armed(self) -> bool:
+        return self._leg.telemetry is not None and self._leg.telemetry.state == State.ARMED
+
+    @property
+    def _emergency(self) -> bool:
+        return self._remote is not None and self._remote.emergency
+
+    def _command(self, torque_nm: float) -> None:
+        if self._emergency:
+            return  # the Stop has gone out; nothing may follow it
+        now = self._now_ns()
+        seq = self._controller.command(torque_nm)
+        self._torque_nm, self._commanded_ns = torque_nm, now
+        self._commands += 1
+        self._sink.add("/leg/command", now, now, torque_nm, seq, sequence=seq)
+
+    def _show(self, remote: Remote, sample: Sample) -> None:
+        """What a watcher sees of this turn."""
+        remote.see(self._now_ns(), sample, self._imu.accel_mps2 if self._imu else None, self.supervisor.watched(sample))
+
+    def _status(self) -> Status:
+        """For a watcher: how far the run is, how the controller is, what was lost."""
+        telemetry, stats, imu = self._leg.telemetry, self._controller.stats, self._imu
+        drive = State(telemetry.state).name.lower() if telemetry else "silent"
+        if telemetry is not None and telemetry.faults:
+            drive = f"{drive}: {describe_faults(telemetry.faults)}"
+        done_s = (self._now_ns() - self._start_ns) * 1e-9 if self._start_ns else 0.0
+        phase: Literal["waiting", "driving", "ending"] = "waiting"
+        if self._start_ns:
+            phase = "driving" if self._driving else "ending"
+        return Status(phase, [], min(done_s, self._total_s), self._total_s, drive,
+                      imu_samples=imu.samples if imu else 0, imu_gaps=imu.gaps if imu else 0, frames_lost=stats.lost,
+                      frames_bad=stats.bad_crc + stats.bad_length, late_commands=self._late)
+
+    def _kind(self, error: BaseException) -> Ending:
+        """How the run ended, for a watcher."""
+        trip = self.supervisor.trip
+        if self._emergency:
+            return "emergency"
+        if self._interrupt or isinstance(error, KeyboardInterrupt):
+            return "stopped"
+        if trip is not None:
+            return "lost" if trip.limit == "staleness_s" else "limit"
+        return "lost" if isinstance(error, LOST) else "failed"
+
+    def _start_threads(self) -> None:
+        if not self._threaded:
+            return
+        self._workers.start("leg", self._leg.poll)
+        if self._imu is not None:
+            self._workers.start("imu", self._imu.drain, self._drain_every_s)
+        self._workers.start("writer", self._queue.turn)
+
+    @contextmanager
+    def _signals(self) -> Iterator[None]:
+        """SIGINT, SIGTERM and SIGHUP become a controlled stop; signals belong to the main thread only."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "SIGHUP"}
+
+        def note(number: int, _frame: object) -> None:
+            self._interrupt = names[signal.Signals(number)]
+
+        before = {number: signal.signal(number, note) for number in names}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _describe_devices(self, imu: Lsm9ds1 | None) -> None:
+        now = self._now_ns()
+        self._writer.config(now, "firmware", msgspec.json.encode(self._controller.hello).decode())
+        if self._controller.link_facts:
+            self._writer.config(now, "link", msgspec.json.encode(self._controller.link_facts).decode())
+        if imu is not None:
+            gyro, accel = imu.scale
+            facts = {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel, "rate_hz": imu.config.rate_hz,
+                     "accel_range_g": imu.config.accel_range_g, "gyro_range_dps": imu.config.gyro_range_dps,
+                     "field_t_per_lsb": imu.magnetometer.config.scale_t if imu.magnetometer else None}
+            self._writer.config(now, "imu", msgspec.json.encode(facts).decode())
+
+
+def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9ds1 | None, controller: LegController,
+               now_ns: Callable[[], int] = time.monotonic_ns, threaded: bool = True,
+               progress: Progress | None = None, remark: str = "", remote: Remote | None = None) -> RecordReport:
+    """Record `plan` over open devices into a new run file that holds all that a later refit needs.
+
+    `remark` is the file's first event: what whoever reads it should know of this recording. `remote` watches it and can
+    stop it.
+    """
+    facts = {"started_unix_ns": str(time.time_ns()), "started_monotonic_ns": str(now_ns()),
+             "calibration": msgspec.json.encode(rig.calibration).decode(), "python": platform.python_version(),
+             "numpy": np.__version__, "system": platform.platform()}
+    check_plan(plan, rig, controller)
+    writer = RunWriter(path, {"rig.toml": rig_text, "plan.csv": plan.text()}, facts)
+    try:
+        if remark:
+            writer.event(now_ns(), "remark", remark)
+        recorder = Recorder(rig, imu, controller, writer, None, now_ns, threaded, progress, remote)
+        return recorder.record(plan)
+    finally:
+        writer.close()
+
+
+class _Tripped(Exception):
+    """A limit of the supervisor."""
+
+
+class _Interrupted(Exception):
+    """A signal."""
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)
+
+
+def _or_none(value: float) -> float | None:
+    return None if np.isnan(value) else value

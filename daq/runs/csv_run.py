@@ -1,0 +1,206 @@
+"""A run as CSV: read with every fault named by line and column, written so that it reads back the same."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import gzip
+import io
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import isfinite, isinf
+from pathlib import Path
+
+import numpy as np
+
+from daq.dataset import Dataset, FloatArray
+from daq.errors import InputError
+from daq.rig import Rig
+from daq.runs.columns import known, missing
+
+MIN_SAMPLES = 50
+_GZIP_MAGIC = b"\x1f\x8b"
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """The samples of one file as they stand there: nothing aligned, nothing filtered."""
+
+    name: str
+    """The file's name."""
+    time_s: FloatArray
+    """(n,) strictly increasing sample times [s]."""
+    columns: Mapping[str, FloatArray]
+    """Every numeric column but the time, (n,) each, finite."""
+    sources: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_csv(path: Path | str, rig: Rig | None = None, min_samples: int = MIN_SAMPLES) -> RawTable:
+    """Samples of a `.csv` or `.csv.gz`.
+
+    With a `rig` its mechanism's required columns are checked as well; without one only `time_s` is
+    required. A column of the user's own that holds anything but numbers is left out (and named in
+    `sources["ignored"]`). Raises `InputError` naming file, line and column.
+    """
+    path = Path(path)
+    header, body = _split(path)
+    names = _header_names(path, header)
+    _check_columns(path, names, rig)
+    table, kept = _parse(path, names, body, rig)
+    if table.shape[0] < min_samples:
+        raise InputError(str(path), f"holds {table.shape[0]} samples, at least {min_samples} are needed",
+                         "record for longer")
+    columns = {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(kept)}
+    time_s = columns.pop("time_s")
+    _check_time(path, time_s, names, body)
+    sources = {"file": str(path)}
+    ignored = [name for name in names if name not in kept]
+    if ignored:
+        sources["ignored"] = ", ".join(ignored)
+    return RawTable(path.name, time_s, columns, sources)
+
+
+def write_csv(dataset: Dataset, path: Path | str) -> int:
+    """Write `dataset` as `.csv` (or `.csv.gz`) by the contract; returns the number of rows.
+
+    Rows with a gap in any column are left out, so that the hole shows in `time_s`; a column that has no
+    sample at all is left out whole. Values keep 12 significant digits, times a nanosecond.
+    """
+    path = Path(path)
+    names = [name for name, values in dataset.columns.items() if np.isfinite(values).any()]
+    rows = ~dataset.gap(names)
+    table = np.column_stack([dataset.time_s[rows], *(dataset[name][rows] for name in names)])
+    text = io.StringIO()
+    np.savetxt(text, table, fmt=["%.9f"] + ["%.12g"] * len(names), delimiter=",",
+               header=",".join(["time_s", *names]), comments="")
+    data = text.getvalue().encode()
+    try:
+        # A fixed mtime and no name: the same run gives the same bytes.
+        path.write_bytes(gzip.compress(data, 6, mtime=0) if path.suffix == ".gz" else data)
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    return int(rows.sum())
+
+
+def _split(path: Path) -> tuple[str, str]:
+    """Header line and the rest, as text with plain newlines."""
+    where = str(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(where, error.strerror or str(error), "give a readable CSV file") from None
+    if not data:
+        raise InputError(where, "is empty", "give a file with a header line and samples")
+    if path.suffix == ".gz" or data.startswith(_GZIP_MAGIC):
+        try:
+            data = gzip.decompress(data)
+        except (OSError, EOFError, zlib.error) as error:
+            raise InputError(where, f"cannot be unpacked as gzip ({error})", "copy or pack the file again") from None
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(f"{where}, line {line}", "is not UTF-8 text", "save the file as UTF-8 CSV") from None
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    header, _, body = text.partition("\n")
+    if not header.strip():
+        raise InputError(f"{where}, line 1", "has no header", "name the columns on the first line")
+    return header, body
+
+
+def _header_names(path: Path, header: str) -> list[str]:
+    names = [cell.strip() for cell in next(csv.reader([header]))]
+    where = f"{path}, line 1"
+    if len(names) == 1 and any(mark in header for mark in ";\t"):
+        raise InputError(where, "is not comma separated", "write the file with commas between columns")
+    for name in names:
+        if not name:
+            raise InputError(where, "has a column without a name", "name every column")
+        if names.count(name) > 1:
+            raise InputError(where, f"names column {name} twice", "keep one of them")
+    return names
+
+
+def _check_columns(path: Path, names: list[str], rig: Rig | None) -> None:
+    lacking = missing(rig, names) if rig is not None else None
+    if rig is None and "time_s" not in names:
+        column, remedy = "time_s", "add the sample time in seconds"
+    elif lacking is not None:
+        column, remedy = lacking
+    else:
+        return
+    close = difflib.get_close_matches(column, [n for n in names if n not in known(rig, names)], 1, 0.6)
+    if close:
+        remedy = f"rename {close[0]} to {column} if that is what it holds, in SI units"
+    raise InputError(f"{path}, line 1", f"column {column} is missing", remedy)
+
+
+def _parse(path: Path, names: list[str], body: str, rig: Rig | None) -> tuple[FloatArray, list[str]]:
+    """Numbers (rows, columns kept) and the names of the columns kept."""
+    if not body.strip():
+        return np.empty((0, len(names))), names
+    try:
+        table = _numbers(body, None)
+        if table.shape[1] == len(names) and np.isfinite(table).all():
+            return table, names
+    except ValueError:
+        pass  # the slow path below says where
+    unusable = _find_fault(path, names, body, known(rig, names))
+    keep = [i for i, name in enumerate(names) if name not in unusable]
+    return _numbers(body, keep), [names[i] for i in keep]
+
+
+def _numbers(body: str, columns: list[int] | None) -> FloatArray:
+    return np.loadtxt(io.StringIO(body), delimiter=",", comments=None, quotechar='"', ndmin=2, usecols=columns)
+
+
+def _find_fault(path: Path, names: list[str], body: str, checked: set[str]) -> set[str]:
+    """Names of the user's own columns that hold no numbers; raises `InputError` at the first other fault."""
+    unusable: set[str] = set()
+    for line, cells in _lines(body):
+        place = f"{path}, line {line}"
+        if len(cells) != len(names):
+            column = names[len(cells)] if len(cells) < len(names) else names[-1]
+            raise InputError(f"{place}, column {column}",
+                             f"the line has {len(cells)} cells, the header {len(names)}", "mend or cut the line")
+        for name, cell in zip(names, cells):
+            fault = _fault(cell)
+            if fault and name in checked:
+                raise InputError(f"{place}, column {name}", fault, "give a number, or cut the line")
+            if fault:
+                unusable.add(name)
+    return unusable
+
+
+def _lines(body: str) -> list[tuple[int, list[str]]]:
+    """Line number in the file and cells of every line that is not blank."""
+    return [(number, next(csv.reader([line]))) for number, line in enumerate(body.split("\n"), 2) if line.strip()]
+
+
+def _fault(cell: str) -> str:
+    text = cell.strip()
+    if not text:
+        return "the cell is empty"
+    try:
+        value = float(text.replace("_", "x"))
+    except ValueError:
+        return f"{text[:24]!r} is not a number"
+    if isfinite(value):
+        return ""
+    return "the value is infinite" if isinf(value) else "the value is NaN"
+
+
+def _check_time(path: Path, time_s: FloatArray, names: list[str], body: str) -> None:
+    bad = np.flatnonzero(np.diff(time_s) <= 0)
+    if bad.size == 0:
+        return
+    column = names.index("time_s")
+    for (_, before), (line, cells) in pairwise(_lines(body)):
+        t0, t1 = before[column].strip(), cells[column].strip()
+        if float(t1) <= float(t0):
+            fault = f"time repeats ({t1})" if float(t1) == float(t0) else f"time runs backwards ({t0} then {t1})"
+            raise InputError(f"{path}, line {line}, column time_s", fault,
+                             "sort the rows by time and keep one row a sample")

@@ -1,0 +1,233 @@
+"""Run files: MCAP, written so that a crash loses next to nothing and read as far as they are whole."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from itertools import chain
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from daq.errors import InputError, WorkError
+from daq.runs.mcap_scan import Scan
+from daq.runs.streams import CDR_HEADER, NOTE_SCHEMA, NOTE_TEXT, NOTE_TOPICS, STREAMS, Note, pack_note, unpack_note
+
+FLUSH_MESSAGES = 250
+SYNC_EVERY_S = 1.0
+FACTS = "legid"
+"""Name of the metadata record."""
+PROFILE = "ros2"
+
+
+class RunWriter:
+    """Writes one run. Every 250 messages the chunk in progress is finished and handed to the system, so that
+    a killed process loses at most those; once a second it is forced to the disk, so that a power cut loses
+    at most that. May be used from several threads.
+
+    `files` (rig.toml, plan.csv, ...) become attachments, `facts` (versions, start times) metadata.
+    Raises `WorkError` when the disk refuses.
+    """
+
+    def __init__(self, path: Path | str, files: Mapping[str, str], facts: Mapping[str, str] | None = None) -> None:
+        self.path = Path(path)
+        self.messages = 0
+        self._lock = threading.Lock()
+        self._unflushed = 0
+        self._synced_at = time.monotonic()
+        self._closed = False
+        self._file = _create(self.path)
+        self._writer = new_writer(self._file)
+        self._writer.add_metadata(FACTS, {"format": "legid.run/1", "version": _version(), **(facts or {})})
+        for name, text in files.items():
+            self._writer.add_attachment(time.time_ns(), time.time_ns(), name, "text/plain", text.encode())
+        self._channels: dict[str, int] = {}
+        self._packers = {topic: stream.packer for topic, stream in STREAMS.items()}
+        for topic, stream in STREAMS.items():
+            self._register(topic, stream.schema, stream.text)
+        note = self._writer.register_schema(NOTE_SCHEMA, "ros2msg", NOTE_TEXT.encode())
+        for topic in NOTE_TOPICS:
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", note)
+        self._sync()
+
+    def _register(self, topic: str, schema: str, text: str) -> None:
+        number = self._writer.register_schema(schema, "ros2msg", text.encode())
+        self._channels[topic] = self._writer.register_channel(topic, "cdr", number)
+
+    def add(self, topic: str, host_ns: int, *values: float, sequence: int = 0) -> None:
+        """One message: `values` in the order of the stream's fields."""
+        self._add(topic, host_ns, self._packers[topic].pack(CDR_HEADER, *values), sequence)
+
+    def event(self, host_ns: int, kind: str, text: str) -> None:
+        """Something that happened, for a person; out of this process when this returns."""
+        self._add("/events", host_ns, pack_note(Note(host_ns, kind, text)), 0, flush=True)
+
+    def config(self, host_ns: int, kind: str, text: str) -> None:
+        """A fact learned while recording (firmware's hello, scales), as JSON text."""
+        self._add("/config", host_ns, pack_note(Note(host_ns, kind, text)), 0)
+
+    def _add(self, topic: str, host_ns: int, data: bytes, sequence: int, flush: bool = False) -> None:
+        with self._lock:
+            if self._closed:
+                return
+            try:
+                self._writer.add_message(self._channels[topic], host_ns, data, host_ns, sequence)
+                self.messages += 1
+                self._unflushed += 1
+                if flush or self._unflushed >= FLUSH_MESSAGES:
+                    self._writer.flush()  # type: ignore[no-untyped-call]
+                    self._unflushed = 0
+            except OSError as error:
+                raise self._refused(error) from None
+            if time.monotonic() - self._synced_at >= SYNC_EVERY_S:
+                self._sync()
+
+    def _sync(self) -> None:
+        try:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            os.fdatasync(self._file.fileno())
+        except OSError as error:
+            raise self._refused(error) from None
+        self._unflushed = 0
+        self._synced_at = time.monotonic()
+
+    def _refused(self, error: OSError) -> WorkError:
+        return WorkError(f"{self.path}: cannot be written ({error.strerror or error}); free space on the disk")
+
+    def close(self) -> None:
+        """Finish the file: index, footer, disk. May be called twice."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            try:
+                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._file.flush()
+                os.fdatasync(self._file.fileno())
+            except OSError as error:
+                raise self._refused(error) from None
+            finally:
+                with suppress(OSError):  # said already, or nothing left to lose: the data is on the disk
+                    self._file.close()
+
+
+@dataclass(frozen=True)
+class RawRun:
+    """What a run file holds, unconverted."""
+
+    name: str
+    facts: Mapping[str, str]
+    """Metadata of the file: format, version, start times."""
+    files: Mapping[str, str]
+    """Attached texts by name: `rig.toml`, `plan.csv`."""
+    streams: Mapping[str, NDArray[np.void]]
+    """Topic to messages, a structured array with the fields of `daq.runs.streams`; every topic is there."""
+    events: list[Note] = field(default_factory=list)
+    config: list[Note] = field(default_factory=list)
+    complete: bool = True
+    """False when the file ends before its footer (a crash, a full disk)."""
+    damaged_chunks: int = 0
+    """Chunks whose check sum was wrong; their messages are left out."""
+
+    @property
+    def messages(self) -> int:
+        return sum(map(len, self.streams.values())) + len(self.events) + len(self.config)
+
+
+def read_run(path: Path | str) -> RawRun:
+    """Everything that is whole in the file at `path`, cut at any byte though it may be.
+
+    Raises `InputError` when there is nothing of an MCAP file in it.
+    """
+    path = Path(path)
+    scan = Scan(path)
+    topics: dict[int, str] = {}
+    payloads: dict[str, list[bytes]] = defaultdict(list)
+    facts: dict[str, str] = {}
+    files: dict[str, str] = {}
+    for record in scan:
+        if isinstance(record, Message):
+            payloads[topics.get(record.channel_id, "")].append(record.data)
+        elif isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Metadata) and record.name == FACTS:
+            facts.update(record.metadata)
+        elif isinstance(record, Attachment):
+            files[record.name] = record.data.decode("utf-8", "replace")
+    streams = {topic: stream.unpack(payloads[topic]) for topic, stream in STREAMS.items()}
+    events, config = ([unpack_note(p) for p in payloads[topic]] for topic in NOTE_TOPICS)
+    return RawRun(path.name, facts, files, streams, events, config, scan.complete, scan.damaged_chunks)
+
+
+@dataclass(frozen=True)
+class RecoverReport:
+    """What `recover` saved."""
+
+    messages: int
+    damaged_chunks: int
+    complete: bool
+    """True when the file was whole already."""
+
+
+def recover(path: Path | str, out: Path | str) -> RecoverReport:
+    """Write everything that is whole in `path` to a clean, indexed file `out`, which must not exist.
+
+    Raises `InputError` when `path` is no MCAP file or `out` cannot be written.
+    """
+    scan = Scan(Path(path))
+    records = iter(scan)
+    first = next(records, None)  # refuses what is no MCAP file before anything is written
+    messages = 0
+    with _create(Path(out)) as file:
+        writer = new_writer(file)
+        schemas: dict[int, int] = {}
+        channels: dict[int, int] = {}
+        for record in chain([first], records):
+            if isinstance(record, Message) and record.channel_id in channels:
+                writer.add_message(channels[record.channel_id], record.log_time, record.data,
+                                   record.publish_time, record.sequence)
+                messages += 1
+            elif isinstance(record, Schema) and record.id not in schemas:
+                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+            elif isinstance(record, Channel) and record.id not in channels:
+                channels[record.id] = writer.register_channel(
+                    record.topic, record.message_encoding, schemas.get(record.schema_id, 0), record.metadata)
+            elif isinstance(record, Metadata):
+                writer.add_metadata(record.name, record.metadata)
+            elif isinstance(record, Attachment):
+                writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return RecoverReport(messages, scan.damaged_chunks, scan.complete)
+
+
+def new_writer(file: BinaryIO) -> Writer:
+    """A started writer. Chunks stay uncompressed: they are short, and a damaged one stays readable by hand."""
+    writer = Writer(file, compression=CompressionType.NONE)
+    writer.start(PROFILE, f"legid {_version()}")
+    return writer
+
+
+def _create(path: Path) -> BinaryIO:
+    try:
+        return open(path, "xb")
+    except FileExistsError:
+        raise InputError(str(path), "exists already", "give a new name: a run is never overwritten") from None
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+
+
+def _version() -> str:
+    try:
+        return version("legid")
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,47 @@
+"""From what the devices read to what the contract means, by the rig's calibration."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dataset import FloatArray
+from daq.rig import Calibration
+from drivers import TO_AG
+
+Reading = TypeVar("Reading", float, FloatArray)
+"""One reading or many."""
+
+
+def imu_columns(raw: NDArray[np.int16], scale: tuple[float, float], calibration: Calibration) -> dict[str, FloatArray]:
+    """Gyro and accelerometer in the link's frame from raw counts (n, 6), gyro x y z first.
+
+    `scale`: (rad/s, m/s2) per count. Biases and `accel_matrix` are of the chip's axes and go first; the rows of
+    `imu_mount` are the contract's axes: x tangential, y outwards, z the one about which the gyro reads q1d.
+    """
+    gyro = raw[:, :3] * scale[0] - np.asarray(calibration.gyro_bias_radps)
+    accel = (raw[:, 3:] * scale[1] - np.asarray(calibration.accel_bias_mps2)) @ np.asarray(calibration.accel_matrix).T
+    mount = np.asarray(calibration.imu_mount)
+    linked = accel @ mount[:2].T
+    return {"gyro_radps": gyro @ mount[2], "accel_x_mps2": linked[:, 0], "accel_y_mps2": linked[:, 1]}
+
+
+def field_link(raw: NDArray[np.int16], scale_t: float, calibration: Calibration) -> FloatArray:
+    """Magnetic field [T] in the link's frame from raw magnetometer counts (n, 3), `scale_t` tesla per count.
+
+    The magnetometer's X axis opposes that of the other sensors, to whose frame the rows of `imu_mount` belong.
+    """
+    field: FloatArray = raw * scale_t * TO_AG @ np.asarray(calibration.imu_mount).T
+    return field
+
+
+def knee_angle(knee_rad: Reading, calibration: Calibration) -> Reading:
+    """q2 [rad] from the knee encoder's reading."""
+    return knee_rad - calibration.knee_zero_rad
+
+
+def joint_torque(current_a: Reading, calibration: Calibration) -> Reading:
+    """Knee torque [N m] from the shunt's current."""
+    return (current_a - calibration.shunt_offset_a) * calibration.torque_constant_nm_per_a

@@ -1,0 +1,125 @@
+"""A recorded run to a `Dataset`: device clocks onto the host's, calibration, one uniform grid."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.dataset import Dataset, FloatArray
+from daq.errors import InputError
+from daq.rig import Rig, parse_rig
+from daq.runs import MIN_SAMPLES, RawRun
+from daq.si_units import imu_columns, joint_torque, knee_angle
+from daq.timing.clock import ImuClock, TickClock, fit_samples, fit_ticks
+from daq.timing.resample import Channel, align_channels
+
+
+def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
+    """Run on a grid of `rate_hz` (default: the rig's) with the columns of the CSV contract.
+
+    `time_s` counts from the first message. `tau2_nm` is the mean current of a telemetry period and therefore
+    placed half a period before its tick. `q1_rad`, from the pivot's Hall sensor, is benchmark only. Columns
+    that were never measured are absent. Raises `InputError` when the run is too short to be timed.
+    """
+    telemetry = raw.streams["/leg/telemetry"]
+    if telemetry.size < MIN_SAMPLES:
+        raise _unusable(raw, f"holds {telemetry.size} telemetry samples, at least {MIN_SAMPLES} are needed")
+    epoch_ns = int(telemetry["host_ns"][0])
+    time_ns, clocks = _telemetry_times(raw, telemetry, epoch_ns)
+    channels = _leg_channels(raw, telemetry, time_ns, rig)
+    sources = {"file": raw.name, **_clock_facts(clocks)}
+    bound_s = 0.0
+    samples = raw.streams["/imu"]
+    if samples.size:
+        clock = fit_samples(samples, epoch_ns)
+        bound_s = clock.bound_s + max(other.bound_s for other in clocks)
+        channels.append(_imu_channel(raw, samples, clock, rig))
+        sources["imu_clock"] = f"{clock.rate_hz:.3f} Hz, within {clock.bound_s * 1e6:.0f} us"
+    if not raw.complete:
+        sources["truncated"] = "the file ends before its footer; read as far as it is whole"
+    if any(channel.time_s.size < 2 for channel in channels):
+        raise _unusable(raw, "is too short for its clocks to be put together")
+    dataset = align_channels(raw.name, channels, rig.sampling.rate_hz if rate_hz is None else rate_hz, sources)
+    if len(dataset) < MIN_SAMPLES:
+        raise _unusable(raw, f"gives {len(dataset)} samples on the grid, at least {MIN_SAMPLES} are needed")
+    return replace(dataset, clock_bound_s=bound_s)
+
+
+def recorded_rig(raw: RawRun) -> Rig:
+    """The rig as it stood in rig.toml when the run was recorded. Raises `InputError` when it is not in there."""
+    if "rig.toml" not in raw.files:
+        raise InputError(raw.name, "holds no rig.toml", "give the rig's file with --rig")
+    return parse_rig(raw.files["rig.toml"], f"{raw.name} (rig.toml inside)")
+
+
+def configured(raw: RawRun, kind: str) -> dict[str, Any]:
+    """The last configuration note of this kind in the run (`imu`, `firmware`), empty when there is none."""
+    texts = [note.text for note in raw.config if note.kind == kind]
+    return msgspec.json.decode(texts[-1], type=dict[str, Any]) if texts else {}
+
+
+def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int) -> tuple[FloatArray, list[TickClock]]:
+    """Host times [ns after epoch] of telemetry ticks, NaN for a boot without probes; one clock a boot."""
+    probes = raw.streams["/leg/clock"]
+    time_ns = np.full(telemetry.shape, np.nan)
+    arrived = (telemetry["host_ns"] - epoch_ns).astype(float)
+    clocks = []
+    for boot in np.unique(telemetry["boot_id"]):
+        mine = probes[probes["boot_id"] == boot]
+        if mine.size == 0:
+            continue
+        clock = fit_ticks(mine, epoch_ns)
+        rows = telemetry["boot_id"] == boot
+        time_ns[rows] = clock.host_ns(telemetry["tick_us"][rows], arrived[rows])
+        clocks.append(clock)
+    if not clocks:
+        raise _unusable(raw, "holds no clock probe, so its clocks cannot be put together")
+    return time_ns, clocks
+
+
+def _leg_channels(raw: RawRun, telemetry: NDArray[np.void], time_ns: FloatArray, rig: Rig) -> list[Channel]:
+    """Knee, Hall, temperature and command at the tick; the torque half a period earlier."""
+    rows = _increasing(time_ns)
+    telemetry, time_s = telemetry[rows], time_ns[rows] * 1e-9
+    if not np.isfinite(telemetry["knee_rad"]).any():
+        raise InputError(raw.name, "the knee encoder gave no valid reading", "check the encoder's wiring")
+    at_tick = {"q2_rad": knee_angle(telemetry["knee_rad"], rig.calibration),
+               "q1_rad": telemetry["pivot_hall_rad"].astype(float),
+               "tau2_cmd_nm": telemetry["torque_cmd_nm"].astype(float),
+               "temperature_degc": telemetry["motor_degc"].astype(float)}
+    measured = {name: values for name, values in at_tick.items() if np.isfinite(values).any()}
+    period = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
+    torque = {"tau2_nm": joint_torque(telemetry["current_a"], rig.calibration)}
+    return [Channel(time_s, measured), Channel(time_s - 0.5 * period, torque)]
+
+
+def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: Rig) -> Channel:
+    facts = configured(raw, "imu")
+    if not facts:
+        raise _unusable(raw, "holds IMU samples without their scale")
+    rows = _increasing(clock.time_ns)
+    counts = np.column_stack([samples[f"{kind}_{axis}"][rows] for kind in ("gyro", "accel") for axis in "xyz"])
+    scale = (float(facts["gyro_radps_per_lsb"]), float(facts["accel_mps2_per_lsb"]))
+    return Channel(clock.time_ns[rows] * 1e-9, imu_columns(counts, scale, rig.calibration))
+
+
+def _increasing(time_ns: FloatArray) -> NDArray[np.intp]:
+    """Rows whose time is known and later than that of every row before."""
+    rows = np.flatnonzero(np.isfinite(time_ns))
+    known = time_ns[rows]
+    latest = np.maximum.accumulate(np.concatenate(([-np.inf], known[:-1])))
+    return rows[known > latest]
+
+
+def _clock_facts(clocks: list[TickClock]) -> dict[str, str]:
+    worst = max(clocks, key=lambda clock: clock.bound_s)
+    return {"controller_clock": f"{worst.rate_ppm:+.1f} ppm, within {worst.bound_s * 1e6:.0f} us, "
+                                f"{worst.probes} probes" + (f", {len(clocks)} boots" if len(clocks) > 1 else "")}
+
+
+def _unusable(raw: RawRun, what: str) -> InputError:
+    return InputError(raw.name, what, "record for longer" if raw.complete else "the file is cut off; record again")

@@ -1,0 +1,11 @@
+from .clock import Clock as Clock
+from .clock import RealClock as RealClock
+from .clock import VirtualClock as VirtualClock
+from .i2c_server import I2cServer as I2cServer
+from .link import EmulatorLink as EmulatorLink
+from .plant import Plant as Plant
+from .pty_server import PtyServer as PtyServer
+from .rig import STEP_NS as STEP_NS
+from .rig import MockRig as MockRig
+from .settings import FirmwareSettings as FirmwareSettings
+from .settings import ImuSettings as ImuSettings

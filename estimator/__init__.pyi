@@ -1,0 +1,10 @@
+from .diagnosis.procedure import diagnose as diagnose
+from .diagnosis.result import Diagnosis as Diagnosis
+from .effects.base import Effect as Effect
+from .errors import FitError as FitError
+from .fitting.fit import fit as fit
+from .fitting.validation import validate as validate
+from .options import FitOptions as FitOptions
+from .parallel import cores as cores
+from .result import FitResult as FitResult
+from .result import Trajectory as Trajectory

@@ -1,0 +1,204 @@
+"""Zeros of encoders that differ from run to run, such as of drives that count from where they were switched on.
+
+A wrong zero turns gravity, so it shows as a torque that the model has no term for, different in every run. It is found
+by least squares of (28) beside beta, (Z beta) linearised in the angle, and taken off before anything else is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from daq import Dataset, FloatArray
+from estimator.errors import FitError
+from estimator.fitting import design_rows, free_mask, weighted_least_squares
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+from estimator.signals import SignalSet, angle_column, differentiate, lowpass, split_signals
+
+SLOW_HZ = 3.0
+"""Most of a cutoff: gravity's torque is as slow as the motion. (Measured on two arms: the same zeros with 1 to 10 Hz,
+on grids of 25 to 200 Hz, within 10 mrad; none with 30 Hz, where accelerations are noise.)"""
+STEPS = 10
+SETTLED_RAD = 1e-4
+"""Zeros are found when a step moves none by more."""
+PROBE_RAD = 1e-4
+"""Angle over which (Z beta) is differenced."""
+ALPHA = 1e-3
+"""p-value, over all joints, below which zeros differ, ..."""
+LEAST_FALL = 0.1
+"""... if without them so much less torque is left over at some joint. (Measured: p from 3e-7 to 1e-5, a fall by 41 to
+50 % on two real arms; on 104 legs with other things wrong p < 1e-3 twice, with a fall by 2 % at most.)"""
+FEWEST_RUNS = 4
+"""Of two or three, the halves agree by chance too often."""
+
+
+@dataclass(frozen=True)
+class Zeros:
+    """What each run's encoders read too much."""
+
+    joints: tuple[int, ...]
+    """0-based"""
+    values: FloatArray
+    """(runs, joints) [rad, or m on a slide]"""
+    std: FloatArray
+    """(runs, joints), white noise of the filtered equations taken for granted"""
+
+
+@dataclass(frozen=True)
+class Differing:
+    """Evidence that encoders' zeros differ from run to run, by joint that has an encoder."""
+
+    joints: tuple[int, ...]
+    """0-based"""
+    spread: FloatArray
+    """(joints,) standard deviation between the runs [rad, or m on a slide]"""
+    p_value: FloatArray
+    """(joints,) that the two halves of a run agree so much better than the runs"""
+    left: FloatArray
+    """(n,) torque that least squares leaves over without the zeros, as a share of what it leaves with them"""
+
+
+def find_differing(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> Differing | None:
+    """Whether zeros differ from run to run; None where nothing says so, or too few runs could.
+
+    Each run's halves have zeros of their own. If these scatter as much within runs as between them, they are but what
+    the model gets wrong; an analysis of variance tells.
+    """
+    joints = [j for j in range(mechanism.n) if j > 0 or options.sensors != "imu"]
+    if len(datasets) < FEWEST_RUNS or not joints:
+        return None
+    halves = [data.part(part) for data in datasets for part in (slice(0, len(data) // 2), slice(len(data) // 2, None))]
+    try:
+        found = find_zeros(halves, mechanism, options, joints).values.reshape(len(datasets), 2, -1)
+        zeros = find_zeros(datasets, mechanism, options, joints)
+        before, after = (_left_over(runs, mechanism, options)
+                         for runs in (datasets, subtract(datasets, mechanism, zeros)))
+    except (FitError, np.linalg.LinAlgError):
+        return None
+    between = 2.0 * np.var(found.mean(axis=1), axis=0, ddof=1)
+    within = 0.5 * np.mean((found[:, 1] - found[:, 0]) ** 2, axis=0)
+    p = fisher.sf(between / np.maximum(within, 1e-300), len(datasets) - 1, len(datasets))
+    left = after / np.maximum(before, 1e-300)
+    if min(p) * len(joints) > ALPHA or left.min() > 1.0 - LEAST_FALL:
+        return None
+    return Differing(tuple(joints), np.std(found.mean(axis=1), axis=0, ddof=1), p, left)
+
+
+def differing_text(found: Differing) -> str:
+    """One sentence: what differs, how sure that is, what to declare."""
+    joints = ", ".join(f"joint {j + 1} by {1e3 * spread:.0f}e-3 (p = {p:.1g})"
+                       for j, spread, p in zip(found.joints, found.spread, found.p_value))
+    shares = " and ".join(f"{100 * share:.0f} %" for share in found.left)
+    declared = ", ".join(str(j + 1) for j in found.joints)
+    return (f"the encoders' zeros differ from run to run, {joints} by the two halves of each run; without them least "
+            f"squares leaves {shares} of the torque that it leaves with them: declare encoder_zero = [{declared}] "
+            "under [terms], and what else is missing shows better")
+
+
+def _slow(options: FitOptions, rate_hz: float) -> FitOptions:
+    """`options` with a cutoff at which zeros are sought."""
+    return replace(options, cutoff_hz=min(SLOW_HZ, options.cutoff(rate_hz)))
+
+
+def _left_over(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FloatArray:
+    """(n,) rms of the torque that slow least squares leaves over at each joint."""
+    slow = _slow(options, datasets[0].rate_hz)
+    design = design_rows(split_signals(datasets, mechanism, slow), mechanism, slow)
+    free, beta = free_mask(mechanism, slow)
+    beta, _, _ = weighted_least_squares(design.z, design.torque, free, beta, design.samples_per_dof)
+    left: FloatArray = np.sqrt(np.mean((design.torque - design.z @ beta) ** 2, axis=0))
+    return left
+
+
+def find_zeros(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, joints: Sequence[int],
+               beta: FloatArray | None = None) -> Zeros:
+    """Zeros of `joints` in each run: for a known `beta` (p,), or beside beta with a mean of zero over the runs.
+
+    What all runs have in common is the encoder's offset, or a constant torque, which these runs need not tell apart.
+    Raises `FitError` where a joint has no encoder on this path, or where the search leads nowhere.
+    """
+    runs = [split_signals([data], mechanism, options) for data in datasets]
+    options = _slow(options, runs[0][0].rate_hz)
+    for j in joints:
+        if not np.isfinite(runs[0][0].angles[:, j]).all():
+            raise FitError(f"encoder_zero names joint {j + 1}, which has no encoder on the {options.sensors} path")
+    count, width = len(runs), len(joints)
+    free, start = free_mask(mechanism, options)
+    if beta is not None:
+        free, start = np.zeros_like(free), beta
+    spread = np.eye(count) if beta is not None else _centred(count)
+    values = np.zeros((count, width))
+    if not spread.size:  # one run says nothing of a difference between runs
+        return Zeros(tuple(joints), values, values)
+    per_dof = max(1.0, 0.5 * runs[0][0].rate_hz / options.cutoff(runs[0][0].rate_hz))
+    known, parts = start, width * spread.shape[1]
+    for step in range(STEPS):
+        equations = [_equations(run, mechanism, options, known, joints, zero, own)
+                     for run, zero, own in zip(runs, values, spread)]
+        sought = step > 0 or beta is not None  # before beta is known, (Z beta) has no slope
+        mask = np.append(free, np.full(parts, sought))
+        found, covariance, _ = weighted_least_squares(np.concatenate([z for z, _ in equations]),
+                                                      np.concatenate([tau for _, tau in equations]), mask,
+                                                      np.append(start, np.zeros(parts)), per_dof)
+        known = found[: start.size]
+        change = spread @ found[start.size :].reshape(width, -1).T
+        values = values + change
+        if sought and np.max(np.abs(change)) < SETTLED_RAD:
+            own = covariance[start.size :, start.size :].reshape(width, spread.shape[1], width, -1)
+            std = np.sqrt(np.einsum("rk,jkjl,rl->rj", spread, own, spread))
+            if not std.all():  # directions that no equation knows of have neither step nor variance
+                break
+            return Zeros(tuple(joints), values, std)
+    raise FitError("the encoders' zeros are not to be found: the motion does not show them, or the model is far off")
+
+
+def subtract(datasets: Sequence[Dataset], mechanism: Mechanism, zeros: Zeros) -> tuple[Dataset, ...]:
+    """The runs with their zeros taken off."""
+    out = []
+    for data, own in zip(datasets, zeros.values):
+        moved = {angle_column(mechanism, j): data[angle_column(mechanism, j)] - zero
+                 for j, zero in zip(zeros.joints, own)}
+        out.append(replace(data, columns={**data.columns, **moved}))
+    return tuple(out)
+
+
+def zeros_text(datasets: Sequence[Dataset], zeros: Zeros) -> str:
+    """One sentence: what was taken off, by joint and run."""
+    tables = [f"joint {j + 1}: " + ", ".join(f"{data.name} {1e3 * value:.1f} +- {1e3 * std:.1f}"
+                                             for data, value, std in zip(datasets, own, spread))
+              for j, own, spread in zip(zeros.joints, zeros.values.T, zeros.std.T)]
+    return f"encoders' zeros, another in every run, are taken off [1e-3 rad or m]; {'; '.join(tables)}"
+
+
+def _centred(count: int) -> FloatArray:
+    """(count, count - 1) orthonormal columns of sum zero."""
+    return np.asarray(np.linalg.qr(np.eye(count) - 1.0 / count)[0])[:, : count - 1]
+
+
+def _equations(run: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions, beta: FloatArray,
+               joints: Sequence[int], zero: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Filtered [Z, -d(Z beta)/dq own] (m, n, p + joints * k) and torque (m, n) of one run less its `zero`.
+
+    A zero in excess by o makes the true angle the reading less o; `own` (k,) are the weights in it of what is sought.
+    """
+    left, right = [], []
+    for s in run:
+        angles = s.angles.copy()
+        angles[:, list(joints)] -= zero
+        cutoff = options.cutoff(s.rate_hz)
+        motion = differentiate(replace(s, angles=angles), mechanism, min(4.0 * cutoff, 0.4 * s.rate_hz),
+                               options.filter_order)
+        columns = [mechanism.regressor(*motion)]
+        for j in joints:
+            step = PROBE_RAD * np.eye(mechanism.n)[j]
+            up, down = (mechanism.regressor(motion.q + way * step, motion.qd, motion.qdd) @ beta for way in (1.0, -1.0))
+            columns.append((down - up)[:, :, None] / (2.0 * PROBE_RAD) * own)
+        edge = min(len(angles) // 10, int(0.5 * s.rate_hz / cutoff))
+        inner = slice(edge, len(angles) - edge)
+        left.append(lowpass(np.concatenate(columns, axis=2), cutoff, s.rate_hz, options.filter_order)[inner])
+        right.append(lowpass(s.torque, cutoff, s.rate_hz, options.filter_order)[inner])
+    return np.concatenate(left), np.concatenate(right)

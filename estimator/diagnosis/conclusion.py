@@ -1,0 +1,338 @@
+"""The account of a diagnosis: gain on the confirm runs, sizes with intervals, sentences, and what to draw."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from daq import FloatArray
+from estimator.diagnosis.context import Explained
+from estimator.diagnosis.data_split import Session
+from estimator.diagnosis.parametric_bootstrap import rehearse
+from estimator.diagnosis.refit import Model, smooth
+from estimator.diagnosis.residual_signature import signature
+from estimator.diagnosis.result import Cause, Diagnosis, SensorGain, ShortRuns, SizeEstimate, Trace
+from estimator.effects import Shape, Size
+from estimator.errors import FitError
+from estimator.likelihood import ExtendedProblem, FreeRun, State, free_run
+from estimator.parallel import spread
+
+BLOCK_S = 2.0
+"""Length of a block of the gain's bootstrap."""
+DRAWS = 400
+ATTEMPTS = 10
+"""Rehearsals, one after the other, until one does not run off: their noise is drawn."""
+CONFUSABLE = 0.7
+HORIZON_S = 1.0
+"""Length of the pieces that are simulated where noise, added up over a whole run, hides what the extension gains."""
+NO_GAP = ("a free run over a whole run cannot show the gain: noise alone, added up, leaves about as much error as the "
+          "nominal model has; what speaks for the extension is the likelihood of the confirm runs")
+UNSURE_GAP = "free runs over whole runs leave open whether the extension helps: the interval of its share holds zero"
+
+
+def base(session: Session, nominal: Model, refused: Mapping[str, str],
+         reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
+    """What every verdict carries: runs, nominal parameters, what cannot be tested."""
+    names = session.mechanism.names
+    std = nominal.std()
+    warnings = []
+    if session.single:
+        warnings.append("one run only: its parts stand in for runs and are not independent, so every p-value and "
+                        "interval here is approximate; record several runs")
+    elif len(session.names) < 6:
+        warnings.append(f"{len(session.names)} runs only: the scatter between runs is poorly known; eight are better")
+    if np.isinf(std).any():
+        warnings.append("the nominal fit does not settle: the nominal parameters are least squares on filtered motion "
+                        "and have no intervals")
+    if reference:
+        warnings += changes(dict(zip(names, zip(nominal.state.beta, std))), reference)
+    groups = {"fit": session.fit, "screen": session.screen, "confirm": session.confirm}
+    noise = nominal.state.noise
+    levels = {"torque_nm": float(np.max(noise.torque[list(session.mechanism.actuated)], initial=0.0))}
+    if np.isfinite(noise.encoder).any():
+        levels["encoder_rad"] = float(np.max(noise.encoder[np.isfinite(noise.encoder)]))
+    if session.has_imu:
+        levels |= {"gyro_radps": noise.gyro, "accel_mps2": noise.accel}
+    return Diagnosis(
+        "none", "", confirm_runs=tuple(session.names[i] for i in session.confirm), not_testable=dict(refused),
+        nominal=dict(zip(names, map(float, nominal.state.beta))), nominal_std=dict(zip(names, map(float, std))),
+        runs={k: tuple(session.names[i] for i in v) for k, v in groups.items()}, warnings=tuple(warnings), noise=levels,
+        reach=nominal.problem.stage.reach)
+
+
+def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tuple[float, float]]) -> list[str]:
+    """One line for each parameter that differs from the reference by more than four standard deviations."""
+    out = []
+    for name, (value, std) in now.items():
+        if name in reference:
+            old, old_std = reference[name]
+            spread = float(np.hypot(std, old_std))
+            if spread > 0 and abs(value - old) > 4.0 * spread:
+                out.append(f"{name} is {value:.4g}, the reference has {old:.4g} ({(value - old) / spread:+.1f} sigma): "
+                           "a changed payload or link shows as a parameter change only")
+    return out
+
+
+@dataclass(frozen=True)
+class Resimulated:
+    """One confirm run simulated from its first state and measured torque."""
+
+    run: int
+    time_s: FloatArray
+    measured: dict[str, FloatArray]
+    simulated: dict[str, FloatArray]
+    torque_residual: FloatArray
+    """(N, n)"""
+
+
+def sensors_of(problem: ExtendedProblem, q1: FloatArray) -> dict[str, FloatArray]:
+    """Measured columns; the pivot's angle is the smoothed one where no encoder measures it."""
+    unit = problem.mechanism.length_unit
+    out = {f"q{j + 1}_{unit}": problem.angles[:, j] for j in range(problem.n) if problem.has_encoder[j]}
+    if problem.has_imu:
+        out |= {"q1_rad": q1, "gyro_radps": problem.gyro, "accel_x_mps2": problem.ax, "accel_y_mps2": problem.ay}
+    return dict(sorted(out.items()))
+
+
+def sensed(problem: ExtendedProblem, run: FreeRun) -> dict[str, FloatArray]:
+    """What the sensors would read, by column."""
+    unit = problem.mechanism.length_unit
+    out = {f"q{j + 1}_{unit}": run.readings[f"encoder{j + 1}"] for j in range(problem.n)}
+    imu = {"gyro_radps": "gyro", "accel_x_mps2": "accel_x", "accel_y_mps2": "accel_y"}
+    return out | {column: run.readings[channel] for column, channel in imu.items()}
+
+
+def torque_readings(problem: ExtendedProblem, state: State) -> FloatArray:
+    """(N, n) what effects add to the torque's reading along the motion in `state`."""
+    beta, sizes = problem.split(state.beta)
+    view = problem.view(state.x, beta)
+    out = np.zeros_like(problem.torque)
+    for effect, size in zip(problem.effects, sizes):
+        for channel, values in effect.perturb(view, size).readings.items():
+            if channel.startswith("torque"):
+                out[:, int(channel[-1]) - 1] += values
+    return out
+
+
+def resimulate(session: Session, fitted: tuple[ExtendedProblem, State], run: int, q1: FloatArray,
+               or_still: bool = False, horizon_s: float = np.inf) -> Resimulated:
+    """Free run of a run `fitted` by `smooth`, whole or in pieces of `horizon_s`; the pivot's angle q1 is taken for
+    measured.
+
+    Where it diverges raises `FitError`, or with `or_still` takes every sensor's mean instead: whose error a
+    simulation that diverges exceeds.
+    """
+    problem, state = fitted
+    measured = sensors_of(problem, q1)
+    drive = problem.torque - torque_readings(problem, state)
+    found = free_run(problem, state, drive, horizon_s)
+    if found is None and not or_still:
+        raise FitError("the free run diverges")
+    still = {k: np.full_like(y, y.mean()) for k, y in measured.items()}
+    simulated = still if found is None else sensed(problem, found)
+    time_s = np.concatenate([s.time_s for s in session.runs[run]])
+    return Resimulated(run, time_s, measured, {k: simulated[k] for k in measured},
+                       problem.torque - problem.motor_torque(state.x, state.beta) - torque_readings(problem, state))
+
+
+def floor_errors(session: Session, model: Model, fitted: tuple[ExtendedProblem, State], run: int,
+                 rng: np.random.Generator, horizon_s: float = np.inf) -> dict[str, FloatArray]:
+    """Squared free-run errors by sensor of a rehearsal of the model on a run `fitted`: what its noise alone leaves.
+
+    Pieces of `horizon_s` start from the motion that would be fitted to the rehearsal.
+    """
+    problem, state = fitted
+    truth = free_run(problem, state)
+    if truth is None:
+        raise FitError("the free run diverges")
+    for _ in range(ATTEMPTS):
+        signals = rehearse(problem, state, session.runs[run], rng)
+        again = session.problem([run], model.problem.stage.reach, model.effects, signals=signals)
+        begin = state if np.isinf(horizon_s) else smooth(session, model, run, state.x, signals)[1]
+        found = free_run(again, begin, again.torque - torque_readings(problem, state), horizon_s)
+        if found is not None:
+            simulated = sensed(problem, found)
+            return {k: (simulated[k] - v) ** 2 for k, v in sensors_of(again, truth.q[:, 0]).items()}
+    raise FitError("the rehearsals diverge")
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Free-run errors on the confirm runs."""
+
+    sensors: dict[str, SensorGain]
+    closed: float | None
+    """Share of the gap that the extension closes; None where noise alone leaves as much as the nominal model errs."""
+    ci95: tuple[float, float] | None
+    torque: tuple[tuple[float, ...], tuple[float, ...]]
+    traces: tuple[Trace, ...]
+
+
+def measure_gain(session: Session, nominal: Model, extended: Model, rng: np.random.Generator,
+                 horizon_s: float = np.inf) -> Gain:
+    """Before, after and floor on the confirm runs, with the share of the gap closed and its block bootstrap."""
+    seeds = rng.integers(2**63, size=len(session.confirm))
+
+    def simulated(k: int) -> tuple[Resimulated, Resimulated, dict[str, FloatArray]]:
+        i = session.confirm[k]
+        fitted = smooth(session, extended, i)
+        q1 = fitted[1].x.q[:, 0]
+        return (resimulate(session, smooth(session, nominal, i), i, q1, True, horizon_s),
+                resimulate(session, fitted, i, q1, False, horizon_s),
+                floor_errors(session, extended, fitted, i, np.random.default_rng(seeds[k]), horizon_s))
+
+    blocks: dict[str, list[tuple[float, float, float]]] = {}
+    traces, torque = [], []
+    for before, after, floor in spread(simulated, len(session.confirm), session.workers):
+        i = after.run
+        traces.append(Trace(session.names[i], after.time_s, after.measured, before.simulated, after.simulated))
+        torque.append((np.mean(before.torque_residual**2, axis=0), np.mean(after.torque_residual**2, axis=0)))
+        size = max(10, int(BLOCK_S * session.runs[i][0].rate_hz))
+        for k, y in after.measured.items():
+            parts = max(1, len(y) // size)
+            errors = [np.array_split(e, parts) for e in
+                      ((before.simulated[k] - y) ** 2, (after.simulated[k] - y) ** 2, floor[k])]
+            blocks.setdefault(k, []).extend((float(a.mean()), float(b.mean()), float(c.mean()))
+                                            for a, b, c in zip(*errors))
+    table = {k: np.array(v) for k, v in blocks.items()}
+    sensors = {k: SensorGain(*(float(np.sqrt(m)) for m in v.mean(axis=0))) for k, v in table.items()}
+    closed = _closed(table, np.arange(len(next(iter(table.values())))))
+    count = len(next(iter(table.values())))
+    draws = [_closed(table, rng.integers(0, count, count)) for _ in range(DRAWS)]
+    shares = np.array([d for d in draws if d is not None])
+    known = closed is not None and len(shares) > DRAWS / 2
+    low, high = np.quantile(shares, [0.025, 0.975]) if known else (0.0, 0.0)
+    rms = np.sqrt(np.mean(np.array(torque), axis=0))
+    return Gain(sensors, closed if known else None, (float(low), float(high)) if known else None,
+                (tuple(map(float, rms[0])), tuple(map(float, rms[1]))), tuple(traces))
+
+
+def in_pieces(session: Session, nominal: Model, extended: Model) -> ShortRuns | None:
+    """The gain in pieces of HORIZON_S; None where they diverge."""
+    try:
+        gain = measure_gain(session, nominal, extended, np.random.default_rng(0), HORIZON_S)
+    except FitError:
+        return None
+    return ShortRuns(HORIZON_S, gain.sensors, gain.closed, gain.ci95)
+
+
+def _closed(table: Mapping[str, FloatArray], which: NDArray[np.intp]) -> float | None:
+    """Share of the gap in mean squared error, sensors weighted by their floor, that the extension closes; None where
+    there is no gap."""
+    before = after = floor = 0.0
+    for values in table.values():
+        b, a, f = values[which].mean(axis=0)
+        scale = values[:, 2].mean()
+        before, after, floor = before + b / scale, after + a / scale, floor + f / scale
+    gap = before - floor
+    return float(np.clip((before - after) / gap, -1.0, 1.5)) if gap > 0 else None
+
+
+def nothing(found: Diagnosis, session: Session, nominal: Model) -> Diagnosis:
+    """Verdict `none`."""
+    best = found.candidates[0] if found.candidates else None
+    sentence = "Nothing beyond noise is detectable in these runs"
+    if best is not None:
+        sentence += (f"; the nearest, {label(best.effect, best.joint)}, has p = {best.p_value:.2g} over all that were "
+                     f"tried")
+    return replace(found, verdict="none", sentence=sentence + ".",
+                   next_experiment="None is called for. To look for smaller effects, record more runs like these: the "
+                   "smallest detectable sizes fall with the square root of their number.")
+
+
+def unexplained(found: Diagnosis, session: Session, nominal: Model, best: Explained | None, why: str,
+                rng: np.random.Generator | None = None) -> Diagnosis:
+    """Verdict `unexplained`: the closest explanation, if any, is kept but not named as a finding."""
+    sentence = f"Something is wrong with the model, and no listed effect accounts for it: {why}."
+    causes: tuple[Cause, ...] = ()
+    if best is not None:
+        causes = tuple(causes_of(best, 1.0, found))
+        found = with_gain(found, session, nominal, best, rng)
+        sentence = (f"Something is wrong with the model, and no listed effect accounts for it; the closest, "
+                    f"{' with '.join(label(c.effect, c.joint) for c in causes)}, does not suffice: {why}.")
+    return replace(found, verdict="unexplained", sentence=sentence, causes=causes, effects=(),
+                   next_experiment="Record slow motion, fast motion, holds and a free swing as separate runs: what is "
+                   "missing shows in one kind more than in the others. A new effect can be added in a file of its own.")
+
+
+def finding(found: Diagnosis, session: Session, nominal: Model, ties: Sequence[Explained], p_value: float,
+            rng: np.random.Generator) -> Diagnosis:
+    """Verdict `named`, or `one_of` where several explanations fit alike."""
+    best = ties[0]
+    found = with_gain(found, session, nominal, best, rng)
+    causes = {c.effect + str(c.joint): c for t in ties for c in causes_of(t, p_value, found)}
+    rivals = [causes_of(t, p_value, found) for t in ties]
+    if len(ties) == 1:
+        told = "; ".join(f"{c.sentence} ({label(c.effect, c.joint)}: {sizes_text(c)})" for c in rivals[0])
+        sentence = f"{told[0].upper()}{told[1:]}."
+        steps = "; ".join(sorted({e.experiment for e in best.model.named}))
+        return replace(found, verdict="named", sentence=sentence, causes=tuple(causes.values()),
+                       next_experiment=f"To measure it better: {steps}.")
+    told = " or ".join(" with ".join(f"{c.sentence} ({label(c.effect, c.joint)}: {sizes_text(c)})" for c in r)
+                       for r in rivals)
+    steps = "; ".join(f"for {' and '.join(e.key for e in t.model.named)}: "
+                      f"{'; '.join(e.experiment for e in t.model.named)}" for t in ties)
+    return replace(found, verdict="one_of", sentence=f"One of these, and these runs cannot say which: {told}.",
+                   causes=tuple(causes.values()), next_experiment=f"To tell them apart: {steps}.")
+
+
+def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explained,
+              rng: np.random.Generator | None) -> Diagnosis:
+    """With the gain, the extended parameters and the pictures of `best`."""
+    model, p = best.model, session.mechanism.p
+    covariance = best.covariance()
+    names = session.mechanism.names
+    found = replace(
+        found, extended=dict(zip(names, map(float, model.state.beta[:p]))),
+        extended_std=dict(zip(names, map(float, np.sqrt(np.diag(covariance)[:p])))),
+        effects=tuple(zip(model.named, model.sizes())), extended_beta=model.state.beta[:model.width].copy(),
+        extended_covariance=covariance,
+        signatures=tuple(s for e in model.named if (s := signature(session, nominal, model, e)) is not None))
+    try:
+        gain = measure_gain(session, nominal, model, rng or np.random.default_rng(0))
+    except FitError as error:
+        return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
+    if gain.ci95 is None or gain.ci95[0] <= 0.0:
+        found = replace(found, warnings=(*found.warnings, NO_GAP if gain.closed is None else UNSURE_GAP),
+                        short=in_pieces(session, nominal, model))
+    return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
+                   torque_rms_nm=gain.torque, traces=gain.traces)
+
+
+def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Cause]:
+    """Sizes with 95 % intervals by Student's t, of their own scatter between runs; none of shapes that were held or
+    are at a limit of their range."""
+    model = explained.model
+    unit = model.problem.mechanism.unit
+    half = float(student.isf(0.025, explained.left.freedom)) * np.sqrt(np.diag(explained.covariance()))
+    keys, cosines = found.separability
+    out = []
+    for effect, size, here in zip(model.named, model.sizes(), model.places()):
+        parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
+        held = effect.at_limits(size) | ((half[here][len(effect.sizes) :] == 0.0) & (not effect.whole_shapes))
+        told = np.append(np.ones(len(effect.sizes), dtype=bool), ~held)
+        sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), (float(v - d), float(v + d)))
+                      for s, v, d, known in zip(parts, size, half[here], told) if known)
+        near: tuple[str, ...] = ()
+        if effect.key in keys:
+            row = np.abs(cosines[keys.index(effect.key)])
+            near = tuple(dict.fromkeys(k.split("@")[0] for k, c in zip(keys, row)
+                                       if c > CONFUSABLE and k.split("@")[0] != effect.name))
+        out.append(Cause(effect.name, None if effect.joint is None else effect.joint + 1, effect.sentence, sizes,
+                         p_value, explained.gain, near))
+    return out
+
+
+def label(effect: str, joint: int | None) -> str:
+    """Effect and joint in words."""
+    return effect.replace("_", " ") + ("" if joint is None else f" at joint {joint}")
+
+
+def sizes_text(cause: Cause) -> str:
+    """Sizes with their intervals in words."""
+    return ", ".join(f"{s.name.replace('_', ' ')} {s.value:.3g}{'' if s.unit == '1' else ' ' + s.unit} "
+                     f"[{s.ci95[0]:.3g}, {s.ci95[1]:.3g}]" for s in cause.size)

@@ -1,0 +1,136 @@
+"""`Desk`: what the steps of a diagnosis share: session, candidates, nominal model, and when a gain counts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import FloatArray
+from estimator.diagnosis.data_split import Session
+from estimator.diagnosis.noise_check import loud, ratios, swamped
+from estimator.diagnosis.refit import Model, begin_afresh
+from estimator.diagnosis.score_statistics import RunScore, Tests
+from estimator.effects import SensorTimeSkew
+from estimator.likelihood import Candidate
+
+ALPHA = 0.01
+"""p-value, over all candidates tried, below which something is there."""
+MATERIAL = 0.01
+"""Least gain of a material effect: this much of twice the log likelihood a sample. Smaller ones can be
+significant in long records (microseconds of skew, a per mille of scale) and change no simulation."""
+CLEAR = 0.4
+"""... or this share of it where an effect of the library does not act near rest. (On 100 legs with nothing hidden such
+effects gained 39 at most, 0.0033 a sample; Stribeck friction 104.)"""
+
+
+@dataclass(frozen=True)
+class Explained:
+    """One set of effects, fitted, and what it leaves over on the discover runs."""
+
+    model: Model
+    gain: float
+    left: Tests
+    best_left: int
+    """Candidate with the largest remaining gain."""
+    best_named_left: int
+    closed: bool
+    """What it leaves is little beside its gain."""
+    clean: bool = False
+    """It leaves nothing detectable."""
+    by_run: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(R,) misfit of each discover run, under the noise levels of those that it was weighed with"""
+    bias: tuple[RunScore, ...] = ()
+    """What its scores are on average when it is right, one a discover run, its own sizes left out."""
+    inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(m,) how much more variance than white noise gives them its parameters have; see `scores.own_inflation`"""
+    beside: frozenset[str] = frozenset()
+    """Effects of the explanation that it was grown from, by one more, and ..."""
+    margin: float = 0.0
+    """... its gain over that one"""
+    moved: FloatArray | None = None
+    """(m,) by how much a sharper rounding of dry friction moved its parameters: as much again is uncertain of them"""
+
+    def covariance(self) -> FloatArray:
+        """(m, m) of the parameters that belong to the leg, from noise, scatter between runs, and rounding."""
+        model, width = self.model, self.model.width
+        spread = np.sqrt(self.inflation[:width])
+        found = np.outer(spread, spread) * model.state.covariance[:width, :width]
+        return found if self.moved is None else found + np.outer(self.moved, self.moved)
+
+
+@dataclass
+class Desk:
+    """What all steps share."""
+
+    session: Session
+    candidates: list[Candidate]
+    columns: list[NDArray[np.intp]]
+    named: int
+    """The first so many candidates are of the library."""
+    bias: list[RunScore]
+    nominal: Model
+    rng: np.random.Generator
+
+    @cached_property
+    def afresh(self) -> Model:
+        """The nominal model at filtered motion, for fits that lead nowhere from its own fit."""
+        return begin_afresh(self.session, self.nominal)
+
+    @cached_property
+    def levels(self) -> dict[str, tuple[float, float]]:
+        """Noise levels of the nominal fit; see `estimator.diagnosis.noise_check`."""
+        return ratios(self.session, self.nominal)
+
+    def too_loud(self, model: Model) -> str:
+        """What `model` leaves to the noise levels, in words; empty where that is in order."""
+        return loud(self.session, model, None if model is self.nominal else self.levels)
+
+    @cached_property
+    def swamped(self) -> str:
+        """Why nothing found does not mean that nothing is wrong; empty where it does."""
+        return swamped(self.session, self.nominal)
+
+    @property
+    def trials(self) -> int:
+        return len(self.candidates)
+
+    def gain(self, tests: Tests, i: int) -> float:
+        """Of candidate i; nil for a skew that the recorder's clocks leave open anyway."""
+        if (self.candidates[i].effect.name == SensorTimeSkew.name
+                and abs(float(tests.size(self.columns[i])[0])) < self.session.clock_bound_s):
+            return 0.0
+        return tests.gain(self.columns[i])
+
+    def material(self, which: Sequence[int]) -> float:
+        """Least gain that counts on these runs."""
+        return MATERIAL * sum(len(s.time_s) for s in self.session.signals(which))
+
+
+def least_gain(desk: Desk, i: int) -> float:
+    """Gain on the discover runs above which candidate i counts as detected."""
+    clear = i < desk.named and not desk.candidates[i].effect.near_rest
+    return (CLEAR if clear else 1.0) * desk.material(desk.session.discover)
+
+
+def detected(desk: Desk, tests: Tests) -> bool:
+    """Whether anything at all is there, named or not."""
+    return any(desk.gain(tests, i) > least_gain(desk, i) and p_of(desk, tests, i) < ALPHA for i in range(desk.trials))
+
+
+def p_of(desk: Desk, tests: Tests, i: int) -> float:
+    """p-value of candidate i over all that were tried."""
+    return min(1.0, tests.p_value(desk.columns[i]) * desk.trials)
+
+
+def best_shapes(desk: Desk, tests: Tests, skip: Sequence[str] = ()) -> list[int]:
+    """Library candidates, best shape of each effect, by falling gain."""
+    best: dict[str, int] = {}
+    for i in range(desk.named):
+        key = desk.candidates[i].effect.key
+        if key not in skip and (key not in best or desk.gain(tests, i) > desk.gain(tests, best[key])):
+            best[key] = i
+    return sorted(best.values(), key=lambda i: -desk.gain(tests, i))

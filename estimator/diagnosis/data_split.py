@@ -1,0 +1,140 @@
+"""`Session`: the runs of a diagnosis, split once into fit, screen and confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from daq import Dataset, FloatArray
+from estimator.effects import Effect
+from estimator.errors import FitError
+from estimator.fitting import noise_floors
+from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+from estimator.signals import SignalSet, split_signals
+
+ROUNDING = {"rad": 0.02, "m": 0.001}
+"""Least velocity over which sign(qd) is rounded off in a diagnosis [rad/s, or m/s on a slide]. Sharper ones describe
+rest better, but the re-fits of friction laws then do not settle (measured: still moving after 20 steps at 0.005 rad/s,
+settled at 0.03). A slide gets what a wheel of 0.05 m on such a joint would."""
+PARTS = 8
+"""Stretches into which a single run is cut."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """Runs in the order of recording, each a list of gap-free stretches."""
+
+    mechanism: Mechanism
+    options: FitOptions
+    names: tuple[str, ...]
+    runs: tuple[tuple[SignalSet, ...], ...]
+    starts_s: tuple[float, ...]
+    """Session time at which each run starts, pauses left out."""
+    fit: tuple[int, ...]
+    screen: tuple[int, ...]
+    confirm: tuple[int, ...]
+    gear_ratio: float
+    velocity_scale: float
+    """The rig's own rounding of sign(qd); the mechanism here has at least ROUNDING."""
+    single: bool
+    """One run only, cut by time: weaker evidence, for its parts are not independent."""
+    clock_bound_s: float = 0.0
+    """See `Dataset.clock_bound_s`; the largest of all runs."""
+    known: Mapping[str, float] = field(default_factory=dict)
+    """Noise levels that the rig declares: here the least that an estimate may be, for a sensor that errs shows as
+    noise first. (Measured: held at its declared level, a gyro with a bias of 0.1 rad/s drags the fit to beta = 0;
+    free, it takes the bias for noise, and beta stays within 1 %.)"""
+    workers: int = 1
+    """Processes that may work on independent fits and runs."""
+    rest: dict[int, FloatArray] = field(default_factory=dict)
+    """Run to `LatentProblem.rest`, as its first fit found it: all explanations are compared on the same weights."""
+
+    @property
+    def discover(self) -> tuple[int, ...]:
+        """Runs on which anything may be looked at more than once."""
+        return tuple(sorted(self.fit + self.screen))
+
+    @property
+    def has_imu(self) -> bool:
+        return bool(self.runs[0][0].imu)
+
+    def sharp(self) -> Session:
+        """The same with the rig's own rounding of sign(qd)."""
+        return replace(self, mechanism=replace(self.mechanism, velocity_scale=self.velocity_scale), rest={})
+
+    def floors(self, problem: ExtendedProblem, beta: FloatArray) -> Noise:
+        """Least noise levels of a fit at beta (p,)."""
+        least, known = noise_floors(problem, self.mechanism, beta), self.known
+        torque, encoder = least.torque.copy(), least.encoder.copy()
+        for j in range(self.mechanism.n):
+            name = "torque_nm" if j in self.mechanism.actuated else "passive_nm"
+            torque[j] = known.get(name, torque[j])
+            if np.isfinite(encoder[j]):
+                encoder[j] = known.get(f"encoder{j + 1}_rad", known.get("encoder_rad", encoder[j]))
+        return Noise(torque, encoder, known.get("gyro_radps", least.gyro), known.get("accel_mps2", least.accel))
+
+    def signals(self, which: Sequence[int]) -> list[SignalSet]:
+        """All stretches of these runs."""
+        return [s for i in which for s in self.runs[i]]
+
+    def problem(self, which: Sequence[int], reach: FloatArray, effects: Sequence[Effect] = (),
+                candidates: Sequence[Candidate] = (), signals: Sequence[SignalSet] | None = None) -> ExtendedProblem:
+        """Likelihood of these runs; `signals` stand in for their own (a rehearsal of them)."""
+        run = [i for i in which for _ in self.runs[i]]
+        begin = [s.time_s[0] - self.runs[i][0].time_s[0] for i in which for s in self.runs[i]]
+        stage = Stage(tuple(run), tuple(self.starts_s[i] + b for i, b in zip(run, begin)), tuple(map(float, begin)),
+                      reach, self.gear_ratio)
+        problem = ExtendedProblem(self.signals(which) if signals is None else signals, self.mechanism,
+                                  self.options.hold, stage, effects, candidates)
+        if all(i in self.rest for i in which):
+            problem.rest = np.concatenate([self.rest[i] for i in which])
+        return problem
+
+    def keep_rest(self, which: Sequence[int], problem: ExtendedProblem) -> None:
+        """Remember where the joints of these runs rest, unless that is known already."""
+        if problem.rest is None:
+            return
+        lengths = [sum(len(s.time_s) for s in self.runs[i]) for i in which]
+        for i, part in zip(which, np.split(problem.rest, np.cumsum(lengths)[:-1])):
+            self.rest.setdefault(i, part)
+
+
+def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
+                 gear_ratio: float = 1.0, workers: int = 1) -> Session:
+    """Split runs: of four in turn two fit, one screens, one confirms. Raises `FitError` where there is too little."""
+    known, options = options.noise, replace(options, noise={})
+    own_scale = mechanism.velocity_scale
+    mechanism = replace(mechanism, velocity_scale=max(own_scale, ROUNDING[mechanism.length_unit]))
+    single = len(datasets) == 1
+    if single:
+        datasets = _parts(datasets[0])
+    runs = [tuple(split_signals([d], mechanism, options)) for d in datasets]
+    if not any(np.any(s.torque) for run in runs for s in run):
+        raise FitError("every torque is zero, so the scale of the parameters is not determined")
+    rates = {s.rate_hz for run in runs for s in run}
+    if len(rates) > 1:
+        raise FitError("the runs are on grids of different rates; give one rate_hz under [sampling]")
+    lengths = [sum(len(s.time_s) for s in run) / run[0].rate_hz for run in runs]
+    if sum(lengths) < 8.0:
+        raise FitError(f"{sum(lengths):.1f} s of data cannot support a diagnosis; record at least 8 s, better eight "
+                       "runs of 20 s")
+    starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
+    count = len(runs)
+    confirm = [i for i in range(count) if i % 4 == 3] or [count - 1]
+    screen = [i for i in range(count) if i % 4 == 1 and i not in confirm]
+    fit = [i for i in range(count) if i not in confirm and i not in screen]
+    return Session(mechanism, options, tuple(d.name for d in datasets), tuple(runs), tuple(map(float, starts)),
+                   tuple(fit), tuple(screen), tuple(confirm), gear_ratio, own_scale, single,
+                   max(d.clock_bound_s for d in datasets), known, workers)
+
+
+def _parts(data: Dataset) -> list[Dataset]:
+    edges = np.linspace(0, len(data), PARTS + 1).astype(int)
+    cuts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+    return [replace(data.part(cut), name=f"{data.name}[{data.time_s[cut.start]:.1f}-{data.time_s[cut.stop - 1]:.1f} s]")
+            for cut in cuts]

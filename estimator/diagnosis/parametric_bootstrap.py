@@ -1,0 +1,61 @@
+"""`rehearse`: records that a fitted model would have given, with its own noise and quantisers.
+
+What a score is on average when nothing is wrong is not exactly zero: quantisers, the sampling of reversals and
+the smoothing leave traces. They are measured on rehearsals and taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.errors import FitError
+from estimator.likelihood import ExtendedProblem, FreeRun, State, free_run
+from estimator.signals import IMU_COLUMNS, SignalSet, quantum
+
+
+def perform(problem: ExtendedProblem, state: State, rng: np.random.Generator) -> FreeRun:
+    """What the model does under the torque in `state`; always the same where no joint is passive.
+
+    Raises `FitError` where its simulation does not stay with the run.
+    """
+    drive = problem.motor_torque(state.x, state.beta)
+    for j in problem.mechanism.passive:  # what the fit put there is what the model gets wrong
+        drive[:, j] = state.noise.torque[j] * rng.normal(size=problem.total)
+    run = free_run(problem, state, drive)
+    if run is None:
+        raise FitError("the fitted model's own simulation diverges")
+    return run
+
+
+def rehearse(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet], rng: np.random.Generator,
+             run: FreeRun | None = None) -> list[SignalSet]:
+    """One synthetic record for each stretch in `signals` of `run`, by default a new one.
+
+    Angles fall on the grid of the real encoder where it shows one; the other noise is white at the levels
+    found. Raises `FitError` as `perform` does.
+    """
+    run = run or perform(problem, state, rng)
+    out = []
+    noise = state.noise
+    for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):
+        angles = s.angles.copy()
+        for j in map(int, np.flatnonzero(problem.has_encoder)):
+            true = run.readings[f"encoder{j + 1}"][where]
+            grid = quantum(s.angles[:, j])
+            if grid > 0.0 and noise.encoder[j] < grid:
+                angles[:, j] = np.round(true / grid) * grid
+            else:
+                angles[:, j] = true + noise.encoder[j] * rng.normal(size=true.shape)
+        torque = np.zeros_like(s.torque)
+        for j in problem.mechanism.actuated:
+            torque[:, j] = run.readings[f"torque{j + 1}"][where] + noise.torque[j] * rng.normal(size=len(where))
+        imu = {}
+        if problem.has_imu:
+            for column, channel in zip(IMU_COLUMNS, ("gyro", "accel_x", "accel_y")):
+                level = noise.gyro if channel == "gyro" else noise.accel
+                imu[column] = run.readings[channel][where] + level * rng.normal(size=len(where))
+        out.append(replace(s, angles=angles, torque=torque, imu=imu))
+    return out

@@ -1,0 +1,146 @@
+"""`Diagnosis`: what a diagnosis found, in the contract's terms, with what a report draws from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.effects import Effect
+
+
+@dataclass(frozen=True)
+class SizeEstimate:
+    """One size of a cause with its 95 % interval."""
+
+    name: str
+    unit: str
+    value: float
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One named (or possible) cause."""
+
+    effect: str
+    joint: int | None
+    """1-based, None for effects of the whole rig."""
+    sentence: str
+    size: tuple[SizeEstimate, ...]
+    p_value: float
+    gain: float
+    """Twice the log likelihood that it gains on the discover runs, over the scatter."""
+    confusable_with: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One effect of the library as scored before any re-fit."""
+
+    effect: str
+    joint: int | None
+    score: float
+    """Root of the gain: like a number of standard deviations."""
+    p_value: float
+    """Over all effects and shapes tried."""
+    size: float
+    """One-step estimate of its first size."""
+    smallest_detectable: float
+    """Infinite where the nominal parameters imitate it in these runs."""
+    unit: str
+
+
+@dataclass(frozen=True)
+class SensorGain:
+    """Free-run error of one sensor on the confirm runs."""
+
+    before: float
+    after: float
+    floor: float
+    """What noise alone would leave: rehearsals of the extended model."""
+
+
+@dataclass(frozen=True)
+class ShortRuns:
+    """Errors on the confirm runs where each is simulated in pieces, every one from the motion that was fitted there."""
+
+    horizon_s: float
+    sensors: Mapping[str, SensorGain]
+    closed: float | None
+    ci95: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Signature:
+    """Residual of one cause against its natural variable on the discover runs, before and after."""
+
+    title: str
+    x_label: str
+    y_label: str
+    x: FloatArray
+    """(m,) bin centres"""
+    before: FloatArray
+    """(m,) mean residual torque or reading of the nominal model in the bin"""
+    before_error: FloatArray
+    """(m,) its standard error"""
+    curve: FloatArray
+    """(m,) what the extended model adds there"""
+    after: FloatArray
+    """(m,) mean residual of the extended model"""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One confirm run over time: measured, simulated before and after."""
+
+    run: str
+    time_s: FloatArray
+    measured: Mapping[str, FloatArray]
+    before: Mapping[str, FloatArray]
+    after: Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The whole answer; see contracts, diagnosis JSON."""
+
+    verdict: str
+    """none | named | one_of | unexplained | fit_failed"""
+    sentence: str
+    """The verdict in one sentence for a person."""
+    causes: tuple[Cause, ...] = ()
+    candidates: tuple[Ranked, ...] = ()
+    confirm_runs: tuple[str, ...] = ()
+    sensors: Mapping[str, SensorGain] = field(default_factory=dict)
+    """Column to its free-run error."""
+    torque_rms_nm: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+    """rms of the equation's residual torque by joint, before and after."""
+    gap_closed: float | None = None
+    gap_closed_ci95: tuple[float, float] | None = None
+    nominal: Mapping[str, float] = field(default_factory=dict)
+    nominal_std: Mapping[str, float] = field(default_factory=dict)
+    extended: Mapping[str, float] = field(default_factory=dict)
+    extended_std: Mapping[str, float] = field(default_factory=dict)
+    not_testable: Mapping[str, str] = field(default_factory=dict)
+    runs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """fit, screen, confirm to run names"""
+    warnings: tuple[str, ...] = ()
+    next_experiment: str = ""
+    separability: tuple[tuple[str, ...], FloatArray] = ((), np.zeros((0, 0)))
+    """Effect labels and the cosines (k, k) between what they would add, nominal parameters projected out."""
+    signatures: tuple[Signature, ...] = ()
+    traces: tuple[Trace, ...] = ()
+    effects: tuple[tuple[Effect, FloatArray], ...] = ()
+    """The extension itself, for the saved model."""
+    extended_beta: FloatArray = field(default_factory=lambda: np.zeros(0))
+    extended_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    """(p + sizes, p + sizes)"""
+    noise: Mapping[str, float] = field(default_factory=dict)
+    reach: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    """(n, 2) range of each joint's angle over the runs that were fitted: what the effects' sizes refer to."""
+    short: ShortRuns | None = None
+    """Only where free runs over whole runs cannot show the gain."""
+    wall_s: float = 0.0

@@ -1,0 +1,188 @@
+"""Score tests: what a small effect of each kind would gain, nominal parameters and motion projected out.
+
+At a fit, the derivative of the log likelihood by an effect's size (its score) has mean zero unless the effect
+is there. The latents are eliminated exactly (Schur complement); the nominal parameters are projected out over
+the pooled runs. Runs are independent, samples are not: the scatter of scores between runs sets how much the
+white-noise variance is too small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+from scipy.stats import f as fisher
+
+from daq import FloatArray
+from estimator.likelihood import Candidate, ExtendedProblem, State
+from estimator.numerics import eliminate
+
+HIDDEN = 1e-5
+"""A candidate that the nominal parameters imitate but for this share is not tested: what is left is rounding. Nor is
+a combination of its sizes: on one run a drift over the session and one within the run are the same."""
+WEAK = 0.05
+"""A combination of sizes of which runs know less than this share of what the lender of their scatter does is not
+tested on them: over two runs a drift over the session and one within the run nearly agree, and their difference is
+rounding. (Measured: gain 118 from scores that were each about one standard deviation.)"""
+PRIOR_RUNS = 8
+"""Runs that the pooled scatter counts for beside a candidate's own."""
+
+
+@dataclass(frozen=True)
+class RunScore:
+    """Score and information of one run for nuisance parameters, then candidate columns."""
+
+    score: FloatArray
+    """(m,)"""
+    information: FloatArray
+    """(m, m)"""
+
+
+def score_run(problem: ExtendedProblem, state: State) -> RunScore:
+    """Score and information of the problem's candidates at the smoothed motion in `state`."""
+    point = problem.linearise(state.x, state.beta, state.noise)
+    product = eliminate(point.chain).product()
+    return RunScore(product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:])
+
+
+def score_alone(problem: ExtendedProblem, state: State) -> FloatArray:
+    """`score_run` without the information, for a third of the time."""
+    point = problem.linearise(state.x, state.beta, state.noise)
+    step = eliminate(point.chain.first(1)).solution(np.ones(1))
+    return np.asarray(point.chain.flat_right(slice(1, None)).T @ step.ravel() - point.gradient_beta)
+
+
+@dataclass(frozen=True)
+class Tests:
+    """Efficient scores of all candidate columns, by run and pooled."""
+
+    by_run: FloatArray
+    """(R, c)"""
+    run_information: FloatArray
+    """(R, c, c)"""
+    score: FloatArray
+    """(c,)"""
+    information: FloatArray
+    """(c, c)"""
+    inflation: FloatArray
+    """(c,) how much the scores scatter between runs over what white noise would make them."""
+    freedom: float
+    """Degrees of freedom of `inflation`."""
+    before: FloatArray
+    """(c,) information before the nuisance parameters were projected out."""
+    lender: FloatArray | None = None
+    """(c, c) information of the runs that lent their scatter."""
+
+    @property
+    def scatter(self) -> float:
+        """How much more variance than white noise all that is tested has between runs: the median of `inflation`."""
+        return float(np.median(self.inflation))
+
+    def gain(self, columns: NDArray[np.intp]) -> float:
+        """Twice the log likelihood that these columns would gain, over the scatter's inflation."""
+        size = self.size(columns)
+        return float(size @ self.score[columns]) / float(np.mean(self.inflation[columns]))
+
+    def size(self, columns: NDArray[np.intp]) -> FloatArray:
+        """One-step estimate of the sizes of these columns."""
+        information = self.information[np.ix_(columns, columns)]
+        scale = np.sqrt(np.maximum(self.before[columns], 1e-300))
+        values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+        good = values > np.maximum(HIDDEN, 1e-8 * values[-1])
+        if self.lender is not None:
+            lent = self.lender[np.ix_(columns, columns)] / np.outer(scale, scale)
+            good &= values > WEAK * np.einsum("ik,ij,jk->k", vectors, lent, vectors)
+        projected = vectors[:, good].T @ (self.score[columns] / scale)
+        return np.asarray((vectors[:, good] / values[good]) @ projected / scale)
+
+    def p_value(self, columns: NDArray[np.intp]) -> float:
+        """Of the gain under no effect: F with the scatter's degrees of freedom."""
+        k = len(columns)
+        return float(fisher.sf(self.gain(columns) / k, k, self.freedom))
+
+    def detectable(self, column: int, p: float, gain: float) -> float:
+        """Size of one column that would give this p-value, and this gain, on average; inf for a hidden one."""
+        if self.information[column, column] <= 0.0:
+            return float("inf")
+        needed = max(float(fisher.isf(p, 1, self.freedom)), gain) * float(self.inflation[column])
+        return float(np.sqrt(needed / self.information[column, column]))
+
+
+def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | None = None,
+            scatter: Tests | None = None) -> Tests:
+    """Efficient scores with the first `nuisance` parameters projected out over all `runs`.
+
+    `bias`, if given, holds for each run the mean score of rehearsals of the fitted model, which is subtracted.
+    `scatter` lends its inflation, and its judgement of what can be known, to a set with few runs.
+    """
+    total = np.sum([r.information for r in runs], axis=0)
+    carry = _inverse(total[:nuisance, :nuisance]) @ total[:nuisance, nuisance:]
+    by_run, informations = [], []
+    for i, r in enumerate(runs):
+        s = r.score - bias[i].score if bias is not None else r.score
+        by_run.append(s[nuisance:] - carry.T @ s[:nuisance])
+        cross = r.information[nuisance:, :nuisance] @ carry
+        informations.append(r.information[nuisance:, nuisance:] - cross - cross.T
+                            + carry.T @ r.information[:nuisance, :nuisance] @ carry)
+    scores, information = np.array(by_run), np.array(informations)
+    hidden = np.einsum("rcc->c", information) < HIDDEN * np.diag(total)[nuisance:]
+    scores[:, hidden] = 0.0
+    information[:, hidden], information[:, :, hidden] = 0.0, 0.0
+    pooled = information.sum(axis=0)
+    if scatter is not None:
+        inflation, freedom, lender = scatter.inflation, scatter.freedom, scatter.information
+    else:
+        inflation, freedom = _inflation(scores, np.einsum("rcc->rc", information))
+        lender = None
+    return Tests(scores, information, scores.sum(axis=0), pooled, inflation, freedom, np.diag(total)[nuisance:].copy(),
+                 lender)
+
+
+def own_inflation(runs: Sequence[RunScore], free: NDArray[np.bool_], least: float) -> FloatArray:
+    """(m,) by how much the model's own first m parameters, as far as `free`, scatter between runs over what white
+    noise would make them; towards their median, which is not taken below `least`.
+
+    Noise of the torque that lasts longer than a sample scatters a moment of gravity more than it does a bias of the
+    gyro. The efficient score of one parameter has all others projected out: by the inverse C of the pooled
+    information, s_k = (C s)_k / C_kk.
+    """
+    out = np.full(free.size, least)
+    which = np.flatnonzero(free)
+    informations = np.array([r.information[np.ix_(which, which)] for r in runs])
+    inverse = _inverse(informations.sum(axis=0))
+    rows = inverse / np.diag(inverse)[:, None]
+    scores = np.array([r.score[which] for r in runs]) @ rows.T
+    out[which], _ = _inflation(scores, np.einsum("ki,rij,kj->rk", rows, informations, rows), least)
+    return out
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Inverse (m, m) of a pooled information; what runs hardly know of gets a large variance, no infinite one."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    both = np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(information / both)
+    return np.asarray((vectors / np.maximum(values, 1e-12)) @ vectors.T / both)
+
+
+def _inflation(scores: FloatArray, own: FloatArray, least: float = 1.0) -> tuple[FloatArray, float]:
+    """Scatter of the scores (R, c), with information `own` (R, c), about their share of the pooled score, shrunk
+    towards the columns' median."""
+    runs = scores.shape[0]
+    own = np.maximum(own, 1e-100)
+    share = own / own.sum(axis=0)
+    excess = scores - share * scores.sum(axis=0)
+    if runs < 2:
+        return np.full(scores.shape[1], least), float(PRIOR_RUNS)
+    variance = np.sum(excess**2 / own, axis=0) / (runs - 1)
+    common = max(least, float(np.median(variance)) / float(chi2.median(runs - 1) / (runs - 1)))
+    inflation = (PRIOR_RUNS * common + (runs - 1) * variance) / (PRIOR_RUNS + runs - 1)
+    return np.maximum(inflation, 1.0), float(PRIOR_RUNS + runs - 1)
+
+
+def columns_of(candidates: Sequence[Candidate]) -> list[NDArray[np.intp]]:
+    """Column numbers of each candidate."""
+    stops = np.cumsum([c.width for c in candidates])
+    return [np.arange(b - c.width, b) for c, b in zip(candidates, stops)]

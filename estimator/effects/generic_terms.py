@@ -1,0 +1,98 @@
+"""Terms without a name: what no effect of the library would leave behind, but something else might.
+
+They serve the closure test. A verdict stands only where neither a listed effect nor one of these finds more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.effects.base import Effect, Perturbation, Points, Size, View
+from estimator.model import Mechanism
+
+Law = Callable[[Points, int], FloatArray]
+Reading = Callable[[View], FloatArray]
+
+TORQUE_LAWS: dict[str, Law] = {
+    "cos q": lambda at, j: np.cos(at.q[j]),
+    "sin 2q": lambda at, j: np.sin(2 * at.q[j]),
+    "q^3": lambda at, j: at.q[j] ** 3,
+    "v^2": lambda at, j: at.v[j] ** 2,
+    "v^3": lambda at, j: at.v[j] ** 3,
+    "q v": lambda at, j: at.q[j] * at.v[j],
+    "q^2 v": lambda at, j: at.q[j] ** 2 * at.v[j],
+    "q sign v": lambda at, j: at.q[j] * at.sign[j],
+    "|q| sign v": lambda at, j: np.abs(at.q[j]) * at.sign[j],
+    "slow v": lambda at, j: at.v[j] * np.exp(-((at.v[j] / 0.5) ** 2)),
+    "other's v": lambda at, j: at.v[1 - j] if len(at.v) > 1 else at.v[j] ** 5,
+    "other's sign": lambda at, j: at.sign[1 - j] if len(at.v) > 1 else at.v[j] ** 4,
+    "other's q": lambda at, j: at.q[1 - j] if len(at.v) > 1 else at.q[j] ** 2,
+    "time": lambda at, j: at.time_s + 0.0 * at.q[j],
+    "session": lambda at, j: at.session_s + 0.0 * at.q[j],
+    "session sign v": lambda at, j: at.session_s * at.sign[j] * 0.01,
+    "u^2": lambda at, j: at.u[-1] ** 2,
+    "low u": lambda at, j: np.tanh(at.u[-1] / 0.1),
+    "a^2": lambda at, j: at.a[j] ** 2 * 0.01,
+}
+READINGS: dict[str, Reading] = {
+    "q1": lambda v: v.samples.q[0], "v1": lambda v: v.samples.v[0], "a1": lambda v: v.samples.a[0],
+    "v1^2": lambda v: v.samples.v[0] ** 2, "u": lambda v: v.samples.u[-1], "q2": lambda v: v.samples.q[-1],
+    "v2": lambda v: v.samples.v[-1], "a2": lambda v: v.samples.a[-1], "u^2": lambda v: v.samples.u[-1] ** 2,
+    "q1^2": lambda v: v.samples.q[0] ** 2, "time": lambda v: v.samples.time_s,
+}
+
+
+class AnonymousTorque(Effect):
+    """size * law(motion) on one joint."""
+
+    sizes = (Size("size", "N m", 0.01),)
+    sentence = reference = experiment = ""
+
+    def __init__(self, joint: int, label: str, law: Law) -> None:
+        super().__init__(joint)
+        self.label, self._law = label, law
+
+    name = "unnamed_torque"
+
+    @property
+    def key(self) -> str:
+        return f"{self.label}@{(self.joint or 0) + 1}"
+
+    def perturb(self, view: View, size: FloatArray) -> Perturbation:
+        j = self.joint or 0
+        gauss, samples = np.zeros_like(view.gauss.q), np.zeros_like(view.samples.q)
+        gauss[j] = size[0] * self._law(view.gauss, j)
+        samples[j] = size[0] * self._law(view.samples, j)
+        return Perturbation(gauss, samples)
+
+
+class AnonymousReading(Effect):
+    """size * law(motion) on one sensor."""
+
+    sizes = (Size("size", "1", 0.01),)
+    sentence = reference = experiment = ""
+    name = "unnamed_reading"
+
+    def __init__(self, channel: str, label: str, law: Reading) -> None:
+        super().__init__(None)
+        self.channel, self.label, self._law = channel, label, law
+
+    @property
+    def key(self) -> str:
+        return f"{self.label} in {self.channel}"
+
+    def perturb(self, view: View, size: FloatArray) -> Perturbation:
+        return Perturbation(readings={self.channel: size[0] * self._law(view)})
+
+
+def battery(mechanism: Mechanism, has_imu: bool) -> list[Effect]:
+    """All terms without a name that make sense on this rig."""
+    found: list[Effect] = [AnonymousTorque(j, label, law) for j in range(mechanism.n)
+                           for label, law in TORQUE_LAWS.items()]
+    channels = ["gyro", "accel_x", "accel_y", f"encoder{mechanism.n}"] if has_imu else \
+        [f"encoder{j + 1}" for j in range(mechanism.n)]
+    found += [AnonymousReading(c, label, law) for c in channels for label, law in READINGS.items()]
+    return found

@@ -1,0 +1,33 @@
+"""The Cramer-Rao bound of a record: how well beta could be known from it by any unbiased estimator."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.likelihood import LatentProblem, Latents, Noise
+from estimator.model import Mechanism
+from estimator.numerics import banded_cholesky
+from estimator.signals import IMU_COLUMNS, SignalSet
+
+
+def cramer_rao(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatArray, torque: FloatArray,
+               rate_hz: float, hold: str, noise: Noise) -> FloatArray:
+    """Smallest covariance (p, p) of beta (p,) on the true motion q, qd and torque (N, n) of one record.
+
+    Posed as `mle` poses it: the motion obeys the equation of motion, its states and the true torque are unknown
+    and eliminated, encoders, torque and IMU carry white noise of the levels in `noise` (an encoder with an
+    infinite level is not there, nor is an IMU with an infinite gyro level). Raises numpy.linalg.LinAlgError where
+    the record leaves a direction of beta undetermined.
+    """
+    angles = np.where(np.isfinite(noise.encoder), q, np.nan)
+    imu = {name: np.zeros(len(q)) for name in IMU_COLUMNS} if np.isfinite(noise.gyro) else {}
+    signals = SignalSet("truth", rate_hz, np.arange(len(q)) / rate_hz, angles, torque, imu)
+    problem = LatentProblem([signals], mechanism, hold)
+    point = problem.linearise(Latents(q, qd, torque), beta, noise)
+    border = point.chain.flat_right(slice(1, None))
+    eliminated = banded_cholesky.solve(banded_cholesky.factor(point.chain.diagonal, point.chain.lower), border)
+    information = point.corner - border.T @ eliminated
+    scale = 1.0 / np.sqrt(np.diag(information))
+    covariance = np.linalg.inv(0.5 * (information + information.T) * np.outer(scale, scale))
+    return np.asarray(covariance * np.outer(scale, scale), dtype=np.float64)

@@ -1,0 +1,60 @@
+"""`fit`: one door to every estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from daq import Dataset
+from estimator.errors import FitError
+from estimator.fitting.excitation import LEAST_POWER, LEAST_POWER_MLE, undetermined_by_design
+from estimator.fitting.hekf import fit_hekf
+from estimator.fitting.mle import fit_mle
+from estimator.fitting.mle_free import fit_mle_free
+from estimator.fitting.profile_likelihood import suits
+from estimator.fitting.rls import fit_rls
+from estimator.fitting.wls import fit_wls
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+from estimator.result import FitResult
+from estimator.signals import split_signals
+
+Estimator = Callable[[Sequence[Dataset], Mechanism, FitOptions], FitResult]
+ESTIMATORS: dict[str, Estimator] = {"mle": fit_mle, "wls": fit_wls, "rls": fit_rls, "hekf": fit_hekf}
+METHODS = ("mle", "wls", "rls", "hekf")
+
+
+def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str = "mle") -> FitResult:
+    """Identify `mechanism` from `datasets` by `method`; raises `FitError` where the data cannot answer.
+
+    What the data leaves undetermined is named in the result, or in the error, by the regressor's excitation
+    (`excitation`): with noise for motion, methods other than `mle` are sure of what they do not know, and so
+    is an `mle` that estimates its noise levels and has put the torque down to noise. Where all levels are given its
+    covariance can be relied on.
+
+    >>> fit([run], leg2(lever_arm=0.2), FitOptions(sensors="imu")).beta  # doctest: +SKIP
+    """
+    try:
+        result = estimate(datasets, mechanism, options, method)
+    except FitError as error:
+        names = undetermined_by_design(datasets, mechanism, options)
+        if not names:
+            raise
+        raise FitError(f"this data does not determine {', '.join(names)}: move every joint, or give parameters with "
+                       f"--fix NAME=VALUE ({error})") from None
+    if result.method == "mle" and suits(split_signals(datasets, mechanism, options), mechanism, options):
+        return result
+    sound = result.method == "mle" and result.converged
+    names = undetermined_by_design(datasets, mechanism, options, LEAST_POWER_MLE if sound else LEAST_POWER)
+    return replace(result, undetermined=names or result.undetermined)
+
+
+def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str) -> FitResult:
+    """`fit` without a look at the excitation; for many records of one experiment."""
+    if method not in ESTIMATORS:
+        raise FitError(f"method {method!r} is none of {', '.join(ESTIMATORS)}")
+    run = fit_mle_free if method == "mle" and options.latent == "free" else ESTIMATORS[method]
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that runs away is found out by itself
+        return run(datasets, mechanism, options)

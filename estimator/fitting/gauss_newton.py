@@ -1,0 +1,185 @@
+"""`iterate`: the most likely motion, parameters and noise levels together, by Gauss-Newton.
+
+Each step eliminates the latents exactly (odd-even Cholesky, or one compiled sweep) and renews the noise levels from
+the residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import FloatArray
+from estimator.errors import FitError
+from estimator.likelihood import LatentProblem, Noise, State
+from estimator.numerics import eliminate, jit
+from estimator.options import FitOptions
+
+MAX_ITERATIONS = 60
+TOLERANCE = 0.05
+"""Converged when a step moves no parameter by more than this share of its standard deviation."""
+ANGLE_TOLERANCE = 1e-6
+"""Converged, where no parameter is free, when no angle moves by more than this [rad]."""
+ROUGH = 0.5
+"""As TOLERANCE, once, where only a start for a longer record is wanted: its standard deviations are smaller."""
+SAME_NOISE = 0.003
+"""Noise levels that changed by less than this share leave what the latents take of each channel as it was."""
+LOOSE_AFTER = 15
+LOOSE = 0.15
+"""After so many steps this share of a standard deviation will do: a joint that reverses, or rests, close to a
+sample makes the last digits swing."""
+TORQUE_SHARE = 0.4
+"""Most of a measured torque's spread that may be noise, and ..."""
+PASSIVE_SHARE = 0.1
+"""... the least model error of a passive joint as a share of the driven joints' noise. Without both a model that
+is far wrong ends at beta = 0, where the passive joint's equation holds exactly and all torque is noise."""
+REST_STEPS = 8
+"""Steps in which rest is sought anew; then it is kept, so that the fit can settle."""
+PASSIVE_WAIT = 1
+STEEP = 0.95
+PASSIVE_HASTE = 4.0
+"""Where a passive joint's model error is nil its level falls by a constant factor a step; after PASSIVE_WAIT
+steps a fall steeper than STEEP is taken to this power."""
+MARGIN = 1.1
+"""On the misfit that a step foresees at the samples: the Gauss points add to it, and it may still grow."""
+
+
+def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions,
+            floors: Noise | None, limit: int = MAX_ITERATIONS, rough: bool = False) -> None:
+    """Gauss-Newton on latents and the `free` parameters together, noise levels renewed each step.
+
+    `floors` None keeps the noise levels; `rough` ends the search at ROUGH. Sets `state.converged`; raises `FitError`.
+    """
+    index = np.flatnonzero(free)
+    settled, share, lowest, change = 0, 1.0, np.inf, 0.0
+    before = np.zeros(index.size)
+    taken: Mapping[str, FloatArray] | None = None
+    finds_rest = problem.rest is None
+    state.lowest = np.inf
+    problem.foreseen = None if state.misfit is None else MARGIN * problem.total * state.misfit
+    for iteration in range(limit):
+        state.iterations = iteration + 1
+        if finds_rest and iteration < REST_STEPS:
+            problem.rest = problem.rest_variance(state.x.v, state.beta)
+        jit.note(problem.total)
+        point = problem.linearise(state.x, state.beta, state.noise)
+        if floors is None:
+            state.lowest = min(state.lowest, point.objective)
+        try:
+            solved = eliminate(point.chain)
+        except np.linalg.LinAlgError:
+            raise FitError("the equations of the fit became singular; the motion is not excited enough") from None
+        product = solved.product()
+        information = point.corner[np.ix_(index, index)] - product[np.ix_(1 + index, 1 + index)]
+        covariance = _pseudo_inverse(information)
+        step_beta = -covariance @ (point.gradient_beta[index] - product[1 + index, 0])
+        weights = np.zeros(point.chain.width)
+        weights[0], weights[1 + index] = 1.0, step_beta
+        step = -solved.solution(weights)
+        if iteration > 2:  # the first steps come from far off and their noise levels are rough
+            along = float(step_beta @ information @ before)
+            swings = along < -0.25 * float(before @ information @ before)
+            share = max(0.1, 0.5 * share) if swings or point.objective > 1.05 * lowest else min(1.0, 1.2 * share)
+            lowest = min(lowest, point.objective)
+        before = step_beta
+        damping = _shortest(step[:, : problem.n], share)
+        state.x = state.x.moved(damping * step)
+        state.beta = state.beta.copy()
+        state.beta[index] += damping * step_beta
+        state.covariance = np.zeros((state.beta.size, state.beta.size))
+        state.covariance[np.ix_(index, index)] = covariance
+        if not np.isfinite(state.beta).all():
+            raise FitError("the fit ran away; the starting values are too far from the data")
+        residuals = problem.residuals_after(point, step, step_beta, index)
+        if floors is not None:
+            if taken is None or change > SAME_NOISE:
+                taken = problem.effective_samples(point, solved.inverse_diagonal(), state.noise)
+            change = _update_noise(problem, state, taken, residuals, options, floors)
+        share_left = np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / problem.torque_variance(state.noise))
+        state.misfit = np.minimum(share_left / problem.total, 1.0)
+        problem.foreseen = MARGIN * problem.total * state.misfit
+        std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        moved = damping * float(np.max(np.abs(step_beta) / std, initial=0.0))
+        if not index.size:
+            moved = float(np.max(np.abs(step[:, : problem.n]))) / ANGLE_TOLERANCE * TOLERANCE
+        enough = ROUGH if rough else TOLERANCE if iteration < LOOSE_AFTER else LOOSE
+        settled = settled + 1 if moved < enough and change < (0.1 if rough else 0.01) else 0
+        del point, solved  # before the next ones are made: they are large
+        if settled >= (1 if rough else 2):
+            state.converged = True
+            break
+    problem.foreseen = None
+
+
+def most_noise(problem: LatentProblem, joint: int, floors: Noise) -> float:
+    """Highest noise level that a driven joint's measured torque is allowed."""
+    return TORQUE_SHARE * float(problem.torque_spread[joint]) + float(floors.torque[joint])
+
+
+def mistakes_torque(problem: LatentProblem, state: State, floors: Noise) -> bool:
+    """Whether the fit took as much of a driven joint's torque for noise as it is allowed: no model of the rig."""
+    return any(state.noise.torque[j] > 0.99 * most_noise(problem, j, floors) for j in problem.mechanism.actuated)
+
+
+def _pseudo_inverse(information: FloatArray) -> FloatArray:
+    """Inverse of a positive semidefinite matrix with unscaled columns; near-null directions get a huge variance."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-100))
+    scaled = information / np.outer(scale, scale)
+    if not np.isfinite(scaled).all():
+        raise FitError("the fit ran away; the starting values are too far from the data")
+    values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(values, 1e-13)
+    return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
+
+
+def _shortest(angles: FloatArray, share: float) -> float:
+    """`share`, less where an angle would move by more than 0.5 rad: a linearisation means little there."""
+    biggest = share * float(np.max(np.abs(angles)))
+    return share if biggest < 0.5 else share * 0.5 / biggest
+
+
+def _update_noise(problem: LatentProblem, state: State, taken: Mapping[str, FloatArray],
+                  residuals: Mapping[str, FloatArray], options: FitOptions, floors: Noise) -> float:
+    """sigma^2 = sum r^2 / (samples - those `taken` by the latents); returns the largest relative change.
+
+    `residuals` are those after a whole step: they belong to the same noise levels as the degrees of freedom do.
+    Mixing them with the residuals before it, or after a part of it, makes the levels swing with period two.
+    """
+    weight = problem.torque_weight(state.noise)
+    known, old = options.noise, state.noise
+    actuated = problem.mechanism.actuated
+
+    def level(r: FloatArray, gamma: float, floor: float, previous: float, haste: float = 1.0,
+              count: float | None = None) -> float:
+        size = r.size if count is None else count
+        freedom = max(size - gamma, 0.002 * size)
+        ratio = float(np.sqrt(np.vdot(r, r) / freedom)) / previous
+        value = previous * ratio ** (haste if ratio < STEEP else 1.0)
+        return max(floor, float(np.clip(value, previous / 2.0, previous * 3.0)))
+
+    torque, encoder = old.torque.copy(), old.encoder.copy()
+    for j in range(problem.n):
+        if ("torque_nm" if j in actuated else "passive_nm") not in known:
+            r, count = weight[:, j] * residuals["torque"][:, j], float(weight[:, j].sum())
+            haste = 1.0 if j in actuated or state.iterations <= PASSIVE_WAIT else PASSIVE_HASTE
+            torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j], haste, count)
+            if j in actuated:
+                torque[j] = min(torque[j], most_noise(problem, j, floors))
+        if problem.has_encoder[j] and options.encoder_noise(int(j)) is None:
+            r = residuals["encoder"][:, j]
+            encoder[j] = level(r, float(taken["encoder"][j]), floors.encoder[j], old.encoder[j])
+    driven = [torque[j] for j in actuated]
+    most = max((TORQUE_SHARE * float(problem.torque_spread[j]) for j in actuated), default=np.inf) or np.inf
+    for j in problem.mechanism.passive:
+        if driven:
+            torque[j] = min(max(torque[j], PASSIVE_SHARE * min(driven)), most)
+    gyro, accel = old.gyro, old.accel
+    if problem.has_imu and "gyro_radps" not in known:
+        gyro = level(residuals["gyro"], float(taken["gyro"][0]), floors.gyro, old.gyro)
+    if problem.has_imu and "accel_mps2" not in known:
+        accel = level(residuals["accel"], float(taken["accel"][0]), floors.accel, old.accel)
+    state.noise = Noise(torque, encoder, gyro, accel)
+    pairs = [(torque, old.torque), (encoder, old.encoder), (np.array([gyro, accel]), np.array([old.gyro, old.accel]))]
+    return max(float(np.max(np.abs(np.log(a[np.isfinite(a)] / b[np.isfinite(a)])), initial=0.0)) for a, b in pairs)

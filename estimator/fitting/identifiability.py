@@ -1,0 +1,89 @@
+"""Which parameters, or combinations of them, a record cannot determine.
+
+A combination is named by a direction: "beta2 -0.8*beta3" are amounts by which the parameters can change together
+without this data noticing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from daq import FloatArray
+from estimator.model import Mechanism
+
+LARGEST_STD = 0.5
+"""A direction whose standard deviation exceeds this share of its scale is undetermined."""
+SAME_DIRECTION = 0.3
+"""Sine of the angle below which two directions count as one."""
+SMALL_SHARE = 0.1
+"""Parameters that take part by less than this share of the one that leads are left out of a name."""
+
+
+def undetermined(mechanism: Mechanism, beta: FloatArray, covariance: FloatArray,
+                 free: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Names of parameters or combinations whose uncertainty exceeds what the rest of the model makes plausible.
+
+    The covariance (p, p) is judged in the units of `plausible_sizes`.
+    """
+    index = np.flatnonzero(free)
+    if index.size and not np.isfinite(covariance[np.ix_(index, index)]).all():
+        return tuple(mechanism.names[k] for k in index if not np.isfinite(covariance[k]).all())
+    scale = plausible_sizes(mechanism, beta)
+    return name_directions(mechanism.names, uncertain_directions(covariance, scale, free), scale)
+
+
+def uncertain_directions(covariance: FloatArray, scale: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+    """(p, k) orthonormal, in units of `scale` (p,): those with a standard deviation above `LARGEST_STD`.
+
+    A free parameter without any variance was not seen at all: its column of the regressor is zero.
+    """
+    index = np.flatnonzero(free)
+    scaled = covariance[np.ix_(index, index)] / np.outer(scale[index], scale[index])
+    unseen = np.diag(scaled) <= 0.0
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    out = np.zeros((scale.size, index.size))
+    out[index] = vectors
+    alone = np.eye(scale.size)[:, index[unseen]]
+    return np.hstack([alone, out[:, values > LARGEST_STD**2]])
+
+
+def name_directions(names: tuple[str, ...], directions: FloatArray, scale: FloatArray) -> tuple[str, ...]:
+    """One name for each independent direction (p, k), given in units of `scale` (p,).
+
+    Any basis of the same space says the same; the one chosen gives every name a parameter of its own to lead.
+    """
+    u, s, _ = np.linalg.svd(directions, full_matrices=False)
+    basis = u[:, s > SAME_DIRECTION]
+    if basis.shape[1] == 0:
+        return ()
+    leads = qr(basis.T, mode="r", pivoting=True)[1][: basis.shape[1]]
+    own = basis @ np.linalg.inv(basis[leads])  # the leads' rows are now the unit matrix
+    found = []
+    for lead, shares in sorted(zip(leads.tolist(), own.T), key=lambda pair: pair[0]):
+        others = [k for k in np.flatnonzero(np.abs(shares) >= SMALL_SHARE) if k != lead]
+        amounts = shares * scale / scale[lead]
+        found.append(" ".join([names[lead], *(f"{amounts[k]:+.3g}*{names[k]}" for k in others)]))
+    return tuple(found)
+
+
+def plausible_sizes(mechanism: Mechanism, beta: FloatArray) -> FloatArray:
+    """(p,) the size against which each parameter's uncertainty is judged.
+
+    Inertias against the largest inertia, gravity terms against the largest gravity term, friction against ten times
+    its largest level.
+    """
+    scale = np.ones(mechanism.p)
+    terms = np.array([a.term for a in mechanism.parameters])
+    inertia = np.isin(terms, ["inertia", "rotor"])
+    gravity = terms == "gravity"
+    for group in (inertia, gravity):
+        if group.any():
+            scale[group] = max(float(np.max(np.abs(beta[group]))), 1e-12)
+    torque = 0.02 * mechanism.gravity_mps2 * float(np.max(scale[gravity], initial=0.0))
+    for term in ("viscous", "coulomb", "offset"):
+        group = terms == term
+        if group.any():  # a friction level may be zero: it counts when its error dwarfs every level of its kind
+            scale[group] = 10.0 * max(float(np.max(np.abs(beta[group]))), torque, 1e-12)
+    return scale

@@ -1,0 +1,149 @@
+"""Maximum likelihood with one consistent latent motion: the default estimator.
+
+Section IV of the paper with two changes: the latents are one trajectory whose rate and acceleration are its
+derivatives (`estimator.model.collocation`), and noise levels are estimated instead of tuned by hand. With the right
+ratio of noise levels this is total least squares along time, which does not shrink beta.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import Dataset
+from estimator.effects import SensorTimeSkew
+from estimator.errors import FitError
+from estimator.fitting.gauss_newton import iterate
+from estimator.fitting.identifiability import undetermined
+from estimator.fitting.initial_guess import noise_floors, start_state
+from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
+from estimator.fitting.warm_start import from_excerpt
+from estimator.fitting.wls import free_mask
+from estimator.likelihood import BatchProblem, ExtendedProblem, LatentProblem, Latents, Noise, Records, Stage, State
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+from estimator.result import FitResult, Trajectory
+from estimator.signals import SignalSet, accelerometer, angle_column, split_signals
+
+
+def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:
+    """Identify by marginal maximum likelihood; see the module's text. Raises `FitError`."""
+    start = time.perf_counter()
+    signals = split_signals(datasets, mechanism, options)
+    free, beta = free_mask(mechanism, options)
+    if not any(np.any(s.torque) for s in signals) and bool(free.all()):
+        raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
+                       "--fix NAME=VALUE")
+    problem = LatentProblem(signals, mechanism, options.hold)
+    if suits(signals, mechanism, options):
+        noise = known_noise(mechanism, options)
+        state = state_of(search(BatchProblem(mechanism, signals[0].rate_hz, options.hold, noise),
+                                Records(problem.angles[None], problem.torque[None])), 0, noise)
+        return result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
+    state = start_state(problem, signals, mechanism, options, free, beta)
+    floors = noise_floors(problem, mechanism, state.beta)
+    state = from_excerpt(problem, signals, options, free, state) or state
+    iterate(problem, state, free, options, floors)
+    _refuse_collapse(problem, state, mechanism)
+    bound_s = max(d.clock_bound_s for d in datasets)
+    found = None
+    if bound_s > 0.0 and problem.has_imu:
+        state, found = _with_skew(problem, state, signals, free, options, floors, bound_s)
+    result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
+    return result if found is None else replace(result, assumptions=(*result.assumptions, found))
+
+
+def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
+               options: FitOptions, floors: Noise, bound_s: float) -> tuple[State, str]:
+    """`state` with the IMU's time line free against the controller's, and a sentence about it.
+
+    Clocks that were put together by messages agree to within a bound only; tens of microseconds cost the pivot's
+    viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
+    the lines stay as they are.
+    """
+    reach = np.zeros((problem.n, 2))
+    blank = (0.0,) * len(signals)
+    wide = ExtendedProblem(signals, problem.mechanism, options.hold,
+                           Stage((0,) * len(signals), blank, blank, reach), (SensorTimeSkew(),))
+    wide.rest = problem.rest
+    again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
+    iterate(wide, again, np.append(free, True), options, floors)
+    skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
+    if not again.converged or std > bound_s:
+        return state, (f"the IMU's time line is taken as it is, though known to {bound_s * 1e6:.0f} us only; the "
+                       "motion does not place it better")
+    if abs(skew) > bound_s:
+        return state, (f"the IMU would fit best {skew * 1e6:.0f} us late against the controller, more than the clocks' "
+                       f"{bound_s * 1e6:.0f} us: not allowed for, for something else is wrong; see legid diagnose")
+    told = (f"the IMU is {skew * 1e6:.0f} +- {1.96 * std * 1e6:.0f} us late against the controller, by this motion "
+            f"(clocks: within {bound_s * 1e6:.0f} us); allowed for")
+    return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
+                 state.iterations + again.iterations), told
+
+
+def state_of(found: Searched, record: int, noise: Noise) -> State:
+    """What a search found for one of its records. Raises `FitError` where no start led anywhere."""
+    if not np.isfinite(found.objective[record]):
+        raise FitError("no start of the search led anywhere; the record is too short or too noisy")
+    q, v, u = np.split(found.x[record], 3, axis=-1)
+    return State(Latents(q, v, u), found.beta[record], noise, found.covariance[record],
+                 bool(found.converged[record]), int(found.steps[record]))
+
+
+def _refuse_collapse(problem: LatentProblem, state: State, mechanism: Mechanism) -> None:
+    """Raise where nearly all measured torque was put down to noise: then beta shrinks to nothing.
+
+    With angles taken as exact and a large torque noise this is a maximum of the likelihood, and never the one
+    that is meant (a drive with play, or time stamps that jitter, has larger angle errors than its encoder).
+    """
+    for j in mechanism.actuated:
+        rms = float(np.std(problem.torque[:, j]))
+        share = float(np.std(state.x.u[:, j] - problem.torque[:, j])) / max(rms, 1e-300)
+        if rms > 0.0 and state.noise.torque[j] > 0.6 * rms and share > 0.5 and np.isfinite(state.noise.encoder).any():
+            raise FitError(
+                f"the fit puts the torque of joint {j + 1} down to noise; the angles carry more error than their "
+                f"encoder shows ({np.min(state.noise.encoder):.2g} rad): declare it, play included, as encoder_rad "
+                "under [noise], or lower rate_hz")
+
+
+def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
+              state: State, free: NDArray[np.bool_], wall_s: float) -> FitResult:
+    """The fit as others see it."""
+    x, beta = state.x, state.beta
+    qdd = np.concatenate([mechanism.forward_dynamics(x.q[s], x.v[s], x.u[s], beta)
+                          for s in np.split(np.arange(problem.total), problem.ends[:-1])])
+    tau = mechanism.inverse_dynamics(x.q, x.v, qdd, beta)
+    residual = problem.torque - tau
+    noise = {"torque_nm": float(np.max(state.noise.torque[list(mechanism.actuated)], initial=0.0))}
+    passive = list(mechanism.passive)
+    if passive:
+        noise["passive_joint_nm"] = float(np.max(state.noise.torque[passive]))
+    if problem.has_encoder.any():
+        noise["encoder_rad"] = float(np.max(state.noise.encoder[problem.has_encoder]))
+    if problem.has_imu:
+        noise |= {"gyro_radps": state.noise.gyro, "accel_mps2": state.noise.accel}
+    trajectories = []
+    for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):
+        measured, predicted = dict(s.imu), {}
+        for j in np.flatnonzero(problem.has_encoder):
+            column = angle_column(mechanism, int(j))
+            measured[column], predicted[column] = s.angles[:, j], x.q[where, j]
+        if s.imu:
+            ax, ay = accelerometer(x.q[where, 0], x.v[where, 0], qdd[where, 0], mechanism.lever_arm,
+                                   mechanism.gravity_mps2)
+            predicted |= {"gyro_radps": x.v[where, 0], "accel_x_mps2": ax, "accel_y_mps2": ay}
+        trajectories.append(Trajectory(s.run, s.time_s, x.q[where], x.v[where], qdd[where], tau[where], s.torque,
+                                       measured, predicted))
+    assumptions = (
+        f"torque acts between samples by the '{options.hold}' hold",
+        "all noise is white, Gaussian and independent between channels; levels "
+        + ("as given" if set(options.noise) >= {"torque_nm"} else "estimated from the data"),
+        "the model's form is right: what it leaves out is counted as torque noise")
+    return FitResult(mechanism, "mle", options.sensors, beta, state.covariance, noise,
+                     np.sqrt(np.mean(residual**2, axis=0)), state.converged, state.iterations, problem.total, wall_s,
+                     undetermined(mechanism, beta, state.covariance, free), assumptions, (), tuple(trajectories),
+                     dict(options.fixed))

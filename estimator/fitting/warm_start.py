@@ -1,0 +1,83 @@
+"""Start of a long record's fit from an excerpt of it: parameters and noise levels need few samples to be nearly right.
+
+Most steps of a fit go by before its noise levels are known. An excerpt takes them at a fraction of their cost, and
+the whole record then needs only the last few. An excerpt that shows too little is not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import FitError
+from estimator.fitting.gauss_newton import iterate
+from estimator.fitting.identifiability import undetermined
+from estimator.fitting.initial_guess import noise_floors
+from estimator.likelihood import LatentProblem, Latents, State
+from estimator.options import FitOptions
+from estimator.signals import SignalSet
+
+SHARE = 8
+"""The excerpt is one part in so many, ..."""
+LEAST = 400
+"""... but no fewer samples than these, and ..."""
+WORTH = 3
+"""... no more than one part in so many: a record that has fewer is fitted as it is."""
+LEAST_STRETCH = 100
+"""Samples of a stretch that is worth taking part in an excerpt."""
+STEPS = 15
+"""Most steps that are spent on an excerpt."""
+OUTLIER = 4.0
+"""Squares of signals are clipped here, in variances, when excitation is compared: a knock excites little."""
+
+
+def from_excerpt(problem: LatentProblem, signals: Sequence[SignalSet], options: FitOptions, free: NDArray[np.bool_],
+                 start: State) -> State | None:
+    """`start` with parameters and noise levels of an excerpt; None where that was not to be had."""
+    parts = excerpt(problem, signals, start.x)
+    if not parts:
+        return None
+    chosen = [_cut(signals[i], where) for i, where in parts]
+    offsets = problem.ends - [len(s.time_s) for s in signals]
+    index = np.concatenate([offsets[i] + np.arange(where.start, where.stop) for i, where in parts])
+    small = LatentProblem(chosen, problem.mechanism, options.hold)
+    x = Latents(start.x.q[index], start.x.v[index], start.x.u[index])
+    state = State(x, start.beta, start.noise, start.covariance)
+    before = from_excerpt(small, chosen, options, free, state) or state
+    try:
+        iterate(small, before, free, options, noise_floors(small, problem.mechanism, start.beta), STEPS, rough=True)
+    except FitError:
+        return None
+    if not before.converged or undetermined(problem.mechanism, before.beta, before.covariance, free):
+        return None
+    return State(start.x, before.beta, before.noise, start.covariance, misfit=before.misfit)
+
+
+def excerpt(problem: LatentProblem, signals: Sequence[SignalSet], x: Latents) -> list[tuple[int, slice]]:
+    """Stretches, by number, and the samples of each that are excited most; empty where there is nothing to gain."""
+    wanted = max(LEAST, problem.total // SHARE)
+    if wanted * WORTH > problem.total:
+        return []
+    values = np.hstack([x.v, x.u])
+    spread = np.maximum(values.std(axis=0), 1e-300)
+    power = np.minimum(((values - values.mean(axis=0)) / spread) ** 2, OUTLIER).sum(axis=1)
+    lengths = [len(s.time_s) for s in signals]
+    share = wanted / max(sum(n for n in lengths if n >= LEAST_STRETCH), 1)
+    found = []
+    for i, (part, n) in enumerate(zip(np.split(power, problem.ends[:-1]), lengths)):
+        size = min(n, max(LEAST_STRETCH, round(share * n)))
+        if size < LEAST_STRETCH:
+            continue
+        total = np.concatenate([[0.0], np.cumsum(part)])
+        first = int(np.argmax(total[size:] - total[: n - size + 1]))
+        found.append((i, slice(first, first + size)))
+    taken = sum(where.stop - where.start for _, where in found)
+    return found if taken >= LEAST and taken * WORTH <= problem.total else []
+
+
+def _cut(signals: SignalSet, where: slice) -> SignalSet:
+    return replace(signals, time_s=signals.time_s[where], angles=signals.angles[where], torque=signals.torque[where],
+                   imu={name: values[where] for name, values in signals.imu.items()})

@@ -1,0 +1,249 @@
+"""Sums of the normal equations, compiled: what `assembly_numpy` does with arrays, and to the same interface.
+
+One pass makes the weighted rows of a few samples, turns them and sums their products, with nothing in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.likelihood.normal_equations import Extra, Latents, Sums
+from estimator.model import Collocation, Motion, Samples
+from estimator.numerics import at, compiled, padded
+
+STRIP = 32
+"""Samples whose rows are made at a time."""
+COMMON = 24
+"""Up to this edge a chain's edge is a constant to the compiler, too, which makes the sums a third faster; each takes
+seconds to compile, once on a machine."""
+
+
+def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
+               extra: Extra | None, sums: Sums) -> None:
+    """As `arrayrows.add_motion`."""
+    z, own = c.fast(*c.motion(x.q, x.v, left), beta)
+    torque = (beta @ z.reshape(len(beta), -1)).reshape(z.shape[1:])
+    if extra is not None:
+        torque += extra.torque[:, :, intervals]
+        z = np.concatenate([z, extra.torque_columns[:, :, :, intervals]])
+        if extra.slopes is not None:
+            own += extra.slopes[..., intervals].transpose(0, 3, 1, 2, 4)
+    chain, u = sums.chain, np.ascontiguousarray(x.u)
+    left = np.arange(left.start, left.stop) if isinstance(left, slice) else left
+    _intervals(c.mechanism.n, _constant(chain.edge))(
+        z, own, torque, u, left, c.basis, c.torque_weights, weight, chain.edge, chain.rows, sums.square, sums.misfit)
+
+
+def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, weight: float, here: slice,
+                      extra: Extra | None, sums: Sums, accel: FloatArray) -> None:
+    """As `arrayrows.add_accelerometer`."""
+    m, n, count = c.mechanism, c.mechanism.n, here.stop - here.start
+    q, v, u = (np.ascontiguousarray(a[here].T)[:, None] for a in (x.q, x.v, x.u))
+    turned, columns = c.fast.turned(q), np.zeros((2, 0, count))
+    at_rest = Motion(q, v, np.zeros_like(q), v, v)
+    z, own = c.fast(*at_rest, beta, turned)
+    excess = u[:, 0] - (beta @ z.reshape(len(beta), -1)).reshape(n, count)
+    if extra is not None:
+        excess -= extra.torque_at_samples[:, here]
+    qdd, inverse = np.empty((n, 1, count)), np.empty((n, n, count))
+    _accelerations(n)(own[:, 0], excess, qdd[:, 0], inverse)
+    z, own = c.fast(*at_rest._replace(accel=qdd), beta, turned)
+    q1dd, shown = qdd[0, 0], measured[:, here].copy()
+    if extra is not None:
+        z = np.concatenate([z, extra.sample_columns[:, :, None, here]])
+        columns = np.zeros((2, len(extra.sample_columns), count))
+        if extra.sample_slopes is not None:
+            own[:, 0] += extra.sample_slopes[..., here]
+            _accelerations(n)(own[:, 0], excess, np.empty_like(excess), inverse)
+        for axis, channel in enumerate(("accel_x", "accel_y")):
+            if channel in extra.readings:
+                shown[axis] -= extra.readings[channel][here]
+            if channel in extra.reading_columns:
+                columns[axis] = extra.reading_columns[channel][:, here]
+    chain = sums.chain
+    _samples(n, _constant(chain.edge))(
+        z[:, :, 0], own[:, 0], inverse, turned[0][0, 0], turned[1][0, 0], v[0, 0], q1dd, shown, columns, m.lever_arm,
+        m.gravity_mps2, weight, chain.edge, chain.rows[here], accel[here])
+    right = accel[here].reshape(2 * count, -1)[:, chain.block :]
+    sums.square[:] += weight * (right.T @ right)
+
+
+def _constant(edge: int) -> int:
+    """`edge` where there is to be a kernel for it alone, otherwise 0."""
+    return edge if edge <= COMMON else 0
+
+
+@cache
+def _intervals(n: int, fixed: int) -> Callable[..., Any]:
+    """The kernel that adds K intervals of n joints to a chain; `fixed` is the chain's edge if that is a constant.
+
+    From z (m, n, 2, K), own (n, 2, 5, n, K), torque (n, 2, K) that motion and effects need, samples u (N, n),
+    left (K,), basis (2, 5, 4), holds (2, 2) and weight (n,) it adds to rows (N, 3 n, f) of the chain, to square
+    (1 + m, 1 + m), upper half, the products of the right sides, and to misfit (n,) each joint's share of the squares.
+    """
+    b, height, whole = 3 * n, 2 * n, padded(fixed + 3 * n)
+
+    def run(z: Any, own: Any, torque: Any, u: Any, left: Any, basis: Any, holds: Any, weight: Any, edge: int, rows: Any,
+            square: Any, misfit: Any) -> None:
+        full, count, width = rows.shape[2], left.size, 1 + z.shape[0]
+        if fixed > 0:
+            edge, full = fixed, whole
+        line = np.zeros((height, full, STRIP))
+        turned, after = np.zeros((height, full)), np.zeros((height, edge))
+        for i in range(n):
+            for g in range(2):
+                for w in range(STRIP):
+                    line[2 * i + g, 2 * n + i, w] = -weight[i] * holds[g, 0]
+                    line[2 * i + g, edge + 2 * n + i, w] = -weight[i] * holds[g, 1]
+        for start in range(0, count, STRIP):
+            size = min(STRIP, count - start)
+            for i in range(n):
+                for g in range(2):
+                    r, scale = 2 * i + g, weight[i]
+                    for j in range(n):
+                        for e in range(2):
+                            for d in range(2):
+                                for w in range(size):
+                                    t = 0.0
+                                    for f in range(5):
+                                        t += basis[g, f, 2 * e + d] * own[i, g, f, j, at(start + w)]
+                                    line[r, e * edge + d * n + j, w] = scale * t
+                    for w in range(size):
+                        k = left[at(start + w)]
+                        pull = holds[g, 0] * u[at(k), i] + holds[g, 1] * u[at(k + 1), i]
+                        t = scale * (torque[i, g, at(start + w)] - pull)
+                        line[r, b, w] = t
+                        misfit[i] += t * t
+                    for k in range(width - 1):
+                        for w in range(size):
+                            line[r, b + 1 + k, w] = scale * z[k, i, g, at(start + w)]
+            for c in range(width):
+                for d in range(c, width):
+                    t = 0.0
+                    for r in range(height):
+                        for w in range(size):
+                            t += line[r, b + c, w] * line[r, b + d, w]
+                    square[c, d] += t
+            for w in range(size):
+                for r in range(height):
+                    for c in range(full):
+                        turned[r, c] = line[r, c, w]
+                    for c in range(edge):
+                        after[r, c] = turned[r, c]
+                    for c in range(b):
+                        after[r, c] = turned[r, edge + c]
+                k = left[at(start + w)]
+                for i in range(b):
+                    for c in range(full):
+                        t = rows[at(k), i, c]
+                        for r in range(height):
+                            t += turned[r, i] * turned[r, c]
+                        rows[at(k), i, c] = t
+                for i in range(b):
+                    for c in range(edge):
+                        t = rows[at(k + 1), i, c]
+                        for r in range(height):
+                            t += after[r, i] * after[r, c]
+                        rows[at(k + 1), i, c] = t
+
+    return compiled(run)
+
+
+@cache
+def _accelerations(n: int) -> Callable[..., Any]:
+    """The kernel that solves the equation of motion of n joints at N samples for the accelerations.
+
+    From slopes (n, 5, n, N) by the features of the motion, whose third is the inertia matrix, and excess (n, N) torque
+    it makes qdd (n, N) and inverse (n, n, N) of the inertia matrix. Without pivoting: that matrix is definite.
+    """
+
+    def run(slopes: Any, excess: Any, qdd: Any, inverse: Any) -> None:
+        a = np.empty((n, n))
+        for w in range(excess.shape[1]):
+            for i in range(n):
+                for j in range(n):
+                    a[i, j] = slopes[i, 2, j, w]
+            for k in range(n):
+                pivot = 1.0 / a[k, k]
+                a[k, k] = 1.0
+                for j in range(n):
+                    a[k, j] *= pivot
+                for i in range(n):
+                    if i != k:
+                        f = a[i, k]
+                        a[i, k] = 0.0
+                        for j in range(n):
+                            a[i, j] -= f * a[k, j]
+            for i in range(n):
+                t = 0.0
+                for j in range(n):
+                    inverse[i, j, w] = a[i, j]
+                    t += a[i, j] * excess[j, w]
+                qdd[i, w] = t
+
+    return compiled(run)
+
+
+@cache
+def _samples(n: int, fixed: int) -> Callable[..., Any]:
+    """The kernel that adds the accelerometer's two axes at N samples of n joints to a chain's first N rows.
+
+    From z (m, n, N), slopes (n, 5, n, N), inverse (n, n, N), the angle's cosine and sine, the rate and the acceleration
+    of joint 1, what the two axes show (2, N), and the derivatives by the last of the m parameters of what effects add
+    to that (2, k, N), it makes the unscaled rows (N, 2, 3 n + 1 + m), and adds their products times `weight`.
+    """
+    b = 3 * n
+
+    def run(z: Any, slopes: Any, inverse: Any, cosine: Any, sine: Any, rate: Any, q1dd: Any, shown: Any,
+            columns: Any, lever: float, gravity: float, weight: float, edge: int, rows: Any, accel: Any) -> None:
+        count, width, extra = rate.size, 1 + z.shape[0], columns.shape[1]
+        if fixed > 0:
+            edge = fixed
+        line, turned = np.zeros((2, edge, STRIP)), np.zeros((2, edge))
+        for start in range(0, count, STRIP):
+            size = min(STRIP, count - start)
+            for j in range(n):
+                for w in range(size):
+                    by_angle, by_rate = 0.0, 0.0
+                    for i in range(n):
+                        f = lever * inverse[0, i, at(start + w)]
+                        by_angle -= f * slopes[i, 0, j, at(start + w)]
+                        by_rate -= f * (slopes[i, 1, j, at(start + w)] + slopes[i, 3, j, at(start + w)]
+                                        + slopes[i, 4, j, at(start + w)])
+                    line[0, j, w], line[0, n + j, w] = by_angle, by_rate
+                    line[0, 2 * n + j, w] = lever * inverse[0, j, at(start + w)]
+            for w in range(size):
+                line[0, 0, w] += gravity * cosine[at(start + w)]
+                line[1, 0, w] = gravity * sine[at(start + w)]
+                line[1, n, w] = -2.0 * lever * rate[at(start + w)]
+                tangential = lever * q1dd[at(start + w)] + gravity * sine[at(start + w)]
+                radial = -lever * rate[at(start + w)] * rate[at(start + w)] - gravity * cosine[at(start + w)]
+                line[0, b, w], line[1, b, w] = tangential - shown[0, at(start + w)], radial - shown[1, at(start + w)]
+            for k in range(width - 1):
+                for w in range(size):
+                    t = 0.0
+                    for i in range(n):
+                        t -= inverse[0, i, at(start + w)] * z[k, i, at(start + w)]
+                    line[0, b + 1 + k, w] = lever * t
+            for k in range(extra):
+                place = b + width - extra + k
+                for w in range(size):
+                    line[0, place, w] += columns[0, k, at(start + w)]
+                    line[1, place, w] = columns[1, k, at(start + w)]
+            for w in range(size):
+                for r in range(2):
+                    for c in range(edge):
+                        turned[r, c] = line[r, c, w]
+                    for c in range(b + width):
+                        accel[at(start + w), r, c] = turned[r, c]
+                for i in range(b):
+                    f, g = weight * turned[0, i], weight * turned[1, i]
+                    for c in range(edge):
+                        rows[at(start + w), i, c] += f * turned[0, c] + g * turned[1, c]
+
+    return compiled(run)

@@ -1,0 +1,276 @@
+"""`ExtendedProblem`: the latent likelihood of a mechanism with effects, and the derivative of more of them.
+
+Parameters are beta, then the sizes and shapes of each effect in turn. Effects are evaluated on the current
+motion. How a torque law depends on its joint's motion enters the Gauss-Newton matrix (without it a law that is
+steep where the joint rests does not converge); memory and readings do not, which costs iterations only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.effects import (
+    MOTOR_ACCELERATION,
+    MOTOR_RATE,
+    SLOW_GYRO,
+    SLOW_TORQUE,
+    Effect,
+    Perturbation,
+    Points,
+    TorqueEffect,
+    View,
+    by_motion,
+)
+from estimator.likelihood.normal_equations import Extra, Latents, Linearised
+from estimator.likelihood.trajectory_likelihood import LatentProblem, Noise
+from estimator.model import ACCEL, ANGLE, GAUSS, RATE, Mechanism, mean_sign, smooth_sign
+from estimator.signals import SignalSet, lowpass
+
+SLOW_HZ = 12.0
+SLOW_SHARE = 0.12
+"""Of the rate, of a torque: below it a spline between samples changes nothing."""
+PASSES = 3
+"""Evaluations of the effects at the samples: of a rotor a tenth of the link's inertia they leave a thousandth."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at one point of its shape grid, to be scored at zero size."""
+
+    effect: Effect
+    shape: tuple[float, ...] = ()
+
+    @property
+    def width(self) -> int:
+        """Number of columns: one a size."""
+        return len(self.effect.sizes)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Where and when stretches of a record stand: what a `View` needs beyond the motion."""
+
+    run: tuple[int, ...]
+    """Number of the run of each stretch."""
+    session_s: tuple[float, ...]
+    """Session time of each stretch's first sample."""
+    time_s: tuple[float, ...]
+    """Time since the start of its run of each stretch's first sample."""
+    reach: FloatArray
+    """(n, 2)"""
+    gear_ratio: float = 1.0
+
+
+class ExtendedProblem(LatentProblem):
+    """`LatentProblem` whose parameter vector goes on after beta; see the module's text."""
+
+    def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, stage: Stage,
+                 effects: Sequence[Effect] = (), candidates: Sequence[Candidate] = ()) -> None:
+        super().__init__(signals, mechanism, hold)
+        self.stage, self.effects, self.candidates = stage, tuple(effects), tuple(candidates)
+        lengths = np.diff(np.concatenate([[0], self.ends]))
+        index = np.concatenate([np.arange(k) for k in lengths]) * self.dt
+        which = np.repeat(np.arange(len(lengths)), lengths)
+        self._run = np.asarray(stage.run, dtype=np.float64)[which]
+        self._time = np.asarray(stage.time_s)[which] + index
+        self._session = np.asarray(stage.session_s)[which] + index
+        self._starts = np.concatenate([[0], self.ends[:-1]])
+
+    @property
+    def parameter_count(self) -> int:
+        """Length of the parameter vector: beta, then the effects."""
+        return self.mechanism.p + sum(e.count for e in self.effects)
+
+    def view(self, x: Latents, beta: FloatArray, torque: FloatArray | None = None) -> View:
+        """What effects see at (x, beta); `torque` (n, N) is what effects already take at the samples."""
+        m, c, left = self.mechanism, self.collocation, self.left
+        motion = c.motion(x.q, x.v, left)
+        taken = x.u if torque is None else x.u - torque.T
+        qdd = m.forward_dynamics(x.q, x.v, taken, beta)
+        sign = mean_sign(motion.rate_from, motion.rate_to, m.velocity_scale)[0]
+        gauss = Points(motion.angle, motion.rate, motion.accel, c.torque(x.u, left), sign, *self._gauss_times)
+        samples = Points(x.q.T, x.v.T, qdd.T, x.u.T, smooth_sign(x.v.T, m.velocity_scale), self._time, self._session,
+                         self._run)
+        return View(m, beta, gauss, samples, left, (GAUSS[0], GAUSS[1]), self._starts, self.dt, self.stage.reach,
+                    self.stage.gear_ratio)
+
+    @cached_property
+    def _gauss_times(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(2, K) time in the run, time in the session, and number of the run at the Gauss points."""
+        left = self.left
+
+        def between(values: FloatArray) -> FloatArray:
+            return np.stack([values[left] + w * (values[left + 1] - values[left]) for w in GAUSS])
+
+        return between(self._time), between(self._session), np.broadcast_to(self._run[left], (2, left.size))
+
+    @cached_property
+    def _measured(self) -> dict[str, FloatArray]:
+        def slow(x: FloatArray, cutoff_hz: float) -> FloatArray:
+            return np.concatenate([lowpass(part, cutoff_hz, 1.0 / self.dt) for part in np.split(x, self.ends[:-1])])
+
+        found = {f"torque{j + 1}": self.torque[:, j] for j in range(self.n)}
+        for j in np.flatnonzero(self.has_encoder):
+            found[f"{MOTOR_RATE}{j + 1}"], found[f"{MOTOR_ACCELERATION}{j + 1}"] = self._derivatives(self.angles[:, j])
+        found |= {f"{SLOW_TORQUE}{j + 1}": slow(self.torque[:, j], SLOW_SHARE / self.dt) for j in range(self.n)}
+        if self.has_imu:
+            found |= {"gyro": self.gyro, "accel_x": self.ax, "accel_y": self.ay, SLOW_GYRO: slow(self.gyro, SLOW_HZ)}
+        return found
+
+    def _derivatives(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+        parts = np.split(angle, self.ends[:-1])
+        second = [np.pad(np.diff(part, 2) / self.dt**2, 1, mode="edge") for part in parts]
+        return np.concatenate([np.gradient(part, self.dt) for part in parts]), np.concatenate(second)
+
+    def places(self) -> list[slice]:
+        """Where the sizes and shapes of each effect stand in the parameter vector."""
+        stops = self.mechanism.p + np.cumsum([e.count for e in self.effects], dtype=int)
+        return [slice(int(b) - e.count, int(b)) for e, b in zip(self.effects, stops)]
+
+    def split(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
+        """beta (p,) and one size vector an effect, its shapes kept within range."""
+        sizes = [e.clipped(parameters[place]) for e, place in zip(self.effects, self.places())]
+        return parameters[: self.mechanism.p], sizes
+
+    def eased(self, parameters: FloatArray, slack: float) -> FloatArray:
+        """The parameter vector with every effect's law less steep; see `Effect.eased`."""
+        beta, sizes = self.split(parameters)
+        return np.concatenate([beta, *(e.eased(size, slack) for e, size in zip(self.effects, sizes))])
+
+    def extra(self, x: Latents, parameters: FloatArray) -> Extra:
+        """What the effects add at (x, parameters), with columns of effects, then of candidates."""
+        beta, sizes = self.split(parameters)
+        pairs = list(zip(self.effects, sizes))
+        n, count, total = self.n, self.left.size, self.total
+        view = replace(self.view(x, beta), measured=self._measured)
+        torque, at_samples, readings = added(pairs, view)
+        for _ in range(PASSES - 1):  # what an effect takes changes the acceleration it feels
+            if not at_samples.any():
+                break
+            view, before = replace(self.view(x, beta, at_samples), measured=self._measured), at_samples
+            torque, at_samples, readings = added(pairs, view)
+            if np.array_equal(before, at_samples):
+                break
+        else:
+            view = replace(self.view(x, beta, at_samples), measured=self._measured)
+        derivatives: list[Perturbation] = []
+        for effect, size in zip(self.effects, sizes):
+            derivatives += slopes(effect, view, size)
+        for candidate in self.candidates:
+            derivatives += slopes_at_zero(candidate, view)
+        k = len(derivatives)
+        columns, sample_columns = np.zeros((k, n, 2, count)), np.zeros((k, n, total))
+        reading_columns: dict[str, FloatArray] = {}
+        for i, d in enumerate(derivatives):
+            if d.torque is not None and d.torque_at_samples is not None:
+                columns[i], sample_columns[i] = d.torque, d.torque_at_samples
+            for channel, values in d.readings.items():
+                reading_columns.setdefault(channel, np.zeros((k, total)))[i] = values
+        gauss_slopes, sample_slopes = self._law_slopes(view, sizes)
+        by_torque: dict[str, FloatArray] = {}
+        for effect, size in zip(self.effects, sizes):
+            for channel, slope in effect.by_torque(view, size).items():
+                by_torque[channel] = by_torque.get(channel, 0.0) + slope
+        return Extra(torque, at_samples, readings, columns, sample_columns, reading_columns, gauss_slopes,
+                     sample_slopes, by_torque)
+
+    def simulated(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
+        """As `split`, for a simulation that has no record of the motor's motion."""
+        beta, sizes = self.split(parameters)
+        for effect, size in zip(self.effects, sizes):
+            beta = effect.simulated(beta, size, self.mechanism)
+        return beta, sizes
+
+    def motor_torque(self, x: Latents, parameters: FloatArray) -> FloatArray:
+        """(N, n) torque of the motors along a fitted motion: the latent torque, and what gears lose before it."""
+        beta, sizes = self.split(parameters)
+        view = replace(self.view(x, beta), measured=self._measured)
+        out = x.u.copy()
+        for effect, size in zip(self.effects, sizes):
+            for j, lost in effect.lost(view, size).items():
+                out[:, j] += lost
+        return out
+
+    def _law_slopes(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray | None, FloatArray | None]:
+        """Derivatives of the torque laws by the features of the motion, at Gauss points and at samples."""
+        laws = [(e, s) for e, s in zip(self.effects, sizes) if isinstance(e, TorqueEffect)]
+        if not laws:
+            return None, None
+        n, scale = self.n, self.mechanism.velocity_scale
+        at_gauss, at_samples = np.zeros((n, 5, n, 2, self.left.size)), np.zeros((n, 5, n, self.total))
+        for effect, size in laws:
+            j = effect.joint or 0
+            for at, out in ((view.gauss, at_gauss), (view.samples, at_samples)):
+                found = by_motion(effect, at, size, view)
+                for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
+                    out[j, feature, j] += found[name]
+                out[j, RATE, j] += found["sign"] * np.maximum(1.0 - at.sign[j] ** 2, 0.0) ** 1.5 / scale
+        return at_gauss, at_samples
+
+    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
+        """`beta` is the whole parameter vector here; what is believed of sizes beforehand is in."""
+        point = super().linearise(x, beta[: self.mechanism.p], noise, self.extra(x, beta))
+        p, own = self.mechanism.p, self._precision.size
+        sizes = beta[p : p + own]
+        point.corner[range(p, p + own), range(p, p + own)] += self._precision
+        point.gradient_beta[p : p + own] += self._precision * sizes
+        return replace(point, objective=point.objective + float(sizes @ (self._precision * sizes)))
+
+    @cached_property
+    def _precision(self) -> FloatArray:
+        """By each size and shape; priors are those of a rig with torques up to 1 N m rms, and grow with them."""
+        large = max(1.0, float(np.sqrt(np.mean(self.torque**2))))
+        return np.array([x for e in self.effects
+                         for x in (*((large * s.prior) ** -2 for s in e.sizes), *(0.0 for _ in e.shapes))])
+
+
+def added(pairs: Sequence[tuple[Effect, FloatArray]], view: View) -> tuple[FloatArray, FloatArray,
+                                                                           dict[str, FloatArray]]:
+    """Torque of effects of some size at Gauss points (n, 2, K) and at samples (n, N), and what they add to readings."""
+    torque, at_samples = np.zeros_like(view.gauss.q), np.zeros_like(view.samples.q)
+    readings: dict[str, FloatArray] = {}
+    for effect, size in pairs:
+        got = effect.perturb(view, size)
+        if got.torque is not None and got.torque_at_samples is not None:
+            torque += got.torque
+            at_samples += got.torque_at_samples
+        for channel, values in got.readings.items():
+            readings[channel] = readings.get(channel, 0.0) + values
+    return torque, at_samples, readings
+
+
+def slopes(effect: Effect, view: View, size: FloatArray) -> list[Perturbation]:
+    """Derivative by each size and shape, central differences."""
+    steps = [s.scale * 0.1 for s in effect.sizes] + [1e-3 * abs(v) + 1e-9 for v in size[len(effect.sizes):]]
+    out = []
+    for i, h in enumerate(steps):
+        up, down = size.copy(), size.copy()
+        up[i] += h
+        down[i] -= h
+        out.append(_difference(effect.perturb(view, up), effect.perturb(view, down), 2.0 * h))
+    return out
+
+
+def slopes_at_zero(candidate: Candidate, view: View) -> list[Perturbation]:
+    """Derivative by each size at zero, at the candidate's shape."""
+    effect = candidate.effect
+    out = []
+    for i, s in enumerate(effect.sizes):
+        size = np.array([0.0] * len(effect.sizes) + list(candidate.shape))
+        size[i] = s.scale
+        out.append(_difference(effect.perturb(view, size), None, s.scale))
+    return out
+
+
+def _difference(a: Perturbation, b: Perturbation | None, by: float) -> Perturbation:
+    def part(x: FloatArray | None, y: FloatArray | None) -> FloatArray | None:
+        return None if x is None else (x - y if y is not None else x) / by
+
+    readings = {k: (v - (b.readings[k] if b is not None else 0.0)) / by for k, v in a.readings.items()}
+    return Perturbation(part(a.torque, b.torque if b else None),
+                        part(a.torque_at_samples, b.torque_at_samples if b else None), readings)

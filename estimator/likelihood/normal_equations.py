@@ -1,0 +1,81 @@
+"""What passes between a problem and its solver: what effects add at one point, and the normal equations there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from daq import FloatArray
+from estimator.numerics import Chain
+
+
+@dataclass(frozen=True)
+class Latents:
+    """Values at all N samples, each (N, n)."""
+
+    q: FloatArray
+    v: FloatArray
+    u: FloatArray
+
+    def moved(self, step: FloatArray) -> Latents:
+        """Shifted by step (N, 3 n) in the order q, v, u."""
+        n = self.q.shape[1]
+        return Latents(self.q + step[:, :n], self.v + step[:, n:2 * n], self.u + step[:, 2 * n:])
+
+
+class Sums(NamedTuple):
+    """Where normal equations are summed up."""
+
+    chain: Chain
+    square: FloatArray
+    """(m, m) products of the right sides' columns, in the upper half at least."""
+    misfit: FloatArray
+    """(n,) sum of squares of each joint's equation of motion."""
+
+
+@dataclass(frozen=True)
+class Extra:
+    """What effects add to the model at one point, and its derivative by their k sizes."""
+
+    torque: FloatArray
+    """(n, 2, K) torque that the motion needs beyond Z beta, at the Gauss points [N m]."""
+    torque_at_samples: FloatArray
+    """(n, N)"""
+    readings: Mapping[str, FloatArray]
+    """Channel (torque1, encoder2, gyro, accel_x, accel_y, ...) to what is added to its reading, (N,)."""
+    torque_columns: FloatArray
+    """(k, n, 2, K)"""
+    sample_columns: FloatArray
+    """(k, n, N)"""
+    reading_columns: Mapping[str, FloatArray]
+    """Channel to (k, N)."""
+    slopes: FloatArray | None = None
+    """(n, 5, n, 2, K) derivative of `torque` by the features of the motion, where it is known."""
+    sample_slopes: FloatArray | None = None
+    """(n, 5, n, N)"""
+    by_torque: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Encoder or torque channel to the derivative (N,) of what is added to its reading by its joint's torque latent."""
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Gauss-Newton normal equations at one point."""
+
+    objective: float
+    chain: Chain
+    """Of the latents; its right sides are the gradient by the latents, then the border. Elimination uses it up."""
+    corner: FloatArray
+    """(p, p)"""
+    gradient_beta: FloatArray
+    """(p,)"""
+    accel: FloatArray
+    """(N, 2, b + 1 + p) unscaled accelerometer rows: by the latents, residual, by beta; none without an IMU."""
+    residuals: dict[str, FloatArray]
+    """Unscaled residuals by channel."""
+    extra: Extra | None = None
+
+    @property
+    def accel_rows(self) -> FloatArray:
+        """(N, 2, b) accelerometer rows by the latents, a view."""
+        return self.accel[:, :, : self.chain.block]

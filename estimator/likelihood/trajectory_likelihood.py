@@ -1,0 +1,302 @@
+"""`LatentProblem`: the joint likelihood of one latent motion and the parameters, linearised.
+
+Unknown at each sample: angle q, rate v and true torque u of every joint (block size b = 3 joints); common:
+beta. Residuals, each over its standard deviation:
+
+    equation of motion at two Gauss points an interval   Z(q, v) beta - hold(u)        sigma_u * TIGHT
+    torque sample (zero on a passive joint)              u - y_u                       sigma_u
+    encoder, gyro                                        q - y_q, v1 - y_g             sigma_q, sigma_g
+    accelerometer                                        a(q1, v1, q1dd) - y_a         sigma_a
+
+The passive joint's torque is exactly zero, so B Sigma_u B^T of (17) is singular; its sigma_u stands for what
+the model gets wrong there. Normal equations are block tridiagonal in the latents with a dense border for
+beta; cost grows linearly with samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import FloatArray
+from estimator.likelihood import assembly_numba, assembly_numpy
+from estimator.likelihood.normal_equations import Extra, Latents, Linearised, Sums
+from estimator.model import Collocation, Mechanism, Samples, smooth_sign
+from estimator.numerics import Chain, jit
+from estimator.signals import IMU_COLUMNS, SignalSet, encoder_level, white_noise_level
+
+PIECE = 1024
+"""Intervals, or samples, that are worked on at a time: what they need stays in the processor's cache."""
+TIGHT = 0.1
+"""Standard deviation of the equation of motion at a Gauss point, as a share of the joint's torque noise: an
+interval's two points then add half a per cent to the variance of its torque."""
+REST_SPREAD = 5.0
+"""Speeds below about this many times the rounding of sign(qd) may be rest: the estimated speed of a joint that
+sticks is not zero but what its sensors' noise makes it."""
+
+
+@cache
+def keep_pages() -> None:
+    """Make the C library keep memory that arrays gave back, up to 64 MB of it, instead of the system.
+
+    A step makes and drops arrays of megabytes, and the system hands out every page of them anew and cleared: on a
+    virtual machine half of a fit's time went there. GNU's allocator takes the largest block freed so far, up to 32 MB,
+    for the size below which it keeps what is freed; this block is freed without ever being touched. Elsewhere it does
+    nothing.
+    """
+    np.empty(31 * 2**20, dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations in force."""
+
+    torque: FloatArray
+    """(n,) [N m]; on a passive joint what the model gets wrong."""
+    encoder: FloatArray
+    """(n,) [rad]; inf for a joint without an encoder."""
+    gyro: float = np.inf
+    accel: float = np.inf
+
+
+class LatentProblem:
+    """All stretches of all runs on one stack of samples; see the module's text."""
+
+    def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str) -> None:
+        keep_pages()
+        self.mechanism = mechanism
+        self.n = mechanism.n
+        self.block = 3 * mechanism.n
+        lengths = [len(s.time_s) for s in signals]
+        self.ends = np.cumsum(lengths)
+        self.total = int(self.ends[-1])
+        self.left = np.setdiff1d(np.arange(self.total - 1), self.ends[:-1] - 1)
+        """Samples that begin an interval."""
+        self.dt = 1.0 / signals[0].rate_hz
+        self.collocation = Collocation(mechanism, self.dt, hold)
+        self.torque = np.concatenate([s.torque for s in signals])
+        self.angles = np.concatenate([s.angles for s in signals])
+        self.has_encoder = np.isfinite(self.angles).all(axis=0)
+        self.has_imu = bool(signals[0].imu)
+        self.rest: FloatArray | None = None
+        """(N, n) variance [N^2 m^2] of the torque that dry friction may hold at each sample; see `rest_variance`."""
+        self.foreseen: FloatArray | None = None
+        """(n,) misfit of each joint's torque that the last step of a search foresaw; see `_inertia_gradient`."""
+        if self.has_imu:
+            self.gyro, *accel = (np.concatenate([s.imu[c] for s in signals]) for c in IMU_COLUMNS)
+            self.accel = np.stack(accel)
+            self.ax, self.ay = self.accel
+
+    def rest_variance(self, v: FloatArray, beta: FloatArray) -> FloatArray:
+        """(N, n) what the rounded sign(qd) leaves open where a joint hardly moves, squared [N^2 m^2].
+
+        A joint that sticks holds any torque up to its Coulomb level F; the model says F s(qd), |s| < 1. The
+        difference, at most F (1 - |s|) with s rounded more widely, counts as noise of that sample's torque.
+        (Measured on a leg that starts at rest against a spring: without this the spring's preload is 6 % off
+        and five parameters 0.25 %, with it 0.7 % and 0.05 %.)
+        """
+        m = self.mechanism
+        out = np.zeros((self.total, self.n))
+        for k, parameter in enumerate(m.parameters):
+            if parameter.term == "coulomb":
+                j = parameter.at[0]
+                out[:, j] += (beta[k] * (1.0 - np.abs(smooth_sign(v[:, j], REST_SPREAD * m.velocity_scale)))) ** 2
+        return out
+
+    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
+        """Residuals, Gauss-Newton blocks and border at (x, beta); columns of `extra` follow those of beta."""
+        b, n, width = self.block, self.n, 1 + self.mechanism.p
+        if extra is not None:
+            width += extra.sample_columns.shape[0]
+        rows = assembly_numba if jit.ready() else assembly_numpy
+        chain = Chain.zeros(self.total, b, width)  # right sides: residual, then parameters
+        sums = Sums(chain, np.zeros((width, width)), np.zeros(n))
+        weight = 1.0 / (TIGHT * noise.torque)
+        for intervals, left in self._pieces(self.left):
+            rows.add_motion(self.collocation, x, beta, weight, intervals, left, extra, sums)
+        residuals: dict[str, FloatArray] = {}
+        accel = np.empty((self.total if self.has_imu else 0, 2, b + width))
+        if self.has_imu:
+            for start in range(0, self.total, PIECE):
+                here = slice(start, min(start + PIECE, self.total))
+                rows.add_accelerometer(self.collocation, x, beta, self.accel, 1.0 / noise.accel**2, here, extra, sums,
+                                       accel)
+            residuals["accel"] = accel[:, :, b]
+        upper = np.triu(sums.square)
+        square, misfit = upper + np.triu(upper, 1).T, sums.misfit
+        gradient, border = chain.right[:, :, 0], chain.right[:, :, 1:]
+        objective, gradient_beta, corner = float(square[0, 0]), square[1:, 0], square[1:, 1:]
+        variances = self.torque_variance(noise)
+        objective += self._node_rows(x, variances, noise, chain.diagonal, gradient, residuals, extra)
+        if extra is not None:
+            self._node_columns(extra, variances, noise, residuals, border, corner, gradient_beta)
+        misfit += np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / variances)
+        gradient_beta[: self.mechanism.p] -= self._inertia_gradient(beta, misfit)
+        return Linearised(objective, chain, corner, gradient_beta, accel, residuals, extra)
+
+    def _inertia_gradient(self, beta: FloatArray, misfit: FloatArray) -> FloatArray:
+        """(p,) what makes a passive joint's misfit count as one of acceleration, not of torque.
+
+        Nothing measures a passive joint's torque: its equation is homogeneous in beta, and shrinking beta shrinks
+        its misfit r. The density of what drives the joint's acceleration carries the joint's inertia m = a . beta,
+        so r / m counts, whose gradient has - r^2 a / m^3 beside r r' / m^2. Without it a wrong model, or a weakly
+        excited leg, runs off to beta = 0, and a right one is low by one part in the torque's signal to noise ratio.
+        On the way there a misfit is that of latents which the same step puts right: more than `foreseen`, or at
+        first more than the samples, to which it sums where the noise level is its own estimate, would overshoot.
+        (Measured: counted in full it keeps beta 0.9 % high for the first four steps.)
+        """
+        out = np.zeros(self.mechanism.p)
+        most = np.full(self.n, self.total) if self.foreseen is None else self.foreseen
+        for j in self.mechanism.passive:
+            a = self._inertia[:, j]
+            m = float(a @ beta)
+            if m > 0.0:
+                out += min(misfit[j], most[j]) / m * a
+        return out
+
+    @cached_property
+    def _inertia(self) -> FloatArray:
+        """(p, n) diagonal of the inertia matrix, all joints straight, by parameter."""
+        one, straight = np.eye(self.mechanism.p), np.zeros((1, self.n))
+        return np.array([np.diag(self.mechanism.inertia_matrix(straight, b)[0]) for b in one])
+
+    @staticmethod
+    def _pieces(samples: NDArray[np.intp]) -> Iterator[tuple[slice, Samples]]:
+        """`samples` piece by piece: which of them, and those themselves.
+
+        Slices wherever a piece has no gap: they cost no copies.
+        """
+        for start in range(0, samples.size, PIECE):
+            part = samples[start : start + PIECE]
+            first, last = int(part[0]), int(part[-1])
+            if last - first == part.size - 1:
+                yield slice(start, start + part.size), slice(first, last + 1)
+            else:
+                yield slice(start, start + part.size), part
+
+    @cached_property
+    def shown(self) -> Noise:
+        """Noise levels that differences between neighbouring samples show; inf for what is not measured."""
+        encoder = [encoder_level(self.angles[:, j]) if self.has_encoder[j] else np.inf for j in range(self.n)]
+        imu = [white_noise_level(self.gyro), max(map(white_noise_level, self.accel))] if self.has_imu else []
+        return Noise(np.array([white_noise_level(t) for t in self.torque.T]), np.array(encoder), *imu)
+
+    @cached_property
+    def torque_spread(self) -> FloatArray:
+        """(n,) standard deviation of each joint's measured torque [N m]."""
+        return np.std(self.torque, axis=0)
+
+    def torque_variance(self, noise: Noise) -> FloatArray:
+        """(N, n) of every torque sample [N^2 m^2]."""
+        level = np.broadcast_to(noise.torque**2, (self.total, self.n))
+        return level if self.rest is None else level + self.rest
+
+    def torque_weight(self, noise: Noise) -> FloatArray:
+        """(N, n) share of each torque sample's variance that is noise, not dry friction at rest."""
+        return noise.torque**2 / self.torque_variance(noise)
+
+    def _channels(self, torque: FloatArray, noise: Noise) -> list[tuple[str, int, float | FloatArray]]:
+        """(channel, column of its latent, variance) of every sensor that reads one latent directly."""
+        n = self.n
+        found: list[tuple[str, int, float | FloatArray]] = []
+        found += [(f"torque{i + 1}", 2 * n + i, torque[:, i]) for i in range(n)]
+        found += [(f"encoder{i + 1}", i, float(noise.encoder[i]) ** 2) for i in range(n) if self.has_encoder[i]]
+        return [*found, ("gyro", n, noise.gyro**2)] if self.has_imu else found
+
+    def _node_rows(self, x: Latents, variances: FloatArray, noise: Noise, diagonal: FloatArray, gradient: FloatArray,
+                   residuals: dict[str, FloatArray], extra: Extra | None) -> float:
+        """Add torque (of `variances`), encoder and gyro samples; returns their part of the objective."""
+        n = self.n
+        residuals["torque"] = x.u - self.torque
+        residuals["encoder"] = x.q - self.angles
+        values = {f"torque{i + 1}": residuals["torque"][:, i] for i in range(n)}
+        values |= {f"encoder{i + 1}": residuals["encoder"][:, i] for i in range(n)}
+        if self.has_imu:
+            values["gyro"] = residuals["gyro"] = x.v[:, 0] - self.gyro
+        total = 0.0
+        for channel, column, variance in self._channels(variances, noise):
+            r, weight = values[channel], 1.0 / variance
+            if extra is not None and channel in extra.readings:
+                r += extra.readings[channel]  # a view: the residual of record moves with it
+            pull = weight * r
+            diagonal[:, column, column] += weight
+            gradient[:, column] += pull
+            if extra is not None and channel in extra.by_torque:
+                slope, other = extra.by_torque[channel], 2 * n + column % n
+                diagonal[:, other, other] += slope**2 * weight
+                diagonal[:, other, column] += slope * weight
+                diagonal[:, column, other] += slope * weight
+                gradient[:, other] += slope * pull
+            total += float(r @ pull)
+        return total
+
+    def _node_columns(self, extra: Extra, variances: FloatArray, noise: Noise, residuals: dict[str, FloatArray],
+                      border: FloatArray, corner: FloatArray, gradient_beta: FloatArray) -> None:
+        """Border and corner of the sizes through the sensors that read one latent directly."""
+        p = self.mechanism.p
+        for channel, column, variance in self._channels(variances, noise):
+            if channel not in extra.reading_columns:
+                continue
+            c = extra.reading_columns[channel] / variance
+            kind, joint = channel.rstrip("0123456789"), channel.lstrip("abcdefghijklmnopqrstuvwxyz")
+            r = residuals[kind][:, int(joint) - 1] if joint else residuals[kind]
+            border[:, column, p:] += c.T
+            if channel in extra.by_torque:
+                border[:, 2 * self.n + column % self.n, p:] += (extra.by_torque[channel] * c).T
+            corner[p:, p:] += c @ extra.reading_columns[channel].T
+            gradient_beta[p:] += c @ r
+
+    def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,
+                        index: NDArray[np.intp]) -> dict[str, FloatArray]:
+        """Sensor residuals `step` (N, b) and `step_beta` (on columns `index`) away from `point`, to first order.
+        """
+        n, p = self.n, self.mechanism.p
+        out = {"torque": point.residuals["torque"] + step[:, 2 * n:],
+               "encoder": point.residuals["encoder"] + step[:, :n]}
+        if self.has_imu:
+            out["gyro"] = point.residuals["gyro"] + step[:, n]
+            by_beta = np.zeros(point.accel.shape[2] - self.block)
+            by_beta[0], by_beta[1 + index] = 1.0, step_beta
+            out["accel"] = (point.accel_rows @ step[:, :, None])[:, :, 0] + point.accel[:, :, self.block :] @ by_beta
+        if point.extra is not None:
+            size = np.zeros(len(point.gradient_beta))
+            size[index] = step_beta
+            for channel, slope in point.extra.by_torque.items():
+                j = int(channel[-1]) - 1
+                out[channel[:-1]][:, j] += slope * step[:, 2 * n + j]
+            for channel, columns in point.extra.reading_columns.items():
+                moved = size[p:] @ columns
+                if channel.startswith(("torque", "encoder")):
+                    out[channel[:-1]][:, int(channel[-1]) - 1] += moved
+                elif channel == "gyro":
+                    out["gyro"] += moved
+        return out
+
+    def effective_samples(self, point: Linearised, p_diagonal: FloatArray, noise: Noise) -> dict[str, FloatArray]:
+        """Degrees of freedom that the latents took from each channel, gamma = sum J P J^T / sigma^2.
+
+        Torque samples count by the square of `torque_weight`: so much they say of the noise.
+        """
+        n = self.n
+        variance = np.einsum("kii->ki", p_diagonal)
+        weight = self.torque_weight(noise)
+        taken = {"torque": np.einsum("kj,kj->j", variance[:, 2 * n:], weight**2) / noise.torque**2,
+                 "encoder": variance[:, :n].sum(axis=0) / noise.encoder**2}
+        for channel, slope in (point.extra.by_torque.items() if point.extra is not None else ()):
+            kind, j = channel[:-1], int(channel[-1]) - 1
+            u = 2 * n + j
+            own = u if kind == "torque" else j
+            both = slope**2 * variance[:, u] + 2.0 * slope * p_diagonal[:, own, u]
+            if kind == "torque":
+                both *= weight[:, j] ** 2
+            taken[kind][j] += both.sum() / (noise.torque if kind == "torque" else noise.encoder)[j] ** 2
+        if self.has_imu:
+            taken["gyro"] = np.array([variance[:, n].sum() / noise.gyro**2])
+            a = point.accel_rows
+            taken["accel"] = np.array([np.vdot(a @ p_diagonal, a) / noise.accel**2])
+        return taken
+

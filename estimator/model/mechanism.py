@@ -1,0 +1,271 @@
+"""`Mechanism`: a planar tree of rigid links as one linear-in-parameters model.
+
+In absolute link angles theta = T q every planar tree has kinetic energy
+1/2 sum_ij p_ij cos(theta_i - theta_j) thetad_i thetad_j and potential -sum_i g_i cos(theta_i), so the
+equation of link i is (Lagrange, eq. (6) of Dolinsky and Celikovsky 2018)
+
+    sum_j p_ij (cos(theta_i - theta_j) thetadd_j + sin(theta_i - theta_j) thetad_j^2) + g_i sin(theta_i)
+
+and joint torques follow by virtual work, tau = T^T (.). The p_ij, g_i and the friction levels are beta.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from daq import FloatArray
+
+
+class Parameter(NamedTuple):
+    """One entry of beta and the term of the model that it multiplies."""
+
+    name: str
+    meaning: str
+    unit: str
+    term: str
+    """inertia | gravity | viscous | coulomb | rotor | offset"""
+    at: tuple[int, ...]
+    """Links (inertia, gravity) or joints (all others), 0-based."""
+
+
+def smooth_sign(velocity: FloatArray, scale: float) -> FloatArray:
+    """sign(v) rounded off over `scale` [rad/s]: v / sqrt(v^2 + scale^2). Same shape as `velocity`."""
+    return velocity / np.sqrt(velocity * velocity + scale * scale)
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """Regressor, inertia matrix, bias torque and forward dynamics, vectorised over leading axes."""
+
+    name: str
+    transform: FloatArray
+    """(n, n) T of theta = T q, entries 0 or 1."""
+    parameters: tuple[Parameter, ...]
+    gravity: float
+    """Factor of sin(theta) per unit of a gravity parameter: g where it is in kg m, -1 for an upright
+    convention with g inside the parameter."""
+    actuated: tuple[int, ...]
+    """0-based joints whose torque is measured; the others carry exactly zero."""
+    lever_arm: float = 0.0
+    """Pivot to IMU along link 1 [m]."""
+    gravity_mps2: float = 9.81
+    """Gravity as an accelerometer feels it [m/s2]."""
+    velocity_scale: float = 0.005
+    """Velocity over which sign(qd) is rounded off [rad/s]."""
+    length_unit: str = field(default="rad")
+    """Unit of q: rad, or m for a prismatic joint."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.transform.shape[0])
+
+    @property
+    def p(self) -> int:
+        """Number of parameters."""
+        return len(self.parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def force_unit(self) -> str:
+        """Unit of what drives the joints: N m, N on a slide, V where the input is a motor's voltage."""
+        return next((p.unit for p in self.parameters if p.term == "coulomb"), "N m")
+
+    def unit(self, rotary: str) -> str:
+        """A unit that is written for torques and angles, on this mechanism: of N m/rad makes N/m on a slide."""
+        if self.force_unit == "N m":
+            return rotary
+        return rotary.replace("(N m)", self.force_unit).replace("N m", self.force_unit).replace("rad", self.length_unit)
+
+    @property
+    def passive(self) -> tuple[int, ...]:
+        """Joints without a motor, 0-based."""
+        return tuple(j for j in range(self.n) if j not in self.actuated)
+
+    @cached_property
+    def offset_columns(self) -> dict[int, int]:
+        """Joint -> column of its constant torque offset."""
+        return {a.at[0]: k for k, a in enumerate(self.parameters) if a.term == "offset"}
+
+    def column(self, name: str) -> int:
+        """Column of the parameter called `name`; KeyError where there is none."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise KeyError(name) from None
+
+    def regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
+        """Z of tau = Z(q, qd, qdd) beta, eq. (13). Arguments (..., n) in rad, rad/s, rad/s2; Z (..., n, p)."""
+        lead = q.shape[:-1]
+        theta, thetad, thetadd = (np.moveaxis(x @ self.transform.T, -1, 0).copy() for x in (q, qd, qdd))
+        z = np.zeros((self.n, self.p, *lead))
+
+        def turn(link: int, k: int, values: FloatArray) -> None:
+            for joint in np.flatnonzero(self.transform[link]):
+                z[joint, k] += self.transform[link, joint] * values
+
+        for k, (_, _, _, term, at) in enumerate(self.parameters):
+            if term == "inertia":
+                i, j = at
+                if i == j:
+                    turn(i, k, thetadd[i])
+                else:
+                    delta = theta[i] - theta[j]
+                    c, s = np.cos(delta), np.sin(delta)
+                    turn(i, k, c * thetadd[j] + s * thetad[j] ** 2)
+                    turn(j, k, c * thetadd[i] - s * thetad[i] ** 2)
+            elif term == "gravity":
+                turn(at[0], k, self.gravity * np.sin(theta[at[0]]))
+            else:
+                z[at[0], k] = self._joint_term(term, qd[..., at[0]], qdd[..., at[0]])
+        return np.moveaxis(z, (0, 1), (-2, -1))
+
+    def _joint_term(self, term: str, qd: FloatArray, qdd: FloatArray) -> FloatArray:
+        if term == "viscous":
+            return qd
+        if term == "coulomb":
+            return smooth_sign(qd, self.velocity_scale)
+        if term == "rotor":
+            return qdd
+        if term == "offset":
+            return np.ones_like(qd)
+        raise ValueError(f"unknown term {term}")
+
+    def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray, beta: FloatArray) -> FloatArray:
+        """tau (..., n) [N m] that makes the motion happen; beta (..., p)."""
+        return np.einsum("...np,...p->...n", self.regressor(q, qd, qdd), beta)
+
+    def inertia_matrix(self, q: FloatArray, beta: FloatArray) -> FloatArray:
+        """D(q) of eq. (8), (..., n, n) [kg m^2]; q (..., n), beta (..., p)."""
+        theta = q @ self.transform.T
+        lead = np.broadcast_shapes(q.shape[:-1], beta.shape[:-1])
+        links = np.zeros((*lead, self.n, self.n))
+        rotors = np.zeros((*lead, self.n, self.n))
+        for k, (_, _, _, term, at) in enumerate(self.parameters):
+            if term == "inertia":
+                i, j = at
+                value = beta[..., k] * (1.0 if i == j else np.cos(theta[..., i] - theta[..., j]))
+                links[..., i, j] = value
+                links[..., j, i] = value
+            elif term == "rotor":
+                rotors[..., at[0], at[0]] = beta[..., k]
+        return np.swapaxes(self.transform, 0, 1) @ links @ self.transform + rotors
+
+    def bias_torque(self, q: FloatArray, qd: FloatArray, beta: FloatArray) -> FloatArray:
+        """C qd + G + F of eq. (9), offsets included: the torque at qdd = 0, (..., n) [N m]."""
+        theta, thetad = q @ self.transform.T, qd @ self.transform.T
+        lead = np.broadcast_shapes(q.shape[:-1], beta.shape[:-1])
+        links = np.zeros((*lead, self.n))
+        joints = np.zeros((*lead, self.n))
+        rest = np.zeros(())
+        for k, (_, _, _, term, at) in enumerate(self.parameters):
+            b = beta[..., k]
+            if term == "inertia":
+                i, j = at
+                if i != j:
+                    s = b * np.sin(theta[..., i] - theta[..., j])
+                    links[..., i] += s * thetad[..., j] ** 2
+                    links[..., j] -= s * thetad[..., i] ** 2
+            elif term == "gravity":
+                links[..., at[0]] += b * self.gravity * np.sin(theta[..., at[0]])
+            elif term != "rotor":
+                joints[..., at[0]] += b * self._joint_term(term, qd[..., at[0]], rest)
+        return links @ self.transform + joints
+
+    def forward_dynamics(self, q: FloatArray, qd: FloatArray, tau: FloatArray, beta: FloatArray) -> FloatArray:
+        """qdd (..., n) [rad/s2] under joint torques tau (..., n) [N m]."""
+        excess = tau - self.bias_torque(q, qd, beta)
+        solution = np.linalg.solve(self.inertia_matrix(q, beta), excess[..., None])[..., 0]
+        return np.asarray(solution, dtype=np.float64)
+
+
+def tree_parameters(pairs: list[tuple[int, int]], gravity: list[int], meanings: list[str],
+                    gravity_unit: str = "kg m", mass_unit: str = "kg m^2") -> list[Parameter]:
+    """beta1... for the inertias p_ij of `pairs`, then the gravity terms of the links in `gravity`."""
+    terms: list[tuple[str, tuple[int, ...], str]] = [("inertia", pair, mass_unit) for pair in pairs]
+    terms += [("gravity", (i,), gravity_unit) for i in gravity]
+    return [Parameter(f"beta{k + 1}", meanings[k], unit, term, at) for k, (term, at, unit) in enumerate(terms)]
+
+
+def friction_parameters(joints: list[int], labels: list[str], start: int, force: str = "N m",
+                        rate: str = "N m s/rad") -> list[Parameter]:
+    """Viscous, then Coulomb, parameters of `joints`, numbered from beta<start>."""
+    rows = [("viscous", j, f"viscous friction, {label}", rate) for j, label in zip(joints, labels)]
+    rows += [("coulomb", j, f"Coulomb friction, {label}", force) for j, label in zip(joints, labels)]
+    return [Parameter(f"beta{start + k}", meaning, unit, term, (j,))
+            for k, (term, j, meaning, unit) in enumerate(rows)]
+
+
+def extra_parameters(rotor_inertia: tuple[int, ...], torque_offset: tuple[int, ...],
+                     force: str = "N m", mass: str = "kg m^2") -> list[Parameter]:
+    """Declared extra terms, joints 0-based: reflected rotor inertia, torque offset."""
+    rotors = [Parameter(f"rotor_inertia_{j + 1}", f"reflected rotor inertia, joint {j + 1}", mass, "rotor", (j,))
+              for j in rotor_inertia]
+    offsets = [Parameter(f"torque_offset_{j + 1}", f"constant in the measured torque, joint {j + 1}", force,
+                         "offset", (j,)) for j in torque_offset]
+    return rotors + offsets
+
+
+def leg2(*, gravity_mps2: float = 9.81, lever_arm: float = 0.0, actuated: tuple[int, ...] = (1,),
+         rotor_inertia: tuple[int, ...] = (), torque_offset: tuple[int, ...] = (),
+         velocity_scale: float = 0.005) -> Mechanism:
+    """The 2-link leg hanging from its pivot, eq. (62), beta in the paper's order (contracts, fit JSON)."""
+    rigid = tree_parameters(
+        [(0, 0), (1, 1), (0, 1)], [0, 1],
+        ["I1 + m1*lc1^2 + m2*l1^2", "I2 + m2*lc2^2", "m2*l1*lc2", "m1*lc1 + m2*l1", "m2*lc2"])
+    friction = friction_parameters([0, 1], ["pivot", "knee"], 6)
+    return Mechanism("leg2", np.array([[1.0, 0.0], [1.0, 1.0]]),
+                     tuple(rigid + friction + extra_parameters(rotor_inertia, torque_offset)),
+                     gravity_mps2, actuated, lever_arm, gravity_mps2, velocity_scale)
+
+
+def biped3(*, actuated: tuple[int, ...] = (1, 2), gravity_mps2: float = 9.8) -> Mechanism:
+    """The 3-link walker of section V: both relative angles count from link 1, q1 from upright, g inside beta6-8.
+
+    The printed G lost its third row, -beta8*s(1,3); it follows here from the potential.
+    """
+    rigid = tree_parameters(
+        [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2)], [0, 1, 2],
+        ["I1 + l1^2*m2 + l1^2*m3 + lc1^2*m1", "I2 + m2*lc2^2", "I3 + m3*lc3^2", "l1*lc2*m2", "l1*lc3*m3",
+         "g*(l1*m2 + l1*m3 + lc1*m1)", "g*lc2*m2", "g*lc3*m3"], gravity_unit="N m")
+    transform = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 0.0, 1.0]])
+    return Mechanism("biped3", transform, tuple(rigid), -1.0, actuated, 0.0, gravity_mps2)
+
+
+def joint1(*, gravity_mps2: float = 9.81, prismatic: bool = False, actuated: tuple[int, ...] = (0,),
+           torque_offset: tuple[int, ...] = (), velocity_scale: float = 0.005, voltage: bool = False,
+           lever_arm: float = 0.0) -> Mechanism:
+    """One joint, rotary or prismatic: inertia (or mass), gravity moment unless gravity is 0, friction.
+
+    With `voltage` the input is a motor voltage and every parameter is in volts per unit of its term.
+    """
+    force = "V" if voltage else ("N" if prismatic else "N m")
+    length = "m" if prismatic else "rad"
+    mass = f"V s^2/{length}" if voltage else ("kg" if prismatic else "kg m^2")
+    rigid = tree_parameters([(0, 0)], [0] if gravity_mps2 else [], ["mass" if prismatic else "inertia", "m*lc"],
+                            "V s^2/m" if voltage else "kg m", mass)
+    friction = friction_parameters([0], ["joint"], len(rigid) + 1, force, f"{force} s/{length}")
+    extra = extra_parameters((), torque_offset, force, mass)
+    return Mechanism("joint1", np.eye(1), tuple(rigid + friction + extra), gravity_mps2, actuated, lever_arm,
+                     gravity_mps2, velocity_scale, length)
+
+
+def chain(links: int, *, gravity_mps2: float = 9.81, actuated: tuple[int, ...] | None = None,
+          rotor_inertia: tuple[int, ...] = (), torque_offset: tuple[int, ...] = (),
+          velocity_scale: float = 0.005) -> Mechanism:
+    """An open chain of `links` links hanging from a pivot, each angle relative to the link before (Fig. 1)."""
+    pairs = [(i, i) for i in range(links)] + [(i, j) for i in range(links) for j in range(i + 1, links)]
+    meanings = [f"p{i + 1}{j + 1}" for i, j in pairs] + [f"first moment, link {i + 1}" for i in range(links)]
+    rigid = tree_parameters(pairs, list(range(links)), meanings)
+    friction = friction_parameters(list(range(links)), [f"joint {j + 1}" for j in range(links)], len(rigid) + 1)
+    driven = tuple(range(1, links)) if actuated is None else actuated
+    return Mechanism("chain", np.tril(np.ones((links, links))),
+                     tuple(rigid + friction + extra_parameters(rotor_inertia, torque_offset)),
+                     gravity_mps2, driven, 0.0, gravity_mps2, velocity_scale)

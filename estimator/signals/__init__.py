@@ -1,0 +1,19 @@
+"""From columns to signals: filters, segments without gaps, the IMU's tilt and rate."""
+
+from estimator.signals.filters import encoder_level, lowpass, quantum, white_noise_level
+from estimator.signals.imu import accelerometer, tilt
+from estimator.signals.segments import (
+    IMU_COLUMNS,
+    Kinematics,
+    SignalSet,
+    angle_column,
+    differentiate,
+    paper_differences,
+    split_signals,
+    torque_column,
+)
+
+__all__ = [
+    "IMU_COLUMNS", "Kinematics", "SignalSet", "accelerometer", "angle_column", "differentiate", "encoder_level",
+    "lowpass", "paper_differences", "quantum", "split_signals", "tilt", "torque_column", "white_noise_level"
+]

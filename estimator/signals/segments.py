@@ -1,0 +1,129 @@
+"""`SignalSet`: one gap-free stretch of one run as the arrays an estimator works on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from daq import Dataset, FloatArray
+from estimator.errors import FitError
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+from estimator.signals.filters import central_difference, lowpass
+from estimator.signals.imu import fuse_tilt, tilt
+
+IMU_COLUMNS = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
+
+
+@dataclass(frozen=True)
+class SignalSet:
+    """Measured samples of one stretch; a joint without an encoder has NaN angles."""
+
+    run: str
+    rate_hz: float
+    time_s: FloatArray
+    """(n,)"""
+    angles: FloatArray
+    """(n, joints) encoder angles, NaN where the joint has none on this path [rad]."""
+    torque: FloatArray
+    """(n, joints) measured torque, exactly zero on a passive joint [N m]."""
+    imu: Mapping[str, FloatArray]
+    """The three IMU columns on the IMU path, otherwise empty."""
+
+
+def angle_column(mechanism: Mechanism, joint: int) -> str:
+    """Contract's column of a joint's angle (joint 0-based)."""
+    return f"q{joint + 1}_m" if mechanism.length_unit == "m" else f"q{joint + 1}_rad"
+
+
+def torque_column(mechanism: Mechanism, joint: int) -> str:
+    """Contract's column of a joint's torque or force (joint 0-based)."""
+    return f"tau{joint + 1}_n" if mechanism.length_unit == "m" else f"tau{joint + 1}_nm"
+
+
+def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> list[SignalSet]:
+    """Stretches of at least 20 samples of every run, without gaps in the columns that this fit reads.
+
+    On the IMU path `q1_rad` is never read. Raises `FitError` naming the run and the column that is missing.
+    """
+    if not datasets:
+        raise FitError("no run was given")
+    found = []
+    for data in datasets:
+        imu = list(IMU_COLUMNS) if options.sensors == "imu" else []
+        first = 1 if imu else 0
+        angles = [angle_column(mechanism, j) for j in range(first, mechanism.n)]
+        torques = [torque_column(mechanism, j) for j in mechanism.actuated]
+        needed = imu + angles + torques
+        for column in needed:
+            if column not in data:
+                raise FitError(f"{data.name}: column {column} is missing for the {options.sensors} path")
+        for where in data.segments(needed):
+            n = where.stop - where.start
+            q = np.full((n, mechanism.n), np.nan)
+            for j, column in zip(range(first, mechanism.n), angles):
+                q[:, j] = data[column][where]
+            tau = np.zeros((n, mechanism.n))
+            for j, column in zip(mechanism.actuated, torques):
+                tau[:, j] = data[column][where]
+            found.append(SignalSet(data.name, data.rate_hz, data.time_s[where], q, tau,
+                                   {name: data[name][where] for name in imu}))
+    if not found:
+        raise FitError("no stretch of 20 samples without a gap in any run")
+    if len({s.rate_hz for s in found}) > 1:
+        raise FitError("the runs are on grids of different rates; give one rate_hz under [sampling]")
+    return found
+
+
+class Kinematics(NamedTuple):
+    """Filtered angles and their differences, each (n, joints)."""
+
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
+
+
+def differentiate(signals: SignalSet, mechanism: Mechanism, cutoff_hz: float | None, order: int,
+                  fused: bool = False) -> Kinematics:
+    """Angles low-passed and differenced, eqs. (19), (34)-(39); the pivot from the IMU by eq. (63).
+
+    `fused` takes the gyro's integral for the fast part of the pivot's angle instead of the accelerometer
+    alone; the paper's WLS-IMU does not.
+    """
+    dt = 1.0 / signals.rate_hz
+    q = lowpass(signals.angles, cutoff_hz, signals.rate_hz, order)
+    qd = central_difference(q, dt)
+    qdd = central_difference(qd, dt)
+    if signals.imu:
+        gyro, ax, ay = (signals.imu[name] for name in IMU_COLUMNS)
+        s, c, q1dd = tilt(ax, ay, gyro, signals.rate_hz, mechanism.lever_arm, cutoff_hz, order)
+        q1 = np.unwrap(np.arctan2(s, c))
+        if fused:
+            q1 = fuse_tilt(ax, ay, gyro, signals.rate_hz, mechanism.lever_arm, cutoff_hz)
+        rate = central_difference(q1, dt) if fused else gyro  # fused: free of the gyro's bias
+        q[:, 0], qd[:, 0], qdd[:, 0] = q1, lowpass(rate, cutoff_hz, signals.rate_hz, order), q1dd
+    return Kinematics(q, qd, qdd)
+
+
+def paper_differences(signals: SignalSet, mechanism: Mechanism, options: FitOptions) -> Kinematics:
+    """Angles and differences of section V, (60) and (61): `options.half_power` and `options.spacing` of Table II.
+
+    A joint whose encoder is declared free of noise is not filtered. On the IMU path the pivot comes from (63).
+    """
+    dt = 1.0 / signals.rate_hz
+    cutoff = 0.5 * float(options.half_power or 1.0) * signals.rate_hz
+    q = signals.angles.copy()
+    for j in range(mechanism.n):
+        if options.encoder_noise(j) != 0.0:
+            q[:, j] = lowpass(q[:, j], cutoff, signals.rate_hz, options.filter_order)
+    qd = central_difference(q, dt, options.spacing)
+    qdd = central_difference(qd, dt, options.spacing)
+    if signals.imu:
+        gyro, ax, ay = (signals.imu[name] for name in IMU_COLUMNS)
+        s, c, q1dd = tilt(ax, ay, gyro, signals.rate_hz, mechanism.lever_arm, cutoff, options.filter_order)
+        q[:, 0] = np.unwrap(np.arctan2(s, c))
+        qd[:, 0], qdd[:, 0] = lowpass(gyro, cutoff, signals.rate_hz, options.filter_order), q1dd
+    return Kinematics(q, qd, qdd)

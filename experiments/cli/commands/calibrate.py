@@ -1,0 +1,213 @@
+"""`legid calibrate`: what rig.toml's [calibration] and the lever arm need, from records with the motor off."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from daq import Rig
+    from daq.calibration import StillRecord
+    from daq.runs import RawRun
+    from experiments.calibrate import Outcome, Wanted
+    from experiments.models import Model
+
+SECONDS = {"imu": 60.0, "mount": 20.0, "encoder": 10.0, "shunt": 20.0, "imu-encoder": 60.0}
+"""Length of a record from the devices."""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "calibrate", help="calibrate IMU, knee encoder, mount and shunt from records with the motor off",
+        description="Measure what the rig file must know and write it there; comments stay. Without RUN the devices of "
+                    "the rig file are read, the motor stays off. Every figure comes with its 95 % interval.")
+    steps = parser.add_subparsers(title="what to calibrate", metavar="WHAT", required=True, dest="what")
+    imu = _step(steps, "imu", "biases, noise and scales of the IMU, from records at rest",
+                "Gyro bias and noise (Allan deviation) from a record of an IMU that lies still; with six, each with "
+                "another axis of the chip up or down, accelerometer bias and scales too.",
+                "one or six .mcap files recorded at rest", SECONDS["imu"])
+    imu.add_argument("--six-positions", action="store_true", help="ask for six positions of the chip, one by one")
+    imu.add_argument("--self-test", action="store_true", help="first let the chip test itself; keep it still")
+    mount = _step(steps, "mount", "how the IMU sits on link 1, and its lever arm, from rest and swing",
+                  "Mount matrix and lever arm by maximum likelihood of the swing and the chip's six readings; where "
+                  "q1 = 0 is, comes from the leg hanging at rest.", ".mcap files: the leg at rest, and swinging",
+                  SECONDS["mount"])
+    encoder = _step(steps, "encoder", "the knee encoder's reading at a straight knee",
+                    "From a leg hanging free, whose knee stops anywhere in its friction's cone about the vertical, or "
+                    "held straight (--straight).", ".mcap files at rest, each another stop of the leg",
+                    SECONDS["encoder"])
+    encoder.add_argument("--straight", action="store_true", help="the leg is held or clamped straight")
+    encoder.add_argument("--records", metavar="N", type=int, help="so many stops from the devices")
+    for step in (mount, encoder):
+        step.add_argument("--model", metavar="MODEL.json", help="an identified leg: how far its friction holds it")
+    _step(steps, "shunt", "offset of the current shunt, motor off and leg at rest",
+          "Mean current while the motor is off, with its drift.", ".mcap files with the motor off",
+          SECONDS["shunt"])
+    _step(steps, "imu-encoder", "the IMU on a moving link against the encoder of that link's angle",
+          "Gyro bias, scale and lag, accelerometer biases, scales and lag, and the lever arm, by least squares on "
+          "q1_rad: fitted on the first half, checked on the other. No torque is needed.",
+          ".mcap or .csv files with q1_rad and IMU of a moving link", SECONDS["imu-encoder"])
+    everything = steps.add_parser(
+        "all", help="walk through imu, mount, encoder and shunt on a terminal",
+        description="One step after another, each with what to do with the leg before it; a step can be skipped or "
+                    "taken again. Readings come from the devices of the rig file, the motor stays off.")
+    everything.add_argument("--rig", required=True, help="the rig's TOML file; each step writes what it finds into it")
+    everything.add_argument("--seconds", type=float, help="length of each record (default: each step's own)")
+    everything.add_argument("--straight", action="store_true", help="the knee's zero from a leg held straight")
+    everything.add_argument("--six-positions", action="store_true",
+                            help="the accelerometer's biases and scales too, from six positions of the chip")
+    everything.add_argument("--model", metavar="MODEL.json", help="an identified leg: how far its friction holds it")
+    everything.add_argument("--dry-run", action="store_true", help="print only, leave the rig file as it is")
+    parser.set_defaults(run=run)
+
+
+def _step(steps: argparse._SubParsersAction[argparse.ArgumentParser], name: str, about: str, more: str, runs: str,
+          seconds: float) -> argparse.ArgumentParser:
+    step = steps.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}. {more}")
+    step.add_argument("runs", metavar="RUN", nargs="*", help=runs)
+    step.add_argument("--rig", required=True, help="the rig's TOML file; what is found is written into it")
+    step.add_argument("--seconds", type=float, default=seconds,
+                      help=f"length of each record from the devices (default {seconds:g})")
+    step.add_argument("--dry-run", action="store_true", help="print only, leave the rig file as it is")
+    return step
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, say, store."""
+    import sys
+
+    from daq import load_rig
+    from experiments.calibrate import store
+
+    if args.what == "all":
+        return _all(args)
+    rig = load_rig(args.rig)
+    outcome = STEPS[args.what](args, rig)
+    print(outcome.text)
+    for warning in outcome.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print(store(outcome, args.rig, args.dry_run))
+    return 0
+
+
+def _imu(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from experiments.calibrate import Outcome
+    from experiments.calibrate import imu as calibrating
+
+    records = _recorded(args.runs) if args.runs else _measured(args, rig)
+    gyro, accel = calibrating.calibrate(records, rig.mechanism.gravity_mps2)
+    return Outcome(calibrating.calibration_text(gyro, accel),
+                   {"calibration": calibrating.calibration_values(gyro, accel)})
+
+
+def _encoder(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from daq import InputError
+    from experiments.calibrate import encoder_and_shunt as leg
+
+    model = _model(args)
+    if args.records is not None and args.records < 1:
+        raise InputError("--records", f"is {args.records}", "give 1 or more")
+    count = args.records or (1 if args.straight else leg.fewest_stops(model))
+    wishes = leg.straight_wishes(count) if args.straight else leg.hanging_wishes(count)
+    return leg.calibrate_knee(_records(args, rig, wishes), rig, args.straight, model)
+
+
+def _mount(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from experiments.calibrate import MOUNT_WISHES, calibrate_mount
+
+    model = _model(args)
+    return calibrate_mount(_records(args, rig, MOUNT_WISHES, controller=False), rig, model)
+
+
+def _shunt(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from experiments.calibrate import calibrate_shunt, shunt_wishes
+
+    return calibrate_shunt(_records(args, rig, shunt_wishes()), rig)
+
+
+def _imu_encoder(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from experiments.calibrate import SWING_WISHES, calibrate_by_encoder
+
+    return calibrate_by_encoder(None if args.runs else _records(args, rig, SWING_WISHES), args.runs, rig)
+
+
+STEPS = {"imu": _imu, "mount": _mount, "encoder": _encoder, "shunt": _shunt, "imu-encoder": _imu_encoder}
+
+
+def _all(args: argparse.Namespace) -> int:
+    from functools import partial
+
+    from experiments.calibrate import walkthrough as walking
+
+    does = {"encoder": walking.STRAIGHT} if args.straight else {}
+    does |= {"imu": walking.SIX} if args.six_positions else {}
+    measure = {}
+    for step in walking.STEPS:
+        own = vars(args) | {"runs": [], "records": None, "self_test": False}
+        own["seconds"] = args.seconds or SECONDS[step.name]
+        measure[step.name] = partial(STEPS[step.name], argparse.Namespace(**own))
+    print(walking.walk(args.rig, measure, args.dry_run, does))
+    return 0
+
+
+def _records(args: argparse.Namespace, rig: Rig, wishes: Sequence[Wanted], controller: bool = True) -> list[RawRun]:
+    """From the files given, else from the devices."""
+    from pathlib import Path
+
+    from experiments.calibrate import read_records, record_off
+
+    if args.runs:
+        return read_records(args.runs)
+    text = Path(args.rig).read_text(encoding="utf-8")
+    return record_off(rig, text, args.rig, wishes, args.seconds, controller)
+
+
+def _model(args: argparse.Namespace) -> Model | None:
+    """The identified leg, where one is given."""
+    from daq import InputError
+    from experiments.models import load_model
+
+    if args.model is None:
+        return None
+    model = load_model(args.model)
+    if model.mechanism.model != "leg2":
+        raise InputError(args.model, f"is a model of {model.mechanism.model}", "give that of a leg2")
+    return model
+
+
+def _recorded(paths: Sequence[str]) -> list[StillRecord]:
+    """Still records from run files."""
+    from daq import InputError
+    from daq.calibration import still_record
+    from daq.runs import read_run
+    from experiments.calibrate import POSITIONS
+
+    if len(paths) not in (1, POSITIONS):
+        raise InputError("RUN", f"{len(paths)} files given", "give one still record, or six for six positions")
+    return [still_record(read_run(path)) for path in paths]
+
+
+def _measured(args: argparse.Namespace, rig: Rig) -> list[StillRecord]:
+    """Still records from the chip."""
+    from daq import InputError, WorkError
+    from experiments.calibrate import POSITIONS, answer, record_still, self_test_text
+    from experiments.rig import open_imu
+
+    if rig.devices.imu is None:
+        raise InputError(args.rig, "has no [devices.imu]", "describe the IMU, or give records as RUN")
+    records = []
+    with open_imu(rig.devices.imu, args.rig) as imu:
+        if args.self_test:
+            words, passed = self_test_text(imu.bus, rig.devices.imu)
+            print(words)
+            if not passed:
+                raise WorkError("the IMU's self-test failed; the chip is damaged, or it moved meanwhile")
+            imu.open()
+        for position in range(POSITIONS if args.six_positions else 1):
+            if args.six_positions:
+                answer(f"position {position + 1} of {POSITIONS}: lay the chip on another face, then press Enter ")
+            print(f"keep still for {args.seconds:g} s", flush=True)
+            records.append(record_still(imu, args.seconds, f"record {position + 1}"))
+    return records

@@ -1,0 +1,61 @@
+"""`legid diagnose`: what the simulation gets wrong, why, and what extending it gains."""
+
+from __future__ import annotations
+
+import argparse
+
+from experiments.cli.arguments import MOST_WORKERS, whole_number
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "diagnose", help="name what the model gets wrong and measure what extending it gains",
+        description="Fit the nominal model, look for what it leaves over, name the cause where the data allows it, "
+                    "and measure on runs that chose nothing how much the extended model gains. Give several runs "
+                    "(eight of 20 s are good) in the order in which they were recorded. Exit status 1 when no "
+                    "diagnosis is possible (JSON is written all the same).")
+    parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
+    parser.add_argument("--rig", required=True, help="the rig's TOML file")
+    parser.add_argument("--json", metavar="FILE", help="write the diagnosis as JSON (schema legid.diagnosis/1)")
+    parser.add_argument("--html", metavar="FILE", help="write a report page")
+    parser.add_argument("--model-out", metavar="MODEL.json",
+                        help="write the extended model (the nominal one where nothing was named) for validate and "
+                             "simulate")
+    parser.add_argument("--seed", metavar="N", type=whole_number(0, 2**32 - 1), default=0,
+                        help="rehearsals and intervals are drawn from it; default: 0")
+    parser.add_argument("--workers", metavar="N", type=whole_number(1, MOST_WORKERS),
+                        help="processes that share the work; default: one a core")
+    parser.add_argument("--reference", metavar="MODEL.json",
+                        help="an earlier model of this rig: parameters that changed are reported, a payload for one")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose, print, write what was asked for. Raises `WorkError` with the verdict fit_failed."""
+    from daq import WorkError, load_rig
+    from experiments.console import stages, write_json
+    from experiments.models import load_model, save_model
+    from experiments.reports import diagnosed_model, diagnosis_document, diagnosis_text
+    from experiments.rig import load_setup
+    from experiments.workflows import diagnose_setup, reference_values, require_one_rig
+
+    rig = load_rig(args.rig)
+    earlier = load_model(args.reference) if args.reference else None
+    require_one_rig(args.runs)
+    setup = load_setup(args.runs, rig)
+    reference = None if earlier is None else reference_values(earlier, args.reference, setup)
+    with stages("diagnosing") as show:
+        found = diagnose_setup(setup, rig, args.seed, reference, show, args.workers)
+    if args.json:
+        write_json(args.json, diagnosis_document(found))
+    if args.html:
+        from experiments.reports import write_diagnosis
+
+        write_diagnosis(args.html, found, setup.settings.model)
+    if found.verdict == "fit_failed":
+        raise WorkError(found.sentence)
+    print(diagnosis_text(found))
+    if args.model_out:
+        save_model(diagnosed_model(found, setup, rig.motor.gear_ratio), args.model_out)
+    return 0

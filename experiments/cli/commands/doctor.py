@@ -1,0 +1,48 @@
+"""`legid doctor`: is the rig ready to record?"""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "doctor", help="check devices, clocks, zeros and disk before recording",
+        description="One line for each check, with what to do where it fails; exit status 1 when one does. The motor "
+                    "is stopped and stays off. Let the leg hang still, or swing it by hand with --move.")
+    parser.add_argument("--rig", help="the rig's TOML file; default: devices at their usual places")
+    parser.add_argument("--move", metavar="SECONDS", nargs="?", type=_seconds, const=10.0,
+                        help="swing the leg by hand for so long (default 10): do encoders and IMU agree?")
+    parser.add_argument("--clear-faults", action="store_true",
+                        help="have the controller forget the faults it has latched, once their cause is removed")
+    parser.add_argument("--out", metavar="DIR", default=".", help="where runs will be recorded (default: here)")
+    parser.set_defaults(run=run)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 1.0 <= value <= 600.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not 1 to 600 s")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check, say, judge."""
+    from pathlib import Path
+
+    from daq import WorkError, load_rig
+    from experiments.doctor import checks_text, default_rig, examine
+
+    rig = load_rig(args.rig) if args.rig else default_rig()
+    text = Path(args.rig).read_text(encoding="utf-8") if args.rig else ""
+    checks = examine(rig, text, args.rig or "the usual places", Path(args.out), args.move, args.clear_faults)
+    print(checks_text(checks))
+    failed = [check.name for check in checks if check.status == "FAIL"]
+    if failed:
+        raise WorkError(f"{len(failed)} of {len(checks)} checks failed: {', '.join(failed)}")
+    print(f"all {len(checks)} checks passed" + (", with warnings" if any(c.status == "warn" for c in checks) else ""))
+    return 0

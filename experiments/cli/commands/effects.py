@@ -1,0 +1,27 @@
+"""`legid effects`: what a diagnosis can name."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "effects", help="list the effects that a diagnosis can name",
+        description="Every effect in the library with its meaning, the units of its sizes, where its form comes from "
+                    "and the experiment that shows it best; effects of installed packages (entry point group "
+                    "legid.effects) with them; and what cannot be tested, with the reason.")
+    parser.add_argument("--json", metavar="FILE", help="write the list as JSON (schema legid.effects/1)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the library, write what was asked for."""
+    from experiments.console import write_json
+    from experiments.models import effects_document, effects_text
+
+    print(effects_text())
+    if args.json:
+        write_json(args.json, effects_document())
+    return 0

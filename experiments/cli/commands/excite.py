@@ -1,0 +1,151 @@
+"""`legid excite`: design a torque plan, or a session of them."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from daq import Rig
+    from daq.recording import Plan
+    from experiments.excite import Band, Bench, Search
+
+FIRST_SHARE = 0.1
+"""Peak of a first plan, as a share of the torque limit."""
+FIRST_LOW_HZ = 0.1
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "excite", help="design an excitation within the rig's limits",
+        description="Look for the torque that tells most about all parameters together, by a prior model of the rig: a "
+                    "Fourier series of odd harmonics whose amplitudes and phases an optimiser moves. The simulated "
+                    "motion stays within the rig's limits, with a margin. With --session a whole session: several "
+                    "realisations at two amplitudes, slow ramps with holds, free swings, or what the causes of a "
+                    "diagnosis call for. Without a model, a plain multisine of --peak: what the motion will be is then "
+                    "unknown, so begin gently.")
+    parser.add_argument("--rig", required=True, help="the rig's TOML file; its [limits] are kept")
+    parser.add_argument("--model", metavar="MODEL.json", help="prior model, from an earlier fit")
+    parser.add_argument("--peak", metavar="NM", type=_Number(1e-6, 1e6),
+                        help="without --model: largest torque; default: a tenth of the rig's limit")
+    out = parser.add_mutually_exclusive_group(required=True)
+    out.add_argument("--out", metavar="PLAN", help="one torque plan to write (CSV)")
+    out.add_argument("--session", metavar="DIR", help="folder for the plans of a session and their index")
+    parser.add_argument("--next", metavar="DIAGNOSIS.json",
+                        help="with --session: plans that show the causes of this diagnosis best")
+    parser.add_argument("--runs", type=_Number(4, 64), default=16,
+                        help="with --session: number of plans (default 16: every part of a diagnosis sees every kind)")
+    parser.add_argument("--criterion", choices=("d", "worst"), default="d",
+                        help="what is made small. d: the mean and the largest of the relative standard errors, both as "
+                             "logarithms; worst: the largest alone (default d)")
+    parser.add_argument("--seconds", type=_Number(2.0, 600.0), default=20.0, help="length of a plan (default 20)")
+    parser.add_argument("--low", metavar="HZ", type=_Number(0.0, 25.0),
+                        help=f"lowest frequency (default: one period a plan; {FIRST_LOW_HZ:g} without a model)")
+    parser.add_argument("--high", metavar="HZ", type=_Number(0.0, 25.0), default=3.0,
+                        help="highest frequency (default 3)")
+    parser.add_argument("--margin", type=_Number(0.05, 1.0), default=0.8, help="share of each limit used (default 0.8)")
+    parser.add_argument("--doubt", type=_Number(0.0, 0.5), default=0.1,
+                        help="share by which the prior's parameters may be off: models so far away keep the limits too "
+                             "(default 0.1)")
+    parser.add_argument("--tries", type=_Number(1, 1000), default=2, help="random starts for each plan (default 2)")
+    parser.add_argument("--steps", type=_Number(1, 10_000), default=80,
+                        help="steps of the optimiser from each start (default 80)")
+    parser.add_argument("--seed", type=int, default=0, help="of the random draws (default 0)")
+    parser.set_defaults(run=run)
+
+
+class _Number:
+    """A number in a range."""
+
+    def __init__(self, low: float, high: float) -> None:
+        self.low, self.high = low, high
+
+    def __call__(self, text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not self.low <= value <= self.high:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number from {self.low:g} to {self.high:g}")
+        return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """Design, write, tell."""
+    from daq import InputError, load_rig
+    from daq.recording import write_plan
+
+    rig = load_rig(args.rig)
+    if args.seed < 0:
+        raise InputError("--seed", f"{args.seed} is negative", "give a number from 0 on")
+    if args.next is not None and args.session is None:
+        raise InputError("--next", "answers with a session of plans", "give --session DIR instead of --out")
+    if args.session is not None and not args.model:
+        raise InputError("--session", "is designed by a model of the rig", "give --model MODEL.json")
+    if args.peak is not None and args.model:
+        raise InputError("--peak", "is for a plan without a model", "leave out --peak; --margin scales the plan")
+    if args.session is not None:
+        return _session(args, rig)
+    plan = _designed(args, rig) if args.model else _plain(args, rig)
+    write_plan(plan, args.out)
+    print(f"{args.out}: {plan.duration_s:.1f} s at most {plan.peak_nm:.3g} N m")
+    return 0
+
+
+def _prior(args: argparse.Namespace, rig: Rig) -> tuple[Bench, Band, Search]:
+    """What a design is made on, in which band, and how it is sought."""
+    from daq import InputError
+    from experiments.excite import Band, Bench, Search
+    from experiments.models import load_model
+
+    model = load_model(args.model)
+    if model.mechanism.model != rig.mechanism.model or model.mechanism.actuated != rig.mechanism.actuated:
+        raise InputError(args.model, f"is of a {model.mechanism.model}, the rig is a {rig.mechanism.model} or drives "
+                                     "other joints", "give a model of this rig")
+    return (Bench(model, rig, args.model, args.doubt), Band(args.seconds, args.low or 0.0, args.high),
+            Search(args.margin, args.criterion, int(args.tries), int(args.steps), args.seed))
+
+
+def _session(args: argparse.Namespace, rig: Rig) -> int:
+    """A folder of plans, told of."""
+    from pathlib import Path
+
+    from experiments.console import stages
+    from experiments.excite import next_choice, plan_session, session_text, usual_choice, write_session
+
+    choice = usual_choice() if args.next is None else next_choice(args.next)
+    bench, band, search = _prior(args, rig)
+    with stages("designing") as show:
+        session = plan_session(bench, band, search, choice, int(args.runs), show)
+    write_session(session, Path(args.session), args.rig, args.model, args.margin)
+    print(session_text(session, Path(args.session)))
+    return 0
+
+
+def _designed(args: argparse.Namespace, rig: Rig) -> Plan:
+    """The best plan by the prior model, told of on the way."""
+    from experiments.console import stages
+    from experiments.excite import design, design_text
+
+    bench, band, search = _prior(args, rig)
+    with stages("designing") as show:
+        found = design(bench, band, search, lambda done, total: show(f"{done:.1f} of {total:g} starts", done / total))
+    print(design_text(found, rig.limits))
+    return found.best.plan
+
+
+def _plain(args: argparse.Namespace, rig: Rig) -> Plan:
+    """Equal sines with random phases, nothing known of what they will do."""
+    from daq import InputError
+    from experiments.excite import random_multisine
+
+    limit = rig.limits.torque_nm
+    peak = FIRST_SHARE * limit if args.peak is None else args.peak
+    low = FIRST_LOW_HZ if args.low is None else args.low
+    if peak > limit:
+        raise InputError("--peak", f"{peak:g} N m is beyond the rig's limit of {limit:g} N m", "lower it")
+    try:
+        return random_multisine(args.seed, args.seconds, peak, low_hz=low, high_hz=args.high)
+    except ValueError as error:
+        raise InputError("--seconds", str(error), "give more seconds or a wider band") from None

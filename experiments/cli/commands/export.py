@@ -1,0 +1,50 @@
+"""`legid export`: a run or a model in another format."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "export", help="convert a run to CSV, Parquet or MATLAB, a model to MJCF or URDF",
+        description="Align a run to a uniform grid and write it in another format, one column a signal, SI units. "
+                    "A native run carries its rig; --rig overrides it. With --to mjcf or urdf a MODEL.json becomes a "
+                    "simulator's model.")
+    parser.add_argument("run_file", metavar="RUN", help="run file: .mcap, .csv or .csv.gz; or MODEL.json")
+    parser.add_argument("--to", required=True, choices=("csv", "parquet", "mat", "mjcf", "urdf"), help="the format")
+    parser.add_argument("--out", metavar="FILE", required=True, help="the file to write")
+    parser.add_argument("--rig", help="the rig's TOML file; default: the one inside the run")
+    parser.add_argument("--rate", metavar="HZ", type=float, help="samples per second; default: the rig's")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, align, write."""
+    if args.to in ("mjcf", "urdf"):
+        return _export_model(args)
+    from experiments.reports import export_run, load_any
+
+    data = load_any(args.run_file, args.rig, args.rate)
+    rows = export_run(data, args.to, args.out)
+    print(f"{args.out}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
+    return 0
+
+
+def _export_model(args: argparse.Namespace) -> int:
+    """Write the model; what the format cannot hold goes to stderr."""
+    import sys
+
+    from daq import InputError
+    from experiments.console import write_text
+    from experiments.models import export_model, load_model
+
+    if args.rig is not None or args.rate is not None:
+        raise InputError(f"--to {args.to}", "takes neither --rig nor --rate", "leave them out: they belong to runs")
+    text, notes = export_model(load_model(args.run_file), args.to, args.run_file)
+    write_text(args.out, text)
+    print(f"{args.out}: {args.to.upper()} model of {args.run_file}")
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)
+    return 0

@@ -1,0 +1,96 @@
+"""`legid fit`: identify the mechanism's parameters from runs."""
+
+from __future__ import annotations
+
+import argparse
+
+from experiments.cli.arguments import MOST_WORKERS, whole_number
+
+METHODS = ("mle", "wls", "rls", "hekf")
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "fit", help="identify parameters from runs",
+        description="Identify the parameters of the rig's mechanism from one or more runs and print them with "
+                    "their 95 % intervals. Exit status 1 when the fit did not converge (JSON is written all the same).")
+    parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
+    parser.add_argument("--rig", required=True, help="the rig's TOML file")
+    parser.add_argument("--method", choices=METHODS, default="mle",
+                        help="mle: maximum likelihood (default); wls: weighted least squares; rls, hekf: recursive")
+    parser.add_argument("--sensors", choices=("imu", "encoder"),
+                        help="what gives the pivot's angle; default: imu where all runs have its columns")
+    parser.add_argument("--latent", choices=("trajectory", "free"), default="trajectory",
+                        help="mle only: one consistent motion (default), or the paper's free samples")
+    parser.add_argument("--fix", metavar="NAME=VALUE", action="append", default=[], type=_assignment,
+                        help="give a parameter instead of estimating it, e.g. --fix beta8=0; may be repeated")
+    parser.add_argument("--each", action="store_true",
+                        help="fit every run alone, side by side; --json then has schema legid.fits/1")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=whole_number(1, MOST_WORKERS), metavar="N",
+                       help="with --each: local processes; default: one a core")
+    where.add_argument("--cluster", metavar="ADDRESS",
+                       help="with --each: an existing Dask scheduler that sees the same files")
+    parser.add_argument("--json", metavar="FILE", help="write the result as JSON (schema legid.fit/1)")
+    parser.add_argument("--html", metavar="FILE", help="write a report page")
+    parser.add_argument("--model-out", metavar="MODEL.json", help="write the model for validate and simulate")
+    parser.set_defaults(run=run)
+
+
+def _assignment(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE") from None
+
+
+def _run_each(args: argparse.Namespace) -> int:
+    """Fit every run alone on the executor that was asked for."""
+    from pathlib import Path
+
+    from daq import InputError
+    from experiments.console import work_bar, write_json
+    from experiments.workflows import Refit, choose_executor, refit_all, refits_document, refits_text, verdict
+
+    if args.html or args.model_out:
+        raise InputError("--each", "makes no report and no model", "leave out --html and --model-out")
+    pieces = [Refit(str(Path(run).resolve()), str(Path(args.rig).resolve()), args.method, args.sensors, args.latent,
+                    dict(args.fix)) for run in args.runs]
+    with work_bar("fitting", len(pieces), "run") as done:
+        fits = refit_all(pieces, choose_executor(args.workers, args.cluster), done)
+    print(refits_text(fits))
+    if args.json:
+        write_json(args.json, refits_document(fits))
+    return verdict(fits)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit, print, write what was asked for. Raises `WorkError` where the fit is no use."""
+    if args.each:
+        return _run_each(args)
+    from daq import load_rig
+    from experiments.console import busy, write_json
+    from experiments.reports import check_sound, fit_document, fit_text, model_of
+    from experiments.rig import load_setup
+    from experiments.workflows import fit_setup
+
+    setup = load_setup(args.runs, load_rig(args.rig), args.sensors, dict(args.fix), args.latent)
+    with busy(f"fitting {len(setup.datasets)} runs by {args.method}"):
+        result = fit_setup(setup, args.method)
+    print(fit_text(result, setup.settings.model))
+    if args.json:
+        write_json(args.json, fit_document(result, setup.settings))
+    if args.html:
+        from experiments.reports import fit_sections, fit_summary, write_page
+
+        title = f"Fit of {setup.settings.model}: {', '.join(d.name for d in setup.datasets)}"
+        write_page(args.html, title, fit_summary(result, setup.settings.model), fit_sections(result))
+    check_sound(result, bool(args.model_out))
+    if args.model_out:
+        from experiments.models import save_model
+
+        save_model(model_of(result, setup.settings, setup.options.hold, [d.name for d in setup.datasets]),
+                   args.model_out)
+    return 0

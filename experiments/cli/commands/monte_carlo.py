@@ -1,0 +1,100 @@
+"""`legid monte-carlo`: the simulation study of the paper's section V."""
+
+from __future__ import annotations
+
+import argparse
+
+from experiments.cli.arguments import whole_number
+
+METHODS = ("mle", "wls", "rls", "hekf")
+CHOICES = (*METHODS, "mle-free")
+MOST_RUNS = 1_000_000
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "monte-carlo", help="the simulation study of the paper, Table III",
+        description="Simulate noisy records of one step of the three-link walker, fit each by every method, simulate "
+                    "the models freely and print Table III beside the paper's numbers. An interrupted study goes on "
+                    "where it stopped when the same command is given again.")
+    parser.add_argument("model", choices=("biped3",), help="the walker of section V")
+    parser.add_argument("--runs", type=whole_number(1, MOST_RUNS), default=1000, help="runs a case; default: 1000")
+    parser.add_argument("--cases", type=_cases, default=(1, 2, 3, 4, 5), metavar="1,2,...",
+                        help="columns of Table II, and 5 for the failing case; default: all")
+    parser.add_argument("--methods", type=_methods, default=METHODS, metavar="mle,wls,...",
+                        help="default: mle,wls,rls,hekf; mle-free is the paper's own MLE, with free latents and "
+                             "central differences")
+    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1,
+                        help="all noise is drawn from it; default: 1")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=whole_number(1, MOST_RUNS), metavar="N",
+                       help="local processes; default: one a core")
+    where.add_argument("--cluster", metavar="ADDRESS", help="an existing Dask scheduler, e.g. tcp://host:8786")
+    parser.add_argument("--out", metavar="DIR", default="monte-carlo-out",
+                        help="where finished work is kept, with runs.parquet and report.html; "
+                             "default: monte-carlo-out")
+    parser.add_argument("--json", metavar="FILE", help="write the table as JSON (schema legid.monte-carlo/1)")
+    parser.add_argument("--markdown", metavar="FILE", help="write the page as Markdown too, its pictures beside it")
+    parser.add_argument("--note", default="", metavar="TEXT", help="a sentence for the end of the page")
+    parser.set_defaults(run=run)
+
+
+def _cases(text: str) -> tuple[int, ...]:
+    found = text.split(",")
+    if not all(part in ("1", "2", "3", "4", "5") for part in found):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a list of cases from 1 to 5")
+    return tuple(sorted({int(part) for part in found}))
+
+
+def _methods(text: str) -> tuple[str, ...]:
+    found = text.split(",")
+    for part in found:
+        if part not in CHOICES:
+            raise argparse.ArgumentTypeError(f"{part!r} is none of {', '.join(CHOICES)}")
+    return tuple(m for m in CHOICES if m in found)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run what is missing, print the table, write what was asked for."""
+    import time
+    from pathlib import Path
+
+    from experiments.console import work_bar, write_json
+    from experiments.reports import write_markdown, write_page
+    from experiments.studies import machine, motor_mechanism
+    from experiments.studies.biped3 import (
+        CASES,
+        FLOOR,
+        blocks,
+        make_table,
+        require_parquet,
+        run_study,
+        study_sections,
+        study_summary,
+        study_text,
+        table_document,
+        write_parquet,
+    )
+    from experiments.workflows import choose_executor
+
+    require_parquet()
+    started = time.perf_counter()
+    folder = Path(args.out)
+    work = blocks([CASES[number - 1] for number in args.cases], [*args.methods, FLOOR], args.runs, args.seed)
+    with work_bar("fitting", sum(block.count for block in work), "run") as done:
+        results = run_study(work, folder / "blocks", choose_executor(args.workers, args.cluster),
+                            lambda block, count: done(count, f"case {block.case.number} {block.method}"))
+    table = make_table(results, args.seed)
+    wall_s = time.perf_counter() - started
+    print(study_text(table, wall_s))
+    here = machine()
+    page = "Simulation study of the three-link walker", study_summary(table), study_sections(table, here, args.note)
+    write_page(folder / "report.html", *page)
+    write_parquet(folder / "runs.parquet", results, motor_mechanism().names)
+    if args.json:
+        write_json(args.json, table_document(table, wall_s, here))
+    if args.markdown:
+        write_markdown(args.markdown, *page)
+    print(f"\nreport: {folder / 'report.html'}\nall runs: {folder / 'runs.parquet'}")
+    return 0

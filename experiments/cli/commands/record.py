@@ -1,0 +1,45 @@
+"""`legid record`: a real experiment, or the same on an emulated leg."""
+
+from __future__ import annotations
+
+import argparse
+
+from experiments.cli.commands.demo import HIDEABLE, parse_seed
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "record", help="run a torque plan on the real leg and record it",
+        description="Open the devices of the rig file, run the plan under the rig's limits and record everything. "
+                    "Ctrl-C stops the motor at once; what was recorded until then is kept. With --emulate no device "
+                    "is opened: the rig's IMU, controller and a leg are emulated, for practice.")
+    parser.add_argument("--rig", required=True, help="the rig's TOML file, with [devices] and [limits]")
+    parser.add_argument("--plan", required=True, help="torque plan: CSV with time_s,tau2_cmd_nm")
+    parser.add_argument("--out", metavar="RUN.mcap", required=True, help="the run file to write; never overwritten")
+    parser.add_argument("--watched-by", metavar="FD", type=int, help=argparse.SUPPRESS)  # legid live: see daq.remote
+    parser.add_argument("--emulate", metavar="NAME", nargs="?", const="none", choices=HIDEABLE,
+                        help="record an emulated leg of the rig's kind instead, with this hidden in it: "
+                             f"{', '.join(HIDEABLE)} (the default)")
+    parser.add_argument("--seed", metavar="N", type=parse_seed, default=1,
+                        help="of the emulated leg's noise; default: 1")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record one run."""
+    import sys
+
+    from daq.recording import read_plan, watched_by
+    from experiments.console import progress_to
+    from experiments.workflows import record_plan
+
+    plan = read_plan(args.plan)
+    with watched_by(args.watched_by) as remote, progress_to("recording") as report:
+        done, warnings = record_plan(args.rig, plan, args.out, args.emulate, args.seed, report, remote)
+    print(f"{args.out}: {done.duration_s:.1f} s, {done.messages} messages, {done.imu_samples} IMU samples, "
+          f"{done.commands} torque commands ({done.late_commands} left out as late), "
+          f"controller clock known to {done.clock_bound_s * 1e6:.0f} us")
+    for line in warnings:
+        print(line, file=sys.stderr)
+    return 0

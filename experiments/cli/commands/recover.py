@@ -1,0 +1,31 @@
+"""`legid recover`: what is whole in a damaged run file, as a clean one."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "recover", help="repair a run file that a crash cut short",
+        description="Write everything that is whole in RUN to a clean, indexed file. RUN itself is left as it is. "
+                    "Other commands read a cut file as well, as far as it is whole.")
+    parser.add_argument("run_file", metavar="RUN", help="a .mcap run file")
+    parser.add_argument("--out", metavar="FILE", help="the file to write; default: RUN with .recovered before .mcap")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Copy what is whole, say what was lost."""
+    from pathlib import Path
+
+    from daq.runs import recover
+
+    path = Path(args.run_file)
+    out = Path(args.out) if args.out else path.with_name(f"{path.stem}.recovered.mcap")
+    report = recover(path, out)
+    state = "was whole already" if report.complete and not report.damaged_chunks else "was cut off or damaged"
+    damaged = f", {report.damaged_chunks} damaged chunks left out" if report.damaged_chunks else ""
+    print(f"{path} {state}; {report.messages} messages saved to {out}{damaged}")
+    return 0

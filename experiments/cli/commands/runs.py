@@ -1,0 +1,46 @@
+"""`legid runs`: what has been recorded."""
+
+from __future__ import annotations
+
+import argparse
+from datetime import date
+
+VERDICTS = ("none", "named", "one_of", "unexplained", "fit_failed", "-")
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "runs", help="list recorded runs with their verdicts",
+        description="Every .mcap file in DIR and below, oldest first: when, how long, which rig, how well its clock is "
+                    "known, what was lost, and the verdict of the newest diagnosis JSON beside it that used it.")
+    parser.add_argument("folder", metavar="DIR", help="folder with run files")
+    parser.add_argument("--model", help="only runs of this rig model (leg2, ...)")
+    parser.add_argument("--since", metavar="DATE", type=_day, help="only runs recorded on this day (UTC) or later")
+    parser.add_argument("--until", metavar="DATE", type=_day, help="only runs recorded on this day (UTC) or before")
+    parser.add_argument("--verdict", choices=VERDICTS, help="only runs with this verdict; -: not diagnosed yet")
+    parser.add_argument("--faulty", action="store_true", help="only runs that lost something or ended early")
+    parser.add_argument("--json", metavar="F", help="write the list as JSON too")
+    parser.set_defaults(run=run)
+
+
+def _day(text: str) -> date:
+    try:
+        return date.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a date like 2026-11-21") from None
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, choose, print."""
+    from experiments.console import write_json
+    from experiments.reports import choose, list_runs, runs_document, runs_text
+
+    every = list_runs(args.folder)
+    lines = choose(every, args.model, args.since, args.until, args.verdict, args.faulty)
+    if args.json:
+        write_json(args.json, runs_document(lines))
+    if lines:
+        print(runs_text(lines))
+    print(f"{len(lines)} of {len(every)} runs" if len(lines) < len(every) else f"{len(every)} runs")
+    return 0

@@ -1,0 +1,54 @@
+"""`legid simulate`: run a model under a torque plan."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "simulate", help="run a model under a torque plan",
+        description="Simulate the model from rest under the plan's torque and write a run as CSV: angles, torque "
+                    "and, for a leg with an IMU, what the IMU would read.")
+    parser.add_argument("model", metavar="MODEL.json", help="a model written by legid fit --model-out")
+    parser.add_argument("--plan", required=True, help="torque plan: CSV with time_s,tau2_cmd_nm")
+    parser.add_argument("--out", metavar="RUN.csv", required=True, help="the run to write (.csv or .csv.gz)")
+    parser.add_argument("--rate", metavar="HZ", type=_positive, help="samples per second; default: the plan's own rate")
+    parser.add_argument("--start", metavar="Q1,Q2", type=_angles, help="angles at the start [rad]; default: all zero")
+    parser.add_argument("--noise-seed", metavar="N", type=int,
+                        help="add the model's own noise levels to the samples, drawn with this seed; default: none")
+    parser.set_defaults(run=run)
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a rate in Hz")
+    return value
+
+
+def _angles(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a list of angles like 0.1,0.2") from None
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate and write the run."""
+    from daq.recording import read_plan
+    from daq.runs import write_csv
+    from experiments.console import busy
+    from experiments.models import load_model
+    from experiments.workflows import simulate_run
+
+    model, plan = load_model(args.model), read_plan(args.plan)
+    with busy("simulating"):
+        data = simulate_run(model, plan, args.model, args.rate, args.start, args.noise_seed)
+    rows = write_csv(data, args.out)
+    print(f"{args.out}: {rows} samples, {len(data) / data.rate_hz:.1f} s at {data.rate_hz:g} Hz")
+    return 0

@@ -1,0 +1,48 @@
+"""`legid validate`: free-run simulation of a model against runs."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "validate", help="compare a model's free-run simulation with runs",
+        description="Simulate the model from each run's first state under its measured torque alone, and compare "
+                    "with what was measured. Use runs that the fit has not seen.")
+    parser.add_argument("model", metavar="MODEL.json", help="a model written by legid fit --model-out")
+    parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
+    parser.add_argument("--rig", required=True, help="the rig's TOML file")
+    parser.add_argument("--sensors", choices=("imu", "encoder"),
+                        help="what the pivot's angle is compared with; default: imu where all runs have its columns")
+    parser.add_argument("--json", metavar="FILE", help="write the errors as JSON (schema legid.validation/1)")
+    parser.add_argument("--html", metavar="FILE", help="write a report page")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate, compare, print, write what was asked for."""
+    import numpy as np
+
+    from daq import load_rig
+    from experiments.console import write_json
+    from experiments.models import load_model
+    from experiments.reports import validation_document, validation_section, validation_text
+    from experiments.rig import load_setup
+    from experiments.workflows import validate_runs
+
+    model = load_model(args.model)
+    setup = load_setup(args.runs, load_rig(args.rig), args.sensors, beta=np.array(model.beta))
+    validations = validate_runs(model, setup, args.model)
+    print(validation_text(validations))
+    if args.json:
+        write_json(args.json, validation_document(validations, setup.options.sensors))
+    if args.html:
+        from experiments.reports import write_page
+
+        write_page(args.html, f"Validation of {args.model}",
+                   f"{model.mechanism.model}, fitted by {model.provenance.method} to "
+                   f"{', '.join(model.provenance.runs)}, simulated against {len(validations)} runs.",
+                   [validation_section(validations)])
+    return 0

@@ -1,0 +1,101 @@
+"""`legid`: the command line. One line for every way it can end badly, never a traceback."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import NoReturn
+
+from daq import InputError, WorkError
+from drivers import DriverError
+from estimator import FitError
+
+COMMANDS = ("demo", "record", "calibrate", "info", "recover", "export", "fit", "validate", "diagnose", "effects",
+            "simulate", "casebook", "monte_carlo", "doctor",
+            "runs", "init", "excite", "emulate", "live")
+"""Module names, in the order in which `legid --help` lists them."""
+TRACEBACK = "LEGID_TRACEBACK"
+"""Set in the environment, an error that nobody foresaw is raised as it is: for whoever mends it."""
+
+EPILOG = """\
+a first session:
+  legid demo                                   everything on an emulated rig; no hardware needed
+  legid info demo-out/demo-run1.mcap           what a run file holds
+  legid fit demo-out/demo-run1.mcap demo-out/demo-run2.mcap --rig demo-out/rig.toml --model-out model.json
+  legid validate model.json demo-out/demo-run3.mcap --rig demo-out/rig.toml --html validation.html
+
+RUN is a .mcap, .csv or .csv.gz file; RIG is the rig.toml that describes the leg (see README.md).
+`legid COMMAND --help` explains one command.
+exit status: 0 done, 1 could not be done on this data, 2 bad arguments or bad input
+"""
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse, with errors of one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
+
+
+def build_parser() -> Parser:
+    """The whole command line."""
+    parser = Parser(prog="legid", description="Identify a real 2-link robot leg, and say what its model gets wrong.",
+                    epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--version", action=_Version)
+    subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, dest="command")
+    for name in COMMANDS:
+        import_module(f"experiments.cli.commands.{name}").add_parser(subparsers)
+    return parser
+
+
+class _Version(argparse.Action):
+    """`--version`; asks the installation only when wanted."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, help="print the version and exit")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from experiments.console import program_version
+
+        print(f"legid {program_version()}")
+        parser.exit(0)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status: 0 done, 1 not possible on this data, 2 bad input."""
+    name = "legid"
+    try:
+        args = build_parser().parse_args(argv)
+        name = f"legid {args.command}"
+        status = int(args.run(args))
+        sys.stdout.flush()
+        return status
+    except SystemExit as ending:
+        return ending.code if isinstance(ending.code, int) else int(ending.code is not None)
+    except InputError as error:
+        return _fail(name, error, 2)
+    except (WorkError, FitError, DriverError) as error:
+        return _fail(name, error, 1)
+    except KeyboardInterrupt:
+        return _fail(name, "interrupted", 1)
+    except BrokenPipeError:
+        # Whoever read the output has left (`legid info x | head`); nothing may be flushed into the pipe now.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:
+        if os.environ.get(TRACEBACK):
+            raise
+        return _fail(name, f"internal error, please report it: {type(error).__name__}: {error} "
+                           f"(set {TRACEBACK}=1 to see where)", 1)
+
+
+def _fail(name: str, error: object, status: int) -> int:
+    print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

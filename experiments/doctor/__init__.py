@@ -1,0 +1,5 @@
+"""Preflight checks of a rig: bus, link, signals."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,9 @@
+from .emulated_rig import record_emulated as record_emulated
+from .hidden_effects import DEFAULT as DEFAULT
+from .hidden_effects import EFFECTS as EFFECTS
+from .hidden_effects import NOTHING as NOTHING
+from .hidden_effects import Hidden as Hidden
+from .hidden_effects import find_hidden as find_hidden
+from .plant import LegBody as LegBody
+from .served_rig import ServedRig as ServedRig
+from .served_rig import write_plans as write_plans

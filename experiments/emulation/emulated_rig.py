@@ -1,0 +1,60 @@
+"""A rig that exists in bytes only: the plant of `plant` behind emulated chips, on virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from daq import ControllerDevice, ImuDevice, Matrix3, Rig, Vector3
+from daq.recording import Plan, RecordReport, record_run
+from drivers import ImuConfig, LegController, Lsm9ds1
+from drivers.mock import Clock, EmulatorLink, FirmwareSettings, ImuSettings, MockRig, VirtualClock
+from experiments.emulation.hidden_effects import NOTHING, Hidden
+from experiments.emulation.plant import LegBody
+
+REMARK = "recorded from an emulated leg"
+
+
+def emulate(rig: Rig, seed: int, clock: Clock, body: LegBody | None = None,
+            hidden: Hidden = NOTHING) -> MockRig:
+    """The rig that `rig` describes, hanging at rest, with the errors that its calibration takes out.
+
+    `hidden` is wrong beside them, and nothing in the rig file says so.
+    """
+    c = rig.calibration
+    imu = ImuSettings(lever_arm_m=rig.imu.lever_arm_m, gravity_mps2=rig.mechanism.gravity_mps2, mount=c.imu_mount,
+                      gyro_bias_radps=_turned(c.gyro_bias_radps, c.imu_mount, hidden.gyro_bias_radps),
+                      accel_bias_mps2=c.accel_bias_mps2, accel_matrix=c.accel_matrix)
+    controller = rig.devices.controller or ControllerDevice()
+    firmware = FirmwareSettings(
+        telemetry_hz=round(controller.rate_hz), gear_ratio=rig.motor.gear_ratio, torque_limit_nm=rig.limits.torque_nm,
+        torque_constant_nm_per_a=c.torque_constant_nm_per_a,
+        shunt_offset_a=c.shunt_offset_a + hidden.torque_offset_nm / c.torque_constant_nm_per_a,
+        knee_zero_rad=c.knee_zero_rad)
+    return MockRig(hidden.plant(body or LegBody()), clock, imu, firmware, seed)
+
+
+def _turned(bias: Vector3, mount: Matrix3, added: float) -> Vector3:
+    """Bias in the chip's axes with `added` about the joint's axis, the contract's z."""
+    x, y, z = (b + added * axis for b, axis in zip(bias, mount[2]))
+    return x, y, z
+
+
+def record_emulated(path: Path, rig: Rig, rig_text: str, plan: Plan, seed: int, body: LegBody | None = None,
+                    hidden: Hidden = NOTHING,
+                    progress: Callable[[float, float], None] | None = None) -> RecordReport:
+    """One run on the emulated rig, through the drivers and the recorder that a real one uses.
+
+    The run file says that it is emulated, and not what is hidden.
+    """
+    clock = VirtualClock()
+    mock = emulate(rig, seed, clock, body, hidden)
+    device = rig.devices.imu or ImuDevice()
+    config = ImuConfig(device.rate_hz, device.accel_range_g, device.gyro_range_dps)
+    link = EmulatorLink(mock.firmware, clock, seed=seed)
+    with LegController(link, clock.now_ns) as controller:
+        controller.open()
+        imu = Lsm9ds1(mock.imu, device.address, config, clock.now_ns, device.bus_khz, clock.sleep)
+        imu.open()
+        return record_run(path, rig, rig_text, plan, imu, controller, clock.now_ns, threaded=False, progress=progress,
+                          remark=REMARK)

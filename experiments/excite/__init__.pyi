@@ -1,0 +1,11 @@
+from .multisine import random_multisine as random_multisine
+from .optimal_design import Band as Band
+from .optimal_design import Bench as Bench
+from .optimal_design import Search as Search
+from .optimal_design import design as design
+from .optimal_design import design_text as design_text
+from .session import next_choice as next_choice
+from .session import plan_session as plan_session
+from .session import session_text as session_text
+from .session import usual_choice as usual_choice
+from .session import write_session as write_session

@@ -1,0 +1,212 @@
+"""A whole session of plans, in an order that shows every kind to every part of a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from daq import FloatArray, InputError, WorkError
+from daq.recording import write_plan
+from experiments.console import make_directory, write_json
+from experiments.excite.optimal_design import (
+    RATE_HZ,
+    Band,
+    Bench,
+    Candidate,
+    Design,
+    Search,
+    condition_number,
+    design,
+    standard_errors,
+)
+from experiments.excite.waveforms import BY_HAND, EFFECT_KINDS, KINDS, USUAL
+
+SCHEMA = "legid.excitation/1"
+INDEX = "session.json"
+TURN = 4
+"""Of four runs in turn a diagnosis fits two, screens one and keeps one for confirmation."""
+PARTS = ("fit", "screen", "fit", "confirm")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which kinds take turns, and why."""
+
+    kinds: tuple[str, ...]
+    """TURN of them."""
+    reasons: tuple[str, ...]
+    by_hand: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SessionPlan:
+    """One plan of a session."""
+
+    file: str
+    kind: str
+    part: str
+    """fit | screen | confirm"""
+    candidate: Candidate
+
+
+@dataclass(frozen=True)
+class PlannedSession:
+    """All plans, and the first design, whose first draw is what they are compared with."""
+
+    plans: tuple[SessionPlan, ...]
+    design: Design
+    choice: Choice
+
+    @property
+    def information(self) -> FloatArray:
+        """(p, p) of all plans together."""
+        return np.asarray(np.sum([p.candidate.information for p in self.plans], axis=0))
+
+    @property
+    def before(self) -> FloatArray:
+        """(p, p) of as many first draws."""
+        return len(self.plans) * self.design.first.information
+
+
+def usual_choice() -> Choice:
+    """The kinds that look for anything."""
+    return Choice(USUAL, tuple(f"{kind}: {KINDS[kind].what}" for kind in USUAL))
+
+
+def next_choice(path: Path | str) -> Choice:
+    """The kinds that the causes of a diagnosis call for. Raises `InputError` where the file is no diagnosis."""
+    where = str(path)
+    try:
+        found = msgspec.json.decode(Path(path).read_bytes())
+    except OSError as error:
+        raise InputError(where, error.strerror or str(error), "give the JSON of legid diagnose") from None
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        raise InputError(where, "is not JSON", "give the JSON of legid diagnose") from None
+    if not isinstance(found, dict) or found.get("schema") != "legid.diagnosis/1":
+        raise InputError(where, "is no legid.diagnosis/1", "give the JSON of legid diagnose --json")
+    causes, verdict = found.get("causes"), found.get("verdict")
+    if not isinstance(causes, list) or not all(isinstance(c, dict) and isinstance(c.get("effect"), str)
+                                               for c in causes):
+        raise InputError(where, "`causes` is no list of effects", "give the JSON of legid diagnose --json")
+    names = list(dict.fromkeys(str(c["effect"]) for c in causes))
+    known = [name for name in names if name in EFFECT_KINDS]
+    if verdict not in ("named", "one_of") or not known:
+        told = f"the verdict is {verdict!r}" + ("" if verdict in ("none", "unexplained", "fit_failed") else
+                                                " of causes that no kind of plan is known for")
+        usual = usual_choice()
+        return replace(usual, reasons=(f"{told}: all usual kinds", *usual.reasons))
+    return chosen_for(known)
+
+
+def chosen_for(effects: Sequence[str]) -> Choice:
+    """`large` first, then in turn what each of the effects calls for, `small` where there is room."""
+    wanted: dict[str, list[str]] = {}
+    for rank in range(2):  # every effect's first kind before any one's second
+        for name in effects:
+            for kind in EFFECT_KINDS[name][rank:rank + 1]:
+                wanted.setdefault(kind, []).append(name)
+    kinds, left = list(wanted)[: TURN - 1], list(wanted)[TURN - 1:]
+    if len(kinds) < TURN - 1:
+        kinds.insert(1 if kinds else 0, "small")
+    order: tuple[str, ...] = ("large", *kinds)
+    order += {2: order, 3: (kinds[0],)}.get(len(order), ())
+    reasons = [f"{kind}: {KINDS[kind].what}" + (f"; for {', '.join(wanted[kind])}" if kind in wanted else "")
+               for kind in dict.fromkeys(order)]
+    reasons += [f"{kind} is left out, for there are {TURN} turns: {KINDS[kind].what}; for {', '.join(wanted[kind])}"
+                for kind in left]
+    reasons += [f"{name}: large and small are all that it needs" for name in effects if not EFFECT_KINDS[name]]
+    return Choice(tuple(order), tuple(reasons), tuple(f"{name}: {BY_HAND[name]}" for name in effects
+                                                      if name in BY_HAND))
+
+
+def plan_session(bench: Bench, band: Band, search: Search, choice: Choice, runs: int,
+                 progress: Callable[[str, float], None] | None = None) -> PlannedSession:
+    """All plans, each within the limits by simulation. Raises `InputError` or `WorkError`.
+
+    Run i is of kind (i mod 4 + i div 4) mod 4: each four have all kinds, and after sixteen every part of a diagnosis
+    has seen all. Every realisation of a kind is drawn anew, but the k-th `small` is half the k-th `large`.
+    """
+    time_s = np.arange(round(band.seconds * RATE_HZ)) / RATE_HZ
+    plans: list[SessionPlan] = []
+    designs: list[Design] = []
+    turns: dict[str, int] = {}
+
+    def designed(k: int) -> Design:
+        while len(designs) <= k:
+            designs.append(design(bench, band, replace(search, seed=search.seed * 1000 + len(designs))))
+        return designs[k]
+
+    for i in range(runs):
+        kind = choice.kinds[(i % TURN + i // TURN) % TURN]
+        if progress is not None:
+            progress(kind, i / runs)
+        turn = turns[kind] = turns.get(kind, -1) + 1
+        if kind == "large":
+            candidate: Candidate | None = designed(turn).best
+        elif kind == "small":
+            torque = designed(turn).best.torque_nm
+            peak = float(np.abs(torque).max())
+            candidate = bench.sized(torque / peak, search.margin, KINDS[kind].share * peak)
+        else:
+            candidate = _shaped(bench, kind, time_s, search, i)
+        if candidate is None:
+            raise WorkError(f"no plan of the kind {kind!r} keeps the limits; widen [limits]")
+        plans.append(SessionPlan(f"{i + 1:02d}-{kind}.csv", kind, PARTS[i % TURN], candidate))
+    return PlannedSession(tuple(plans), designs[0], choice)
+
+
+def _shaped(bench: Bench, kind: str, time_s: FloatArray, search: Search, run: int) -> Candidate | None:
+    shape = KINDS[kind].shape
+    assert shape is not None
+    wave = shape(time_s, np.random.default_rng((search.seed, run)))
+    return bench.sized(wave / np.abs(wave).max(), KINDS[kind].share * search.margin)
+
+
+def write_session(found: PlannedSession, folder: Path, rig: str, model: str, margin: float) -> None:
+    """The plans and their index into `folder`. Raises `InputError` where that cannot be written."""
+    make_directory(folder)
+    for plan in found.plans:
+        write_plan(plan.candidate.plan, folder / plan.file)
+    write_json(folder / INDEX, session_document(found, rig, model, margin))
+
+
+def session_document(found: PlannedSession, rig: str, model: str, margin: float) -> dict[str, Any]:
+    """`legid.excitation/1`; a standard error is null where that plan alone leaves the parameter open."""
+    names = found.design.names
+    return {
+        "schema": SCHEMA, "rig": rig, "model": model, "margin": margin,
+        "chosen": list(found.choice.reasons), "by_hand": list(found.choice.by_hand),
+        "plans": [{"file": p.file, "kind": p.kind, "what": KINDS[p.kind].what, "part": p.part,
+                   "seconds": p.candidate.plan.duration_s, "peaks": p.candidate.peaks,
+                   "std": dict(zip(names, p.candidate.std.tolist()))} for p in found.plans],
+        "session": {"seconds": sum(p.candidate.plan.duration_s for p in found.plans),
+                    "condition_before": condition_number(found.before),
+                    "condition_after": condition_number(found.information),
+                    "std_before": dict(zip(names, standard_errors(found.before).tolist())),
+                    "std": dict(zip(names, standard_errors(found.information).tolist()))},
+    }
+
+
+def session_text(found: PlannedSession, folder: Path) -> str:
+    """What was chosen and why, the plans in order, and what all of them together are predicted to tell."""
+    lines = [*found.choice.reasons, *(f"by hand: {text}" for text in found.choice.by_hand), ""]
+    for p in found.plans:
+        peak = ", ".join(f"{name} {value:.3g}" for name, value in p.candidate.peaks.items())
+        lines.append(f"{p.file:<14}  {p.part:<7}  {peak}")
+    after, before = standard_errors(found.information), standard_errors(found.before)
+    minutes = sum(p.candidate.plan.duration_s for p in found.plans) / 60.0
+    told = ", ".join(f"{name} {100 * s / abs(b):.2g} %" for name, s, b in zip(found.design.names, after,
+                                                                             found.design.beta))
+    lines += ["", f"{len(found.plans)} plans, {minutes:.1f} min, in {folder} with {INDEX}; condition number before "
+              f"{condition_number(found.before):.1f} (as many first draws), after "
+              f"{condition_number(found.information):.1f}",
+              f"predicted standard errors of all together: {told}; "
+              f"{float(np.exp(np.mean(np.log(after / before)))):.2f} of as many first draws' in the mean"]
+    if len(found.plans) < TURN * TURN:
+        lines.append(f"with fewer than {TURN * TURN} runs not every part of a diagnosis sees every kind")
+    return "\n".join(lines)

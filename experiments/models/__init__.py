@@ -1,0 +1,5 @@
+"""Model files, models extended by effects, exports to MJCF and URDF."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,16 @@
+from .effect_library import effects_document as effects_document
+from .effect_library import effects_text as effects_text
+from .effect_library import known_effects as known_effects
+from .mechanism_settings import build_mechanism as build_mechanism
+from .mechanism_settings import mechanism_settings as mechanism_settings
+from .mjcf_urdf import export_model as export_model
+from .model_file import load_model as load_model
+from .model_file import save_model as save_model
+from .model_file import values_of as values_of
+from .schema import MechanismSettings as MechanismSettings
+from .schema import Model as Model
+from .schema import ParameterValue as ParameterValue
+from .schema import Provenance as Provenance
+from .with_effects import effect_value as effect_value
+from .with_effects import simulate_extended as simulate_extended
+from .with_effects import validate_extended as validate_extended

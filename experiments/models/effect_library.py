@@ -1,0 +1,61 @@
+"""The effects that a diagnosis can name, the library's own and those of installed packages, as a document and text."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+from daq import InputError
+from estimator.effects import ENTRY_POINT, UNTESTABLE, Effect, classes
+
+SCHEMA = "legid.effects/1"
+
+
+def known_effects() -> dict[str, type[Effect]]:
+    """Name -> class, in the library's order. Raises `InputError` for a package whose effect cannot be used."""
+    try:
+        found = classes()
+    except (ImportError, AttributeError, SyntaxError) as error:
+        raise InputError(f"entry point group {ENTRY_POINT}", f"an installed effect does not load: {error}",
+                         "mend or uninstall the package that names it") from None
+    known: dict[str, type[Effect]] = {}
+    for kind in found:
+        if not (isinstance(kind, type) and issubclass(kind, Effect)):
+            raise InputError(f"entry point group {ENTRY_POINT}", f"{kind!r} is not an Effect class",
+                             "name a class that derives from estimator.effects.Effect")
+        if kind.name in known:
+            raise InputError(f"entry point group {ENTRY_POINT}", f"two effects are called {kind.name}",
+                             "give yours a name of its own")
+        known[kind.name] = kind
+    return known
+
+
+def effects_document() -> dict[str, Any]:
+    """`legid.effects/1`."""
+    return {
+        "schema": SCHEMA,
+        "effects": [{
+            "effect": name, "by_joint": kind.per_joint, "meaning": kind.sentence,
+            "sizes": [{"name": s.name, "unit": s.unit} for s in kind.sizes],
+            "shapes": [{"name": s.name, "unit": s.unit, "tried": list(s.grid)} for s in kind.shapes],
+            "reference": kind.reference, "experiment": kind.experiment} for name, kind in known_effects().items()],
+        "not_testable": [{"effect": name, "why": why} for name, why in UNTESTABLE.items()],
+    }
+
+
+def effects_text() -> str:
+    """The same for a terminal."""
+    blocks = []
+    for name, kind in known_effects().items():
+        parts = [(s.name, s.unit) for s in kind.sizes] + [(s.name, s.unit) for s in kind.shapes]
+        sizes = ", ".join(f"{part} [{unit}]" for part, unit in parts)
+        rows = [("meaning", kind.sentence), ("sizes", sizes), ("after", kind.reference),
+                ("best shown by", kind.experiment)]
+        blocks.append("\n".join([f"{name} ({'by joint' if kind.per_joint else 'whole rig'})",
+                                 *(_row(label, text) for label, text in rows if text)]))
+    untestable = [f"{name}\n{_row('why not', why)}" for name, why in UNTESTABLE.items()]
+    return "\n\n".join([*blocks, "Not testable on any rig of this kind:", *untestable])
+
+
+def _row(label: str, text: str) -> str:
+    return textwrap.fill(text, 110, initial_indent=f"  {label + ':':15}", subsequent_indent=" " * 17)

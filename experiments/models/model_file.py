@@ -1,0 +1,76 @@
+"""MODEL.json: an identified model as typed data. Reading one never runs anything."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import msgspec
+
+from daq import InputError
+from experiments.console import write_json
+from experiments.models.mechanism_settings import build_mechanism
+from experiments.models.schema import SCHEMA, Model
+
+
+def values_of(model: Model) -> dict[str, tuple[float, float]]:
+    """Parameter -> (value, standard deviation), infinite where it is not determined."""
+    found = {}
+    for k, parameter in enumerate(model.parameters):
+        variance = model.covariance[k][k]
+        found[parameter.name] = (parameter.value, math.inf if variance is None else math.sqrt(max(variance, 0.0)))
+    return found
+
+
+def save_model(model: Model, path: Path | str) -> None:
+    """Write MODEL.json. Raises `InputError` where that place cannot be written."""
+    write_json(path, model)
+
+
+def load_model(path: Path | str) -> Model:
+    """Read and check MODEL.json. Raises `InputError` naming the file and the place in it."""
+    where = str(path)
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(where, error.strerror or str(error), "give a model written by legid fit") from None
+    try:
+        model = msgspec.json.decode(data, type=Model)
+    except msgspec.ValidationError as error:
+        raise InputError(where, _lower(str(error).replace("`$.", "`")),
+                         f"give a model of schema {SCHEMA}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(where, f"is not JSON: {_lower(str(error))}", "give a model written by legid fit") from None
+    fault = _fault(model)
+    if fault:
+        raise InputError(where, fault, "give a model written by legid fit")
+    return model
+
+
+def _fault(model: Model) -> str:
+    """What the types cannot say; empty when all is well."""
+    from experiments.models.with_effects import effects_fault
+
+    try:
+        names = build_mechanism(model.mechanism).names
+    except ValueError as error:
+        return str(error)
+    found = tuple(parameter.name for parameter in model.parameters)
+    if found != names:
+        return f"`parameters` are {', '.join(found) or 'empty'}, {model.mechanism.model} has {', '.join(names)}"
+    for parameter in model.parameters:
+        if not math.isfinite(parameter.value):
+            return f"`parameters` gives {parameter.name} no finite value"
+    fault = effects_fault(model)
+    if fault:
+        return fault
+    count = len(names) + sum(len(e.sizes) + len(e.shapes) for e in model.effects)
+    if len(model.covariance) != count or any(len(row) != count for row in model.covariance):
+        return f"`covariance` is not {count} by {count}"
+    if any(not (math.isfinite(level) and level >= 0) for level in model.noise.values()):
+        return "`noise` holds a level that is not a positive number"
+    return ""
+
+
+def _lower(text: str) -> str:
+    return text[:1].lower() + text[1:]

@@ -1,0 +1,89 @@
+"""MODEL.json as typed structs: a mechanism, its parameters, the effects that extend it, where they come from."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+SCHEMA = "legid.model/1"
+NonNegative = Annotated[float, Meta(ge=0)]
+Positive = Annotated[float, Meta(gt=0)]
+Joint = Annotated[int, Meta(ge=1)]
+
+
+class _Part(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    pass
+
+
+class MechanismSettings(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What `build_mechanism` needs; joints count from 1."""
+
+    model: Literal["leg2", "biped3", "joint1", "chain"]
+    actuated: tuple[Joint, ...]
+    gravity_mps2: NonNegative = 9.81
+    links: Annotated[int, Meta(ge=1, le=20)] = 2
+    input: Literal["torque", "voltage"] = "torque"
+    prismatic: bool = False
+    lever_arm_m: NonNegative = 0.0
+    rotor_inertia: tuple[Joint, ...] = ()
+    torque_offset: tuple[Joint, ...] = ()
+    friction_velocity_radps: Positive = 0.01
+
+
+class ParameterValue(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One entry of beta."""
+
+    name: str
+    meaning: str
+    unit: str
+    value: float
+
+
+class EffectValue(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One effect that extends the nominal model."""
+
+    name: str
+    joint: Joint | None
+    """From 1; null for an effect of the whole rig."""
+    sizes: dict[str, float]
+    """Size -> value, in the units that the effect states."""
+    shapes: dict[str, float] = {}
+    """Shape -> value, likewise."""
+
+
+class Provenance(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where the numbers come from."""
+
+    runs: tuple[str, ...]
+    method: str
+    sensors: Literal["imu", "encoder"]
+    date: str
+    """UTC, ISO 8601."""
+    version: str
+    """Of this program."""
+
+
+class Model(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One MODEL.json."""
+
+    schema: Literal["legid.model/1"]
+    mechanism: MechanismSettings
+    parameters: tuple[ParameterValue, ...]
+    covariance: tuple[tuple[float | None, ...], ...]
+    """In the order of `parameters`, then sizes and shapes of each of `effects`; null where not determined."""
+    noise: dict[str, float]
+    """1 sigma by channel."""
+    hold: Literal["zero", "linear", "average"]
+    """How a torque sample acts until the next."""
+    effects: tuple[EffectValue, ...] = ()
+    gear_ratio: Positive = 1.0
+    """Of the motor; effects may depend on it."""
+    reach: tuple[tuple[float, float], ...] = ()
+    """Smallest and largest angle of each joint in the runs fitted [rad]; effects may depend on it."""
+    provenance: Provenance
+
+    @property
+    def beta(self) -> list[float]:
+        """Values in the order of `parameters`."""
+        return [parameter.value for parameter in self.parameters]

@@ -1,0 +1,172 @@
+"""What a diagnosis draws: error bars, signatures, traces, the heat map of separability, shifts of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+
+from daq import FloatArray
+from estimator.diagnosis import SensorGain, Signature, Trace
+from experiments.reports.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    HEIGHT_IN,
+    INK,
+    ORANGE,
+    STYLE,
+    WIDTH_IN,
+    finish,
+    to_svg,
+    window,
+)
+
+ROW_IN = 0.3
+TRACE_SECONDS = 12.0
+CROWDED = 0.15
+"""Share of the range within which half of all bins must lie for an axis to be stretched about zero."""
+Limits = tuple[float, float]
+
+
+def draw(name: str, height_in: float, paint: Callable[[Axes], None]) -> str:
+    """One set of axes as an `<svg>` element; `name` keeps its identifiers apart from those of other figures."""
+    with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
+        figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+        paint(figure.add_subplot())
+        return to_svg(figure)
+
+
+def error_bars(sensors: Mapping[str, SensorGain]) -> str:
+    """Free-run error of each sensor in multiples of its own floor: nominal, extended, noise alone."""
+    names = list(sensors)
+    kinds = [("nominal", BLUE, [sensors[n].before for n in names]),
+             ("extended", ORANGE, [sensors[n].after for n in names]),
+             ("noise alone", GREY, [sensors[n].floor for n in names])]
+    floor = np.array([max(sensors[n].floor, 1e-300) for n in names])
+
+    def paint(axes: Axes) -> None:
+        rows = np.arange(len(names), dtype=float)
+        for k, (label, colour, values) in enumerate(kinds):
+            share = np.array(values) / floor
+            bars = axes.barh(rows + 0.27 * (k - 1), share, 0.25, color=colour, label=label, zorder=2)
+            axes.bar_label(bars, [f"{value:.2g}" for value in values], padding=3, fontsize=9.0)
+        axes.set_yticks(rows, names)
+        axes.invert_yaxis()
+        axes.grid(visible=False, axis="y")
+        axes.margins(x=0.12)
+        finish(axes, len(kinds), "rms error, in multiples of what noise alone leaves", "")
+
+    return draw("errors", 0.9 + 0.75 * len(names), paint)
+
+
+def signature_limits(signatures: Sequence[Signature]) -> dict[tuple[str, str], tuple[Limits, Limits]]:
+    """(x label, y label) -> limits that hold all signatures with these axes, so that they can be compared."""
+    found: dict[tuple[str, str], tuple[Limits, Limits]] = {}
+    for s in signatures:
+        key = s.x_label, s.y_label
+        low = min(float(np.min(s.before - s.before_error)), float(np.min(s.curve)), float(np.min(s.after)))
+        high = max(float(np.max(s.before + s.before_error)), float(np.max(s.curve)), float(np.max(s.after)))
+        x, y = (float(s.x.min()), float(s.x.max())), (low, high)
+        old_x, old_y = found.get(key, (x, y))
+        found[key] = (min(x[0], old_x[0]), max(x[1], old_x[1])), (min(y[0], old_y[0]), max(y[1], old_y[1]))
+    return found
+
+
+def signature_plot(s: Signature, limits: tuple[Limits, Limits]) -> str:
+    """What is left over against the effect's natural variable, the extension's curve over it, and what it leaves."""
+    def paint(axes: Axes) -> None:
+        axes.axhline(0.0, color=INK, linewidth=0.6)
+        axes.errorbar(s.x, s.before, s.before_error, fmt="o", color=BLUE, markersize=4.0, linewidth=1.0,
+                      label="nominal leaves", zorder=3)
+        axes.plot(s.x, s.curve, color=ORANGE, linewidth=1.6, label="effect", zorder=4)
+        axes.plot(s.x, s.after, "s", color=GREEN, markersize=3.5, label="extended leaves", zorder=2)
+        # Bins hold equally many samples: where they crowd about zero, that is where the effect lives.
+        middle = float(np.median(np.abs(s.x)))
+        if 0.0 < middle < CROWDED * float(np.max(np.abs(s.x))) and s.x.min() < 0.0 < s.x.max():
+            axes.set_xscale("symlog", linthresh=middle)
+        axes.set_xlim(*_widened(limits[0]))
+        axes.set_ylim(*_widened(limits[1]))
+        finish(axes, 3, s.x_label, s.y_label)
+
+    return draw(f"signature {s.title}", HEIGHT_IN + 0.4, paint)
+
+
+def _widened(limits: Limits) -> Limits:
+    margin = 0.05 * max(limits[1] - limits[0], 1e-12)
+    return limits[0] - margin, limits[1] + margin
+
+
+def trace_plot(trace: Trace, column: str) -> str:
+    """First seconds of one confirm run: measured and simulated before and after; below it the two errors."""
+    part = window(trace.time_s, TRACE_SECONDS)
+    time_s = trace.time_s[part] - trace.time_s[0]
+    measured, before, after = (trace_of[column][part] for trace_of in (trace.measured, trace.before, trace.after))
+    with mpl.rc_context({**STYLE, "svg.hashsalt": f"trace {column}"}):
+        figure = Figure(figsize=(WIDTH_IN, 1.6 * HEIGHT_IN), layout="constrained")
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        upper.plot(time_s, measured, color=BLUE, linewidth=2.4, label="measured")
+        for values, label, colour in ((before, "nominal", GREEN), (after, "extended", ORANGE)):
+            upper.plot(time_s, values, color=colour, linewidth=1.0, label=label)
+            lower.plot(time_s, values - measured, color=colour, linewidth=1.0)
+        lower.axhline(0.0, color=INK, linewidth=0.6)
+        finish(upper, 3, "", axis_label(column))
+        lower.set_xlabel("time [s]")
+        lower.set_ylabel("error")
+        lower.set_xlim(float(time_s[0]), float(time_s[-1]))
+        return to_svg(figure)
+
+
+def axis_label(column: str) -> str:
+    """`q2 [rad]` of `q2_rad`."""
+    name, _, unit = column.rpartition("_")
+    return f"{name} [{unit.replace('radps', 'rad/s').replace('mps2', 'm/s²')}]"
+
+
+def heat_map(labels: Sequence[str], cosines: FloatArray) -> str:
+    """Cosines (k, k), lower triangle, as tinted cells with their numbers; rows are named, columns numbered."""
+    k = len(labels)
+
+    def paint(axes: Axes) -> None:
+        for i in range(k):
+            for j in range(i):
+                value = float(cosines[i, j])
+                colour = (*to_rgba(ORANGE if value > 0 else BLUE)[:3], min(abs(value), 1.0))
+                axes.fill([j, j + 1, j + 1, j], [i, i, i + 1, i + 1], color=colour, linewidth=0.0)
+                axes.text(j + 0.5, i + 0.5, f"{value:.1f}".replace("-0.0", "0.0").replace("0.", "."), ha="center",
+                          va="center", fontsize=7.5)
+        axes.set_xlim(0, max(k - 1, 1))
+        axes.set_ylim(k, 1)
+        axes.set_xticks(np.arange(k - 1) + 0.5, [str(j + 1) for j in range(k - 1)])
+        axes.set_yticks(np.arange(1, k) + 0.5, [f"{label}  {i + 2}" for i, label in enumerate(labels[1:])])
+        axes.tick_params(length=0)
+        axes.grid(visible=False)
+        axes.spines[:].set_visible(False)
+        axes.set_title(f"1  {labels[0]}", loc="left", fontsize=10.0)
+
+    return draw("separability", 0.8 + 0.26 * k, paint)
+
+
+def shift_plot(nominal: Mapping[str, tuple[float, float]], extended: Mapping[str, tuple[float, float]]) -> str:
+    """Extended against nominal parameters, (value, std) by name, in standard deviations of the nominal ones."""
+    names = [n for n in nominal if n in extended and 0.0 < nominal[n][1] < np.inf and extended[n][1] < np.inf]
+
+    def paint(axes: Axes) -> None:
+        rows = np.arange(len(names), dtype=float)
+        unit = np.array([nominal[n][1] for n in names])
+        shift = np.array([extended[n][0] - nominal[n][0] for n in names]) / unit
+        spread = np.array([extended[n][1] for n in names]) / unit
+        axes.axvline(0.0, color=INK, linewidth=0.6)
+        axes.errorbar(np.zeros(len(names)), rows - 0.14, xerr=1.96, fmt="o", color=BLUE, markersize=4.0,
+                      label="nominal")
+        axes.errorbar(shift, rows + 0.14, xerr=1.96 * spread, fmt="s", color=ORANGE, markersize=4.0, label="extended")
+        axes.set_yticks(rows, names)
+        axes.invert_yaxis()
+        finish(axes, 2, "shift, in standard deviations of the nominal estimate; bars: 95 %", "")
+
+    return draw("shifts", 1.0 + ROW_IN * len(names), paint)
+

@@ -1,0 +1,117 @@
+"""A `Diagnosis` as the documents that leave the program: diagnosis JSON, and the extended model as MODEL.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.diagnosis import Cause, Diagnosis, Ranked, SensorGain, ShortRuns
+from experiments.console import program_version
+from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, build_mechanism, effect_value
+from experiments.rig import Setup
+
+SCHEMA = "legid.diagnosis/1"
+WHOLE_RIG = frozenset({"rotor_inertia"})
+"""Effects that the library places at a joint and the contract does not."""
+
+
+def diagnosis_document(found: Diagnosis) -> dict[str, Any]:
+    """`legid.diagnosis/1` of contracts.md, with the sentence, warnings and the next experiment added to it."""
+    before, after = found.torque_rms_nm
+    return {
+        "schema": SCHEMA, "verdict": found.verdict, "sentence": found.sentence,
+        "causes": [_cause(cause) for cause in found.causes],
+        "candidates": [_candidate(candidate) for candidate in found.candidates],
+        "gain": {
+            "confirm_runs": list(found.confirm_runs),
+            "free_run_rmse": rmse(found.sensors),
+            "torque_rms_nm": {"before": list(before), "after": list(after)},
+            "gap_closed": found.gap_closed,
+            "gap_closed_ci95": None if found.gap_closed_ci95 is None else list(found.gap_closed_ci95),
+            **pieces(found.short)},
+        "parameters": {"nominal": dict(found.nominal), "extended": dict(found.extended)},
+        "not_testable": [{"effect": effect, "joint": contract_joint(effect, joint), "why": why}
+                         for effect, joint, why in untestable(found)],
+        "runs": {group: list(found.runs.get(group, ())) for group in ("fit", "screen", "confirm")},
+        "warnings": list(found.warnings), "next_experiment": found.next_experiment, "wall_s": found.wall_s,
+    }
+
+
+def rmse(sensors: Mapping[str, SensorGain]) -> dict[str, dict[str, float]]:
+    """Free-run errors as contracts.md has them."""
+    return {column: {"before": gain.before, "after": gain.after, "floor": gain.floor}
+            for column, gain in sensors.items()}
+
+
+def pieces(short: ShortRuns | None) -> dict[str, Any]:
+    """The gain in pieces, where free runs over whole runs could not show it."""
+    return {} if short is None else {"pieces": {
+        "horizon_s": short.horizon_s, "rmse": rmse(short.sensors), "gap_closed": short.closed,
+        "gap_closed_ci95": None if short.ci95 is None else list(short.ci95)}}
+
+
+def contract_joint(effect: str, joint: int | None) -> int | None:
+    """The joint as the contract counts it: null for what belongs to the whole rig."""
+    return None if effect in WHOLE_RIG else joint
+
+
+def split_key(key: str) -> tuple[str, int | None]:
+    """(effect, joint from 1 or None) of the estimator's key `effect@joint`."""
+    name, _, joint = key.partition("@")
+    return name, int(joint) if joint else None
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    near = dict.fromkeys(split_key(key)[0] for key in cause.confusable_with)
+    return {"effect": cause.effect, "joint": contract_joint(cause.effect, cause.joint), "meaning": cause.sentence,
+            "size": [{"name": s.name, "unit": s.unit, "value": s.value, "ci95": list(s.ci95)} for s in cause.size],
+            "p_value": cause.p_value, "confusable_with": list(near)}
+
+
+def _candidate(candidate: Ranked) -> dict[str, Any]:
+    return {"effect": candidate.effect, "joint": contract_joint(candidate.effect, candidate.joint),
+            "score": candidate.score, "p_value": candidate.p_value, "size": candidate.size,
+            "smallest_detectable": _finite(candidate.smallest_detectable), "unit": candidate.unit}
+
+
+def _finite(value: float) -> float | None:
+    """null for what is not determined: JSON has no infinity."""
+    return value if np.isfinite(value) else None
+
+
+def untestable(found: Diagnosis) -> list[tuple[str, int | None, str]]:
+    """(effect, joint from 1 or None, why) of what these runs cannot test."""
+    tested = {candidate.effect for candidate in found.candidates}
+    rows = [(*split_key(key), why) for key, why in found.not_testable.items()]
+    return [row for row in rows if not (row[0] in WHOLE_RIG and row[0] in tested)]
+
+
+def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, date: datetime | None = None) -> Model:
+    """The extended model, or the nominal one where the verdict extends nothing."""
+    settings, mechanism = setup.settings, build_mechanism(setup.settings)
+    p = mechanism.p
+    if found.effects:
+        beta, covariance = found.extended_beta[:p], found.extended_covariance
+    else:
+        beta = np.array([found.nominal[name] for name in mechanism.names])
+        covariance = np.diag([found.nominal_std[name] ** 2 for name in mechanism.names])
+    return Model(
+        schema="legid.model/1", mechanism=settings, parameters=_parameters(settings, beta),
+        covariance=tuple(tuple(float(c) if np.isfinite(c) else None for c in row) for row in covariance),
+        noise={name: float(level) for name, level in found.noise.items()},
+        hold=setup.options.hold,  # type: ignore[arg-type]
+        effects=tuple(effect_value(effect, size) for effect, size in found.effects), gear_ratio=gear_ratio,
+        reach=tuple((float(low), float(high)) for low, high in (found.reach if found.effects else ())),
+        provenance=Provenance(runs=(*found.runs.get("fit", ()), *found.runs.get("screen", ())), method="mle",
+                              sensors=setup.options.sensors,  # type: ignore[arg-type]
+                              date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
+                              version=program_version()))
+
+
+def _parameters(settings: MechanismSettings, beta: FloatArray) -> tuple[ParameterValue, ...]:
+    return tuple(ParameterValue(name=p.name, meaning=p.meaning, unit=p.unit, value=float(value))
+                 for p, value in zip(build_mechanism(settings).parameters, beta))

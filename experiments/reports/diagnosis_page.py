@@ -1,0 +1,218 @@
+"""A diagnosis as a page, in the order in which a person asks: what is wrong, how much, how sure, what next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from estimator.diagnosis import Cause, Diagnosis, ShortRuns
+from experiments.reports.diagnosis_figures import (
+    TRACE_SECONDS,
+    error_bars,
+    heat_map,
+    shift_plot,
+    signature_limits,
+    signature_plot,
+    trace_plot,
+)
+from experiments.reports.diagnosis_json import untestable
+from experiments.reports.diagnosis_text import (
+    ERROR_HEADER,
+    causes_title,
+    detectable_text,
+    effect_label,
+    error_rows,
+    gap_text,
+    key_label,
+    probability,
+    share_text,
+    short_title,
+    size_rows,
+    size_text,
+)
+from experiments.reports.fit_text import number
+from experiments.reports.html import Picture, Section, Table, write_page
+
+ALPHA = 0.01
+"""p above which a candidate counts as ruled out at its smallest detectable size."""
+
+
+def write_diagnosis(path: Path | str, found: Diagnosis, model: str) -> None:
+    """Write the page. Raises `InputError` where that place cannot be written."""
+    write_page(path, f"Diagnosis of {model}: {verdict_words(found.verdict)}", found.sentence, diagnosis_sections(found))
+
+
+def verdict_words(verdict: str) -> str:
+    """The verdict for a heading."""
+    return {"none": "nothing beyond noise", "named": "cause named", "one_of": "one of several causes",
+            "unexplained": "something is wrong, cause unknown", "fit_failed": "not possible"}.get(verdict, verdict)
+
+
+def diagnosis_sections(found: Diagnosis) -> list[Section]:
+    """All sections, in the order of the questions; those that have nothing to show are left out."""
+    sections = [_verdict(found), _errors(found), _candidates(found), _signatures(found), _traces(found),
+                _separability(found), _parameters(found), _next(found), _ruled_out(found), _untestable(found),
+                _runs(found)]
+    return [s for s in sections if s.paragraphs or s.tables or s.pictures or s.notes]
+
+
+def _verdict(found: Diagnosis) -> Section:
+    header = ["effect", "size", "value", "95 % interval", "unit"]
+    rows = [row for cause in found.causes for row in size_rows(cause)]
+    notes = [_about(cause) for cause in found.causes] + [f"Warning: {text}" for text in found.warnings]
+    return Section(causes_title(found), (), [Table(header, rows, right=frozenset({2, 3}))] if rows else (), (),
+                   notes)
+
+
+def _about(cause: Cause) -> str:
+    text = f"{effect_label(cause.effect, cause.joint)}: {cause.sentence}."
+    if cause.p_value < 1.0:
+        text += f" p = {probability(cause.p_value)}.".replace("= <", "<")
+    near = ", ".join(key_label(key) for key in cause.confusable_with)
+    return f"{text} In these runs it looks much like {near}." if near else text
+
+
+def _errors(found: Diagnosis) -> Section:
+    if not found.sensors:
+        return Section("How far the simulation is off")
+    rows = error_rows(found.sensors)
+    before, after = found.torque_rms_nm
+    rows += [[f"torque left over, joint {j + 1} [N m]", f"{b:.4g}", f"{a:.4g}", ""]
+             for j, (b, a) in enumerate(zip(before, after))]
+    tables = [Table(ERROR_HEADER, rows, "rms errors, in the unit of the sensor", frozenset({1, 2, 3})),
+              *short_tables(found.short)]
+    return Section(
+        "How far the simulation is off",
+        [f"Free-run simulation of {', '.join(found.confirm_runs)}: started once, then driven by the measured torque "
+         "alone. Nothing was fitted to or chosen by these runs. " + gap_text(found)],
+        tables,
+        [Picture(error_bars(found.sensors), "Free-run error by sensor; the numbers are in the sensor's own unit. What "
+                 "noise alone leaves is measured on rehearsals: records that the extended model itself would give.")])
+
+
+def short_tables(short: ShortRuns | None) -> list[Table]:
+    """The errors in pieces, where they were taken."""
+    if short is None:
+        return []
+    caption = f"{short_title(short)}. {share_text(short.closed, short.ci95)}"
+    return [Table(ERROR_HEADER, error_rows(short.sensors), caption, frozenset({1, 2, 3}))]
+
+
+def _candidates(found: Diagnosis) -> Section:
+    if not found.candidates:
+        return Section("Candidates")
+    header = ["effect", "score", "gain", "p", "size", "smallest detectable", "unit", "looks much like"]
+    near = _neighbours(found)
+    rows = [[effect_label(c.effect, c.joint), f"{c.score:.1f}", f"{c.score**2:.3g}", probability(c.p_value),
+             size_text(c), detectable_text(c), c.unit, near.get((c.effect, c.joint), "")]
+            for c in found.candidates]
+    return Section(
+        "Candidates",
+        ["Every effect of the library, scored by itself beside the nominal model, whose parameters are free to absorb "
+         "what they can. A cause makes others score as well: that is why the best are fitted in full before anything "
+         "is named. The score is like a number of standard deviations; the gain is twice the log likelihood, over the "
+         "scatter between runs; p counts all that was tried."],
+        [Table(header, rows, right=frozenset({1, 2, 3, 4, 5}))])
+
+
+def _neighbours(found: Diagnosis, least: float = 0.7) -> dict[tuple[str, int | None], str]:
+    keys, cosines = found.separability
+    out: dict[tuple[str, int | None], str] = {}
+    for i, key in enumerate(keys):
+        near = sorted((j for j in range(len(keys)) if j != i and abs(cosines[i, j]) > least),
+                      key=lambda j: -abs(float(cosines[i, j])))
+        name, _, joint = key.partition("@")
+        out[name, int(joint) if joint else None] = "; ".join(key_label(keys[j]) for j in near[:3])
+    return out
+
+
+def _signatures(found: Diagnosis) -> Section:
+    limits = signature_limits(found.signatures)
+    pictures = [Picture(signature_plot(s, limits[s.x_label, s.y_label]),
+                        f"{key_label(s.title)}: what the nominal model leaves over (mean of each bin and its standard "
+                        "error), what the effect adds, and what the extended model leaves.")
+                for s in found.signatures]
+    return Section("Signature", (), (), pictures)
+
+
+def _traces(found: Diagnosis) -> Section:
+    if not found.traces:
+        return Section("Before and after")
+    first = found.traces[0]
+    seconds = min(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
+    pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}, the first {seconds:.0f} s: measured, "
+                        "and simulated by the nominal and by the extended model; below, simulated less measured.")
+                for column in first.measured if column in first.before and column in first.after]
+    return Section("Simulation against measurement, before and after", (), (), pictures)
+
+
+def _separability(found: Diagnosis) -> Section:
+    keys, cosines = found.separability
+    if len(keys) < 2:
+        return Section("What can be told apart")
+    picture = Picture(heat_map([key_label(key) for key in keys], cosines),
+                      "Cosine between what two effects would change in these runs once the nominal parameters have "
+                      "taken their share. Near 1 or -1 these runs cannot tell the two apart; columns are numbered as "
+                      "rows are.")
+    return Section("What can be told apart", (), (), [picture])
+
+
+def _parameters(found: Diagnosis) -> Section:
+    if not found.nominal:
+        return Section("Parameters")
+    nominal = _with_std(found.nominal, found.nominal_std)
+    extended = _with_std(found.extended, found.extended_std)
+    rows = []
+    for name, (value, std) in nominal.items():
+        row = [name, number(value, std), _interval(value, std)]
+        if name in extended:
+            new, new_std = extended[name]
+            shift = f"{(new - value) / std:+.1f}" if 0 < std < float("inf") else ""
+            row += [number(new, new_std), _interval(new, new_std), shift]
+        rows.append(row)
+    header = ["parameter", "nominal", "95 % interval"]
+    if not extended:
+        return Section("Parameters", (), [Table(header, rows, right=frozenset({1, 2}))])
+    header += ["extended", "95 % interval", "shift / std"]
+    return Section(
+        "What the extension does to the parameters",
+        ["What the nominal model leaves out, its parameters take on as far as they can: they are off by this much."],
+        [Table(header, rows, right=frozenset({1, 2, 3, 4, 5}))],
+        [Picture(shift_plot(nominal, extended), "Parameters of the extended model against those of the nominal one.")])
+
+
+def _with_std(values: Mapping[str, float], std: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    return {name: (value, std.get(name, float("inf"))) for name, value in values.items()}
+
+
+def _interval(value: float, std: float) -> str:
+    if not 0 < std < float("inf"):
+        return ""
+    return f"{number(value - 1.96 * std, std)} .. {number(value + 1.96 * std, std)}"
+
+
+def _next(found: Diagnosis) -> Section:
+    return Section("Next experiment", [found.next_experiment] if found.next_experiment else [])
+
+
+def _ruled_out(found: Diagnosis) -> Section:
+    gone = [c for c in found.candidates if c.p_value > ALPHA]
+    if not gone:
+        return Section("Ruled out")
+    rows = [[effect_label(c.effect, c.joint), detectable_text(c), c.unit] for c in gone]
+    return Section(
+        "Ruled out",
+        ["None of these shows beside the nominal model, down to the size given: smaller ones these runs would not "
+         "show. Where it says none, the nominal parameters imitate the effect, and these runs say nothing of it."],
+        [Table(["effect", "smallest detectable", "unit"], rows, right=frozenset({1}))])
+
+
+def _untestable(found: Diagnosis) -> Section:
+    rows = [[effect_label(effect, joint), why] for effect, joint, why in untestable(found)]
+    return Section("What cannot be tested here", (), [Table(["effect", "why"], rows)] if rows else ())
+
+
+def _runs(found: Diagnosis) -> Section:
+    uses = {"fit": "fitted", "screen": "fitted, and used to choose", "confirm": "opened once, at the end"}
+    rows = [[uses[group], ", ".join(names)] for group, names in found.runs.items() if names]
+    return Section("Runs", (), [Table(["use", "runs"], rows)] if rows else ())

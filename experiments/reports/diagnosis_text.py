@@ -1,0 +1,126 @@
+"""A diagnosis for a terminal, and the words that its report shares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isinf
+
+from estimator.diagnosis import Cause, Diagnosis, Ranked, SensorGain, ShortRuns
+from experiments.console import text_table
+from experiments.reports.diagnosis_json import contract_joint, split_key, untestable
+
+RUNNERS_UP = 5
+CANDIDATE_HEADER = ["effect", "score", "p", "size", "smallest detectable", "unit"]
+
+
+def effect_label(effect: str, joint: int | None) -> str:
+    """`stribeck_friction, joint 2`."""
+    joint = contract_joint(effect, joint)
+    return effect if joint is None else f"{effect}, joint {joint}"
+
+
+def key_label(key: str) -> str:
+    """The same from the estimator's key; a term without a name keeps its own words."""
+    return effect_label(*split_key(key)) if key.partition("@")[2].isdecimal() else key
+
+
+def probability(p: float) -> str:
+    """A p-value as far as it can be believed."""
+    return "< 1e-6" if p < 1e-6 else f"{p:.2g}"
+
+
+def size_rows(cause: Cause) -> list[list[str]]:
+    """effect, size, value, interval, unit; the name only in the first row."""
+    rows = []
+    for k, s in enumerate(cause.size):
+        rows.append(["" if k else effect_label(cause.effect, cause.joint), s.name, f"{s.value:.4g}",
+                     f"{s.ci95[0]:.4g} .. {s.ci95[1]:.4g}", s.unit])
+    return rows
+
+
+def size_text(candidate: Ranked) -> str:
+    """Its one-step size; nothing where the nominal parameters imitate it."""
+    return "" if isinf(candidate.smallest_detectable) else f"{candidate.size:.3g}"
+
+
+def detectable_text(candidate: Ranked) -> str:
+    """The smallest size that these runs would have shown."""
+    return "none" if isinf(candidate.smallest_detectable) else f"{candidate.smallest_detectable:.2g}"
+
+
+def candidate_row(candidate: Ranked) -> list[str]:
+    """One row of CANDIDATE_HEADER."""
+    return [effect_label(candidate.effect, candidate.joint), f"{candidate.score:.1f}", probability(candidate.p_value),
+            size_text(candidate), detectable_text(candidate), candidate.unit]
+
+
+ERROR_HEADER = ["sensor", "nominal", "extended", "noise alone"]
+
+
+def error_rows(sensors: Mapping[str, SensorGain]) -> list[list[str]]:
+    """One row of ERROR_HEADER a sensor."""
+    return [[column, f"{g.before:.4g}", f"{g.after:.4g}", f"{g.floor:.4g}"] for column, g in sensors.items()]
+
+
+def gap_text(found: Diagnosis) -> str:
+    """The share of the gap that free runs of whole runs show closed; empty where there is none."""
+    return share_text(found.gap_closed, found.gap_closed_ci95)
+
+
+def share_text(closed: float | None, ci95: tuple[float, float] | None) -> str:
+    """A share of the gap, with its interval; empty where there is none."""
+    if closed is None:
+        return ""
+    interval = "" if ci95 is None else f" (95 % interval {100 * ci95[0]:.0f} to {100 * ci95[1]:.0f} %)"
+    return (f"The extension closes {100 * closed:.0f} % of the gap between the nominal model's error and "
+            f"what noise alone would leave{interval}.")
+
+
+def short_title(short: ShortRuns) -> str:
+    """What was simulated in pieces, and why."""
+    return (f"rms errors in pieces of {short.horizon_s:g} s, each from the motion fitted there, in which noise adds up "
+            "to less")
+
+
+def causes_title(found: Diagnosis) -> str:
+    """What the list of causes is; without any there are only warnings."""
+    if not found.causes:
+        return "Warnings"
+    return {"one_of": "One of these", "unexplained": "The closest, not sufficient"}.get(found.verdict, "Causes")
+
+
+def diagnosis_text(found: Diagnosis) -> str:
+    """What a person reads after `legid diagnose`: the verdict first."""
+    blocks = [found.sentence]
+    if found.causes:
+        rows = [row for cause in found.causes for row in size_rows(cause)]
+        blocks.append(f"{causes_title(found)}:\n" + text_table(
+            ["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}))
+    if found.sensors:
+        blocks.append("\n".join([
+            f"Free-run error (rms) on {', '.join(found.confirm_runs)}, which chose nothing:",
+            text_table(ERROR_HEADER, error_rows(found.sensors), {1, 2, 3}), gap_text(found)]).rstrip())
+    if found.short is not None:
+        blocks.append("\n".join([
+            f"The same runs, {short_title(found.short)}:",
+            text_table(ERROR_HEADER, error_rows(found.short.sensors), {1, 2, 3}),
+            share_text(found.short.closed, found.short.ci95)]).rstrip())
+    if found.candidates:
+        blocks.append(_candidates(found))
+    if found.not_testable:
+        blocks.append("Cannot be tested here:\n" + "\n".join(
+            f"  {effect_label(effect, joint)}: {why}" for effect, joint, why in untestable(found)))
+    blocks += [f"warning: {text}" for text in found.warnings]
+    if found.next_experiment:
+        blocks.append(f"Next experiment: {found.next_experiment}")
+    used = "; ".join(f"{group} {', '.join(names)}" for group, names in found.runs.items() if names)
+    blocks.append(f"Runs: {used}. ({found.wall_s:.0f} s)" if used else f"({found.wall_s:.0f} s)")
+    return "\n\n".join(blocks)
+
+
+def _candidates(found: Diagnosis) -> str:
+    chosen = {(cause.effect, cause.joint) for cause in found.causes}
+    others = [c for c in found.candidates if (c.effect, c.joint) not in chosen][:RUNNERS_UP]
+    title = "Runners-up, as scored one by one beside the nominal model:" if chosen else \
+        "The nearest of the library, as scored beside the nominal model:"
+    return f"{title}\n" + text_table(CANDIDATE_HEADER, [candidate_row(c) for c in others], {1, 2, 3, 4})

@@ -1,0 +1,68 @@
+"""The result of a fit as the documents that leave the program: fit JSON and MODEL.json."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from daq import WorkError
+from estimator import FitResult
+from experiments.console import program_version
+from experiments.models import MechanismSettings, Model, ParameterValue, Provenance
+
+FIT_SCHEMA = "legid.fit/1"
+
+
+def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, Any]:
+    """`legid.fit/1` of contracts.md, with what is undetermined, warned of and assumed added to it.
+
+    A parameter that takes part in what is undetermined has NaN, null in the file, for numbers.
+    """
+    closed = [p.name not in result.open_parameters for p in result.mechanism.parameters]
+    numbers = (np.where(closed, x.T, np.nan).T for x in (result.beta, result.std, result.ci95()))
+    rows = zip(result.mechanism.parameters, *numbers)
+    return {
+        "schema": FIT_SCHEMA, "model": settings.model, "method": result.method, "sensors": result.sensors,
+        "parameters": [{"name": p.name, "meaning": p.meaning, "unit": p.unit, "value": float(value),
+                        "std": float(std), "ci95": [float(low), float(high)], "fixed": p.name in result.fixed}
+                       for p, value, std, (low, high) in rows],
+        "noise": {name: float(level) for name, level in result.noise.items()},
+        "torque_residual_rms_nm": [float(rms) for rms in result.torque_residual_rms],
+        "converged": bool(result.converged), "iterations": int(result.iterations), "samples": int(result.samples),
+        "wall_s": float(result.wall_s), "undetermined": list(result.undetermined),
+        "warnings": list(result.warnings), "assumptions": list(result.assumptions),
+    }
+
+
+def check_sound(result: FitResult, for_model: bool) -> None:
+    """Raises `WorkError` for a fit that did not converge or that knows nothing; `for_model`, for one that is not sure
+    of every parameter too."""
+    missing = f"this data does not determine {', '.join(result.undetermined)}" if result.undetermined else ""
+    if not result.converged:
+        raise WorkError(f"did not converge after {result.iterations} iterations; the values above are not to be used, "
+                        + ("no model was written" if for_model else "record more, or richer, motion")
+                        + (f"; {missing}" if missing else ""))
+    if missing and result.open_parameters >= {p.name for p in result.mechanism.parameters} - set(result.fixed):
+        raise WorkError(f"{missing}; move every joint")
+    if missing and for_model:
+        raise WorkError(f"no model was written: {missing}; record richer motion, or give parameters with "
+                        "--fix NAME=VALUE")
+
+
+def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Sequence[str],
+             date: datetime | None = None) -> Model:
+    """The identified model, ready to be saved."""
+    covariance = tuple(tuple(float(c) if np.isfinite(c) else None for c in row) for row in result.covariance)
+    return Model(
+        schema="legid.model/1", mechanism=settings,
+        parameters=tuple(ParameterValue(name=p.name, meaning=p.meaning, unit=p.unit, value=float(value))
+                         for p, value in zip(result.mechanism.parameters, result.beta)),
+        covariance=covariance, noise={name: float(level) for name, level in result.noise.items()},
+        hold=hold,  # type: ignore[arg-type]
+        provenance=Provenance(runs=tuple(runs), method=result.method,
+                              sensors=result.sensors,  # type: ignore[arg-type]
+                              date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
+                              version=program_version()))

@@ -1,0 +1,150 @@
+"""The sections of a report on a fit: parameters, Figs. 4 and 5 of the paper, noise, what is not determined."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from daq import FloatArray
+from estimator import FitResult, Trajectory
+from estimator.model import Mechanism
+from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, Line, plot_lines, window
+from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, number, parameter_rows
+from experiments.reports.html import Picture, Section, Table
+
+FIGURE_SECONDS = 12.0
+SENSOR_LABELS = {
+    "gyro_radps": "gyro [rad/s]", "accel_x_mps2": "accelerometer x [m/s²]", "accel_y_mps2": "accelerometer y [m/s²]",
+}
+
+
+def fit_summary(result: FitResult, model: str) -> str:
+    """One sentence at the top of the page."""
+    ending = "The fit converged." if result.converged else "THE FIT DID NOT CONVERGE: no number below may be used."
+    if result.undetermined:
+        ending += f" This data does not determine {', '.join(result.undetermined)}."
+    if result.mechanism.force_unit == "V":
+        ending += f" {VOLTS}"
+    return (f"{model}, identified by {result.method} from the {_sensors(result)}, {result.samples} samples. {ending}")
+
+
+def _sensors(result: FitResult) -> str:
+    return ("IMU, knee encoder and torque" if result.sensors == "imu" else "joint encoders and torque")
+
+
+def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[Section]:
+    """Everything a fit alone can show; `benchmark` is a second model for the torques (the paper's Fig. 5)."""
+    sections = [_parameters(result), *_sensors_section(result), *_torques(result, benchmark), _noise(result)]
+    return [*sections, _limits(result)]
+
+
+def truth_section(mechanism: Mechanism, found: Mapping[str, tuple[float, float]],
+                  truth: Mapping[str, float]) -> Section:
+    """Emulated rigs only: what was found, (value, std) by parameter, against the plant's physics."""
+    rows = []
+    for p in mechanism.parameters:
+        value, std = found[p.name]
+        error = value - truth[p.name]
+        rows.append([p.name, number(truth[p.name], std), number(value, std), f"{error / std:+.2f}",
+                     "yes" if abs(error) <= 1.96 * std else "no", p.unit])
+    inside = sum(row[4] == "yes" for row in rows)
+    return Section(
+        "Against the truth",
+        [f"The rig was emulated, so its parameters are known: {inside} of {len(rows)} lie inside their 95 % intervals. "
+         "The plant computes its motion from masses and lengths and shares no code with the estimator."],
+        [Table(["parameter", "truth", "found", "error / std", "inside 95 %", "unit"], rows,
+               right=frozenset({1, 2, 3}))])
+
+
+def _parameters(result: FitResult) -> Section:
+    return Section("Parameters", [], [Table(PARAMETER_HEADER, parameter_rows(result), right=frozenset({1, 2, 3}))])
+
+
+def _first(result: FitResult) -> tuple[Trajectory, slice] | None:
+    if not result.trajectories:
+        return None
+    longest = max(result.trajectories, key=lambda t: t.time_s.shape[0])
+    return longest, window(longest.time_s, FIGURE_SECONDS)
+
+
+def _sensors_section(result: FitResult) -> list[Section]:
+    """Fig. 4: what the sensors said, and what they should have said along the estimated motion."""
+    found = _first(result)
+    if found is None:
+        return []
+    path, part = found
+    pictures = []
+    for column, measured in path.measured.items():
+        if column not in path.predicted or not column.startswith(("gyro", "accel", "q1")):
+            continue
+        label = SENSOR_LABELS.get(column, f"{column.rsplit('_', 1)[0]} [{result.mechanism.length_unit}]")
+        lines = [Line("measured", measured[part], BLUE, 2.2),
+                 Line("estimate", path.predicted[column][part], ORANGE, 0.9)]
+        rms = float(np.sqrt(np.nanmean((measured - path.predicted[column]) ** 2)))
+        name, _, unit = label[:-1].partition(" [")
+        pictures.append(Picture(plot_lines(_time(path, part), lines, label),
+                                f"{name[0].upper()}{name[1:]}, measured and as estimated. Rms difference over the "
+                                f"whole run: {rms:.3g} {unit}."))
+    if not pictures:
+        return []
+    title = "Accelerometer and gyro" if result.sensors == "imu" else "Angles"
+    return [Section(f"{title}, measured against the estimate", [_excerpt(path, part, "Fig. 4")], pictures=pictures)]
+
+
+def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
+    """Fig. 5: measured torque against the model's; the pivot's must be zero."""
+    found = _first(result)
+    if found is None:
+        return []
+    path, part = found
+    other = _match(benchmark, path)
+    pictures = []
+    force = result.mechanism.force_unit
+    for j in range(result.mechanism.n):
+        driven = j in result.mechanism.actuated
+        lines = [Line("measured", path.tau_measured[part, j], BLUE, 2.2)] if driven else []
+        if other is not None and benchmark is not None:
+            lines.append(Line(f"{benchmark.method} ({benchmark.sensors})", other.tau[part, j], GREEN, 0.9))
+        lines.append(Line(f"model ({result.method})", path.tau[part, j], ORANGE, 0.9))
+        if not driven:
+            lines.append(Line("zero", np.zeros_like(path.time_s[part]), GREY, 1.0, dashed=True))
+        rms = float(result.torque_residual_rms[j])
+        what = f"Torque of joint {j + 1}" + ("" if driven else ", which has no motor: it must be zero")
+        pictures.append(Picture(plot_lines(_time(path, part), lines, f"torque, joint {j + 1} [{force}]"),
+                                f"{what}. Rms of measured minus model: {rms:.3g} {force}."))
+    return [Section("Torques", [_excerpt(path, part, "Fig. 5")], pictures=pictures)]
+
+
+def _match(benchmark: FitResult | None, path: Trajectory) -> Trajectory | None:
+    for other in benchmark.trajectories if benchmark else ():
+        if other.run == path.run and np.array_equal(other.time_s, path.time_s):
+            return other
+    return None
+
+
+def _time(path: Trajectory, part: slice) -> FloatArray:
+    return np.asarray(path.time_s[part] - path.time_s[0])
+
+
+def _excerpt(path: Trajectory, part: slice, paper: str) -> str:
+    shown = float(path.time_s[part][-1] - path.time_s[0])
+    whole = float(path.time_s[-1] - path.time_s[0])
+    return (f"Run {path.run}: the first {shown:.0f} of {whole:.0f} s, as in {paper} of the paper."
+            if shown < whole - 0.5 else f"Run {path.run}, as in {paper} of the paper.")
+
+
+def _noise(result: FitResult) -> Section:
+    rows = noise_rows(result)
+    if not rows:
+        return Section("Noise levels", [f"{result.method} neither uses nor estimates any."])
+    return Section("Noise levels", ["One standard deviation, estimated from the data where the rig file gives none."],
+                   [Table(["channel", "1 sigma", "unit"], rows, right=frozenset({1}))])
+
+
+def _limits(result: FitResult) -> Section:
+    text: Sequence[str] = (["This data does not determine:"] if result.undetermined
+                           else ["This data determines every parameter of the model."])
+    notes = [*result.undetermined, *(f"Warning: {w}" for w in result.warnings),
+             *(f"Assumed: {a}" for a in result.assumptions)]
+    return Section("What is not determined, and what is assumed", text, notes=notes)

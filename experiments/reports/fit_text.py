@@ -1,0 +1,68 @@
+"""A fit as text for a terminal, and the number format that reports share."""
+
+from __future__ import annotations
+
+import math
+
+from estimator import FitResult
+from experiments.console import text_table
+
+
+def number(value: float, std: float = 0.0) -> str:
+    """`value` to two digits of its standard deviation, or to five digits where it has none."""
+    if not math.isfinite(value):
+        return "not determined"
+    if not (math.isfinite(std) and std > 0):
+        return f"{value:.5g}"
+    decimals = min(max(1 - math.floor(math.log10(std)), 0), 9)
+    return f"{value:.{decimals}f}"
+
+
+def parameter_rows(result: FitResult) -> list[list[str]]:
+    """name, value, std, 95 % interval, unit, meaning of every parameter."""
+    rows = []
+    for p, value, std, (low, high) in zip(result.mechanism.parameters, result.beta, result.std, result.ci95()):
+        if p.name in result.open_parameters:
+            rows.append([p.name, "not determined", "", "", p.unit, p.meaning])
+            continue
+        if p.name in result.fixed:
+            spread, interval = "given", ""
+        elif math.isfinite(std):
+            spread, interval = number(float(std), float(std)), f"{number(low, std)} .. {number(high, std)}"
+        else:
+            spread, interval = "none", "not determined"
+        rows.append([p.name, number(float(value), float(std)), spread, interval, p.unit, p.meaning])
+    return rows
+
+
+VOLTS = "The input is a voltage: every parameter is in volt units."
+PARAMETER_HEADER = ["parameter", "value", "std", "95 % interval", "unit", "meaning"]
+NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "torque_nm": "torque", "encoder_rad": "encoder",
+               "passive_joint_nm": "passive joint, model error"}
+
+
+def noise_rows(result: FitResult) -> list[list[str]]:
+    """channel, level, unit of every noise level."""
+    force, length = result.mechanism.force_unit, result.mechanism.length_unit
+    units = {"gyro_radps": "rad/s", "accel_mps2": "m/s^2", "torque_nm": force, "encoder_rad": length,
+             "passive_joint_nm": force}
+    return [[NOISE_NAMES.get(name, name), f"{level:.3g}", units.get(name, "")] for name, level in result.noise.items()]
+
+
+def fit_text(result: FitResult, model: str) -> str:
+    """What a person reads after a fit."""
+    lines = [f"{model}, {result.method}, sensors {result.sensors}: {result.samples} samples, "
+             f"{result.iterations} iterations, {result.wall_s:.2f} s, "
+             + ("converged" if result.converged else "NOT CONVERGED"), "",
+             text_table(PARAMETER_HEADER, parameter_rows(result), right={1, 2, 3}), ""]
+    if result.noise:
+        lines.append("noise (1 sigma): " + ", ".join(
+            f"{name} {level} {unit}".rstrip() for name, level, unit in noise_rows(result)))
+    lines.append("torque residual (rms): " + ", ".join(
+        f"joint {j + 1} {rms:.3g} {result.mechanism.force_unit}" for j, rms in enumerate(result.torque_residual_rms)))
+    if result.mechanism.force_unit == "V":
+        lines.append(VOLTS)
+    lines += [f"not determined by this data: {name}" for name in result.undetermined]
+    lines += [f"warning: {text}" for text in result.warnings]
+    lines += [f"assumed: {text}" for text in result.assumptions]
+    return "\n".join(lines)

@@ -1,0 +1,167 @@
+"""A run file put into words: streams, gaps, drops, clocks, events, rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import FloatArray, InputError, Rig
+from daq.runs import Note, RawRun, RawTable
+from daq.timing import HOLE_PERIODS, align, configured, fit_ticks, measure_skew, recorded_rig
+from drivers import describe_faults
+from experiments.console import text_table
+
+EVENTS_SHOWN = 20
+BOUND_S = 1e-3
+"""A clock known less well than this is worth a warning: a leg moves in that time."""
+GOOD_TIMER_MS = 1
+SKEW_RATE_HZ = 200.0
+HOST_TIME = {"/imu": "drain_before_ns", "/imu/slow": "host_ns", "/leg/telemetry": "host_ns", "/leg/clock": "host_rx_ns",
+             "/leg/command": "host_ns"}
+
+
+def describe_mcap(raw: RawRun) -> str:
+    """Everything a person wants to know of a native run before using it."""
+    start_ns = _start_ns(raw)
+    lines = [f"{raw.name}: {raw.messages} messages" + _recorded(raw), _wholeness(raw), "", _streams(raw)]
+    lines += ["", *_losses(raw), *_clocks(raw), "", *_rig_lines(raw), "", f"events: {len(raw.events)}"]
+    lines += [_event(note, start_ns) for note in raw.events[:EVENTS_SHOWN]]
+    if len(raw.events) > EVENTS_SHOWN:
+        lines.append(f"  ... and {len(raw.events) - EVENTS_SHOWN} more")
+    return "\n".join(lines)
+
+
+def describe_csv(table: RawTable) -> str:
+    """The same for a CSV."""
+    steps = np.diff(table.time_s)
+    nominal = float(np.median(steps))
+    holes = int((steps > HOLE_PERIODS * nominal).sum())
+    seconds = float(table.time_s[-1] - table.time_s[0])
+    rows = [[name, f"{values.min():.4g}", f"{values.max():.4g}", f"{values.std():.4g}"]
+            for name, values in table.columns.items()]
+    ignored = table.sources.get("ignored")
+    lines = [f"{table.name}: {table.time_s.size} samples, {seconds:.2f} s, {1.0 / nominal:.6g} Hz",
+             f"jitter of the sample times (rms): {float(np.std(steps[steps <= HOLE_PERIODS * nominal])) * 1e6:.3g} us; "
+             f"gaps: {holes}" + (f", longest {float(steps.max()):.3g} s" if holes else ""), "",
+             text_table(["column", "min", "max", "std"], rows, right={1, 2, 3})]
+    return "\n".join(lines + ([f"not numbers, ignored: {ignored}"] if ignored else []))
+
+
+def _recorded(raw: RawRun) -> str:
+    started = raw.facts.get("started_unix_ns", "")
+    when = (f", recorded {datetime.fromtimestamp(int(started) / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+            if started.isdecimal() else "")
+    return f"{when}, by legid {raw.facts.get('version', 'unknown')}"
+
+
+def _wholeness(raw: RawRun) -> str:
+    damaged = f"; {raw.damaged_chunks} damaged chunks left out" if raw.damaged_chunks else ""
+    return ("the file is whole" if raw.complete else
+            "the file was cut off (crash, power or full disk); all that is whole was read") + damaged
+
+
+def _start_ns(raw: RawRun) -> int:
+    times = [int(s[HOST_TIME[topic]][0]) for topic, s in raw.streams.items() if s.size]
+    return min([*times, *(note.host_ns for note in raw.events[:1])], default=0)
+
+
+def _streams(raw: RawRun) -> str:
+    rows = []
+    for topic, stream in raw.streams.items():
+        times: FloatArray = stream[HOST_TIME[topic]].astype(float) * 1e-9
+        seconds = float(times[-1] - times[0]) if times.size > 1 else 0.0
+        rows.append([topic, str(stream.size), f"{seconds:.2f}",
+                     f"{(stream.size - 1) / seconds:.1f}" if seconds > 0 else "-"])
+    return text_table(["stream", "messages", "seconds", "mean rate [Hz]"], rows, right={1, 2, 3})
+
+
+def _losses(raw: RawRun) -> list[str]:
+    telemetry, imu, slow = raw.streams["/leg/telemetry"], raw.streams["/imu"], raw.streams["/imu/slow"]
+    lines = []
+    if telemetry.size:
+        lines.append(f"telemetry frames lost: {lost_frames(telemetry)}")
+        faults = int(np.bitwise_or.reduce(telemetry["faults"]))
+        lines.append(f"faults seen: {describe_faults(faults)}")
+    if imu.size:
+        lines.append(f"IMU gaps of unknown length: {int(imu['gap_before'].sum())}")
+    if slow.size:
+        degc = slow["temperature_degc"]
+        lines.append(f"chip temperature: {degc.min():.1f} to {degc.max():.1f} degC (its changes only are meant)")
+    return lines
+
+
+def lost_frames(telemetry: NDArray[np.void]) -> int:
+    """Frames missing by their sequence numbers, counted within each boot."""
+    seq: NDArray[np.int64] = telemetry["seq"].astype(np.int64)
+    steps = (seq[1:] - seq[:-1]) % 65536
+    same_boot = telemetry["boot_id"][1:] == telemetry["boot_id"][:-1]
+    return int((steps[same_boot & (steps > 0) & (steps < 32768)] - 1).sum())
+
+
+def _clocks(raw: RawRun) -> list[str]:
+    try:
+        rig = recorded_rig(raw)
+        facts = align(raw, rig).sources
+        skew = measure_skew(align(raw, rig, SKEW_RATE_HZ))
+    except InputError as error:
+        return [f"clocks: {error}", *clock_warnings(0.0, configured(raw, "link"))]
+    lines = [f"{label}: {facts[key]}" for key, label in
+             [("controller_clock", "controller clock"), ("imu_clock", "IMU clock")] if key in facts]
+    if skew is not None:
+        lines.append(f"IMU against encoders, by correlation of gyro and pivot: {skew.seconds * 1e3:+.2f} +- "
+                     f"{skew.std_s * 1e3:.2f} ms (positive: the IMU is late)")
+    elif raw.streams["/imu"].size:
+        lines.append("IMU against encoders: not measurable here (no pivot angle, or too little motion)")
+    return lines + clock_warnings(clock_bound_s(raw), configured(raw, "link"))
+
+
+def clock_bound_s(raw: RawRun) -> float:
+    """How well the controller's clock is known in the worst boot [s]; 0 without probes."""
+    probes = raw.streams["/leg/clock"]
+    return max((fit_ticks(probes[probes["boot_id"] == boot], int(probes["host_tx_ns"][0])).bound_s
+                for boot in np.unique(probes["boot_id"])), default=0.0)
+
+
+def clock_warnings(bound_s: float, link: Mapping[str, object]) -> list[str]:
+    """What a person should know of a clock bound [s] and of the link's own facts; empty when all is well."""
+    lines = []
+    if bound_s > BOUND_S:
+        lines.append(f"warning: the controller's clock is known to {bound_s * 1e3:.1f} ms only, more than "
+                     f"{BOUND_S * 1e3:g} ms; a skew of that size can pass for friction: use CAN, USB-ACM or a short "
+                     "latency timer")
+    timer = link.get("latency_timer_ms")
+    if isinstance(timer, int) and timer > GOOD_TIMER_MS:
+        port = str(link.get("port", "")).rsplit("/", 1)[-1]
+        lines.append(f"warning: the serial adapter's latency timer was {timer} ms; "
+                     f"echo 1 | sudo tee /sys/bus/usb-serial/devices/{port}/latency_timer")
+    return lines
+
+
+def _rig_lines(raw: RawRun) -> list[str]:
+    lines = []
+    try:
+        lines.append(_rig_line(recorded_rig(raw)))
+    except InputError as error:
+        lines.append(f"rig: {error}")
+    firmware = configured(raw, "firmware")
+    if firmware:
+        lines.append("firmware: " + ", ".join(f"{key} {value}" for key, value in firmware.items()))
+    link = configured(raw, "link")
+    if link:
+        lines.append("link: " + ", ".join(f"{key} {value}" for key, value in link.items() if value is not None))
+    if "plan.csv" in raw.files:
+        lines.append(f"plan: {raw.files['plan.csv'].count(chr(10)) - 1} torque commands")
+    return lines
+
+
+def _rig_line(rig: Rig) -> str:
+    m = rig.mechanism
+    return (f"rig: {m.model}, actuated joints {', '.join(map(str, m.actuated)) or 'none'}, IMU at "
+            f"{rig.imu.lever_arm_m:g} m, grid {rig.sampling.rate_hz:g} Hz, torque hold {rig.sampling.hold}")
+
+
+def _event(note: Note, start_ns: int) -> str:
+    return f"  {(note.host_ns - start_ns) * 1e-9:8.3f} s  {note.kind}: {note.text}"

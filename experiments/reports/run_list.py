@@ -1,0 +1,148 @@
+"""Recorded runs of a folder, one line each, with the verdict of the newest diagnosis that used them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from daq import InputError
+from daq.runs import RawRun, read_run
+from daq.timing import recorded_rig
+from experiments.console import progress, text_table
+from experiments.reports.diagnosis_json import SCHEMA
+from experiments.reports.run_info import clock_bound_s, lost_frames
+
+
+class _Cause(Struct):
+    effect: str
+    joint: int | None = None
+
+
+class _Diagnosis(Struct):
+    """What is read of a diagnosis JSON; everything else in it is left alone."""
+
+    schema: str
+    verdict: str
+    causes: tuple[_Cause, ...] = ()
+    runs: dict[str, tuple[str, ...]] = {}
+
+
+@dataclass(frozen=True)
+class RunLine:
+    """One run file. What could not be read is None."""
+
+    file: str
+    """Path below the folder listed."""
+    recorded: datetime | None = None
+    seconds: float = 0.0
+    model: str | None = None
+    clock_bound_s: float | None = None
+    frames_lost: int = 0
+    imu_gaps: int = 0
+    ended: str = ""
+    """Why the run ended early; empty when it did not, or nobody knows."""
+    verdict: str | None = None
+    causes: tuple[str, ...] = ()
+    """`effect@joint` of that verdict."""
+    diagnosis: str | None = None
+    """File of that verdict."""
+
+    @property
+    def faulty(self) -> bool:
+        """Something was lost, or it ended early."""
+        return bool(self.frames_lost or self.imu_gaps or self.ended)
+
+
+def list_runs(folder: Path | str) -> list[RunLine]:
+    """All .mcap files in `folder` and below, oldest first. Raises `InputError` where that is no folder."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(str(folder), "is no folder", "name one that holds run files")
+    verdicts = _verdicts(folder)
+    paths = sorted(folder.rglob("*.mcap"))
+    lines = [_with_verdict(_line(path, folder), path, verdicts) for path in progress(paths, "reading runs", unit="run")]
+    return sorted(lines, key=lambda line: (line.recorded is None, line.recorded or datetime.max.replace(tzinfo=UTC)))
+
+
+def choose(lines: Iterable[RunLine], model: str | None = None, since: date | None = None, until: date | None = None,
+           verdict: str | None = None, faulty: bool = False) -> list[RunLine]:
+    """Those of that rig model, recorded (UTC) on these days, with that verdict (`-`: none yet), faulty ones only."""
+    return [line for line in lines
+            if (model is None or line.model == model)
+            and (since is None or (line.recorded is not None and line.recorded.date() >= since))
+            and (until is None or (line.recorded is not None and line.recorded.date() <= until))
+            and (verdict is None or (line.verdict or "-") == verdict)
+            and (not faulty or line.faulty)]
+
+
+def runs_text(lines: Sequence[RunLine]) -> str:
+    """The list for a terminal."""
+    rows = [[line.file, f"{line.recorded:%Y-%m-%d %H:%M:%S}" if line.recorded else "-", f"{line.seconds:.1f}",
+             line.model or "-", "-" if line.clock_bound_s is None else f"{line.clock_bound_s * 1e6:.0f}",
+             str(line.frames_lost), str(line.imu_gaps), " ".join([line.verdict or "-", *line.causes]), line.ended]
+            for line in lines]
+    header = ["run", "recorded [UTC]", "seconds", "rig", "clock [us]", "lost", "gaps", "verdict", "ended early"]
+    return text_table(header, rows, right={2, 4, 5, 6})
+
+
+def runs_document(lines: Sequence[RunLine]) -> dict[str, Any]:
+    """The same for programs."""
+    return {"schema": "legid.runs/1", "runs": list(lines)}
+
+
+def _line(path: Path, folder: Path) -> RunLine:
+    name = str(path.relative_to(folder))
+    try:
+        raw = read_run(path)
+    except (InputError, OSError) as error:
+        return RunLine(name, ended=f"not readable: {getattr(error, 'what', error)}")
+    telemetry, probes = raw.streams["/leg/telemetry"], raw.streams["/leg/clock"]
+    seconds = float(telemetry["host_ns"][-1] - telemetry["host_ns"][0]) * 1e-9 if telemetry.size else 0.0
+    started = raw.facts.get("started_unix_ns", "")
+    return RunLine(
+        name, datetime.fromtimestamp(int(started) / 1e9, UTC) if started.isdecimal() else None, seconds, _model(raw),
+        clock_bound_s(raw) if probes.size else None, lost_frames(telemetry) if telemetry.size else 0,
+        int(raw.streams["/imu"]["gap_before"].sum()), _ended(raw))
+
+
+def _model(raw: RawRun) -> str | None:
+    try:
+        return recorded_rig(raw).mechanism.model
+    except InputError:
+        return None
+
+
+def _ended(raw: RawRun) -> str:
+    early = [note.text if note.kind == "abort" else note.kind for note in raw.events
+             if note.kind == "abort" or note.kind.startswith("limit ")]
+    if early:
+        return early[-1].split(";")[0]
+    return "" if raw.complete else "file cut off"
+
+
+def _verdicts(folder: Path) -> list[tuple[Path, _Diagnosis]]:
+    """Diagnosis JSONs below the folder, newest first."""
+    found = []
+    for path in folder.rglob("*.json"):
+        try:
+            document = msgspec.json.decode(path.read_bytes(), type=_Diagnosis)
+        except (msgspec.DecodeError, UnicodeDecodeError, OSError):
+            continue
+        if document.schema == SCHEMA:
+            found.append((path.stat().st_mtime, path, document))
+    return [(path, document) for _, path, document in sorted(found, key=lambda entry: entry[0], reverse=True)]
+
+
+def _with_verdict(line: RunLine, path: Path, verdicts: Sequence[tuple[Path, _Diagnosis]]) -> RunLine:
+    """The newest diagnosis in the run's own folder that names the run: another folder's run of that name is another."""
+    for where, document in verdicts:
+        if where.parent == path.parent and any(path.name in group for group in document.runs.values()):
+            causes = tuple(c.effect if c.joint is None else f"{c.effect}@{c.joint}" for c in document.causes)
+            return replace(line, verdict=document.verdict, causes=causes, diagnosis=where.name)
+    return line

@@ -1,0 +1,12 @@
+from . import devices as devices
+from .devices import open_devices as open_devices
+from .devices import open_imu as open_imu
+from .discovery import probe as probe
+from .questions import ask_facts as ask_facts
+from .setup import Setup as Setup
+from .setup import load_runs as load_runs
+from .setup import load_setup as load_setup
+from .setup import setup_of as setup_of
+from .writer import RigFacts as RigFacts
+from .writer import already_there as already_there
+from .writer import write_rig as write_rig

@@ -1,0 +1,62 @@
+"""The real devices of a rig, opened together and closed together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+from daq import ControllerDevice, ImuDevice, InputError, Rig
+from drivers import MAG_ODR_HZ, ImuConfig, LegController, Lsm9ds1, MagConfig, Magnetometer, SerialLink, open_bus
+
+
+@contextmanager
+def open_devices(rig: Rig, where: str) -> Iterator[tuple[Lsm9ds1 | None, LegController]]:
+    """(IMU or None where the rig has none, controller), both ready; the motor is stopped on the way out.
+
+    `where` names the rig file in errors. Raises `InputError` or a `DriverError`.
+    """
+    if rig.devices.controller is None:
+        raise InputError(where, "has no [devices.controller]", "name the port that the leg controller is on")
+    with ExitStack() as stack:
+        # The controller first: opening it stops a motor that somebody left running.
+        device = rig.devices.controller
+        controller = stack.enter_context(connect(device))
+        controller.open()
+        imu = None if rig.devices.imu is None else stack.enter_context(open_imu(rig.devices.imu, where))
+        yield imu, controller
+
+
+def connect(device: ControllerDevice) -> LegController:
+    """The leg controller on its serial port or CAN bus, not yet greeted. Raises a `DriverError`."""
+    if device.can is None:
+        return LegController(SerialLink(device.port, device.baud))
+    from drivers import (
+        CanCodec,  # python-can and cantools take a while to load
+        CanLink,
+    )
+
+    config: dict[str, Any] = dict(device.can)
+    return LegController(CanLink(device.node, **config), codec=CanCodec(device.node))
+
+
+@contextmanager
+def open_imu(device: ImuDevice, where: str) -> Iterator[Lsm9ds1]:
+    """The IMU alone, reading; let go of on the way out. Raises `InputError` or a `DriverError`."""
+    try:
+        config = ImuConfig(device.rate_hz, device.accel_range_g, device.gyro_range_dps)
+        imu = Lsm9ds1(open_bus(device.bus), device.address, config, bus_khz=device.bus_khz)
+    except ValueError as error:
+        raise InputError(where, f"[devices.imu]: {error}", "correct it") from None
+    try:
+        try:
+            imu.open()
+        except ValueError as error:
+            raise InputError(where, f"[devices.imu]: {error}", "correct the rate or the bus speed") from None
+        if device.magnetometer is not None:
+            rate = next((hz for hz in MAG_ODR_HZ if hz >= device.slow_hz), max(MAG_ODR_HZ))
+            imu.magnetometer = Magnetometer(imu.bus, device.magnetometer, MagConfig(rate))
+            imu.magnetometer.open()
+        yield imu
+    finally:
+        imu.close()

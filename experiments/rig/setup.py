@@ -1,0 +1,109 @@
+"""From a rig file to what the estimator takes: the mechanism, the options, the sensors, the runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import Dataset, InputError, Rig, load_run
+from daq.runs import IMU
+from estimator import FitOptions
+from estimator.calibration import find_zeros, subtract, zeros_text
+from estimator.model import Mechanism
+from experiments.console import progress
+from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything a fit or a validation needs beside its method."""
+
+    settings: MechanismSettings
+    mechanism: Mechanism
+    options: FitOptions
+    datasets: tuple[Dataset, ...]
+    notes: tuple[str, ...] = ()
+    """What was done to the runs, in sentences."""
+
+
+def load_setup(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
+               fixed: Mapping[str, float] | None = None, latent: str = "trajectory",
+               beta: NDArray[np.float64] | None = None) -> Setup:
+    """Runs read and aligned; the rest as `setup_of`. Raises `InputError`, and `FitError` as that does."""
+    return setup_of(load_runs(paths, rig), rig, sensors, fixed, latent, beta)
+
+
+def load_runs(paths: Sequence[Path | str], rig: Rig) -> tuple[Dataset, ...]:
+    """Runs read, aligned, with the input that the mechanism is driven by. Raises `InputError`."""
+    return tuple(prepare(load_run(path, rig), rig) for path in progress(list(paths), "reading runs", unit="run"))
+
+
+def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
+             fixed: Mapping[str, float] | None = None, latent: str = "trajectory",
+             beta: NDArray[np.float64] | None = None) -> Setup:
+    """Mechanism and options by the rig, for runs that are in memory, less encoders' zeros that it declares: those by
+    a known `beta` (p,), else beside beta.
+
+    Raises `InputError`, and `FitError` where the zeros are not to be found.
+    """
+    settings = mechanism_settings(rig, prismatic=any("q1_m" in d and "q1_rad" not in d for d in datasets))
+    try:
+        mechanism = build_mechanism(settings)
+    except ValueError as error:
+        raise InputError("the rig file", str(error), "correct [mechanism] and [terms]") from None
+    for name in fixed or {}:
+        if name not in mechanism.names:
+            raise InputError("--fix", f"{settings.model} has no parameter {name}",
+                             f"it has {', '.join(mechanism.names)}")
+    options = fit_options(rig, choose_sensors(rig, datasets, sensors), fixed or {}, latent)
+    return zeroed(Setup(settings, mechanism, options, tuple(datasets)), rig, beta)
+
+
+def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> Setup:
+    """`setup` less the encoders' zeros that its rig declares to differ from run to run; see `find_zeros`."""
+    joints = [j - 1 for j in rig.terms.encoder_zero]
+    known = beta if beta is not None and len(beta) == setup.mechanism.p else None
+    if not joints or (len(setup.datasets) == 1 and known is None):  # one run says nothing of differences
+        return setup
+    zeros = find_zeros(setup.datasets, setup.mechanism, setup.options, joints, known)
+    return replace(setup, datasets=subtract(setup.datasets, setup.mechanism, zeros),
+                   notes=(*setup.notes, zeros_text(setup.datasets, zeros)))
+
+
+def prepare(data: Dataset, rig: Rig) -> Dataset:
+    """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts.
+
+    The column keeps its torque name; every parameter is then in volt units, and said to be.
+    """
+    if rig.mechanism.input != "voltage" or "duty" not in data:
+        return data
+    column = "tau1_n" if "q1_m" in data and "q1_rad" not in data else "tau1_nm"
+    return replace(data, columns={**data.columns, column: data["duty"] * data["volts"]})
+
+
+def choose_sensors(rig: Rig, datasets: Sequence[Dataset], wanted: str | None) -> str:
+    """imu where every run has all three IMU columns, encoder otherwise; `wanted` decides if it can be met."""
+    lacking = [d.name for d in datasets if not all(c in d for c in IMU)]
+    if wanted == "imu" and lacking:
+        raise InputError(lacking[0], "has no IMU columns " + ", ".join(IMU), "use --sensors encoder")
+    if wanted == "imu" and rig.mechanism.model not in ("leg2", "joint1"):
+        raise InputError("--sensors", f"{rig.mechanism.model} has no IMU model", "use --sensors encoder")
+    sensors = wanted or ("imu" if rig.mechanism.model == "leg2" and not lacking else "encoder")
+    if sensors == "encoder" and rig.mechanism.model == "leg2":
+        for data in datasets:
+            if "q1_rad" not in data:
+                raise InputError(data.name, "has no column q1_rad for the encoder path",
+                                 "give runs that all have it, or all have the IMU columns")
+    return sensors
+
+
+def fit_options(rig: Rig, sensors: str, fixed: Mapping[str, float], latent: str = "trajectory") -> FitOptions:
+    """What the rig file knows, as the estimator's options."""
+    noise = {name: level for name in ("gyro_radps", "accel_mps2", "torque_nm", "encoder_rad")
+             if (level := getattr(rig.noise, name)) is not None}
+    return FitOptions(sensors=sensors, hold=rig.sampling.hold, noise=noise, cutoff_hz=rig.filter.cutoff_hz,
+                      filter_order=rig.filter.order, fixed=dict(fixed), latent=latent)

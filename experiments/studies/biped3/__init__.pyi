@@ -1,0 +1,11 @@
+from .report import study_sections as study_sections
+from .report import study_summary as study_summary
+from .report import study_text as study_text
+from .store import require_parquet as require_parquet
+from .store import run_study as run_study
+from .store import write_parquet as write_parquet
+from .study import CASES as CASES
+from .study import FLOOR as FLOOR
+from .study import blocks as blocks
+from .table import make_table as make_table
+from .table import table_document as table_document

@@ -1,0 +1,5 @@
+"""What one command does, without its arguments: record, fit, diagnose, validate, simulate, demo."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

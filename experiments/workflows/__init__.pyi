@@ -1,0 +1,17 @@
+from .demo import run_demo as run_demo
+from .demo_text import demo_text as demo_text
+from .diagnose import diagnose_setup as diagnose_setup
+from .diagnose import reference_values as reference_values
+from .diagnose import require_one_rig as require_one_rig
+from .executor import Executor as Executor
+from .executor import choose_executor as choose_executor
+from .fit import fit_setup as fit_setup
+from .fit_each import Refit as Refit
+from .fit_each import refit_all as refit_all
+from .fit_each import refits_document as refits_document
+from .fit_each import refits_text as refits_text
+from .fit_each import verdict as verdict
+from .record import record_plan as record_plan
+from .simulate import simulate_run as simulate_run
+from .validate import validate_runs as validate_runs
+from .validate import validate_setup as validate_setup

@@ -1,0 +1,90 @@
+"""The whole loop on the emulated rig: excite, record, fit, validate, diagnose, extend, report."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+from daq import Rig, WorkError, parse_rig
+from daq.recording import write_plan
+from estimator import cores
+from estimator.fitting import fit
+from experiments.console import busy, make_directory, progress, stages, write_text
+from experiments.emulation import DEFAULT, EFFECTS, NOTHING, Hidden, LegBody, record_emulated
+from experiments.excite import random_multisine
+from experiments.reports import diagnosed_model
+from experiments.rig import load_setup
+from experiments.workflows.demo_files import write_results
+from experiments.workflows.demo_result import Demo
+from experiments.workflows.diagnose import diagnose_setup
+from experiments.workflows.validate import validate_runs, validate_setup
+
+RUNS, SECONDS = 8, 10.0
+PEAK_NM = 0.7
+HALL_CUTOFF_HZ = 2.0
+"""Low pass of the benchmark: the Hall sensor's coarse steps, differenced twice, drown everything above."""
+RIG_FILE = "demo_rig.toml"
+WORKERS = 2
+
+
+def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = DEFAULT, runs: int = RUNS,
+             body: LegBody | None = None) -> Demo:
+    """Record `runs` runs of `seconds` [s] on a leg that hides `effect`, fit, diagnose; everything goes into `out`.
+
+    Files of an earlier demo in `out` are replaced. Raises `WorkError` when the fit does not converge or no diagnosis
+    is possible.
+    """
+    started = time.monotonic()
+    make_directory(out)
+    rig_text = (files(__package__) / RIG_FILE).read_text(encoding="utf-8")
+    rig = parse_rig(rig_text, RIG_FILE)
+    write_text(out / "rig.toml", rig_text)
+    body = body or LegBody(gravity=rig.mechanism.gravity_mps2)
+    hidden = EFFECTS.get(effect, NOTHING)
+    setup = load_setup(record_runs(out, rig, rig_text, runs, seconds, seed, body, hidden), rig)
+    with stages("diagnosing") as show:
+        diagnosis = diagnose_setup(setup, rig, seed, progress=show)
+    if diagnosis.verdict == "fit_failed":
+        raise WorkError(diagnosis.sentence)
+    confirm = set(diagnosis.runs["confirm"])
+    training = replace(setup, datasets=tuple(d for d in setup.datasets if d.name not in confirm))
+    held = replace(setup, datasets=tuple(d for d in setup.datasets if d.name in confirm))
+    with busy("fitting"):
+        result = fit(training.datasets, setup.mechanism, setup.options)
+        hall = replace(setup.options, sensors="encoder", cutoff_hz=HALL_CUTOFF_HZ)
+        benchmark = fit(training.datasets, setup.mechanism, hall, "wls")
+        model = diagnosed_model(diagnosis, setup, rig.motor.gear_ratio)
+    before = validate_setup(held, result.beta)
+    after = validate_runs(model, held, "the extended model") if model.effects else before
+    truth = dict(zip(setup.mechanism.names, body.beta()))
+    written = {"rig": out / "rig.toml", "runs": out / "demo-run*.mcap"}
+    demo = Demo(hidden, training, result, diagnosis, model, before, after, truth, written, 0.0)
+    written |= write_results(out, demo, benchmark)
+    if not result.converged:
+        raise WorkError(f"the fit did not converge; see {written['fit report']}")
+    return replace(demo, wall_s=time.monotonic() - started)
+
+
+def record_runs(out: Path, rig: Rig, rig_text: str, runs: int, seconds: float, seed: int, body: LegBody,
+                hidden: Hidden) -> list[Path]:
+    """All runs, on as many cores as there are, up to `WORKERS`. Returns the run files in order."""
+    jobs = [(out, rig, rig_text, k, seconds, seed, body, hidden.effect) for k in range(runs)]
+    with ProcessPoolExecutor(min(WORKERS, cores())) as pool:
+        waiting = [pool.submit(record_demo_run, *job) for job in jobs]
+        for done in progress(as_completed(waiting), "recording", len(jobs), "run"):
+            done.result()
+    return [job.result() for job in waiting]
+
+
+def record_demo_run(out: Path, rig: Rig, rig_text: str, number: int, seconds: float, seed: int, body: LegBody,
+                    effect: str) -> Path:
+    """Run number `number` (from 0), with random phases of its own. Returns the run file."""
+    path = out / f"demo-run{number + 1}.mcap"
+    path.unlink(missing_ok=True)
+    plan = random_multisine(1000 * seed + number, seconds, PEAK_NM)
+    write_plan(plan, out / f"demo-plan{number + 1}.csv")
+    record_emulated(path, rig, rig_text, plan, 1000 * seed + number, body, EFFECTS.get(effect, NOTHING))
+    return path

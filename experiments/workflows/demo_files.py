@@ -1,0 +1,54 @@
+"""The files that a demo leaves behind beside its runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from estimator import FitResult
+from experiments.console import write_json, write_text
+from experiments.models import save_model
+from experiments.reports import (
+    Section,
+    diagnosis_document,
+    diagnosis_sections,
+    fit_document,
+    fit_sections,
+    fit_summary,
+    model_of,
+    standalone,
+    truth_section,
+    validation_document,
+    validation_picture,
+    validation_section,
+    verdict_words,
+    write_page,
+)
+from experiments.workflows.demo_result import Demo
+
+
+def write_results(out: Path, demo: Demo, benchmark: FitResult) -> dict[str, Path]:
+    """Models, documents and both reports; returns what -> path."""
+    result, setup = demo.result, demo.setup
+    written = {"model": out / "model.json", "extended model": out / "extended.json", "fit": out / "fit.json",
+               "diagnosis": out / "diagnosis.json", "validation": out / "validation.json",
+               "picture": out / "picture.svg", "fit report": out / "fit.html", "report": out / "report.html"}
+    save_model(model_of(result, setup.settings, setup.options.hold, [d.name for d in setup.datasets]),
+               written["model"])
+    save_model(demo.model, written["extended model"])
+    write_json(written["fit"], fit_document(result, setup.settings))
+    write_json(written["diagnosis"], diagnosis_document(demo.diagnosis))
+    write_json(written["validation"], validation_document(demo.after, setup.options.sensors))
+    write_text(written["picture"], standalone(validation_picture(demo.after[0])))
+    sections = fit_sections(result, benchmark)
+    nominal = {name: (float(v), float(s)) for name, v, s in zip(demo.truth, result.beta, result.std)}
+    sections[1:1] = [truth_section(result.mechanism, nominal, demo.truth)]
+    sections[-2:-2] = [validation_section(demo.before)]
+    write_page(written["fit report"], "The emulated leg: the nominal fit", fit_summary(result, setup.settings.model),
+               sections)
+    told = diagnosis_sections(demo.diagnosis)
+    told[1:1] = [Section("What was hidden", [f"The leg was emulated, and beside what its rig file says it had "
+                                             f"{demo.hidden.words}."]),
+                 truth_section(setup.mechanism, demo.estimates(), demo.truth)]
+    write_page(written["report"], f"The emulated leg: {verdict_words(demo.diagnosis.verdict)}",
+               demo.diagnosis.sentence, told)
+    return written

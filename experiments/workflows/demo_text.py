@@ -1,0 +1,42 @@
+"""What the demo says at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from estimator.fitting import Validation
+from experiments.console import text_table
+from experiments.reports import gap_text, number, size_rows
+from experiments.workflows.demo_result import Demo
+
+
+def demo_text(demo: Demo) -> str:
+    """What was hidden, what was found, the parameters against the truth, and where everything is."""
+    found, mechanism = demo.diagnosis, demo.setup.mechanism
+    runs = sum(len(names) for names in found.runs.values())
+    extended = bool(demo.model.effects)
+    lines = [f"Recorded {runs} runs on an emulated leg. Hidden in it: {demo.hidden.words}.", "",
+             f"Diagnosis: {found.sentence}"]
+    if found.causes:
+        rows = [row for cause in found.causes for row in size_rows(cause)]
+        lines += ["", text_table(["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}), ""]
+    lines += [text for text in (gap_text(found),) if text]
+    lines += [_free_run("nominal", demo.before)] + ([_free_run("extended", demo.after)] if extended else [])
+    rows = []
+    for p, (value, std) in zip(mechanism.parameters, demo.estimates().values()):
+        low, high, truth = value - 1.96 * std, value + 1.96 * std, demo.truth[p.name]
+        rows.append([p.name, number(truth, std), number(value, std), f"{number(low, std)} .. {number(high, std)}",
+                     "" if low <= truth <= high else "outside", p.unit, p.meaning])
+    lines += ["", f"Parameters of the {'extended' if extended else 'nominal'} model:",
+              text_table(["parameter", "truth", "found", "95 % interval", "", "unit", "meaning"], rows, {1, 2, 3}), "",
+              f"{demo.inside()} of {len(rows)} parameters of the plant lie inside their 95 % intervals.", ""]
+    lines += [f"next experiment: {found.next_experiment}", ""] if found.next_experiment else []
+    lines += [f"{what + ':':15} {path}" for what, path in demo.files.items()]
+    return "\n".join([*lines, "", f"Open {demo.files['report']} in a browser. ({demo.wall_s:.0f} s)"])
+
+
+def _free_run(which: str, validations: Sequence[Validation]) -> str:
+    runs = ", ".join(dict.fromkeys(v.run for v in validations))
+    worst = {name: max(v.rmse[name] for v in validations) for name in ("q1_rad", "q2_rad")}
+    return (f"Free-run simulation of {runs} by the {which} model: rms error at most {worst['q1_rad']:.4f} rad at the "
+            f"pivot, {worst['q2_rad']:.4f} rad at the knee.")

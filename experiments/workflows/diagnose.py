@@ -1,0 +1,89 @@
+"""A diagnosis of run files: what is checked before it, and what a saved model needs beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from daq import Dataset, InputError, Rig
+from daq.runs import IMU, read_run
+from daq.timing import recorded_rig
+from estimator.calibration import differing_text, find_differing
+from estimator.diagnosis import Diagnosis, diagnose
+from experiments.models import Model, known_effects, values_of
+from experiments.rig import Setup
+
+BENCHMARK = "q1_rad"
+
+
+def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str, tuple[float, float]] | None = None,
+                   progress: Callable[[str, float], None] | None = None, workers: int | None = None) -> Diagnosis:
+    """Diagnose the runs of `setup`, in the order given, on `workers` processes (by default one a core).
+
+    Raises `InputError` for runs that do not belong together.
+    """
+    known_effects()
+    require_alike(setup.datasets)
+    setup = without_benchmark(setup)
+    found = diagnose(setup.datasets, setup.mechanism, setup.options, gear_ratio=rig.motor.gear_ratio, seed=seed,
+                     progress=progress, reference=reference, workers=workers)
+    differing = None if rig.terms.encoder_zero else find_differing(setup.datasets, setup.mechanism, setup.options)
+    told = () if differing is None else (differing_text(differing),)
+    return replace(found, warnings=(*found.warnings, *setup.notes, *told))
+
+
+def without_benchmark(setup: Setup) -> Setup:
+    """On the IMU path no run keeps the pivot's encoder: a diagnosis may not read it."""
+    if setup.options.sensors != "imu":
+        return setup
+    return replace(setup, datasets=tuple(
+        replace(data, columns={name: values for name, values in data.columns.items() if name != BENCHMARK})
+        for data in setup.datasets))
+
+
+def require_alike(datasets: Sequence[Dataset]) -> None:
+    """Raises `InputError` where runs differ in the columns that a diagnosis reads, or where one is given twice."""
+    first = datasets[0]
+    for k, data in enumerate(datasets):
+        for name in sorted({*IMU, *_motion(first), *_motion(data)}):
+            if (name in data) != (name in first):
+                has, lacks = (data, first) if name in data else (first, data)
+                raise InputError(lacks.name, f"has no column {name}, {has.name} has", "give runs of one rig")
+        if any(data.name == other.name and len(data) == len(other) and all(
+                name in other and (data[name] == other[name]).all() for name in data.columns)
+               for other in datasets[:k]):
+            raise InputError(data.name, "is given twice", "give every run once: runs count as independent")
+
+
+def _motion(data: Dataset) -> set[str]:
+    """Columns that hold angles and torques, the pivot's benchmark left out where an IMU stands in for it."""
+    imu = all(name in data for name in IMU)
+    return {name for name in data.columns if name.startswith(("q", "tau"))
+            and not name.endswith(("cmd_nm", "motor_rad")) and not (imu and name == BENCHMARK)}
+
+
+def require_one_rig(paths: Sequence[Path | str]) -> None:
+    """Raises `InputError` where two native runs were recorded on rigs that differ in what a model depends on."""
+    first: tuple[str, object] | None = None
+    for path in paths:
+        if not str(path).lower().endswith(".mcap"):
+            continue
+        raw = read_run(path)
+        if "rig.toml" not in raw.files:
+            continue
+        rig = recorded_rig(raw)
+        found = (rig.mechanism, rig.imu, rig.motor)
+        if first is None:
+            first = raw.name, found
+        elif found != first[1]:
+            raise InputError(raw.name, f"was recorded on another rig than {first[0]}", "diagnose one rig at a time")
+
+
+def reference_values(model: Model, where: str, setup: Setup) -> dict[str, tuple[float, float]]:
+    """(value, std) by parameter of an earlier model. Raises `InputError` for one of another mechanism."""
+    values = values_of(model)
+    if tuple(values) != setup.mechanism.names:
+        raise InputError(where, f"is a model of {model.mechanism.model} with other parameters than the rig's",
+                         "give a model that was fitted on this rig")
+    return values

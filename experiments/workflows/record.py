@@ -1,0 +1,42 @@
+"""A plan file run on the leg that a rig file describes, or on an emulated one, into a run file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from daq import InputError, load_rig
+from daq.recording import Plan, Progress, RecordReport, Remote, record_run
+from experiments.reports import clock_warnings
+from experiments.rig import open_devices
+
+
+class Recorded(NamedTuple):
+    """A finished recording."""
+
+    report: RecordReport
+    warnings: list[str]
+    """One line for each thing about the link that makes the clock less certain than it could be."""
+
+
+def record_plan(rig_path: Path | str, plan: Plan, out: Path | str, emulate: str | None = None, seed: int = 1,
+                progress: Progress | None = None, remote: Remote | None = None) -> Recorded:
+    """Record `plan` into the new file `out`; a copy of the rig file goes into it.
+
+    `emulate` names what is hidden in an emulated leg (`none`: nothing), whose noise is drawn from `seed`; None means
+    the real devices, which `remote` can watch and stop. Raises `InputError`, `WorkError` or a `DriverError`.
+    """
+    rig = load_rig(rig_path)
+    if not str(out).lower().endswith(".mcap"):
+        raise InputError("--out", f"{out} does not end in .mcap", "name a native run file")
+    rig_text = Path(rig_path).read_text(encoding="utf-8")
+    if emulate is not None:
+        from experiments.emulation import LegBody, find_hidden, record_emulated
+
+        if rig.mechanism.model != "leg2":
+            raise InputError(str(rig_path), f"describes a {rig.mechanism.model}", "only a leg2 can be emulated")
+        body = LegBody(gravity=rig.mechanism.gravity_mps2)
+        return Recorded(record_emulated(Path(out), rig, rig_text, plan, seed, body, find_hidden(emulate), progress), [])
+    with open_devices(rig, str(rig_path)) as (imu, controller):
+        done = record_run(out, rig, rig_text, plan, imu, controller, progress=progress, remote=remote)
+        return Recorded(done, clock_warnings(done.clock_bound_s, controller.link_facts))

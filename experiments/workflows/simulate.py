@@ -1,0 +1,84 @@
+"""A model driven by a plan, as the run that its rig would have recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from daq import Dataset, FloatArray, InputError, WorkError
+from daq.recording import Plan
+from estimator.model import Mechanism, simulate
+from estimator.signals import accelerometer
+from experiments.models import Model, build_mechanism, simulate_extended
+
+CHANNELS = {"gyro": "gyro_radps", "accel": "accel_mps2", "tau": "torque_nm", "q": "encoder_rad"}
+"""How a column's name begins, and the noise level that belongs to it."""
+IMU_CHANNELS = {"gyro_radps": "gyro", "accel_x_mps2": "accel_x", "accel_y_mps2": "accel_y"}
+
+
+def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = None,
+                 start: Sequence[float] | None = None, noise_seed: int | None = None) -> Dataset:
+    """Run of `model` under `plan` from rest at `start` [rad]; samples act between each other as the model's hold says.
+
+    Raises `InputError` (the plan does not fit the mechanism) or `WorkError` (the motion runs away).
+    """
+    mechanism = build_mechanism(model.mechanism)
+    if len(mechanism.actuated) != 1:
+        raise InputError(where, f"has {len(mechanism.actuated)} driven joints, a plan drives one",
+                         "give a model with one actuated joint")
+    q0 = np.zeros(mechanism.n) if start is None else np.array(start, dtype=float)
+    if q0.shape != (mechanism.n,) or not np.isfinite(q0).all():
+        raise InputError("--start", f"needs {mechanism.n} finite angles", "give one for every joint")
+    rate = rate_hz or round(1.0 / float(np.median(np.diff(plan.time_s))), 6)
+    time_s = np.arange(max(round(plan.duration_s * rate), 2)) / rate
+    command = plan.torque_nm[np.searchsorted(plan.time_s - plan.time_s[0], time_s + 1e-9, side="right") - 1]
+    tau = np.zeros((time_s.size, mechanism.n))
+    tau[:, mechanism.actuated[0]] = command
+    if model.effects:
+        columns = _extended_columns(model, mechanism, time_s, tau, q0)
+    else:
+        columns = _nominal_columns(model, mechanism, tau, q0, rate)
+    if noise_seed is not None:
+        columns = _noisy(columns, model.noise, noise_seed)
+    columns["tau2_cmd_nm"] = command
+    return Dataset(f"simulated by {where}", rate, time_s, columns)
+
+
+def _nominal_columns(model: Model, mechanism: Mechanism, tau: FloatArray, q0: FloatArray, rate: float
+                     ) -> dict[str, FloatArray]:
+    q, qd, qdd = simulate(mechanism, np.array(model.beta), q0, np.zeros(mechanism.n), tau, 1.0 / rate, model.hold)
+    if not np.isfinite(q).all():
+        raise WorkError("the simulated motion runs away; check the model's parameters and the plan's torque")
+    readings = {f"encoder{j + 1}": q[:, j] for j in range(mechanism.n)}
+    readings |= {f"torque{j + 1}": tau[:, j] for j in mechanism.actuated}
+    if model.mechanism.model == "leg2":
+        a_x, a_y = accelerometer(q[:, 0], qd[:, 0], qdd[:, 0], mechanism.lever_arm, mechanism.gravity_mps2)
+        readings |= {"gyro": qd[:, 0], "accel_x": a_x, "accel_y": a_y}
+    return _columns(model, mechanism, readings)
+
+
+def _extended_columns(model: Model, mechanism: Mechanism, time_s: FloatArray, tau: FloatArray, q0: FloatArray
+                      ) -> dict[str, FloatArray]:
+    return _columns(model, mechanism, simulate_extended(model, mechanism, time_s, tau, q0).readings)
+
+
+def _columns(model: Model, mechanism: Mechanism, readings: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Readings by the estimator's channel as columns of the contract."""
+    length, force = ("m", "n") if model.mechanism.prismatic else ("rad", "nm")
+    columns = {f"q{j + 1}_{length}": readings[f"encoder{j + 1}"] for j in range(mechanism.n)}
+    driven = mechanism.actuated[0] + 1
+    columns[f"tau{driven}_{force}"] = readings[f"torque{driven}"]
+    if model.mechanism.model == "leg2":
+        columns |= {column: readings[channel] for column, channel in IMU_CHANNELS.items()}
+    return columns
+
+
+def _noisy(columns: dict[str, FloatArray], noise: dict[str, float], seed: int) -> dict[str, FloatArray]:
+    """White noise of the model's levels on every column that has one."""
+    rng = np.random.default_rng(seed)
+    noisy = {}
+    for name, values in columns.items():
+        level = next((noise.get(key, 0.0) for begin, key in CHANNELS.items() if name.startswith(begin)), 0.0)
+        noisy[name] = values + level * rng.standard_normal(values.shape)
+    return noisy

@@ -1,0 +1,75 @@
+"""`legid record` with the controller on CAN: the same command, another table in rig.toml."""
+
+import os
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from daq.recording.plan import Plan, write_plan
+from daq.runs.mcap_run import read_run
+from drivers.can_codec import CanCodec
+from drivers.mock.can_server import CanServer
+from drivers.mock.plant import StillPlant
+from drivers.mock.rig import MockRig
+from drivers.protocol import State
+from experiments.cli import main
+
+RIG = """[mechanism]
+model = "leg2"
+actuated = [2]
+[devices.imu]
+[devices.controller]
+node = 3
+watchdog_ms = 1000
+can = {{interface = "{interface}", channel = "{channel}"}}
+[limits]
+staleness_s = 5.0
+clock_bound_s = 5.0
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    t = np.arange(0.0, 0.6, 0.01)
+    write_plan(Plan(t, 0.3 * np.sin(10 * t)), tmp_path / "plan.csv")
+    return tmp_path
+
+
+def record(folder: Path) -> int:
+    return main(["record", "--rig", str(folder / "rig.toml"), "--plan", str(folder / "plan.csv"), "--out",
+                 str(folder / "run.mcap")])
+
+
+def test_record_over_can(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    channel = f"legid-record-{os.getpid()}"
+    (folder / "rig.toml").write_text(RIG.format(interface="virtual", channel=channel))
+    mock = MockRig(StillPlant(), codec=lambda: CanCodec(3))
+    monkeypatch.setattr("experiments.rig.devices.open_bus", lambda path: mock.imu)
+    with CanServer(mock.firmware, can.Bus(interface="virtual", channel=channel), mock.clock):
+        assert record(folder) == 0, capsys.readouterr().err
+    raw = read_run(folder / "run.mcap")
+    telemetry = raw.streams["/leg/telemetry"]
+    assert raw.complete
+    assert telemetry.size > 500
+    assert telemetry["torque_cmd_nm"].max() > 0.25
+    assert raw.streams["/leg/clock"].size > 10
+    assert raw.streams["/imu"].size > 200
+    assert '"can"' in next(note.text for note in raw.config if note.kind == "link")
+    assert mock.firmware.drive.state == State.DISARMED
+
+
+def test_a_bus_that_is_not_there_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "rig.toml").write_text(RIG.format(interface="socketcan", channel="nocan7"))
+    assert record(folder) == 1
+    words = capsys.readouterr().err
+    assert words.count("\n") == 1
+    assert "leg controller on CAN nocan7" in words
+    assert not (folder / "run.mcap").exists()
+
+
+def test_a_node_that_does_not_exist_is_bad_input(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "rig.toml").write_text(RIG.format(interface="virtual", channel="x").replace("node = 3", "node = 64"))
+    assert record(folder) == 2
+    assert "node" in capsys.readouterr().err

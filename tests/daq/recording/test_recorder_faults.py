@@ -1,0 +1,194 @@
+"""Faults while recording: every gap is marked and reaches the Dataset as a gap; slow, full disks and stepped clocks."""
+
+import io
+import math
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from daq.errors import WorkError
+from daq.load import load_run
+from daq.recording.plan import Plan
+from daq.recording.recorder import record_run
+from daq.rig import parse_rig
+from daq.runs import mcap_run
+from daq.runs.mcap_run import read_run
+from drivers.can_codec import CanCodec
+from drivers.leg_controller import LegController
+from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
+from drivers.mock.clock import VirtualClock
+from drivers.mock.faults import FaultyDisk, FaultyLink, FaultyWire, WireFaults
+from drivers.mock.link import EmulatorLink
+from drivers.mock.plant import StillPlant
+from drivers.mock.pty_server import PtyServer
+from drivers.mock.rig import MockRig
+from drivers.mock.settings import FirmwareSettings, ImuSettings
+from drivers.protocol import State, Telemetry
+from drivers.serial_link import SerialLink
+
+RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[sampling]\nrate_hz = 100.0\n[devices.controller]\n'
+CLEAN = WireFaults()
+
+
+class Swing:
+    """q2 = sin(3t) and q1d = cos(2t), so that every value of a Dataset can be checked against its time."""
+
+    def __init__(self) -> None:
+        self.t = 0.0
+
+    def step(self, dt_s: float, torque_nm: float) -> SimpleNamespace:
+        self.t += dt_s
+        return SimpleNamespace(q1=0.5 * math.sin(2 * self.t), q2=math.sin(3 * self.t), q1d=math.cos(2 * self.t),
+                               q2d=3 * math.cos(3 * self.t), q1dd=-2 * math.sin(2 * self.t))
+
+
+class Bench:
+    """A swinging leg on the virtual clock, its link through the fault injector."""
+
+    def __init__(self, wire: WireFaults = CLEAN, can: bool = False, **imu) -> None:
+        self.clock = VirtualClock()
+        settings = FirmwareSettings(telemetry_hz=1000, current_noise_a=0.0, encoder_counts=10**7)
+        quiet = ImuSettings(gyro_noise_radps=0.0, accel_noise_mps2=0.0)
+        self.mock = MockRig(Swing(), self.clock, quiet, settings, **({"codec": CanCodec} if can else {}))
+        self.start_ns = self.clock.now_ns()
+        inner = EmulatorLink(self.mock.firmware, self.clock, nothing=() if can else b"")
+        self.link = FaultyLink(inner, self.clock, FaultyWire(wire, np.random.default_rng(3)))
+        self.controller = LegController(self.link, self.clock.now_ns, CanCodec() if can else None)
+        self.controller.open()
+        self.imu = Lsm9ds1(self.mock.imu, config=ImuConfig(952.0, **imu), now_ns=self.clock.now_ns,
+                           sleep=self.clock.sleep)
+        self.imu.open()
+
+    def record(self, path: Path, seconds: float, happens=lambda now_s: None) -> mcap_run.RawRun:
+        text = RIG + "[limits]\nstaleness_s = 0.4\n"
+        t = np.arange(0, seconds, 0.01)
+        record_run(path, parse_rig(text), text, Plan(t, np.zeros(t.size)), self.imu, self.controller, self.clock.now_ns,
+                   threaded=False, progress=lambda now, total: happens(now))
+        return read_run(path)
+
+
+def check_truth(bench: Bench, path: Path) -> np.ndarray:
+    """Rows of the Dataset with a hole; every value that is there must be the leg's own at that time."""
+    raw, run = read_run(path), load_run(path, parse_rig(RIG))
+    t = run.time_s + (int(raw.streams["/leg/telemetry"]["host_ns"][0]) - bench.start_ns) * 1e-9
+    for name, truth, allowed in (("q2_rad", np.sin(3 * t), 1e-3), ("gyro_radps", np.cos(2 * t), 2e-3)):
+        here = np.isfinite(run[name])
+        assert np.abs(run[name] - truth)[here].max() < allowed, name
+    return run.gap()
+
+
+def test_losses_on_the_wire_and_the_bus_are_holes_and_never_values(tmp_path: Path) -> None:
+    bench = Bench()
+    seen: set[str] = set()
+
+    def once(name: str, when: bool, act) -> None:
+        if when and name not in seen:
+            seen.add(name)
+            act()
+
+    def happens(now_s: float) -> None:
+        once("wire", now_s > 1.0, lambda: setattr(bench.link.wire, "_faults", WireFaults(drop=1.0)))
+        once("wire back", now_s > 1.1, lambda: setattr(bench.link.wire, "_faults", WireFaults()))
+        once("bus", now_s > 2.0, lambda: bench.mock.imu.fail(121, times=6))
+        once("brown out", now_s > 3.2, bench.mock.imu.brown_out)
+
+    raw = bench.record(tmp_path / "r.mcap", 4.0, happens)
+    gap = check_truth(bench, tmp_path / "r.mcap")
+    assert 8 <= gap.sum() <= 80
+    assert raw.streams["/imu"]["gap_before"].sum() == [e.kind for e in raw.events].count("imu gap") == 2
+    lost = np.diff(raw.streams["/leg/telemetry"]["seq"].astype(int)) - 1
+    assert (lost > 0).sum() == 1
+    assert 80 <= lost.max() <= 130
+
+
+def test_what_the_fifo_lost_before_the_recording_is_no_gap_in_it(tmp_path: Path) -> None:
+    bench = Bench()
+    bench.clock.sleep(0.3)  # the file is being made, the devices wait
+    raw = bench.record(tmp_path / "r.mcap", 0.5)
+    assert raw.streams["/imu"]["gap_before"].sum() == 0
+    assert [e.kind for e in raw.events] == ["start", "stop"]
+
+
+@pytest.mark.parametrize("can", [False, True])
+def test_a_wild_wire_leaves_no_wrong_value_in_the_dataset(tmp_path: Path, can: bool) -> None:
+    wild = WireFaults(flip=0.03, drop=0.03, duplicate=0.03, swap=0.03, garbage=0.03, cut=0.03)
+    bench = Bench(wild, can)
+    bench.record(tmp_path / "r.mcap", 3.0)
+    check_truth(bench, tmp_path / "r.mcap")
+    assert sum(bench.link.wire.injected.values()) > 300
+    stats = bench.controller.stats
+    assert stats.bad_crc + stats.bad_length > 100
+
+
+def test_a_controller_that_only_beats_its_heart_is_stale(tmp_path: Path) -> None:
+    bench = Bench(can=True)
+    feed = bench.controller._codec.feed
+
+    def deaf(now_s: float) -> None:
+        if now_s > 0.5:
+            bench.controller._codec.feed = lambda chunk: [m for m in feed(chunk) if not isinstance(m, Telemetry)]
+
+    with pytest.raises(WorkError, match="limit staleness_s tripped: silence of the leg controller"):
+        bench.record(tmp_path / "r.mcap", 3.0, deaf)
+
+
+def test_a_wall_clock_that_steps_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, steps = Bench(), iter([3600.0, -7200.0, 1e6] * 10_000)
+    wall, wall_ns = time.time, time.time_ns
+    monkeypatch.setattr(time, "time", lambda: wall() + next(steps))
+    monkeypatch.setattr(time, "time_ns", lambda: wall_ns() + int(next(steps) * 1e9))
+    raw = bench.record(tmp_path / "r.mcap", 1.0)
+    assert raw.complete
+    assert not check_truth(bench, tmp_path / "r.mcap").any()
+
+
+def threaded(path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch, **disk) -> MockRig:
+    """A recording on the real clock whose file is on a faulty disk."""
+    create = mcap_run._create
+    monkeypatch.setattr(mcap_run, "_create", lambda p: FaultyDisk(create(p), **disk))
+    mock = MockRig(StillPlant())
+    text = RIG + "watchdog_ms = 1000\n[limits]\nstaleness_s = 5.0\nclock_bound_s = 5.0\n"
+    with PtyServer(mock.firmware) as server, LegController(SerialLink(server.path)) as controller:
+        controller.open()
+        imu = Lsm9ds1(mock.imu)
+        imu.open()
+        record_run(path, parse_rig(text), text, plan, imu, controller)
+    return mock
+
+
+def test_a_slow_disk_delays_no_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    t = np.arange(0, 1.0, 0.01)
+    threaded(tmp_path / "r.mcap", Plan(t, 0.1 * np.sin(t)), monkeypatch, delay_s=0.02)
+    raw = read_run(tmp_path / "r.mcap")
+    assert raw.complete
+    frames = raw.streams["/leg/telemetry"]
+    lost = int((np.diff(frames["seq"].astype(int)) - 1).sum())
+    assert lost < 0.05 * frames.size  # some, where the machine itself stands still for longer than a port buffers
+    assert frames.size > 800
+
+
+def test_a_full_disk_ends_the_run_with_the_motor_off_and_what_fitted_kept(tmp_path: Path,
+                                                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    t = np.arange(0, 20.0, 0.01)
+    mocks: list[MockRig] = []
+    original = MockRig.__init__
+    monkeypatch.setattr(MockRig, "__init__", lambda self, *a, **k: (mocks.append(self), original(self, *a, **k))[1])
+    with pytest.raises(WorkError, match=r"r\.mcap: cannot be written \(No space left on device\); free space"):
+        threaded(tmp_path / "r.mcap", Plan(t, 0.1 * np.sin(t)), monkeypatch, room=150_000)
+    assert mocks[0].firmware.drive.torque_nm == 0.0
+    assert mocks[0].firmware.drive.state != State.ARMED
+    raw = read_run(tmp_path / "r.mcap")
+    assert not raw.complete
+    assert raw.streams["/leg/telemetry"].size > 300
+
+
+def test_the_faulty_disk_is_the_file_otherwise() -> None:
+    file = io.BytesIO()
+    disk = FaultyDisk(file, room=4)
+    assert disk.write(b"abcd") == 4
+    with pytest.raises(OSError, match="No space left"):
+        disk.write(b"e")
+    assert disk.tell() == 4

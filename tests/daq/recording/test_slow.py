@@ -1,0 +1,60 @@
+"""Temperature and magnetic field beside the fast samples: recorded raw, put into the link's frame by the rig."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.recording.plan import Plan
+from daq.recording.recorder import record_run
+from daq.rig import Calibration, parse_rig
+from daq.runs.mcap_run import read_run
+from daq.si_units import field_link
+from drivers.leg_controller import LegController
+from drivers.lsm9ds1 import Lsm9ds1
+from drivers.lsm9ds1_mag import Magnetometer
+from drivers.mock.clock import VirtualClock
+from drivers.mock.link import EmulatorLink
+from drivers.mock.lsm9ds1_mag import MockBus, MockMagnetometer
+from drivers.mock.plant import StillPlant
+from drivers.mock.rig import MockRig
+from experiments.reports.run_info import describe_mcap
+
+RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.imu]\nslow_hz = 10.0\nmagnetometer = 0x1E\n'
+
+
+def test_temperature_and_field_are_recorded_and_a_silent_magnetometer_stops_nothing(tmp_path: Path) -> None:
+    clock = VirtualClock()
+    mock = MockRig(StillPlant(), clock)
+    chip = MockMagnetometer(clock)
+    bus = MockBus([mock.imu, chip])
+    controller = LegController(EmulatorLink(mock.firmware, clock), clock.now_ns)
+    controller.open()
+    imu = Lsm9ds1(bus, now_ns=clock.now_ns, sleep=clock.sleep)
+    imu.open()
+    imu.magnetometer = Magnetometer(bus, now_ns=clock.now_ns, sleep=clock.sleep)
+    imu.magnetometer.open()
+    chip.field_gauss = (0.25, -0.1, 0.43)
+
+    def happens(now_s: float, _: float) -> None:
+        mock.imu.temperature_degc = 31.0 + now_s
+        if 1.0 < now_s < 1.03:
+            chip.fail(121)
+
+    t = np.arange(0.0, 3.0, 0.01)
+    record_run(tmp_path / "r.mcap", parse_rig(RIG), RIG, Plan(t, 0 * t), imu, controller, clock.now_ns, threaded=False,
+               progress=happens)
+    raw = read_run(tmp_path / "r.mcap")
+    slow = raw.streams["/imu/slow"]
+    assert 30 <= slow.size <= 45
+    assert slow["temperature_degc"].max() == pytest.approx(34.0, abs=0.2)
+    seen = slow[slow["field_valid"] == 1]
+    assert seen.size > 25
+    counts = np.column_stack([seen[f"field_{axis}"] for axis in "xyz"])
+    # 0.14 mG a count at 4 gauss; 1 gauss is 1e-4 T; the magnetometer's X opposes the other sensors'
+    turned = Calibration(imu_mount=((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+    field = field_link(counts, 0.14e-7, turned)
+    np.testing.assert_allclose(field, np.tile([-0.1e-4, 0.25e-4, 0.43e-4], (seen.size, 1)), atol=1e-8)
+    assert (np.diff(raw.streams["/imu"]["index"].astype(int)) == 1).all()
+    assert raw.streams["/imu"]["gap_before"].sum() == 0
+    assert "chip temperature: 31.0 to 3" in describe_mcap(raw)

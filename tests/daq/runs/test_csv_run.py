@@ -1,0 +1,234 @@
+"""CSV by the contract: what is read, what is refused and in which words, and that writing reads back."""
+
+import gzip
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.dataset import Dataset
+from daq.errors import InputError
+from daq.load import load_run
+from daq.rig import Rig, parse_rig
+from daq.runs.csv_run import read_csv, write_csv
+from tests.support.paths import REAL
+
+LEG = parse_rig('[mechanism]\nmodel = "leg2"\nactuated = [2]\n')
+NAMES = ["time_s", "q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2"]
+
+
+def rig(model: str, actuated: str, more: str = "") -> Rig:
+    return parse_rig(f'[mechanism]\nmodel = "{model}"\nactuated = {actuated}\n{more}')
+
+
+def rows(count: int = 60, names: list[str] = NAMES) -> list[list[str]]:
+    return [[f"{0.01 * i:.3f}", *(f"{i + j}.5" for j in range(1, len(names)))] for i in range(count)]
+
+
+def put(path: Path, cells: list[list[str]], names: list[str] = NAMES) -> Path:
+    path.write_text("\n".join([",".join(names), *(",".join(line) for line in cells)]) + "\n")
+    return path
+
+
+def refusal(path: Path, rig: Rig | None = LEG) -> str:
+    with pytest.raises(InputError) as caught:
+        read_csv(path, rig)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_numbers_come_through_exactly(tmp_path: Path) -> None:
+    table = read_csv(put(tmp_path / "r.csv", rows()), LEG)
+    assert table.name == "r.csv"
+    assert list(table.columns) == NAMES[1:]
+    np.testing.assert_array_equal(table.time_s, [float(f"{0.01 * i:.3f}") for i in range(60)])
+    np.testing.assert_array_equal(table.columns["tau2_nm"], np.arange(60) + 2.5)
+
+
+@pytest.mark.parametrize("change", [
+    lambda text: "\ufeff" + text, lambda text: text.replace("\n", "\r\n"), lambda text: text.replace("\n", "\r"),
+    lambda text: text + "\n\n", lambda text: text.replace("q2_rad", '" q2_rad "'), lambda text: text.rstrip("\n"),
+    lambda text: text.replace("0.010,", '"0.010", '),
+], ids=["byte order mark", "CRLF", "CR", "blank lines", "quoted header", "no newline at the end", "quoted cell"])
+def test_dialects_that_spreadsheets_write(tmp_path: Path, change) -> None:
+    path = put(tmp_path / "r.csv", rows())
+    want = read_csv(path).columns["q2_rad"]
+    path.write_bytes(change(path.read_text()).encode())
+    np.testing.assert_array_equal(read_csv(path, LEG).columns["q2_rad"], want)
+
+
+@pytest.mark.parametrize(("line", "column", "cell", "words"), [
+    (31, "tau2_nm", "off", "'off' is not a number"), (31, "gyro_radps", "nan", "NaN"), (60, "q2_rad", "", "empty"),
+    (2, "accel_y_mps2", "-inf", "infinite"), (61, "time_s", "1e999", "infinite"), (5, "q2_rad", "1_0", "not a number"),
+])
+def test_a_bad_cell_is_named_by_line_and_column(tmp_path: Path, line: int, column: str, cell: str, words: str) -> None:
+    cells = rows()
+    cells[line - 2][NAMES.index(column)] = cell
+    said = refusal(put(tmp_path / "r.csv", cells))
+    assert f"r.csv, line {line}, column {column}" in said
+    assert words in said
+
+
+def test_blank_lines_do_not_shift_the_line_named(tmp_path: Path) -> None:
+    cells = rows()
+    cells[40][2] = "x"
+    path = put(tmp_path / "r.csv", cells)
+    path.write_text(path.read_text().replace("0.100,", "\n\n0.100,"))
+    assert "line 44, column tau2_nm" in refusal(path)
+
+
+@pytest.mark.parametrize(("value", "words"), [("0.100", "repeats"), ("0.050", "backwards")])
+def test_time_must_increase(tmp_path: Path, value: str, words: str) -> None:
+    cells = rows()
+    cells[11][0] = value
+    said = refusal(put(tmp_path / "r.csv", cells))
+    assert "line 13, column time_s" in said
+    assert words in said
+
+
+def test_a_ragged_line_is_named(tmp_path: Path) -> None:
+    cells = rows()
+    cells[20] = cells[20][:4]
+    assert "line 22, column accel_x_mps2: the line has 4 cells, the header 6" in refusal(put(tmp_path / "r.csv", cells))
+    cells[20] = [*rows()[20], "9"]
+    assert "line 22, column accel_y_mps2: the line has 7 cells" in refusal(put(tmp_path / "r.csv", cells))
+
+
+def test_too_short_and_empty_files(tmp_path: Path) -> None:
+    assert "holds 49 samples, at least 50" in refusal(put(tmp_path / "r.csv", rows(49)))
+    assert read_csv(put(tmp_path / "r.csv", rows(50)), LEG).time_s.size == 50
+    assert "holds 0 samples" in refusal(put(tmp_path / "r.csv", []))
+    (tmp_path / "e.csv").write_text("")
+    assert "e.csv: is empty" in refusal(tmp_path / "e.csv")
+    (tmp_path / "n.csv").write_text("\n1,2\n")
+    assert "no header" in refusal(tmp_path / "n.csv")
+
+
+def test_headers_that_mislead(tmp_path: Path) -> None:
+    twice = ["time_s", "q2_rad", "q2_rad", *"abc"]
+    assert "names column q2_rad twice" in refusal(put(tmp_path / "r.csv", rows(), twice))
+    assert "without a name" in refusal(put(tmp_path / "r.csv", rows(), [*NAMES[:5], ""]))
+    path = put(tmp_path / "r.csv", rows())
+    path.write_text(path.read_text().replace(",", ";"))
+    assert "not comma separated" in refusal(path)
+    assert "rename q2_deg to q2_rad" in refusal(put(path, rows(), ["time_s", "q2_deg", *NAMES[2:]]))
+
+
+def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
+    assert "No such file" in refusal(tmp_path / "none.csv")
+    assert "directory" in refusal(tmp_path)
+    (tmp_path / "z.csv.gz").write_bytes(b"time_s,q2_rad\n")
+    assert "gzip" in refusal(tmp_path / "z.csv.gz")
+    whole = gzip.compress(put(tmp_path / "r.csv", rows()).read_bytes())
+    for cut in (5, len(whole) // 2, len(whole) - 3):
+        (tmp_path / "z.csv.gz").write_bytes(whole[:cut])
+        assert "z.csv.gz: cannot be unpacked as gzip" in refusal(tmp_path / "z.csv.gz")
+    (tmp_path / "z.csv.gz").write_bytes(whole)
+    assert read_csv(tmp_path / "z.csv.gz", LEG).time_s.size == 60
+    (tmp_path / "b.csv").write_bytes(b"time_s,q2_rad\n\xff\xfe,1\n")
+    assert "b.csv, line 2: is not UTF-8" in refusal(tmp_path / "b.csv")
+
+
+@pytest.mark.parametrize(("rig_", "names", "column"), [
+    (LEG, NAMES[1:], "time_s"), (LEG, ["time_s", "tau2_nm", "q1_rad"], "q2_rad"),
+    (LEG, ["time_s", "q2_rad", "q1_rad"], "tau2_nm"), (LEG, ["time_s", "q2_rad", "tau2_nm"], "q1_rad"),
+    (LEG, NAMES[:5], "accel_y_mps2"), (rig("leg2", "[1, 2]"), NAMES, "tau1_nm"),
+    (rig("leg2", "[]"), ["time_s", "q2_rad", "q1_rad"], "tau2_nm"),
+    (rig("joint1", "[1]"), ["time_s", "tau1_nm"], "q1_rad"), (rig("joint1", "[1]"), ["time_s", "q1_rad"], "tau1_nm"),
+    (rig("joint1", "[1]"), ["time_s", "q1_m", "tau1_nm"], "tau1_n"),
+    (rig("joint1", "[1]", 'input = "voltage"\n'), ["time_s", "q1_rad", "volts"], "duty"),
+    (rig("biped3", "[2, 3]"), ["time_s", "q1_rad", "q2_rad", "tau2_nm", "tau3_nm"], "q3_rad"),
+    (rig("biped3", "[2, 3]"), ["time_s", "q1_rad", "q2_rad", "q3_rad", "tau2_nm"], "tau3_nm"),
+    (rig("chain", "[4]", "links = 4\n"), ["time_s", "q1_rad", "q2_rad", "q3_rad", "q4_rad"], "tau4_nm"),
+])
+def test_a_missing_column_is_named(tmp_path: Path, rig_: Rig, names: list[str], column: str) -> None:
+    assert f"line 1: column {column} is missing" in refusal(put(tmp_path / "r.csv", rows(60, names), names), rig_)
+
+
+@pytest.mark.parametrize(("rig_", "names"), [
+    (LEG, ["time_s", "q2_rad", "tau2_nm", "q1_rad"]), (rig("joint1", "[1]"), ["time_s", "q1_m", "tau1_n"]),
+    (rig("joint1", "[]"), ["time_s", "q1_rad"]),
+    (rig("joint1", "[1]", 'input = "voltage"\n'), ["time_s", "q1_rad", "duty", "volts"]),
+    (rig("biped3", "[3]"), ["time_s", "q1_rad", "q2_rad", "q3_rad", "tau3_nm"]),
+])
+def test_complete_runs_of_each_mechanism(tmp_path: Path, rig_: Rig, names: list[str]) -> None:
+    assert set(read_csv(put(tmp_path / "r.csv", rows(60, names), names), rig_).columns) == set(names[1:])
+
+
+def test_a_servo_by_voltage_is_told_so(tmp_path: Path) -> None:
+    names = ["time_s", "q1_rad", "duty", "volts"]
+    said = refusal(put(tmp_path / "r.csv", rows(60, names), names), rig("joint1", "[1]"))
+    assert 'input = "voltage"' in said
+
+
+def test_extra_columns_are_kept_and_text_in_them_harms_nobody(tmp_path: Path) -> None:
+    names = [*NAMES, "battery_v", "note"]
+    cells = [[*line[:-1], "up" if i % 2 else ""] for i, line in enumerate(rows(60, names))]
+    table = read_csv(put(tmp_path / "r.csv", cells, names), LEG)
+    np.testing.assert_array_equal(table.columns["battery_v"], np.arange(60) + 6.5)
+    assert "note" not in table.columns
+    assert table.sources["ignored"] == "note"
+    cells[3][6] = "nan"
+    assert read_csv(put(tmp_path / "r.csv", cells, names), LEG).sources["ignored"] == "battery_v, note"
+    names[-1] = "temperature_degc"  # a column with a meaning is checked though nobody requires it
+    cells[3][6] = "7.2"
+    assert "line 2, column temperature_degc" in refusal(put(tmp_path / "r.csv", cells, names))
+
+
+def test_sixty_thousand_rows_are_read_at_once(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    table = np.column_stack([np.arange(60_000) * 1e-3, rng.normal(size=(60_000, 7))])
+    np.savetxt(tmp_path / "r.csv", table, delimiter=",", fmt="%.9g", comments="",
+               header=",".join([*NAMES, "tau2_cmd_nm", "temperature_degc"]))
+    start = time.process_time()
+    got = read_csv(tmp_path / "r.csv", LEG)
+    assert time.process_time() - start < 2.0  # processor time, some 0.1 s on an idle core
+    np.testing.assert_allclose(got.columns["q2_rad"], table[:, 1], rtol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["out.csv", "out.csv.gz"])
+def test_writing_reads_back_and_a_gap_stays_a_gap(tmp_path: Path, name: str) -> None:
+    rng = np.random.default_rng(1)
+    columns = {column: rng.normal(size=400) for column in [*NAMES[1:], "q1_rad"]}
+    for column in NAMES[3:]:
+        columns[column][100:130] = np.nan
+    columns["q1_rad"][:] = np.nan
+    run = Dataset("run", 100.0, 12.34 + np.arange(400) / 100.0, columns)
+    assert write_csv(run, tmp_path / name) == 370
+    again = load_run(tmp_path / name, LEG)
+    assert "q1_rad" not in again
+    assert again.rate_hz == 100.0
+    np.testing.assert_allclose(again.time_s, run.time_s, atol=2e-9)
+    np.testing.assert_array_equal(np.flatnonzero(again.gap()), np.arange(100, 130))
+    for column in NAMES[1:]:
+        kept = ~again.gap()
+        np.testing.assert_allclose(again[column][kept], run[column][kept], rtol=1e-11)
+    with pytest.raises(InputError, match="No such file"):
+        write_csv(run, tmp_path / "nowhere" / name)
+
+
+def test_other_file_names_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"neither \.csv"):
+        load_run(tmp_path / "run.xlsx", LEG)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="real data sets are not on this machine")
+@pytest.mark.parametrize(("folder", "file", "rig_file", "samples"), [
+    ("dfki_c0", "03_passive.csv.gz", "rig_passive.toml", 5000), ("dfki_a0", "12.csv.gz", "rig.toml", 5000),
+    ("multiarm", "free_swing.csv.gz", "rig.toml", 53340), ("emps", "estimation.csv.gz", "rig.toml", 24841),
+])
+def test_measured_runs_are_read(folder: str, file: str, rig_file: str, samples: int) -> None:
+    from daq.rig import load_rig
+    run = load_run(REAL / folder / file, load_rig(REAL / folder / rig_file))
+    assert len(run) == samples
+    assert run.gap().mean() < 0.005
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="real data sets are not on this machine")
+@pytest.mark.parametrize(("folder", "file"), [("bam_xl330", "kp100_sin_sin.csv.gz"),
+                                              ("song_imu", "pitch_medium_120s.csv.gz")])
+def test_runs_without_torque_are_refused(folder: str, file: str) -> None:
+    from daq.rig import load_rig
+    with pytest.raises(InputError, match="column tau1_nm is missing"):
+        load_run(REAL / folder / file, load_rig(REAL / folder / "rig.toml"))

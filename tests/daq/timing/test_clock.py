@@ -1,0 +1,119 @@
+"""Clock synchronisation against simulated links and oscillators whose true times are known."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from daq.runs.streams import CLOCK, IMU_STREAM
+from daq.timing.clock import fit_samples, fit_ticks
+
+EPOCH = 5_000_000_000_000
+
+
+def probes(rng: np.random.Generator, seconds: float, ppm: float, delay_s: float, jitter_s: float,
+           first_tick: int = 0, drift_ppm: float = 0.0) -> NDArray[np.void]:
+    """Pings at 4 Hz: exponential jitter on each way, 1 % stalls to 20 ms on the way back."""
+    sent = np.arange(0.0, seconds, 0.25)
+    down, up = delay_s + rng.exponential(jitter_s, (2, sent.size))
+    up += np.where(rng.random(sent.size) < 0.01, rng.uniform(0, 0.02, sent.size), 0.0)
+    out = np.zeros(sent.size, CLOCK.dtype)
+    arrived, left = sent + down, sent + down + 60e-6
+    out["host_tx_ns"] = EPOCH + np.rint(sent * 1e9)
+    out["host_rx_ns"] = EPOCH + np.rint((left + up) * 1e9)
+    for name, t in (("rx_tick_us", arrived), ("tx_tick_us", left)):
+        out[name] = (first_tick + tick(t, ppm, drift_ppm, seconds)) % 2**32
+    return out
+
+
+def tick(t: NDArray[np.float64], ppm: float, drift_ppm: float, seconds: float) -> NDArray[np.int64]:
+    """Controller's clock [us] at host time t [s]; its rate moves by `drift_ppm` over the run."""
+    return np.floor((t * (1 + ppm * 1e-6) + 0.5e-6 * drift_ppm * t**2 / seconds) * 1e6).astype(np.int64)
+
+
+@pytest.mark.parametrize(("name", "delay_s", "jitter_s", "allowed_s"), [
+    ("USB serial", 0.5e-3, 0.3e-3, 150e-6), ("USB-ACM", 0.1e-3, 0.06e-3, 40e-6), ("CAN", 60e-6, 30e-6, 25e-6)])
+@pytest.mark.parametrize("seed", range(3))
+def test_ticks_of_five_minutes(name: str, delay_s: float, jitter_s: float, allowed_s: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    clock = fit_ticks(probes(rng, 300.0, 40.0, delay_s, jitter_s, drift_ppm=2.0), EPOCH)
+    t = np.linspace(0.0, 300.0, 5001)
+    error = clock.host_ns(tick(t, 40.0, 2.0, 300.0) % 2**32, t * 1e9 + 2e6) * 1e-9 - t
+    assert np.abs(error).max() < allowed_s
+    assert np.abs(error).max() < clock.bound_s < 3 * (delay_s + jitter_s)
+    assert clock.rate_ppm == pytest.approx(41.0, abs=0.5)
+
+
+def test_ticks_wrap_and_arrivals_may_be_late() -> None:
+    first = 2**32 - 20_000_000  # wraps 20 s into the run
+    clock = fit_ticks(probes(np.random.default_rng(1), 60.0, -25.0, 1e-4, 5e-5, first), EPOCH)
+    t = np.linspace(0.0, 60.0, 601)
+    late = np.where(np.arange(601) % 7 == 0, 3e9, 0.0)
+    ticks = (first + tick(t, -25.0, 0.0, 60.0)) % 2**32
+    assert ticks.min() < 10**8 < 2**31 < ticks.max()
+    np.testing.assert_allclose(clock.host_ns(ticks, t * 1e9 + late) * 1e-9, t, atol=50e-6)
+
+
+@pytest.mark.parametrize("seconds", [0.25, 0.6, 1.5, 5.0, 20.0])
+def test_short_runs_stay_within_their_bound(seconds: float) -> None:
+    for seed in range(20):
+        clock = fit_ticks(probes(np.random.default_rng(seed), seconds, 40.0, 2e-4, 1e-4), EPOCH)
+        t = np.linspace(0.0, seconds, 50)
+        error = clock.host_ns(tick(t, 40.0, 0.0, seconds) % 2**32, t * 1e9) * 1e-9 - t
+        assert np.abs(error).max() < clock.bound_s + 20e-6
+
+
+def drains(rng: np.random.Generator, seconds: float, rate_hz: float, warm_up: float = 0.0,
+           every_s: float = 0.0103) -> tuple[NDArray[np.void], NDArray[np.float64]]:
+    """Samples of a chip whose rate sinks by the share `warm_up` within the first minutes, and their true times."""
+    n = int(seconds * rate_hz)
+    grid = np.arange(n) / rate_hz
+    true = grid + warm_up * 60.0 * (grid / 60.0 - 1 + np.exp(-grid / 60.0)) + 1e-3
+    look = np.cumsum(rng.uniform(0.8, 1.2, int(seconds / every_s)) * every_s)
+    look += np.where(rng.random(look.size) < 0.01, rng.uniform(0, 0.03, look.size), 0.0)
+    look = np.unique(look)
+    took = np.full(look.size, 90e-6) + np.where(rng.random(look.size) < 0.01, 3e-3, 0.0)
+    newest = np.searchsorted(true, look + 0.5 * took, side="right") - 1
+    which = np.searchsorted(newest, np.arange(n))
+    kept = which < look.size
+    out = np.zeros(int(kept.sum()), IMU_STREAM.dtype)
+    out["index"] = np.flatnonzero(kept)
+    out["drain_before_ns"] = EPOCH + np.rint(look[which[kept]] * 1e9)
+    out["drain_after_ns"] = EPOCH + np.rint((look + took)[which[kept]] * 1e9)
+    return out, true[kept]
+
+
+@pytest.mark.parametrize(("seconds", "rate", "warm_up", "allowed_s"), [
+    (10.0, 241.0, 0.0, 150e-6), (60.0, 233.5, 0.0, 100e-6), (300.0, 241.0, 1e-3, 150e-6), (20.0, 961.0, 0.0, 100e-6)])
+def test_samples_are_timed_by_the_drains(seconds: float, rate: float, warm_up: float, allowed_s: float) -> None:
+    samples, true = drains(np.random.default_rng(4), seconds, rate, warm_up)
+    clock = fit_samples(samples, EPOCH)
+    error = np.abs(clock.time_ns * 1e-9 - true).max()
+    assert error < allowed_s
+    assert error < clock.bound_s < 1e-3
+    assert clock.rate_hz == pytest.approx((true.size - 1) / (true[-1] - true[0]), rel=2e-5)
+
+
+def test_a_loss_of_unknown_length_starts_a_count_of_its_own() -> None:
+    samples, true = drains(np.random.default_rng(5), 20.0, 241.0)
+    cut = slice(int(np.searchsorted(samples["index"], 2000)), int(np.searchsorted(samples["index"], 2173)))
+    lost = np.concatenate((samples[:cut.start], samples[cut.stop:]))
+    lost["index"][cut.start:] -= cut.stop - cut.start  # the driver cannot know how many went
+    lost["gap_before"][cut.start] = 1
+    clock = fit_samples(lost, EPOCH)
+    np.testing.assert_allclose(clock.time_ns * 1e-9, np.delete(true, cut), atol=200e-6)
+
+
+def test_a_short_stretch_of_drains_that_contradict_each_other_is_left_out() -> None:
+    samples, true = drains(np.random.default_rng(6), 20.0, 241.0)
+    ends = np.flatnonzero(np.diff(samples["drain_before_ns"])) + 1  # where a drain begins
+    first, middle, last = ends[100], ends[101], ends[102]
+    samples["gap_before"][[first, last]] = 1
+    for part in (slice(first, middle), slice(middle, last)):
+        late_ns = -12_000_000 if part.start == first else 12_000_000  # held up after the time was read
+        samples["drain_before_ns"][part] += late_ns
+        samples["drain_after_ns"][part] += late_ns
+    clock = fit_samples(samples, EPOCH)
+    assert np.isnan(clock.time_ns[first:last]).all()
+    rest = np.delete(np.arange(true.size), np.arange(first, last))
+    np.testing.assert_allclose(clock.time_ns[rest] * 1e-9, true[rest], atol=clock.bound_s)
+    assert clock.bound_s < 1e-3

@@ -1,0 +1,73 @@
+"""docs/tutorial.md as a new user goes through it: every command, in order, and what the page says that it prints."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from experiments.emulation.hidden_effects import EFFECTS, REST_RAD, SPRING_NM
+from experiments.emulation.plant import LegBody
+from tests.studies.tutorial import INSTALL, PAGE, ROOT, Block, blocks, run_blocks, shortened
+
+TEXT = PAGE.read_text(encoding="utf-8")
+VARIES = re.compile(r"[-+]?\d[\d.,:e+-]*|-{2,}|\s+")
+"""Numbers, rules under headings and spaces: the machine's arithmetic and the clock decide about them."""
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[Block, str]]]:
+    """The directory that the tutorial leaves behind, and each block with what it printed."""
+    if shutil.which("bash") is None:
+        pytest.skip("no bash")
+    folder = tmp_path_factory.mktemp("tutorial") / "my-leg"
+    folder.mkdir()
+    some = blocks(TEXT)[1:]
+    return folder, list(zip(some, run_blocks(some, folder)))
+
+
+def test_no_command_escapes_the_test() -> None:
+    found = blocks(TEXT)
+    assert TEXT.count("```sh") == len(found) and len(found) >= 6
+    assert TEXT.count("```") == 2 * (len(found) + sum(block.text is not None for block in found))
+    assert found[0].code.splitlines() == INSTALL
+
+
+def test_make_knows_how_to_install() -> None:
+    if shutil.which("make") is None:
+        pytest.skip("no make")
+    done = subprocess.run(["make", "-n", "-B", "install"], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "-m venv .venv" in done.stdout and "requirements.lock" in done.stdout
+
+
+@pytest.mark.slow
+def test_every_command_prints_what_the_page_shows(told: tuple[Path, list[tuple[Block, str]]]) -> None:
+    for block, said in told[1]:
+        if block.text is not None:
+            assert words(block.text) == words(shortened(said, block.first)), block.code
+
+
+@pytest.mark.slow
+def test_the_spring_is_found(told: tuple[Path, list[tuple[Block, str]]]) -> None:
+    found = json.loads((told[0] / "diagnosis.json").read_text())
+    assert found["verdict"] == "named"
+    (cause,) = found["causes"]
+    stiffness, preload = (size["value"] for size in cause["size"])
+    assert cause["effect"] == "joint_stiffness" and cause["joint"] == 2
+    assert stiffness == pytest.approx(SPRING_NM, rel=0.03) and preload / stiffness == pytest.approx(REST_RAD, rel=0.05)
+    knee = found["gain"]["free_run_rmse"]["q2_rad"]
+    assert knee["before"] > 0.05 and knee["after"] < 0.15 * knee["before"]
+    assert f"true beta1 is {LegBody().beta()[0]:.3f} kg m^2" in TEXT
+    assert {"fit.html", "diagnosis.html", "simulated.csv"} <= {path.name for path in told[0].iterdir()}
+
+
+def test_what_the_page_hides_can_be_hidden() -> None:
+    assert set(re.findall(r"--emulate (\w+)", TEXT)) <= {*EFFECTS, "none"}
+
+
+def words(text: str) -> list[str]:
+    """Lines without what varies; runners-up whose scores are close may change places."""
+    text = re.sub(r"(?s)(Runners-up.*?\n-.*?\n).*?\n\n", r"\1", text)
+    return [line for line in (" ".join(VARIES.sub(" ", line).split()) for line in text.splitlines()) if line]

@@ -1,0 +1,85 @@
+"""The distance meter against the geometry of a ray and the ground."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.dataset import Dataset
+from estimator.calibration.distance_meter import DistanceMeter, angle_record
+from estimator.errors import FitError
+from estimator.fitting.fit import fit
+from experiments.studies.biped3.study import CASES, case_options, noisy_record, truth
+from experiments.studies.walker import motor_mechanism, one_step
+
+METER = DistanceMeter(mount_m=0.6, gamma_rad=0.5, sigma_m=1e-3, sigma_per_m=2e-3)
+
+
+def ray_length(angle: float, meter: DistanceMeter) -> float:
+    """Cast the beam by vectors: foot at the origin, x ahead, y up; the leg leans towards x by `angle`."""
+    sensor = meter.mount_m * np.array([np.sin(angle), np.cos(angle)])
+    down_the_leg = -sensor / meter.mount_m
+    c, s = np.cos(meter.gamma_rad), np.sin(meter.gamma_rad)
+    beam = np.array([[c, -s], [s, c]]) @ down_the_leg  # turned ahead
+    return float(-sensor[1] / beam[1])
+
+
+@pytest.mark.parametrize("angle", [-0.6, -0.2, -1e-3, 0.0, 1e-3, 0.2, 0.6])
+def test_distance_is_the_length_of_the_ray(angle: float) -> None:
+    assert METER.distance(np.array(angle)) == pytest.approx(ray_length(angle, METER), rel=1e-12)
+
+
+def test_angle_inverts_distance_on_both_sides_of_upright() -> None:
+    angles = np.linspace(-0.6, 0.9, 301)
+    np.testing.assert_allclose(METER.angle(METER.distance(angles)), angles, atol=1e-7)
+
+
+def test_branches_meet_where_the_leg_is_upright() -> None:
+    upright = METER.mount_m / np.cos(METER.gamma_rad)
+    np.testing.assert_allclose(METER.angle(np.array([upright * 0.999999, upright, upright * 1.000001])), 0, atol=1e-5)
+
+
+def test_noise_grows_with_distance_and_reaches_the_angle_as_predicted() -> None:
+    rng = np.random.default_rng(5)
+    for angle in (-0.4, 0.1, 0.5):
+        read = METER.read(np.full(40_000, angle), rng)
+        distance = METER.distance(np.array(angle))
+        assert np.std(read) == pytest.approx(1e-3 + 2e-3 * distance, rel=0.02)
+        assert np.std(METER.angle(read)) == pytest.approx(METER.angle_sigma(distance), rel=0.03)
+
+
+def test_a_beam_that_misses_the_ground_reads_infinity() -> None:
+    assert np.isinf(METER.distance(np.array(-1.2)))
+
+
+@pytest.mark.parametrize("wrong", [{"mount_m": 0.0, "gamma_rad": 0.5}, {"mount_m": 1.0, "gamma_rad": 1.6},
+                                   {"mount_m": 1.0, "gamma_rad": 0.5, "sigma_m": -1.0}])
+def test_impossible_geometry_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError):
+        DistanceMeter(**wrong)
+
+
+def test_walker_is_identified_through_the_meter() -> None:
+    """A millimetre and a per cent of growth per metre; errors over their reported deviations are those of chance."""
+    step, mechanism = one_step().in_motor_angles(), motor_mechanism()
+    meter = DistanceMeter(mount_m=0.6, gamma_rad=0.6, sigma_m=5e-4, sigma_per_m=1e-3)
+    off = []
+    for run in range(30):
+        data = noisy_record(step, CASES[0], 17, run)
+        distance = meter.read(step.q[:, 0], np.random.default_rng([18, run]))
+        columns = {name: values for name, values in data.columns.items() if name != "q1_rad"}
+        seen = Dataset(data.name, data.rate_hz, data.time_s, {**columns, "distance_m": distance})
+        record, sigma = angle_record(seen, meter)
+        assert 5e-4 < sigma < 5e-3
+        options = case_options(CASES[2])
+        result = fit([record], mechanism, replace(options, noise={**options.noise, "encoder1_rad": sigma}))
+        off.append((result.beta - truth()) / result.std)
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_beam_that_misses_is_refused() -> None:
+    data = Dataset("run", 100.0, np.arange(3) / 100.0, {"distance_m": np.array([0.7, np.inf, 0.7])})
+    with pytest.raises(FitError, match="missed the ground at 1 sample"):
+        angle_record(data, METER)
+    with pytest.raises(FitError, match="no column distance_m"):
+        angle_record(Dataset("run", 100.0, np.arange(3) / 100.0, {"q1_rad": np.zeros(3)}), METER)

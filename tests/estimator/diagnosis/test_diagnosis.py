@@ -1,0 +1,270 @@
+"""Effects and the diagnosis's statistics; whole diagnoses of the blind bench are `make blind`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.stats import t as student
+
+from daq.dataset import Dataset
+from estimator.diagnosis import refit
+from estimator.diagnosis.conclusion import base
+from estimator.diagnosis.data_split import open_session
+from estimator.diagnosis.procedure import diagnose, falls_short
+from estimator.diagnosis.refit import fit_nominal
+from estimator.diagnosis.result import Diagnosis, SensorGain, ShortRuns
+from estimator.diagnosis.score_statistics import RunScore, own_inflation, project
+from estimator.effects import CLASSES, library
+from estimator.effects.drive import TorqueOffset
+from estimator.effects.friction import LoadDependentFriction
+from estimator.effects.sensors import EncoderScale
+from estimator.errors import FitError
+from estimator.fitting.gauss_newton import iterate
+from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage, slopes
+from estimator.likelihood.normal_equations import Latents
+from estimator.likelihood.state import State
+from estimator.model.mechanism import joint1, leg2
+from estimator.options import FitOptions
+from estimator.signals.segments import SignalSet, split_signals
+from tests.support.mujoco_leg import Leg, record
+
+CONTRACT = {
+    "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "presliding_friction", "quadratic_drag",
+    "friction_drift", "joint_stiffness", "joint_elasticity", "backlash", "rotor_inertia", "end_stop_contact",
+    "base_compliance", "torque_ripple", "torque_offset", "torque_saturation", "torque_delay", "sensor_time_skew",
+    "gyro_bias", "gyro_scale", "accelerometer_bias", "imu_misalignment", "imu_lever_arm", "encoder_offset",
+    "encoder_scale", "encoder_eccentricity"}
+
+
+def test_the_library_is_the_contract() -> None:
+    assert {c.name for c in CLASSES} == CONTRACT
+
+
+@pytest.fixture(scope="module")
+def runs() -> tuple[Leg, list[Dataset]]:
+    leg = Leg()
+    return leg, [record(leg, np.random.default_rng(600 + k), seconds=10.0, name=f"r{k + 1}") for k in range(4)]
+
+
+def test_every_effect_vanishes_at_zero_size_and_acts_at_its_scale(runs: tuple[Leg, list[Dataset]]) -> None:
+    leg, data = runs
+    mechanism = leg2(lever_arm=leg.lever)
+    signals = split_signals(data[:1], mechanism, FitOptions())
+    reach = np.array([[-1.0, 1.0], [-1.5, 1.5]])
+    problem = ExtendedProblem(signals, mechanism, "linear", Stage((0,), (0.0,), (0.0,), reach, 50.0))
+    q = np.stack([data[0]["q1_rad"], data[0]["q2_rad"]], axis=-1)
+    v = np.gradient(q, 0.01, axis=0)
+    view = problem.view(Latents(q, v, problem.torque), leg.beta())
+    effects, _ = library(mechanism, True)
+    assert len(effects) > 25
+    for effect in effects:
+        for shape in effect.grid():
+            zero = effect.perturb(view, np.array([0.0] * len(effect.sizes) + list(shape)))
+            for part in (zero.torque, zero.torque_at_samples, *zero.readings.values()):
+                assert part is None or np.max(np.abs(part)) < 1e-12, effect.key
+            size = np.array([s.scale for s in effect.sizes] + list(shape))
+            acting = effect.perturb(view, size)
+            parts = [p for p in (acting.torque, *acting.readings.values()) if p is not None]
+            assert any(np.any(p != 0.0) for p in parts), effect.key
+            assert all(np.isfinite(p).all() for p in parts), effect.key
+        assert len(slopes(effect, view, size)) == effect.count
+        assert Candidate(effect, shape).width == len(effect.sizes)
+
+
+@pytest.mark.parametrize("voltage", [False, True])
+def test_friction_by_load_follows_what_the_joint_passes_on(voltage: bool) -> None:
+    mechanism = joint1(voltage=voltage)
+    n = 40
+    at = np.linspace(0.0, 1.0, n)
+    signals = SignalSet("r", 50.0, at, np.zeros((n, 1)), np.zeros((n, 1)), {})
+    problem = ExtendedProblem([signals], mechanism, "linear", Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0]])))
+    q, u = np.sin(3.0 * at)[:, None], (5.0 * np.cos(4.0 * at))[:, None]
+    beta = np.array([0.08, 0.55, 0.4, 0.3])
+    view = problem.view(Latents(q, 3.0 * np.cos(3.0 * at)[:, None], u), beta)
+    s = view.samples
+    if voltage:
+        more = 0.4 * np.abs(u[:, 0] - beta[2] * s.v[0] - beta[3] * s.sign[0])  # less friction and EMF
+    else:
+        whole = np.full(n, beta[3])
+        for _ in range(100):  # F = Fc + mu |tau - F|, by iteration
+            whole = beta[3] + 0.4 * np.abs(u[:, 0] * s.sign[0] - whole)
+        more = whole - beta[3]
+    torque = LoadDependentFriction(0).perturb(view, np.array([0.4])).torque_at_samples
+    assert torque is not None
+    np.testing.assert_allclose(torque[0], more * s.sign[0], atol=2e-3)
+
+
+def test_a_slide_has_its_own_units_and_shapes() -> None:
+    slide = joint1(prismatic=True, gravity_mps2=0.0)
+    units = ["N m s/rad", "1/(N m)^2", "rad/(N m)", "s"]
+    assert [slide.unit(u) for u in units] == ["N s/m", "1/N^2", "m/N", "s"]
+    assert [leg2().unit(u) for u in units] == units
+    assert joint1(voltage=True).unit("N m s^2/rad^2") == "V s^2/rad^2"
+    (stribeck,), (rotary,) = ([e for e in library(m, False)[0] if e.name == "stribeck_friction"]
+                              for m in (slide, joint1()))
+    np.testing.assert_allclose(stribeck.grid(), 0.05 * np.array(rotary.grid()))
+    assert stribeck.clipped(np.array([1.0, 0.01]))[1] == 0.01
+
+
+def test_a_stiff_pivot_is_named_with_its_size(runs: tuple[Leg, list[Dataset]]) -> None:
+    leg, data = runs
+    stiffness = 0.8
+    hidden = []
+    for k, run in enumerate(data):
+        rng = np.random.default_rng(700 + k)
+        hidden.append(record(leg, rng, seconds=10.0, name=run.name, spring=(stiffness, 0.2)))
+    found = diagnose(hidden, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), seed=1)
+    assert found.verdict in ("named", "one_of"), found.sentence
+    causes = {(c.effect, c.joint): c for c in found.causes}
+    assert ("joint_stiffness", 1) in causes, found.sentence
+    size = causes[("joint_stiffness", 1)].size[0]
+    assert size.value == pytest.approx(stiffness, rel=0.25)
+    assert found.gap_closed is not None and found.gap_closed > 0.8
+    knee = np.concatenate([run["q2_rad"] for run in hidden if run.name not in found.confirm_runs])
+    assert found.reach[1] == pytest.approx((knee.min(), knee.max()), abs=3e-3)
+
+
+def test_nothing_hidden_is_never_named(runs: tuple[Leg, list[Dataset]]) -> None:
+    leg, data = runs
+    found = diagnose(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), seed=1)
+    assert found.verdict == "none", found.sentence
+    assert all(r.smallest_detectable > 0 for r in found.candidates)
+
+
+def test_torque_that_is_mostly_noise_allows_no_verdict_that_nothing_is_wrong(runs: tuple[Leg, list[Dataset]]) -> None:
+    leg, data = runs
+    rng = np.random.default_rng(31)
+    spoiled = []
+    for run in data:
+        torque = run["tau2_nm"]
+        drowned = torque + rng.normal(0.0, 1.5 * float(np.std(torque)), torque.size)
+        spoiled.append(replace(run, columns=dict(run.columns) | {"tau2_nm": drowned}))
+    found = diagnose(spoiled, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), seed=1)
+    assert found.verdict in ("fit_failed", "unexplained")
+    assert "40 % of a measured torque to noise" in found.sentence and "rate_hz" in found.sentence
+
+
+def test_too_little_data_is_refused_in_words() -> None:
+    run = record(Leg(), np.random.default_rng(9), seconds=3.0)
+    found = diagnose([run], leg2(lever_arm=0.2), FitOptions(sensors="imu"))
+    assert found.verdict == "fit_failed"
+    assert "record" in found.sentence
+
+
+def test_what_the_parameters_imitate_has_no_smallest_size() -> None:
+    rng = np.random.default_rng(3)
+    runs = []
+    for _ in range(4):  # column 1 is column 0 twice, column 2 is its own
+        rows = rng.normal(size=(50, 2))
+        jacobian = np.column_stack([rows[:, 0], 2.0 * rows[:, 0], rows[:, 1]])
+        runs.append(RunScore(jacobian.T @ rng.normal(size=50), jacobian.T @ jacobian))
+    tests = project(runs, 1)
+    assert tests.detectable(0, 0.01, 0.0) == np.inf
+    assert 0.0 < tests.detectable(1, 0.01, 0.0) < 1.0
+
+
+def test_intervals_hold_where_noise_lasts_longer_than_a_sample() -> None:
+    """Least squares of a slow and a fast column under noise of ten samples' memory, taken for white."""
+    rng, missed, narrow = np.random.default_rng(5), np.zeros(2), np.zeros(2)
+    samples, cases = 400, 300
+    t = np.arange(samples)
+    for _ in range(cases):
+        phases = 2 * np.pi * rng.random((6, 2))
+        rows = np.array([np.column_stack([np.sin(0.03 * t + a), np.sin(1.5 * t + b)]) for a, b in phases])
+        noise = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], rng.normal(size=(6, samples + 100)))[:, 100:]
+        information = np.einsum("rki,rkj->rij", rows, rows)
+        inverse = np.linalg.inv(information.sum(axis=0))
+        error = inverse @ np.einsum("rki,rk->i", rows, noise)
+        left = noise - rows @ error
+        scores = [RunScore(rows[r].T @ left[r], information[r]) for r in range(6)]
+        inflation = own_inflation(scores, np.ones(2, dtype=bool), 1.0)
+        std = np.sqrt(np.diag(inverse))
+        missed += np.abs(error) > student.isf(0.025, 13.0) * np.sqrt(inflation) * std
+        narrow += np.abs(error) > 1.96 * std
+    assert missed[0] / cases < 0.15
+    assert missed[1] / cases < 0.05
+    assert narrow[0] / cases > 0.4
+
+
+def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, list[Dataset]],
+                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    leg, data = runs
+    session = open_session(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+
+    def stuck(problem: ExtendedProblem, state: State, free: NDArray[np.bool_], *rest: object) -> None:
+        if free.any():
+            raise FitError("does not settle")
+        iterate(problem, state, free, *rest)
+
+    monkeypatch.setattr(refit, "iterate", stuck)
+    nominal = fit_nominal(session)
+    assert np.isinf(nominal.std()[:9]).all() and np.isfinite(nominal.state.beta).all()
+    assert any("no intervals" in warning for warning in base(session, nominal, {}, None).warnings)
+
+
+def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
+                                               monkeypatch: pytest.MonkeyPatch) -> None:
+    leg, data = runs
+    session = open_session(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+    nominal, candidates = fit_nominal(session), [Candidate(kind(1)) for kind in (TorqueOffset, EncoderScale)]
+    scores = refit.score_discover(session, nominal, candidates)
+    plain, count = refit.rehearse, len(session.discover)
+
+    def going_off(problem: ExtendedProblem, state: State, signals: list[SignalSet], *rest: Any) -> list[SignalSet]:
+        found = plain(problem, state, signals, *rest)
+        off = signals[0].run in bad
+        return [replace(s, angles=s.angles + 0.02 * np.sin(40.0 * s.time_s)[:, None] * [0, 1]) if off else s
+                for s in found]
+
+    monkeypatch.setattr(refit, "rehearse", going_off)
+    names = [session.runs[i][0].run for i in session.discover]
+    bad: list[str] = []
+    means = []
+    for which in ([], names[:1]):
+        bad[:] = which
+        rng = np.random.default_rng(3)
+        means.append(refit.rehearsal_scores(session, nominal, candidates, scores, rng))
+    for k in range(1, count):
+        assert means[1][k].score == pytest.approx(means[0][k].score, rel=1e-5)
+    assert means[1][0].score == pytest.approx(refit.borrowed(means[0][1:], scores[0]).score, rel=1e-5)
+    bad[:] = names
+    with pytest.raises(FitError, match="rehearsal"):
+        refit.rehearsal_scores(session, nominal, candidates, scores, np.random.default_rng(3))
+
+
+def test_a_combination_that_the_confirm_runs_hardly_know_is_not_tested_on_them() -> None:
+    def runs(correlation: float, count: int, score: NDArray[np.float64]) -> list[RunScore]:
+        information = np.eye(3)
+        information[1, 2] = information[2, 1] = correlation
+        return [RunScore(score, information) for _ in range(count)]
+
+    lender = project(runs(0.0, 6, np.array([0.0, 1.0, -1.0])), 1)
+    columns = np.array([0, 1])
+    few = runs(0.999, 2, np.array([0.0, 1.0, -1.0]))
+    assert project(few, 1).gain(columns) > 1000.0  # each score is one standard deviation; their difference is nothing
+    assert project(few, 1, scatter=lender).gain(columns) < 1.0
+    same = runs(0.0, 2, np.array([0.0, 1.0, -1.0]))
+    assert project(same, 1, scatter=lender).gain(columns) == pytest.approx(4.0 / lender.inflation[0])
+
+
+@pytest.mark.parametrize("whole, ci95, pieces, why", [
+    (0.9, (0.8, 1.0), None, ""),
+    (-0.2, (-0.4, -0.1), 0.3, "closes -20 % over whole runs and 30 % over pieces of 1 s"),
+    (-0.1, (-0.3, 0.2), 0.4, ""),  # noise adds up over a run: pieces show what the whole does not
+    (0.1, (-0.3, 0.2), -0.2, ""),
+    (-0.1, (-0.3, 0.2), -0.2, "closes -10 % over whole runs and -20 % over pieces of 1 s"),
+    (None, None, 0.1, ""),
+    (None, None, -0.1, "closes -10 % over pieces of 1 s"),
+    (None, None, None, "")])
+def test_a_finding_lowers_the_error_of_free_runs_that_it_has_not_seen(
+        whole: float | None, ci95: tuple[float, float] | None, pieces: float | None, why: str) -> None:
+    sensors = {"q1_rad": SensorGain(2.0, 1.0, 1.0)}
+    short = None if pieces is None else ShortRuns(1.0, sensors, pieces, (pieces - 0.1, pieces + 0.1))
+    found = Diagnosis("named", "", sensors=sensors, gap_closed=whole, gap_closed_ci95=ci95, short=short)
+    assert why in falls_short(found) and bool(why) == bool(falls_short(found))
+    assert "diverges" in falls_short(Diagnosis("named", ""))

@@ -1,0 +1,184 @@
+"""Re-fits of effects hidden by the bench's own integrator: each comes out at its size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from daq.dataset import Dataset
+from estimator.diagnosis.data_split import open_session
+from estimator.diagnosis.refit import Model, begin_afresh, fit_nominal, per_value, refit, smooth
+from estimator.diagnosis.residual_signature import signature
+from estimator.effects import Effect
+from estimator.effects.drive import TorqueDelay, TorqueRipple
+from estimator.effects.friction import LoadDependentFriction, PreslidingFriction
+from estimator.effects.structure import Backlash, JointElasticity
+from estimator.likelihood.extended_likelihood import ExtendedProblem, Stage
+from estimator.likelihood.free_run import free_run
+from estimator.likelihood.normal_equations import Latents
+from estimator.likelihood.state import State
+from estimator.likelihood.trajectory_likelihood import Noise
+from estimator.model.mechanism import joint1, leg2
+from estimator.options import FitOptions
+from estimator.signals.segments import IMU_COLUMNS, SignalSet
+from tests.blind.cases import DrawnCase, catalogue, draw_case
+from tests.blind.effects import MOTOR_INERTIA
+from tests.blind.leg import stack
+from tests.blind.measure import RATE_HZ, disturb, read
+from tests.blind.physics import integrate
+
+COUNT, RUNS = 800, 4
+PEAK_NM = 0.6
+
+
+def drawn(effect: str) -> DrawnCase:
+    """Leg, sensors and torque plans of the bench; what it would hide is not used."""
+    case = next(c for c in catalogue("single", [21]) if c.effects == (effect,))
+    return draw_case(case, {effect: 0.1}, 0.1)
+
+
+def record(case: DrawnCase, plant: Mapping[str, float], late_s: float = 0.0) -> list[Dataset]:
+    """Runs of the leg with `plant` in it; the shunt shows the torque `late_s` after it acted."""
+    grid, rng = np.arange(COUNT) / RATE_HZ, np.random.default_rng(21)
+    acting, shown = (np.array([plan.at(grid + ahead, PEAK_NM) for plan in case.torques[:RUNS]])
+                     for ahead in (late_s, 0.0))
+    extra: dict[str, NDArray[np.float64]] = {name: np.full(RUNS, value) for name, value in plant.items()}
+    motion = integrate(stack([case.leg] * RUNS), acting.T, step=1e-3, extra=extra)
+    out = []
+    for k in range(RUNS):
+        columns = disturb(read(motion, k, shown[k], {}, case.sensors), case.sensors.torque * rng.normal(size=COUNT),
+                          case.sensors, rng)
+        time_s = columns.pop("time_s")
+        out.append(Dataset(f"r{k + 1}", RATE_HZ, time_s, columns))
+    return out
+
+
+def fitted(case: DrawnCase, data: list[Dataset], effect: Effect, afresh: bool = False,
+           shapes: tuple[float, ...] = ()) -> tuple[Model, Model]:
+    """Nominal fit, and the fit with the effect."""
+    session = open_session(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
+    nominal = fit_nominal(session)
+    start = np.zeros(effect.count)
+    start[len(effect.sizes) :] = shapes
+    if afresh:
+        start[0] = 0.1
+    return nominal, refit(session, begin_afresh(session, nominal) if afresh else nominal, [(effect, start)], 40)
+
+
+def test_a_soft_gear_is_found_with_the_friction_of_its_motor() -> None:
+    case, compliance = drawn("joint_elasticity"), 0.25
+    data = record(case, {"shaft": 1.0 / compliance, "shaft_damping": 0.003, "motor_inertia": MOTOR_INERTIA})
+    _, model = fitted(case, data, JointElasticity(1), afresh=True)
+    ((found, viscous, coulomb, inertia),) = model.sizes()
+    assert found == pytest.approx(compliance, rel=0.025)
+    assert viscous + model.state.beta[6] == pytest.approx(case.leg.viscous2, rel=0.1)
+    assert coulomb + model.state.beta[8] == pytest.approx(case.leg.coulomb2, rel=0.1)
+    assert 0.5 * MOTOR_INERTIA < inertia < 2.0 * MOTOR_INERTIA  # near the resonance samples see too little of it
+    assert model.state.noise.encoder[1] < case.sensors.count_rad  # with friction on the link: thirty times as much
+
+
+def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
+    case, gap = drawn("backlash"), 0.08
+    data = record(case, {"shaft": 200.0, "shaft_damping": 0.12, "motor_inertia": MOTOR_INERTIA, "gap": gap})
+    session = open_session(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
+    effect = Backlash(1)
+    start = np.array([0.5 * gap, 0.0, 0.0, 0.0, 0.1])
+    nominal = fit_nominal(session)
+    model = refit(session, nominal, [(effect, start)], 40)
+    assert model.sizes()[0][0] == pytest.approx(gap, rel=0.05)
+    picture = signature(session, nominal, model, effect)
+    assert picture is not None and picture.y_label == "reading of encoder2"
+    assert np.ptp(picture.curve) == pytest.approx(gap, rel=0.2)  # a step from one flank to the other
+    # the law is a step of the torque: sought at once from filtered motion it leaves ten times as much
+    problem, state = smooth(session, model, session.confirm[0])
+    assert per_value(problem, state) < 2.0
+
+
+def test_bristles_are_found_with_their_damping() -> None:
+    case, deflection = drawn("presliding_friction"), 0.12
+    _, model = fitted(case, record(case, {"bristle2": deflection}), PreslidingFriction(1), shapes=(0.1,))
+    ((level, damping, found),) = model.sizes()
+    stiffness = case.leg.coulomb2 / deflection  # LuGre as tests/blind/physics has it
+    assert found == pytest.approx(deflection, rel=0.25)  # eight seconds hardly reach full slip
+    assert level == pytest.approx(case.leg.coulomb2, rel=0.2)
+    assert damping == pytest.approx(0.6 * np.sqrt(stiffness * float(case.leg.beta()[1]) * 0.3), rel=0.2)
+
+
+@pytest.mark.parametrize("late_s", [0.0098, 0.004, -0.006])
+def test_a_late_torque_is_found_between_samples(late_s: float) -> None:
+    case = drawn("torque_delay")
+    _, model = fitted(case, record(case, {}, late_s), TorqueDelay())
+    ((found,),) = model.sizes()
+    assert found == pytest.approx(late_s, abs=6e-4)  # noise interpolated between samples would draw it to 5 ms
+
+
+def test_friction_by_load_is_found() -> None:
+    case = drawn("load_dependent_friction")
+    _, model = fitted(case, record(case, {"load2": 0.25}), LoadDependentFriction(1))
+    ((found,),) = model.sizes()
+    assert found == pytest.approx(0.25, rel=0.08)
+
+
+def test_a_fast_ripple_is_simulated_freely() -> None:
+    case, amplitude, gear = drawn("torque_ripple"), 0.12, 50.0
+    grid = np.arange(COUNT) / RATE_HZ
+    torque = case.torques[0].at(grid, PEAK_NM)[:, None]
+    plant = {"ripple": amplitude, "ripple_order": 2.0, "ripple_phase": 0.0, "gear": gear}
+    motion = integrate(stack([case.leg]), torque, step=5e-4, extra={k: np.full(1, v) for k, v in plant.items()})
+    seen = read(motion, 0, torque[:, 0], {}, case.sensors)
+    driven = np.column_stack([np.zeros(COUNT), torque[:, 0]])
+    signals = SignalSet("r", RATE_HZ, grid, np.column_stack([np.full(COUNT, np.nan), seen["q2_rad"]]), driven,
+                        {name: seen[name] for name in IMU_COLUMNS})
+    stage = Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0], [-1.0, 1.0]]), gear)
+    problem = ExtendedProblem([signals], leg2(lever_arm=case.sensors.lever), "linear", stage,
+                              [TorqueRipple(1), TorqueRipple(1)])
+    # what the bench hides has 0.3 sin(2 phase + 0.7) beside its first order
+    second = 0.3 * amplitude * np.array([np.cos(0.7), np.sin(0.7)])
+    sizes = [amplitude, 0.0, 2.0, *second, 4.0]
+    x = Latents(np.column_stack([motion.q1, motion.q2]), np.column_stack([motion.w1, motion.w2]), driven)
+    state = State(x, np.concatenate([np.ravel(case.leg.beta()), sizes]),
+                  Noise(np.array([0.002, 0.02]), np.array([np.inf, 2e-4]), 0.005, 0.05), np.eye(15))
+    moved = replace(state, x=replace(x, q=x.q + 0.05 * np.sin(7.0 * grid)[:, None]))  # where a guess may well stand
+    moved.x.q[0] = x.q[0]
+    run = free_run(problem, moved, driven)
+    assert run is not None
+    # 200 periods a rad: after two seconds an error of a hundredth of a rad is another ripple
+    assert np.abs(run.q - x.q)[:100].max() < 0.02 * np.ptp(x.q[:100, 1])
+
+
+def test_friction_under_a_load_that_follows_from_acceleration_is_simulated_freely() -> None:
+    """A servo under a voltage: V = L + mu |L| s + viscous qd + coulomb s with the load L = J qdd + G sin(q), so that
+    L = (V - viscous qd - coulomb s) / (1 + mu s sign(L)); the divisor is positive, and so L has the numerator's sign.
+    """
+    inertia, moment, viscous, coulomb, mu, rate_hz, count = 0.05, 0.12, 0.15, 0.1, 0.43, 25.0, 150
+    grid = np.arange(count) / rate_hz
+    volts = 1.5 * np.sin(3.0 * grid) + 0.8 * np.sin(7.0 * grid + 1.0)
+
+    def rates(t: float, y: NDArray[np.float64]) -> list[float]:
+        sign = np.tanh(y[1] / 0.02)
+        driving = np.interp(t, grid, volts) - viscous * y[1] - coulomb * sign
+        load = driving / (1.0 + mu * sign * np.sign(driving))
+        return [y[1], (load - 9.81 * moment * np.sin(y[0])) / inertia]
+
+    truth = solve_ivp(rates, (0.0, grid[-1]), [0.1, 0.0], t_eval=grid, rtol=1e-6, atol=1e-8, max_step=2e-3).y
+    mechanism = joint1(voltage=True, velocity_scale=0.05)
+    signals = SignalSet("r", rate_hz, grid, truth[0][:, None], volts[:, None], {})
+    stage = Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0]]), 1.0)
+    problem = ExtendedProblem([signals], mechanism, "linear", stage, [LoadDependentFriction(0)])
+    x = Latents(truth[0][:, None], truth[1][:, None], volts[:, None])
+    noise = Noise(np.array([0.1]), np.array([1e-3]), 1.0, 1.0)
+    state = State(x, np.array([inertia, moment, viscous, coulomb, mu]), noise, np.eye(5))
+    run = free_run(problem, state, volts[:, None])
+    assert run is not None
+    assert np.abs(run.q[:, 0] - truth[0]).max() < 0.06 * np.ptp(truth[0])
+    wrong = replace(state, beta=state.beta * np.array([1.0, 1.0, 1.0, 0.5, 1.0]))
+    whole, short = (free_run(problem, wrong, volts[:, None], horizon) for horizon in (np.inf, 0.2))
+    assert whole is not None and short is not None
+    off, near = (np.abs(found.q[:, 0] - truth[0]) for found in (whole, short))
+    assert near[::5].max() == 0.0  # every piece of five samples starts from the motion that was given
+    assert near.max() < 0.3 * off.max()

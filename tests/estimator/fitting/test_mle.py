@@ -1,0 +1,123 @@
+"""The default estimator on legs that MuJoCo simulated; seeds 500 and up were not used while building it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq.dataset import Dataset
+from estimator.errors import FitError
+from estimator.fitting.fit import fit
+from estimator.fitting.validation import validate
+from estimator.model.forward_simulation import simulate
+from estimator.model.mechanism import leg2
+from estimator.options import FitOptions
+from tests.support.mujoco_leg import Leg, random_leg, record
+
+RIGID = slice(0, 5)
+
+
+@pytest.fixture(scope="module")
+def legs() -> list[tuple[Leg, Dataset, Dataset]]:
+    out = []
+    for seed in range(500, 505):
+        rng = np.random.default_rng(seed)
+        leg = random_leg(rng)
+        out.append((leg, record(leg, rng, name="fit"), record(leg, rng, name="check")))
+    return out
+
+
+def test_imu_path_finds_inertia_and_gravity_within_one_per_cent(legs: list[tuple[Leg, Dataset, Dataset]]) -> None:
+    errors, inside = [], []
+    for leg, run, _ in legs:
+        found = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+        assert found.converged
+        truth = leg.beta()
+        errors.append(np.abs(found.beta[RIGID] / truth[RIGID] - 1))
+        low, high = found.ci95().T
+        inside.append((low <= truth) & (truth <= high))
+        assert 0.015 < found.noise["torque_nm"] < 0.025
+        assert 0.004 < found.noise["gyro_radps"] < 0.006
+    assert np.median(errors) < 0.005
+    assert np.max(np.median(errors, axis=0)) < 0.01
+    assert np.mean(inside) > 0.75
+
+
+def test_table_v_shape_holds(legs: list[tuple[Leg, Dataset, Dataset]]) -> None:
+    sums = {"mle-imu": [], "wls-imu": [], "wls-hall": []}
+    for leg, run, check in legs[:3]:
+        mechanism = leg2(lever_arm=leg.lever)
+        for key in sums:
+            method, sensors = key.split("-")
+            options = FitOptions(sensors="imu" if sensors == "imu" else "encoder")
+            found = fit([run], mechanism, options, method)
+            result = validate(check, mechanism, found.beta, options)[0]
+            sums[key].append(result.sums["q1_rad"] + result.sums["q2_rad"])
+    assert np.mean(sums["mle-imu"]) < np.mean(sums["wls-imu"])
+    assert np.mean(sums["mle-imu"]) <= 1.05 * np.mean(sums["wls-hall"])
+
+
+def test_imu_path_never_reads_the_pivot_encoder(legs: list[tuple[Leg, Dataset, Dataset]]) -> None:
+    leg, run, _ = legs[0]
+    columns = {k: v for k, v in run.columns.items() if k != "q1_rad"}
+    without = Dataset(run.name, run.rate_hz, run.time_s, columns)
+    options = FitOptions(sensors="imu")
+    a, b = (fit([d], leg2(lever_arm=leg.lever), options) for d in (run, without))
+    np.testing.assert_array_equal(a.beta, b.beta)
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+def test_the_hold_is_part_of_the_model(hold: str) -> None:
+    leg = Leg()
+    run = record(leg, np.random.default_rng(510), seconds=12, hold=hold, high=8.0)
+    right = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors="imu", hold=hold))
+    wrong = "linear" if hold == "zero" else "zero"
+    other = fit([run], leg2(lever_arm=leg.lever), FitOptions(sensors="imu", hold=wrong))
+    truth = leg.beta()[RIGID]
+    assert np.max(np.abs(right.beta[RIGID] / truth - 1)) < 0.02
+    assert np.linalg.norm(right.beta[RIGID] / truth - 1) < np.linalg.norm(other.beta[RIGID] / truth - 1)
+
+
+def test_a_fixed_parameter_sets_the_scale_of_a_free_swing() -> None:
+    leg = Leg(viscous=(0.002, 0.002), coulomb=(0.002, 0.001))
+    tau = np.concatenate([np.full(100, 1.2), np.zeros(1900)])
+    run = record(leg, np.random.default_rng(511), tau=tau, torque=0.0)
+    swing = run.part(slice(110, 2000))
+    options = FitOptions(sensors="encoder")
+    with pytest.raises(FitError, match="--fix"):
+        fit([Dataset("swing", 100.0, swing.time_s, {**swing.columns, "tau2_nm": np.zeros(len(swing))})],
+            leg2(actuated=()), options)
+    found = fit([swing], leg2(actuated=()), FitOptions(sensors="encoder", fixed={"beta5": float(leg.beta()[4])}))
+    assert found.beta[4] == leg.beta()[4]
+    assert np.max(np.abs(found.beta[RIGID] / leg.beta()[RIGID] - 1)) < 0.02
+
+
+def test_a_gap_splits_a_run_instead_of_being_filled(legs: list[tuple[Leg, Dataset, Dataset]]) -> None:
+    leg, run, _ = legs[1]
+    columns = {k: v.copy() for k, v in run.columns.items()}
+    for values in columns.values():
+        values[700:760] = np.nan
+    found = fit([Dataset("holed", 100.0, run.time_s, columns)], leg2(lever_arm=leg.lever), FitOptions())
+    assert found.samples == 2000 - 60
+    assert len(found.trajectories) == 2
+    assert np.max(np.abs(found.beta[RIGID] / leg.beta()[RIGID] - 1)) < 0.015
+
+
+def test_a_knee_that_never_moves_leaves_a_combination_undetermined() -> None:
+    rng = np.random.default_rng(512)
+    n = 1500
+    t = np.arange(n) / 100
+    q1 = 0.5 * np.cos(5 * t) * np.exp(-0.05 * t)
+    columns = {"q1_rad": q1, "q2_rad": np.zeros(n), "tau2_nm": 0.3 * np.sin(q1) + 0.01 * rng.normal(size=n)}
+    found = fit([Dataset("locked", 100.0, t, columns)], leg2(), FitOptions(sensors="encoder"), "wls")
+    assert found.undetermined
+    assert any("beta1" in text or "beta2" in text for text in found.undetermined)
+
+
+def test_simulation_follows_mujoco() -> None:
+    leg = Leg(viscous=(0.02, 0.03), coulomb=(0.0, 0.0))
+    run = record(leg, np.random.default_rng(513), seconds=6, gyro=0, accel=0, torque=0, counts=2**40)
+    tau = np.stack([np.zeros(len(run)), run["tau2_nm"]], axis=-1)
+    q, _, _ = simulate(leg2(), leg.beta(), np.zeros(2), np.zeros(2), tau, 0.01)
+    np.testing.assert_allclose(q[:, 0], run["q1_rad"], atol=2e-4)
+    np.testing.assert_allclose(q[:, 1], run["q2_rad"], atol=5e-4)

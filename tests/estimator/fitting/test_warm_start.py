@@ -1,0 +1,75 @@
+"""A long record's fit from an excerpt: the same answer in fewer steps, and no excerpt where none would do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq.dataset import Dataset
+from estimator.fitting import mle, warm_start
+from estimator.fitting.fit import fit
+from estimator.fitting.warm_start import LEAST, LEAST_STRETCH, WORTH, excerpt
+from estimator.likelihood.normal_equations import Latents
+from estimator.likelihood.trajectory_likelihood import LatentProblem
+from estimator.model.mechanism import leg2
+from estimator.options import FitOptions
+from estimator.signals.segments import SignalSet, split_signals
+from tests.support.mujoco_leg import Leg, random_leg, record
+
+OPTIONS = FitOptions(sensors="imu")
+LEG = Leg()
+MECHANISM = leg2(lever_arm=LEG.lever)
+
+
+def prepared(runs: list[Dataset]) -> tuple[LatentProblem, list[SignalSet], Latents]:
+    """Problem, signals and a motion of `runs`: the knee's own, and none of the pivot."""
+    signals = split_signals(runs, MECHANISM, OPTIONS)
+    problem = LatentProblem(signals, MECHANISM, "linear")
+    angle = problem.angles[:, 1:] * [[0.0, 1.0]]
+    return problem, signals, Latents(angle, np.gradient(angle, 0.01, axis=0), problem.torque)
+
+
+def still(samples: int, moved: slice, name: str = "run") -> Dataset:
+    """A leg at rest but for some samples."""
+    time = np.arange(samples) / 100.0
+    q2 = np.zeros(samples)
+    q2[moved] = np.sin(2.0 * np.pi * time[moved])
+    zero = np.zeros(samples)
+    return Dataset(name, 100.0, time, {"q2_rad": q2, "tau2_nm": q2, "gyro_radps": zero, "accel_x_mps2": zero,
+                                       "accel_y_mps2": zero})
+
+
+def test_the_moving_part_is_taken() -> None:
+    ((number, where),) = excerpt(*prepared([still(4000, slice(2500, 3100))]))
+    assert number == 0 and where.stop - where.start == 4000 // 8
+    assert where.start >= 2450 and where.stop <= 3150
+
+
+def test_short_records_and_short_stretches_have_none() -> None:
+    assert excerpt(*prepared([still(LEAST * WORTH - 1, slice(0, 900))])) == []
+    pieces = [still(LEAST_STRETCH - 10, slice(0, 50), f"run{i}") for i in range(40)]
+    assert excerpt(*prepared(pieces)) == []
+    both = [still(3000, slice(0, 900)), *pieces[:5]]
+    assert [number for number, _ in excerpt(*prepared(both))] == [0]
+
+
+def test_the_answer_is_the_same_in_fewer_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(911)
+    leg = random_leg(rng)
+    runs = [record(leg, rng, seconds=15, name=f"run{i}") for i in range(2)]
+    mechanism = leg2(lever_arm=leg.lever)
+    found = fit(runs, mechanism, OPTIONS)
+    monkeypatch.setattr(mle, "from_excerpt", lambda *_: None)
+    whole = fit(runs, mechanism, OPTIONS)
+    assert found.converged and whole.converged
+    assert found.iterations < whole.iterations
+    assert np.max(np.abs(found.beta - whole.beta) / whole.std) < 0.1
+    np.testing.assert_allclose(found.std, whole.std, rtol=0.01)
+
+
+def test_an_excerpt_that_does_not_converge_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = record(LEG, np.random.default_rng(5), seconds=15)
+    monkeypatch.setattr(warm_start, "STEPS", 1)
+    found = fit([run], MECHANISM, OPTIONS)
+    monkeypatch.setattr(mle, "from_excerpt", lambda *_: None)
+    np.testing.assert_array_equal(found.beta, fit([run], MECHANISM, OPTIONS).beta)

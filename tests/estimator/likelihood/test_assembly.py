@@ -1,0 +1,98 @@
+"""Compiled normal equations against those of numpy: every mechanism, every effect, widths with a kernel and without."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimator.effects import library
+from estimator.effects.base import Effect
+from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage
+from estimator.likelihood.normal_equations import Latents, Linearised
+from estimator.likelihood.trajectory_likelihood import LatentProblem, Noise
+from estimator.model.mechanism import Mechanism, biped3, chain, joint1, leg2
+from estimator.model.regressor_numba import FastTerms
+from estimator.numerics import jit
+from estimator.signals.segments import IMU_COLUMNS, SignalSet
+from tests.support.equations import normal
+
+pytest.importorskip("numba", reason="needs the extra `fast`")
+COUNTS = (70, 45)
+BETA = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
+
+
+def stretches(mechanism: Mechanism, imu: bool, rng: np.random.Generator) -> list[SignalSet]:
+    """Two, so that one sample begins no interval."""
+    return [SignalSet(f"run{i}", 100.0, np.arange(count) / 100.0, rng.normal(size=(count, mechanism.n)),
+                      rng.normal(size=(count, mechanism.n)),
+                      {c: rng.normal(size=count) for c in IMU_COLUMNS} if imu else {})
+            for i, count in enumerate(COUNTS)]
+
+
+def latents(mechanism: Mechanism, rng: np.random.Generator) -> Latents:
+    return Latents(*(scale * rng.normal(size=(sum(COUNTS), mechanism.n)) for scale in (0.5, 1.0, 0.4)))
+
+
+def noise_of(mechanism: Mechanism) -> Noise:
+    return Noise(np.linspace(0.02, 0.05, mechanism.n), np.full(mechanism.n, 1e-3), 0.01, 0.1)
+
+
+def both(problem: LatentProblem, x: Latents, beta: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> list[Linearised]:
+    points = []
+    for worth in (10**15, -1):
+        monkeypatch.setattr(jit, "LOAD_WORTH", worth)
+        points.append(problem.linearise(x, beta, noise_of(problem.mechanism)))
+    return points
+
+
+def assert_alike(plain: Linearised, fast: Linearised) -> None:
+    assert fast.objective == pytest.approx(plain.objective, rel=1e-10)
+    for name, known in normal(plain).items():
+        atol = 1e-10 * np.abs(known).max(initial=0.0)
+        np.testing.assert_allclose(normal(fast)[name], known, rtol=0.0, atol=atol, err_msg=name)
+
+
+@pytest.mark.parametrize("imu", [False, True], ids=["encoder", "imu"])
+@pytest.mark.parametrize("mechanism", [joint1(lever_arm=0.1), leg2(lever_arm=0.2, rotor_inertia=(1,),
+                                                                   torque_offset=(0, 1)), biped3(), chain(3)],
+                         ids=lambda m: f"{m.name}-{m.n}")
+def test_every_mechanism(mechanism: Mechanism, imu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(11)
+    problem = LatentProblem(stretches(mechanism, imu, rng), mechanism, "linear")
+    beta = np.abs(rng.normal(size=mechanism.p)) + np.array([2.0 * (p.term == "inertia" and p.at[0] == p.at[1])
+                                                            for p in mechanism.parameters])
+    assert_alike(*both(problem, latents(mechanism, rng), beta, monkeypatch))
+
+
+def staged(effects: list[Effect], candidates: list[Candidate], rng: np.random.Generator) -> ExtendedProblem:
+    stage = Stage((0, 1), (0.0, 5.0), (0.0, 0.0), np.tile([-1.0, 1.0], (2, 1)), 7.0)
+    mechanism = leg2(lever_arm=0.2)
+    return ExtendedProblem(stretches(mechanism, True, rng), mechanism, "linear", stage, effects, candidates)
+
+
+@pytest.mark.parametrize("effect", library(leg2(lever_arm=0.2), True)[0], ids=lambda e: f"{e.name}-{e.joint}")
+def test_every_effect(effect: Effect, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(12)
+    problem = staged([effect], [], rng)
+    size = [s.scale for s in effect.sizes] + [s.grid[-1] for s in effect.shapes]
+    x = latents(problem.mechanism, rng)
+    assert_alike(*both(problem, x, np.append(BETA, size), monkeypatch))
+
+
+def test_more_columns_than_have_a_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(13)
+    candidates = [Candidate(e, shape) for e in library(leg2(lever_arm=0.2), True)[0] for shape in e.grid()]
+    problem = staged([], candidates, rng)
+    plain, fast = both(problem, latents(problem.mechanism, rng), BETA, monkeypatch)
+    assert plain.chain.edge > 24
+    assert_alike(plain, fast)
+
+
+def test_cosine_and_sine_of_far_angles() -> None:
+    """To the last digits of numpy's own, after many turns and close to a quarter of one."""
+    angle = np.concatenate([np.random.default_rng(14).uniform(-1e5, 1e5, 5000), np.linspace(-7.0, 7.0, 5000),
+                            np.arange(-40, 41) * np.pi / 4, [0.0, -0.0]])
+    cosine, sine = FastTerms(joint1()).turned(angle[None, None])
+    np.testing.assert_allclose(cosine[0, 0], np.cos(angle), rtol=0.0, atol=2.5e-16)
+    np.testing.assert_allclose(sine[0, 0], np.sin(angle), rtol=0.0, atol=2.5e-16)
+    assert np.isnan(FastTerms(joint1()).turned(np.full((1, 1, 1), np.nan))).all()

@@ -1,0 +1,176 @@
+"""Torque laws of effects in a simulation: their derivatives, and motion that they change."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from estimator.diagnosis.data_split import open_session
+from estimator.diagnosis.refit import fit_nominal, refit
+from estimator.effects import CLASSES
+from estimator.effects.base import Effect
+from estimator.effects.derivatives import Laws
+from estimator.effects.drive import TorqueSaturation
+from estimator.effects.friction import StribeckFriction
+from estimator.effects.structure import Backlash, BaseCompliance, RotorInertia
+from estimator.likelihood.extended_likelihood import ExtendedProblem, Stage
+from estimator.likelihood.free_run import free_run
+from estimator.likelihood.normal_equations import Latents
+from estimator.likelihood.state import State
+from estimator.likelihood.trajectory_likelihood import Noise
+from estimator.model.collocation import Motion
+from estimator.model.mechanism import Mechanism, joint1, leg2
+from estimator.options import FitOptions
+from estimator.signals.segments import SignalSet
+from tests.support.mujoco_leg import Leg, record
+
+FloatArray = NDArray[np.float64]
+REACH = np.array([[-1.0, 1.0], [-1.0, 1.0]])
+
+
+def problem_of(mechanism: Mechanism, count: int, torque: np.ndarray, effects: list[Effect]) -> ExtendedProblem:
+    grid = np.arange(count) / 100.0
+    imu = {c: np.zeros(count) for c in ("gyro_radps", "accel_x_mps2", "accel_y_mps2")} if mechanism.n > 1 else {}
+    signals = SignalSet("r", 100.0, grid, np.zeros((count, mechanism.n)), torque, imu)
+    return ExtendedProblem([signals], mechanism, "linear", Stage((0,), (0.0,), (0.0,), REACH, 7.0), effects)
+
+
+@pytest.mark.parametrize("kind", [c for c in CLASSES if c(1).instant], ids=lambda c: c.name)
+def test_slopes_are_those_of_the_law(kind: type[Effect]) -> None:
+    rng = np.random.default_rng(5)
+    effect, count = kind(1), 40
+    size = np.array([10.0 * s.scale for s in effect.sizes] + [s.grid[-1] for s in effect.shapes])
+    problem = problem_of(leg2(lever_arm=0.2), count, rng.normal(size=(count, 2)), [effect])
+    x = Latents(*(rng.normal(size=(count, 2)) for _ in range(3)))
+    laws = Laws([(effect, size)], problem.view(x, np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])), 3)
+    motion, where = problem.collocation.motion(x.q, x.v, problem.left[3:23]), slice(0, 20)
+    slopes = laws.slopes(motion, where)
+    for feature, name in enumerate(Motion._fields):
+        for joint in range(2):
+            def moved(by: float, name: str = name, joint: int = joint) -> Motion:
+                values = getattr(motion, name).copy()
+                values[joint] += by
+                return motion._replace(**{name: values})
+            found = (laws.torque(moved(1e-6), where) - laws.torque(moved(-1e-6), where)) / 2e-6
+            assert slopes[:, feature, joint] == pytest.approx(found, rel=2e-3, abs=1e-4 * np.abs(slopes).max())
+
+
+def test_a_rotor_heavier_than_its_link_is_a_heavier_link() -> None:
+    """(J + Jr) qdd = tau - ...: with Jr = 3 J the rotor's torque, found from the acceleration, would feel itself with
+    a gain of three."""
+    count = 300
+    torque = 0.8 * np.sin(np.arange(count) * 0.05)[:, None]
+    light = np.array([0.02, 0.1, 0.03, 0.05])
+    heavy = light + np.array([0.06, 0.0, 0.0, 0.0])
+    runs = []
+    for beta, effects in ((np.append(light, 0.06), [RotorInertia(0)]), (heavy, [])):
+        problem = problem_of(joint1(), count, torque, list(effects))
+        still = np.zeros((count, 1))
+        state = State(Latents(still, still, torque), beta, Noise(np.ones(1), np.ones(1)), np.eye(beta.size))
+        run = free_run(problem, state, torque)
+        assert run is not None
+        runs.append(run)
+    assert np.ptp(runs[0].q) > 1.0
+    assert runs[0].q == pytest.approx(runs[1].q, abs=1e-7)
+
+
+def swing(leg: Leg, stand: tuple[float, float, float], time: FloatArray, torque: FloatArray) -> FloatArray:
+    """(N, 4) absolute angles and rates of both links of a leg on a stand of mass M = 1/stand[0] that swings sideways
+    at stand[1] Hz with damping stand[2], by the Lagrangian
+
+    L = A w1^2/2 + B w2^2/2 + C cos(th1 - th2) w1 w2 + x' (g1 cos th1 w1 + g2 cos th2 w2) + M x'^2/2
+        + g (g1 cos th1 + g2 cos th2) - K x^2/2.
+    """
+    a, b, c, g1, g2 = leg.beta()[:5]
+    mass, omega = 1.0 / stand[0], 2.0 * np.pi * stand[1]
+
+    def slope(t: float, y: FloatArray) -> FloatArray:
+        th1, th2, x, w1, w2, xd = y
+        tau, knee = np.interp(t, time, torque), leg.viscous[1] * (w2 - w1)
+        moments = [g1 * np.cos(th1), g2 * np.cos(th2)]
+        coupled = c * np.cos(th1 - th2)
+        inertia = np.array([[a, coupled, moments[0]], [coupled, b, moments[1]], [*moments, mass]])
+        force = [-tau + knee - leg.viscous[0] * w1 - c * np.sin(th1 - th2) * w2**2 - 9.81 * g1 * np.sin(th1),
+                 tau - knee + c * np.sin(th1 - th2) * w1**2 - 9.81 * g2 * np.sin(th2),
+                 g1 * np.sin(th1) * w1**2 + g2 * np.sin(th2) * w2**2
+                 - mass * (2.0 * stand[2] * omega * xd + omega**2 * x)]
+        return np.concatenate([y[3:], np.linalg.solve(inertia, force)])
+
+    found = solve_ivp(slope, (time[0], time[-1]), np.zeros(6), t_eval=time, rtol=1e-8, atol=1e-9, max_step=0.01)
+    return np.asarray(found.y[[0, 1, 3, 4]].T)
+
+
+def test_a_free_run_on_a_stand_near_its_resonance_settles() -> None:
+    """Steps of its iteration that still moved by up to 20 mrad had been taken for settled: 61 mrad off."""
+    leg, stand, time = Leg(), (0.19, 2.5, 0.08), np.arange(1000) / 100.0
+    torque = sum(0.15 * np.sin(2 * np.pi * f * time + f) for f in (0.4, 1.1, 1.7, 2.6))
+    th1, th2, w1, w2 = swing(leg, stand, time, torque).T
+    q, v = np.stack([th1, th2 - th1], axis=-1), np.stack([w1, w2 - w1], axis=-1)
+    tau = np.stack([np.zeros_like(torque), torque], axis=-1)
+    problem = problem_of(leg2(lever_arm=leg.lever), len(time), tau, [BaseCompliance()])
+    beta = np.concatenate([leg.beta()[:7], [0.0, 0.0], stand])
+    noise = Noise(np.full(2, 0.01), np.full(2, 1e-3))
+    found = free_run(problem, State(Latents(q, v, tau), beta, noise, np.zeros((12, 12))), tau)
+    assert found is not None and np.abs(q).max() > 0.8
+    assert found.q == pytest.approx(q, abs=5e-3)
+
+
+@pytest.mark.parametrize("effect", [TorqueSaturation(), Backlash(1)], ids=lambda e: e.name)
+def test_readings_that_follow_the_torque_are_linearised(effect: Effect) -> None:
+    """At random latents, half the derivative of the objective by a torque is the gradient, and the torque channel's
+    degrees of freedom are those of its whole derivative."""
+    rng, count = np.random.default_rng(8), 60
+    size = np.array([0.9] if effect.joint is None else [0.1, 0.02, 0.03, 1e-4, 0.2])
+    problem = problem_of(leg2(lever_arm=0.2), count, rng.normal(size=(count, 2)), [effect])
+    beta = np.concatenate([[0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06], size])
+    noise = Noise(np.array([5.0, 2.0]), np.array([np.inf, 0.1]), 1.0, 20.0)
+    x = Latents(*(scale * rng.normal(size=(count, 2)) for scale in (0.5, 1.0, 0.4)))
+    point = problem.linearise(x, beta, noise)
+    assert point.extra is not None
+    gradient = point.chain.right[:, :, 0]
+    for k in (0, 7, 31, count - 1):
+        step = np.zeros((count, problem.block))
+        step[k, 5] = 1e-4
+        up, down = (problem.linearise(x.moved(a * step), beta, noise).objective for a in (1.0, -1.0))
+        assert gradient[k, 5] == pytest.approx((up - down) / 4e-4, rel=1e-3)
+    step = 1e-5 * rng.normal(size=(count, problem.block))
+    after = problem.residuals_after(point, step, np.zeros(0), np.zeros(0, dtype=np.intp))
+    moved = problem.linearise(x.moved(step), beta, noise).residuals
+    for channel in ("torque", "encoder"):
+        change = moved[channel] - point.residuals[channel]
+        assert after[channel] - point.residuals[channel] == pytest.approx(change, rel=1e-2, abs=1e-8)
+    variance = np.einsum("k,ij->kij", rng.uniform(1.0, 2.0, count), np.eye(problem.block))
+    by_u = 1.0 + point.extra.by_torque.get("torque2", 0.0)
+    taken = problem.effective_samples(point, variance, noise)["torque"][1]
+    assert taken == pytest.approx(np.sum(by_u**2 * variance[:, 5, 5]) / 2.0**2)
+
+
+def test_a_saturated_motor_needs_more_current_than_its_torque_says() -> None:
+    """i of u = i / sqrt(1 + 2 c i^2), which has a limit; above it the reading goes on."""
+    current, c = np.linspace(-1.0, 1.0, 41), 1.2
+    torque = current / np.sqrt(1.0 + 2.0 * c * current**2)
+    torque[-1] = 2.0  # more than the motor can give
+    problem = problem_of(leg2(lever_arm=0.2), 41, np.zeros((41, 2)), [])
+    x = Latents(np.zeros((41, 2)), np.zeros((41, 2)), np.column_stack([np.zeros(41), torque]))
+    effect = TorqueSaturation()
+    beta = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
+    added = effect.readings(problem.view(x, beta), np.array([c]))["torque2"]
+    assert (torque + added)[:-1] == pytest.approx(current[:-1])
+    assert np.isfinite(added[-1]) and added[-1] > 10.0
+
+
+def test_a_shape_at_a_limit_is_held_and_has_no_interval() -> None:
+    leg = Leg()
+    runs = [record(leg, np.random.default_rng(40 + k), seconds=6.0, name=f"r{k}") for k in range(2)]
+    session = open_session(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+    nominal = fit_nominal(session)
+    effect = StribeckFriction(1)
+    low = effect.clipped(np.array([0.01, 1e-9]))[1]
+    assert list(effect.at_limits(np.array([0.01, low]))) == [True]
+    assert list(effect.at_limits(np.array([0.01, 1.5 * low]))) == [False]
+    held = refit(session, nominal, [(effect, np.array([0.01, low]))], 4)
+    free = refit(session, nominal, [(effect, np.array([0.01, low]))], 4, hold_limits=False)
+    assert held.state.beta[-1] == low and held.state.covariance[-1, -1] == 0.0
+    assert free.state.covariance[-1, -1] > 0.0

@@ -1,0 +1,159 @@
+"""The likelihood's normal equations: derivatives, pieces, and the minimum that an independent solver finds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq.dataset import Dataset
+from estimator.fitting import gauss_newton
+from estimator.fitting.fit import fit
+from estimator.fitting.initial_guess import start_state
+from estimator.fitting.wls import free_mask
+from estimator.likelihood import trajectory_likelihood
+from estimator.likelihood.normal_equations import Latents
+from estimator.likelihood.trajectory_likelihood import LatentProblem, Noise
+from estimator.model.collocation import Collocation, Motion
+from estimator.model.mechanism import Mechanism, biped3, chain, joint1, leg2
+from estimator.numerics import jit
+from estimator.options import FitOptions
+from estimator.signals.segments import split_signals
+from tests.support.equations import normal
+from tests.support.mujoco_leg import Leg, random_leg, record
+
+OPTIONS = FitOptions(sensors="imu")
+
+
+@pytest.fixture
+def squares_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sum of squares without the density's other term, which enters the gradient only."""
+    monkeypatch.setattr(LatentProblem, "_inertia_gradient", lambda _, beta, __: np.zeros(beta.size))
+
+
+@pytest.fixture(scope="module")
+def broken() -> tuple[LatentProblem, Latents, np.ndarray, Noise]:
+    """A record with two gaps, at the filtered motion."""
+    leg = Leg()
+    run = record(leg, np.random.default_rng(21), seconds=5)
+    columns = {k: v.copy() for k, v in run.columns.items()}
+    for values in columns.values():
+        values[70:75] = values[230:290] = np.nan
+    mechanism = leg2(lever_arm=leg.lever, rotor_inertia=(1,), torque_offset=(0,))
+    signals = split_signals([Dataset("broken", run.rate_hz, run.time_s, columns)], mechanism, OPTIONS)
+    problem = LatentProblem(signals, mechanism, OPTIONS.hold)
+    free, beta = free_mask(mechanism, OPTIONS)
+    state = start_state(problem, signals, mechanism, OPTIONS, free, beta)
+    return problem, state.x, state.beta, state.noise
+
+
+@pytest.mark.usefixtures("squares_alone")
+def test_gradient_is_the_derivative(broken: tuple[LatentProblem, Latents, np.ndarray, Noise]) -> None:
+    problem, x, beta, noise = broken
+    point = problem.linearise(x, beta, noise)
+    rng = np.random.default_rng(1)
+    gradient = point.chain.right[:, :, 0]
+    for k in [0, 69, 70, problem.total - 1, *rng.choice(problem.total, 6)]:
+        for j in range(problem.block):
+            step = np.zeros((problem.total, problem.block))
+            step[k, j] = 1e-6
+            up, down = (problem.linearise(x.moved(a * step), beta, noise).objective for a in (1.0, -1.0))
+            numeric = (up - down) / 4e-6  # half the gradient of the sum of squares
+            assert gradient[k, j] == pytest.approx(numeric, rel=1e-3, abs=1e-6 * point.objective)
+    for j in range(beta.size):
+        step = np.zeros(beta.size)
+        step[j] = 1e-6
+        up, down = (problem.linearise(x, beta + a * step, noise).objective for a in (1.0, -1.0))
+        assert point.gradient_beta[j] == pytest.approx((up - down) / 4e-6, rel=1e-4)
+
+
+@pytest.mark.parametrize("piece", [1, 37])
+def test_pieces_change_nothing(broken: tuple[LatentProblem, Latents, np.ndarray, Noise], piece: int,
+                               monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, x, beta, noise = broken
+    whole = problem.linearise(x, beta, noise)
+    monkeypatch.setattr(trajectory_likelihood, "PIECE", piece)
+    parts = problem.linearise(x, beta, noise)
+    assert parts.objective == pytest.approx(whole.objective, rel=1e-12)
+    for name, a in normal(whole).items():
+        b = normal(parts)[name]
+        np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-11 * np.abs(a).max(), err_msg=name)
+
+
+@pytest.mark.parametrize("piece", [37, trajectory_likelihood.PIECE])
+def test_compiled_normal_equations_are_those_of_numpy(broken: tuple[LatentProblem, Latents, np.ndarray, Noise],
+                                                      piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba", reason="needs the extra `fast`")
+    problem, x, beta, noise = broken
+    monkeypatch.setattr(trajectory_likelihood, "PIECE", piece)
+    beta = beta + 0.1 * np.random.default_rng(3).normal(size=beta.size)
+    monkeypatch.setattr(jit, "LOAD_WORTH", 10**15)
+    plain = problem.linearise(x, beta, noise)
+    monkeypatch.setattr(jit, "LOAD_WORTH", -1)
+    fast = problem.linearise(x, beta, noise)
+    assert fast.objective == pytest.approx(plain.objective, rel=1e-11)
+    for name, a in normal(plain).items():
+        b = normal(fast)[name]
+        np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-10 * np.nanmax(np.abs(a)), err_msg=name)
+    for name, a in plain.residuals.items():
+        np.testing.assert_allclose(fast.residuals[name], a, rtol=0.0, atol=1e-10 * np.nanmax(np.abs(a)), err_msg=name)
+
+
+@pytest.mark.parametrize("mechanism", [joint1(), leg2(rotor_inertia=(1,), torque_offset=(0, 1)), biped3(), chain(3)],
+                         ids=lambda m: f"{m.name}-{m.n}")
+def test_compiled_terms_are_those_of_numpy(mechanism: Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba", reason="needs the extra `fast`")
+    rng = np.random.default_rng(4)
+    motion, beta = Motion(*rng.normal(size=(5, mechanism.n, 2, 130))), rng.normal(size=mechanism.p)
+    collocation = Collocation(mechanism, 0.01, "linear")
+    monkeypatch.setattr(jit, "LOAD_WORTH", 10**15)
+    plain = collocation.evaluate(motion, beta)
+    monkeypatch.setattr(jit, "LOAD_WORTH", -1)
+    for a, b in zip(plain, collocation.evaluate(motion, beta)):
+        np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.usefixtures("squares_alone")
+def test_minimum_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("casadi", reason="needs the extra `bench`")
+    from tests.bench import casadi_ipopt
+    from tests.bench.record import Recorded, pose
+
+    leg = Leg(coulomb=(0.0, 0.0))  # dry friction that changes sign beside a sample makes many minima
+    run = record(leg, np.random.default_rng(22), seconds=4)
+    posed = pose(Recorded(run, leg2(lever_arm=leg.lever), leg.beta(), (leg.m1, leg.m2), leg.l1))
+    state = posed.end
+    monkeypatch.setattr(gauss_newton, "TOLERANCE", 1e-6)
+    monkeypatch.setattr(gauss_newton, "LOOSE", 1e-6)
+    gauss_newton.iterate(posed.problem, state, np.ones(9, dtype=bool), OPTIONS, None, 100)  # noise levels held
+    assert state.converged
+    point = posed.problem.linearise(state.x, state.beta, state.noise)
+    found = casadi_ipopt.solve(posed, 1e-14)
+    assert point.objective == pytest.approx(found.objective, rel=1e-6)
+    np.testing.assert_allclose(state.beta, found.beta, rtol=1e-6, atol=1e-7)
+
+
+def test_a_fit_ends_where_a_stricter_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A coarse encoder and a passive pivot: the first steps' misfit once kept beta 2.9 standard deviations high."""
+    rng = np.random.default_rng(903)
+    leg = random_leg(rng)
+    run, mechanism = record(leg, rng, seconds=60, counts=2048), leg2(lever_arm=leg.lever)
+    found = fit([run], mechanism, OPTIONS)
+    monkeypatch.setattr(gauss_newton, "TOLERANCE", 0.002)
+    monkeypatch.setattr(gauss_newton, "LOOSE", 0.002)
+    strict = fit([run], mechanism, OPTIONS)
+    assert found.converged and strict.converged
+    assert np.max(np.abs(found.beta - strict.beta) / strict.std) < 0.2
+
+
+def test_a_fit_by_compiled_kernels_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba", reason="needs the extra `fast`")
+    leg = Leg()
+    run, mechanism = record(leg, np.random.default_rng(23), seconds=6), leg2(lever_arm=leg.lever)
+    fits = []
+    for worth in (10**12, -1):
+        monkeypatch.setattr(jit, "LOAD_WORTH", worth)
+        fits.append(fit([run], mechanism, FitOptions(sensors="imu", fixed={"beta9": 0.05})))
+    plain, fast = fits
+    assert fast.iterations == plain.iterations
+    np.testing.assert_allclose(fast.beta, plain.beta, rtol=1e-7)
+    np.testing.assert_allclose(fast.covariance, plain.covariance, rtol=1e-7, atol=1e-7 * np.abs(plain.covariance).max())

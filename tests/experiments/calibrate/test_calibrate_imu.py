@@ -1,0 +1,195 @@
+"""`legid calibrate imu` on a chip whose errors are known, from files and from the chip, into rig.toml."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from daq.calibration.imu import AXES, StillRecord, calibrate_accel, calibrate_gyro
+from daq.errors import InputError, WorkError
+from daq.rig import Calibration, load_rig, parse_rig
+from daq.rig_text import set_calibration
+from daq.runs.mcap_run import RunWriter
+from daq.si_units import imu_columns
+from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
+from drivers.lsm9ds1_selftest import SelfTest
+from drivers.mock.clock import VirtualClock
+from drivers.mock.lsm9ds1 import MockLsm9ds1
+from drivers.mock.plant import StillPlant
+from drivers.mock.rig import MockRig
+from drivers.mock.settings import ImuSettings
+from experiments.calibrate.imu import record_still
+from experiments.cli import main
+
+G = 9.81
+BIAS = np.array([0.25, -0.4, 0.1])
+GYRO_BIAS = np.array([0.01, -0.02, 0.03])
+DISTORTION = np.array([[1.02, 0.004, -0.003], [0.002, 0.97, 0.005], [-0.004, 0.003, 1.01]])
+RIG = """[mechanism]
+model = "leg2"
+actuated = [2]
+gravity_mps2 = 9.81
+
+[calibration]  # measured on the bench
+knee_zero_rad = 0.1
+accel_bias_mps2 = [1.0,
+    2.0,  # an old one
+    3.0]
+
+[limits]
+torque_nm = 1.5  # the gearbox
+"""
+
+
+def up(axis: str) -> np.ndarray:
+    return G * np.eye(3)["xyz".index(axis[1])] * (1 if axis[0] == "+" else -1)
+
+
+def still(axis: str, seed: int = 0, seconds: float = 20.0, rate: float = 240.0) -> StillRecord:
+    rng = np.random.default_rng(seed)
+    n = int(seconds * rate)
+    return StillRecord(axis, rate, GYRO_BIAS + 0.005 * rng.standard_normal((n, 3)),
+                       DISTORTION @ up(axis) + BIAS + 0.05 * rng.standard_normal((n, 3)))
+
+
+def test_six_positions_give_bias_and_matrix_in_any_order() -> None:
+    records = [still(axis, k) for k, axis in enumerate(AXES)]
+    found = calibrate_accel(records[::-1], G)
+    # each position's mean has 0.05 / sqrt(4800) = 7e-4 of noise
+    np.testing.assert_allclose(found.bias_mps2, BIAS, atol=2e-3)
+    np.testing.assert_allclose(found.matrix @ DISTORTION, np.eye(3), atol=3e-4)
+    assert found.residual_mps2 < 3e-3
+
+
+def test_calibrated_readings_are_gravity() -> None:
+    found = calibrate_accel([still(axis, k) for k, axis in enumerate(AXES)], G)
+    rig = parse_rig(set_calibration(RIG, {"accel_bias_mps2": found.bias_mps2.tolist(),
+                                          "accel_matrix": found.matrix.tolist()}))
+    tilted = np.array([3.0, -2.0, 9.0])
+    scale = (1e-3, 1e-4)
+    counts = np.rint(np.hstack([np.zeros(3), (DISTORTION @ tilted + BIAS) / scale[1]])).astype(int)[None, :]
+    columns = imu_columns(counts, scale, rig.calibration)
+    assert columns["accel_x_mps2"][0] == pytest.approx(3.0, abs=5e-3)
+    assert columns["accel_y_mps2"][0] == pytest.approx(-2.0, abs=5e-3)
+
+
+def test_what_is_missing_doubled_moved_or_tilted_is_said() -> None:
+    records = {axis: still(axis, k) for k, axis in enumerate(AXES)}
+    with pytest.raises(WorkError, match=r"six positions are needed, -z up missing"):
+        calibrate_accel([records[a] for a in AXES[:5]], G)
+    with pytest.raises(WorkError, match=r"position \+x is there twice"):
+        calibrate_accel([records["+x"], still("+x", 9)], G)
+    moved = still("+z")
+    moved.gyro_radps[2000:2400, 1] += 0.3
+    with pytest.raises(WorkError, match=r"moved about 8\.\d s into the record"):
+        calibrate_gyro(moved)
+    askew = StillRecord("askew", 240.0, moved.gyro_radps[:1500],
+                        np.full((1500, 3), G / np.sqrt(3)))
+    with pytest.raises(WorkError, match="no axis points up or down"):
+        calibrate_accel([askew], G)
+    with pytest.raises(WorkError, match="too short"):
+        calibrate_gyro(still("+z", seconds=2.0))
+
+
+def test_rig_text_keeps_everything_else() -> None:
+    new = set_calibration(RIG, {"accel_bias_mps2": [0.1, 0.2, 0.3], "gyro_bias_radps": [0.0, 0.0, 0.01]})
+    assert "# measured on the bench" in new
+    assert "# the gearbox" in new
+    assert "an old one" not in new
+    before, after = parse_rig(RIG), parse_rig(new)
+    assert after.calibration.accel_bias_mps2 == (0.1, 0.2, 0.3)
+    assert after.calibration.knee_zero_rad == 0.1
+    assert msgspec.structs.replace(after, calibration=before.calibration) == before
+    bare = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
+    assert parse_rig(set_calibration(bare, {"gyro_bias_radps": [1.0, 2.0, 3.0]})).calibration.gyro_bias_radps[2] == 3.0
+
+
+def test_rig_text_written_otherwise_is_refused_not_spoilt() -> None:
+    inline = 'calibration = {knee_zero_rad = 0.1}\n[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
+    with pytest.raises(InputError, match="by hand"):
+        set_calibration(inline, {"gyro_bias_radps": [1.0, 2.0, 3.0]})
+
+
+def write_still(path: Path, axis: str, seed: int) -> None:
+    """A run file of an IMU lying still, 20 s at 238 Hz, drained every 12.6 ms."""
+    config = ImuConfig()
+    gyro, accel = config.scale
+    writer = RunWriter(path, {"rig.toml": RIG})
+    facts = {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel, "rate_hz": 238.0}
+    writer.config(0, "imu", msgspec.json.encode(facts).decode())
+    record = still(axis, seed, 20.0, 238.0)
+    counts = np.rint(np.hstack([record.gyro_radps / gyro, record.accel_mps2 / accel])).astype(int)
+    for i, row in enumerate(counts.tolist()):
+        drained = 10**9 + (int(i / 238 / 0.0126) + 1) * 12_600_000
+        writer.add("/imu", drained, drained, drained + 90_000, i, *row, 0)
+    writer.close()
+
+
+def test_the_command_on_six_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG)
+    paths = []
+    for k, axis in enumerate(AXES):
+        paths.append(str(tmp_path / f"{k}.mcap"))
+        write_still(Path(paths[-1]), axis, k)
+    assert main(["calibrate", "imu", *paths, "--rig", str(rig), "--dry-run"]) == 0
+    assert rig.read_text() == RIG
+    assert main(["calibrate", "imu", *paths, "--rig", str(rig)]) == 0
+    out = capsys.readouterr().out
+    assert "gyro x" in out and "density" in out
+    found = load_rig(rig).calibration
+    np.testing.assert_allclose(found.gyro_bias_radps, GYRO_BIAS, atol=3e-4)
+    np.testing.assert_allclose(found.accel_bias_mps2, BIAS, atol=5e-3)
+    np.testing.assert_allclose(np.array(found.accel_matrix) @ DISTORTION, np.eye(3), atol=1e-3)
+    assert main(["calibrate", "imu", *paths[:2], "--rig", str(rig)]) == 2
+    assert "one still record, or six" in capsys.readouterr().err
+
+
+class Bench:
+    """An emulated chip that lies still, with noise, on virtual time."""
+
+    def __init__(self) -> None:
+        self.clock = VirtualClock()
+        self.chip = MockLsm9ds1(self.clock, self.advance)
+        self.next_ns, self.rng = 0.0, np.random.default_rng(5)
+
+    def advance(self, t_ns: int) -> None:
+        self.next_ns = self.next_ns or t_ns
+        while self.chip.rate_hz and self.next_ns <= t_ns:
+            gyro, accel = ImuConfig().scale
+            values = np.hstack([GYRO_BIAS / gyro, np.array([0.0, 0.0, G]) / accel])
+            self.chip.push(np.rint(values + 5.0 * self.rng.standard_normal(6)).astype(int).tolist())
+            self.next_ns += 1e9 / self.chip.rate_hz
+
+
+def test_the_command_on_the_chip_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str],
+                                        monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, rig = Bench(), tmp_path / "rig.toml"
+    rig.write_text(RIG + "[devices.imu]\n")
+    monkeypatch.setattr("experiments.rig.devices.open_bus", lambda path: bench.chip)
+    now_ns, sleep = bench.clock.now_ns, bench.clock.sleep  # the clocks that the command takes by default
+    monkeypatch.setattr(Lsm9ds1.__init__, "__defaults__", (0x6B, None, now_ns, 400.0, sleep))
+    monkeypatch.setattr(SelfTest.__init__, "__defaults__", (sleep, now_ns))
+    monkeypatch.setattr(record_still, "__defaults__", (now_ns, sleep))
+    assert main(["calibrate", "imu", "--rig", str(rig), "--seconds", "20", "--self-test"]) == 0
+    out = capsys.readouterr().out
+    assert "accelerometer passed" in out and "gyroscope passed" in out
+    np.testing.assert_allclose(load_rig(rig).calibration.gyro_bias_radps, GYRO_BIAS, atol=3e-4)
+    bench.chip.self_test_dps = 0.0
+    assert main(["calibrate", "imu", "--rig", str(rig), "--seconds", "20", "--self-test"]) == 1
+    assert "self-test failed" in capsys.readouterr().err
+    rig.write_text(RIG)
+    assert main(["calibrate", "imu", "--rig", str(rig)]) == 2
+
+
+def test_an_emulated_chip_errs_by_what_the_calibration_takes_out() -> None:
+    matrix = ((1.1, 0.02, 0.0), (0.0, 0.9, 0.0), (0.0, 0.01, 1.0))
+    clock = VirtualClock()
+    rig = MockRig(StillPlant(), clock, ImuSettings(accel_noise_mps2=0.0, gyro_noise_radps=0.0, accel_matrix=matrix))
+    imu = Lsm9ds1(rig.imu, now_ns=clock.now_ns, sleep=clock.sleep)
+    imu.open()
+    clock.sleep(0.05)
+    columns = imu_columns(imu.drain().raw, imu.scale, Calibration(accel_matrix=matrix))
+    np.testing.assert_allclose(columns["accel_y_mps2"], -9.81, atol=3e-3)
+    np.testing.assert_allclose(columns["accel_x_mps2"], 0.0, atol=3e-3)

@@ -1,0 +1,219 @@
+"""`legid calibrate encoder` and `shunt`: against closed forms, and stops of a simulated leg."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.calibration.knee_zero import Stop, friction_cone, hanging_zero, straight_zero
+from daq.errors import WorkError
+from daq.rig import load_rig
+from daq.runs.blocks import BLOCKS, Mean, mean_of
+from drivers.mock.plant import StillPlant, StillState
+from drivers.mock.pty_server import PtyServer
+from drivers.mock.rig import MockRig
+from drivers.mock.settings import FirmwareSettings
+from experiments.cli import main
+from experiments.emulation.plant import LegBody, LegPlant
+from experiments.models.model_file import save_model
+from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
+from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
+
+G = 9.81
+Fails = Callable[..., str]
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG)
+    return path
+
+
+@pytest.fixture
+def fails(capsys: pytest.CaptureFixture[str]) -> Fails:
+    def run(status: int, *args: str) -> str:
+        capsys.readouterr()
+        assert main(["calibrate", *args]) == status
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        return err
+    return run
+
+
+def hanging(q1: float, seconds: float = 6.0, seed: int = 0) -> np.ndarray:
+    """(n, 6) of an IMU on a link at rest at q1, mounted along the link's axes."""
+    rng = np.random.default_rng(seed)
+    n = int(seconds * IMU_HZ)
+    still = np.array([0.01, -0.02, 0.03, G * np.sin(q1), -G * np.cos(q1), 0.0])
+    return still + np.repeat([0.005, 0.05], 3) * rng.standard_normal((n, 6))
+
+
+# -- intervals ---------------------------------------------------------------------------------------------------
+
+def test_block_means_cover_a_coloured_mean_and_know_a_drift() -> None:
+    covered, drifted, kept = 0, 0, 300
+    for seed in range(kept):
+        rng = np.random.default_rng(seed)
+        noise = rng.standard_normal(4020)
+        coloured = np.convolve(noise, np.ones(20) / 20, "valid")  # its samples are 20 times worth less
+        found = mean_of(3.0 + coloured[:4000])
+        covered += abs(found.value - 3.0) < found.half
+        drifted += found.drifts
+        sloped = mean_of(3.0 + coloured[:4000] + np.linspace(-0.2, 0.2, 4000))
+        assert abs(sloped.drift - 0.4) < 3 * sloped.drift_half
+    assert 0.90 < covered / kept < 0.985
+    assert drifted / kept < 0.09
+    assert sloped.drifts
+
+
+def stop(value: float, half: float = 1e-5) -> Stop:
+    return Stop("s", Mean(value, half, 0.0, half), Mean(0.0, 0.0, 0.0, 0.0))
+
+
+def test_stops_spread_evenly_are_covered_in_95_of_100_cases() -> None:
+    rng = np.random.default_rng(7)
+    for count in (4, 6, 10):
+        inside = 0
+        for _ in range(5000):
+            found = hanging_zero([stop(v) for v in 0.3 + rng.uniform(-0.01, 0.01, count)], None)
+            inside += abs(found.value - 0.3) < found.half
+        assert inside / 5000 == pytest.approx(0.95, abs=0.015), count
+
+
+def test_a_known_cone_bounds_the_zero_and_is_contradicted_by_stops_too_far_apart() -> None:
+    found = hanging_zero([stop(0.31), stop(0.27)], 0.03)
+    assert (found.value, found.half) == pytest.approx((0.29, 0.01), abs=1e-4)  # 0.31 - 0.03 .. 0.27 + 0.03
+    assert friction_cone(0.05, 0.1, G) == pytest.approx(np.arcsin(0.05 / 0.981))
+    with pytest.raises(WorkError, match="sticks more than it slides"):
+        hanging_zero([stop(0.34), stop(0.27)], 0.03)
+    with pytest.raises(WorkError, match="at any angle"):
+        friction_cone(1.2, 0.1, G)
+    with pytest.raises(WorkError, match="3 stops and no known friction"):
+        hanging_zero([stop(v) for v in (0.3, 0.31, 0.29)], None)
+    with pytest.raises(WorkError, match="says nothing"):
+        hanging_zero([stop(v) for v in (0.0, 0.2, 0.1, 0.4)], None)
+
+
+def test_a_leg_held_straight_three_times_shows_how_well_it_is_held() -> None:
+    one = straight_zero([stop(0.3)])
+    assert (one.value, one.half) == (0.3, 1e-5) and "not in it" in one.how
+    held = 0
+    for seed in range(400):
+        values = 0.3 + 0.002 * np.random.default_rng(seed).standard_normal(4)
+        found = straight_zero([stop(v) for v in values])
+        held += abs(found.value - 0.3) < found.half
+    assert held / 400 == pytest.approx(0.95, abs=0.03)
+
+
+# -- the command -------------------------------------------------------------------------------------------------
+
+def simulated_stops(count: int) -> list[tuple[float, float]]:
+    """(q1, q2) at which a leg with dry friction comes to rest, let go from either side."""
+    body = LegBody(viscous=(0.05, 0.08))
+    rng = np.random.default_rng(3)
+    stops = []
+    for k in range(count):
+        plant = LegPlant(body, (0.0, (1, -1)[k % 2] * rng.uniform(0.3, 0.9)))
+        state = plant.step(0.25, 0.0)
+        while state.q1d or state.q2d:
+            state = plant.step(0.25, 0.0)
+        stops.append((state.q1, state.q2))
+    return stops
+
+
+def test_stops_of_a_simulated_leg_give_the_knee_zero(rig: Path, tmp_path: Path, fails: Fails,
+                                                     capsys: pytest.CaptureFixture[str]) -> None:
+    zero, step = 0.215, 2 * np.pi / 8192
+    stops = simulated_stops(6)
+    paths = [write_off(tmp_path / f"{k}.mcap", knee_rad=float(np.rint((zero + q2) / step) * step),
+                       readings=hanging(q1, seed=k)) for k, (q1, q2) in enumerate(stops)]
+    assert main(["calibrate", "encoder", *paths, "--rig", str(rig)]) == 0
+    out, err = capsys.readouterr()
+    assert "6 stops spread over" in out and err == ""
+    found = load_rig(rig).calibration.knee_zero_rad
+    assert found == pytest.approx(zero, abs=0.01)
+    half = float(out.split("knee zero: ")[1].split("+- ")[1].split(" ")[0])
+    assert abs(found - zero) < half < 0.02
+    text = rig.read_text()
+    assert "# nothing measured yet" in text and "ASSUMED" not in text and "# the gearbox" in text
+    assert "4 stops reached from either side" in fails(1, "encoder", *paths[:2], "--rig", str(rig))
+
+    body = LegBody()
+    names = ["beta1", "beta2", "beta3", "beta4", "beta5", "beta6", "beta7", "beta8", "beta9"]
+    model = Model(schema="legid.model/1", mechanism=MechanismSettings(model="leg2", actuated=(2,)),
+                  parameters=tuple(ParameterValue(name=n, meaning="", unit="", value=v)
+                                   for n, v in zip(names, body.beta())),
+                  covariance=tuple(tuple(0.0 for _ in names) for _ in names), noise={}, hold="linear",
+                  provenance=Provenance(runs=(), method="mle", sensors="imu", date="", version=""))
+    save_model(model, tmp_path / "model.json")
+    assert main(["calibrate", "encoder", *paths[:2], "--rig", str(rig), "--model", str(tmp_path / "model.json")]) == 0
+    cone = np.arcsin(body.coulomb[1] / (body.m2 * body.c2 * G))
+    assert f"the model's friction of +- {cone:.3f} rad" in capsys.readouterr().out
+    assert load_rig(rig).calibration.knee_zero_rad == pytest.approx(zero, abs=cone)
+
+
+def test_encoder_records_that_say_nothing_are_refused(rig: Path, tmp_path: Path, fails: Fails) -> None:
+    n = int(6 * TELEMETRY_HZ)
+    moved = write_off(tmp_path / "moved.mcap", knee_rad=np.where(np.arange(n) < n // 2, 0.1, 0.2))
+    assert "the knee moved about 3.0 s" in fails(1, "encoder", moved, "--straight", "--rig", str(rig))
+    armed = write_off(tmp_path / "armed.mcap", state=1)
+    assert "never off" in fails(1, "encoder", armed, "--straight", "--rig", str(rig))
+    short = write_off(tmp_path / "short.mcap", seconds=0.5)
+    assert "off for 0.5" in fails(1, "encoder", short, "--straight", "--rig", str(rig))
+    blind = write_off(tmp_path / "blind.mcap")
+    assert "--straight" in fails(2, "encoder", blind, "--rig", str(rig))
+    aslant = write_off(tmp_path / "aslant.mcap", readings=hanging(1.4))
+    assert "calibrate mount" in fails(1, "encoder", aslant, "--rig", str(rig))
+    (tmp_path / "r.csv").write_text("time_s\n")
+    assert "not a native run file" in fails(2, "encoder", str(tmp_path / "r.csv"), "--rig", str(rig))
+    assert rig.read_text() == RIG
+
+
+def test_shunt_offset_with_its_interval_and_its_drift(rig: Path, tmp_path: Path,
+                                                      capsys: pytest.CaptureFixture[str]) -> None:
+    inside = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        path = write_off(tmp_path / f"{seed}.mcap", 2.0, current_a=0.031 + 0.02 * rng.standard_normal(400))
+        assert main(["calibrate", "shunt", path, "--rig", str(rig)]) == 0
+        out, err = capsys.readouterr()
+        assert err == ""
+        half = float(out.split("shunt offset: ")[1].split("+- ")[1].split(" ")[0])
+        assert half == pytest.approx(2.09 * 0.02 / 20, rel=0.5)  # t of 19 degrees over the root of 400 samples
+        inside += abs(load_rig(rig).calibration.shunt_offset_a - 0.031) < half
+    assert inside >= 17
+    assert main(["calibrate", "shunt", write_off(tmp_path / "dead.mcap"), "--rig", str(rig), "--dry-run"]) == 0
+    assert "is the sensor connected" in capsys.readouterr().err
+    warm = 0.02 * rng.standard_normal(4000) + np.linspace(0.0, 0.03, 4000)
+    assert main(["calibrate", "shunt", write_off(tmp_path / "w.mcap", 20.0, current_a=warm), "--rig", str(rig),
+                 "--dry-run"]) == 0
+    out, err = capsys.readouterr()
+    assert "warning: w.mcap: the offset drifted by +0.03" in err and "would say" in out
+    assert BLOCKS == 20
+
+
+# -- from the devices --------------------------------------------------------------------------------------------
+
+def test_zero_and_offset_from_the_devices_motor_off(tmp_path: Path, capsys: pytest.CaptureFixture[str],
+                                                    monkeypatch: pytest.MonkeyPatch, fails: Fails) -> None:
+    mock = MockRig(StillPlant(StillState(q2=0.0)), firmware=FirmwareSettings(
+        telemetry_hz=200, shunt_offset_a=0.031, knee_zero_rad=0.215, current_noise_a=0.01))
+    path = tmp_path / "rig.toml"
+    with PtyServer(mock.firmware, mock.clock) as port:
+        path.write_text(RIG + f'\n[devices.controller]\nport = "{port.path}"\nrate_hz = 200\n')
+        assert main(["calibrate", "shunt", "--rig", str(path), "--seconds", "1.5"]) == 0
+        assert main(["calibrate", "encoder", "--straight", "--rig", str(path), "--seconds", "1.2"]) == 0
+        assert "motor off" in capsys.readouterr().out
+
+        def nobody(question: str) -> str:
+            raise EOFError
+
+        monkeypatch.setattr("builtins.input", nobody)
+        assert "nobody answers" in fails(2, "encoder", "--rig", str(path))
+    found = load_rig(path).calibration
+    assert found.shunt_offset_a == pytest.approx(0.031, abs=0.004)
+    assert found.knee_zero_rad == pytest.approx(0.215, abs=1e-3)
+    path.write_text(RIG)
+    assert "[devices.controller]" in fails(2, "shunt", "--rig", str(path))

@@ -1,0 +1,202 @@
+"""`legid diagnose`: documents by the contract, statuses, and what it refuses; the pipeline itself is stood in for."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.dataset import Dataset
+from daq.rig import load_rig
+from daq.runs.csv_run import write_csv
+from estimator.diagnosis.result import Diagnosis
+from estimator.effects.friction import StribeckFriction
+from experiments import cli
+from experiments.emulation.emulated_rig import record_emulated
+from experiments.emulation.hidden_effects import EFFECTS, NOTHING, LatePivot
+from experiments.emulation.plant import LegBody, LegPlant
+from experiments.excite.multisine import random_multisine
+from experiments.models.model_file import load_model
+from tests.support.diagnoses import synthetic
+from tests.support.paths import DEMO_RIG as RIG
+
+
+def run_csv(path: Path, seed: int, drop: tuple[str, ...] = (), seconds: float = 6.0) -> Path:
+    """A run of the plant with noise, as CSV at 100 Hz."""
+    rng, plant, rows = np.random.default_rng(seed), LegPlant(), []
+    torque = random_multisine(seed, seconds, 0.6).torque_nm
+    for u in torque:
+        s = plant.state
+        rows.append((s.q1, s.q2, 0.2 * s.q1dd + 9.81 * np.sin(s.q1), -0.2 * s.q1d**2 - 9.81 * np.cos(s.q1), s.q1d))
+        plant.step(0.01, float(u))
+    q1, q2, ax, ay, gyro = np.array(rows).T
+    columns = {"q1_rad": q1, "q2_rad": q2, "tau2_nm": torque, "gyro_radps": gyro, "accel_x_mps2": ax,
+               "accel_y_mps2": ay}
+    for name, level in (("q2", 4e-4), ("tau2", 0.02), ("gyro", 0.005), ("accel_x", 0.05), ("accel_y", 0.05)):
+        column = next(c for c in columns if c.startswith(name))
+        columns[column] = columns[column] + level * rng.normal(size=q1.size)
+    columns = {name: values for name, values in columns.items() if not name.startswith(drop)}
+    write_csv(Dataset(path.name, 100.0, np.arange(q1.size) / 100.0, columns), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("runs")
+    return [run_csv(folder / f"r{k}.csv", k) for k in (1, 2, 3, 4)]
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.toml"
+    path.write_text('[mechanism]\nmodel="leg2"\nactuated=[2]\n[imu]\nlever_arm_m=0.2\n[motor]\ngear_ratio=50\n'
+                    '[sampling]\nhold="zero"\n')
+    return path
+
+
+@pytest.fixture
+def pipeline(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], dict[str, Any]]:
+    """Lets a diagnosis return what it is given, and keeps what it was asked."""
+    asked: dict[str, Any] = {}
+
+    def answer(found: Diagnosis) -> dict[str, Any]:
+        def stand_in(datasets: Sequence[Dataset], mechanism: object, options: object, **more: Any) -> Diagnosis:
+            asked.update(more, datasets=datasets, options=options)
+            more["progress"]("a stage", 0.5)
+            return found
+
+        monkeypatch.setattr("experiments.workflows.diagnose.diagnose", stand_in)
+        return asked
+
+    return answer
+
+
+def diagnose(*args: object) -> int:
+    return cli.main(["diagnose", *map(str, args)])
+
+
+def extended() -> Diagnosis:
+    """The synthetic finding with what a saved model needs."""
+    beta = np.array(LegBody().beta())
+    return replace(synthetic(), effects=((StribeckFriction(1), np.array([0.05, 0.2])),),
+                   extended_beta=np.concatenate([beta, [0.05, 0.2]]), extended_covariance=1e-8 * np.eye(11),
+                   noise={"torque_nm": 0.02}, reach=np.array([[-0.5, 0.4], [-1.0, 1.25]]))
+
+
+def test_what_is_written_and_said(runs: list[Path], rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+                                  pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
+    asked = pipeline(extended())
+    assert diagnose(*runs, "--rig", rig, "--json", tmp_path / "d.json", "--html", tmp_path / "d.html", "--model-out",
+                    tmp_path / "m.json", "--seed", 7) == 0
+    assert capsys.readouterr().out.startswith(synthetic().sentence)
+    assert json.loads((tmp_path / "d.json").read_text())["schema"] == "legid.diagnosis/1"
+    assert "<h2>Causes</h2>" in (tmp_path / "d.html").read_text()
+    model = load_model(tmp_path / "m.json")
+    (effect,) = model.effects
+    assert (effect.name, effect.joint) == ("stribeck_friction", 2)
+    assert effect.sizes == {"excess_torque": 0.05} and effect.shapes == {"stribeck_velocity": 0.2}
+    assert model.gear_ratio == 50.0 and model.hold == "zero" and model.provenance.runs == ("r1.csv", "r3.csv", "r2.csv")
+    assert model.reach == ((-0.5, 0.4), (-1.0, 1.25))
+    assert asked["seed"] == 7 and asked["gear_ratio"] == 50.0 and asked["reference"] is None
+    assert [d.name for d in asked["datasets"]] == [path.name for path in runs]
+
+
+def test_the_pivots_encoder_is_not_seen_beside_an_imu(runs: list[Path], rig: Path, tmp_path: Path,
+                                                      pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
+    asked = pipeline(synthetic())
+    assert diagnose(*runs, "--rig", rig) == 0
+    assert asked["options"].sensors == "imu" and all("q1_rad" not in d for d in asked["datasets"])
+    hall = [run_csv(tmp_path / f"h{k}.csv", k, drop=("gyro", "accel")) for k in (1, 2)]
+    assert diagnose(*hall, "--rig", rig) == 0
+    assert asked["options"].sensors == "encoder" and all("q1_rad" in d for d in asked["datasets"])
+
+
+def test_a_nominal_model_is_saved_where_nothing_was_found(runs: list[Path], rig: Path, tmp_path: Path,
+                                                          pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
+    pipeline(replace(synthetic(), verdict="none", causes=(), extended={}))
+    assert diagnose(*runs, "--rig", rig, "--model-out", tmp_path / "m.json") == 0
+    model = load_model(tmp_path / "m.json")
+    assert model.effects == () and model.beta == [0.1] * 9 and model.covariance[0][0] == pytest.approx(1e-6)
+    asked = pipeline(synthetic())
+    assert diagnose(*runs, "--rig", rig, "--reference", tmp_path / "m.json") == 0
+    assert asked["reference"]["beta4"] == (0.1, pytest.approx(1e-3))
+
+
+def test_a_failed_fit_writes_its_json_and_ends_with_one(runs: list[Path], rig: Path, tmp_path: Path,
+                                                        capsys: pytest.CaptureFixture[str]) -> None:
+    # No stand-in: six seconds are too little for the pipeline itself.
+    assert diagnose(runs[0], "--rig", rig, "--json", tmp_path / "d.json", "--html", tmp_path / "d.html", "--model-out",
+                    tmp_path / "m.json") == 1
+    found = json.loads((tmp_path / "d.json").read_text())
+    assert found["verdict"] == "fit_failed" and "6.0 s" in found["sentence"] and found["causes"] == []
+    error = capsys.readouterr()
+    assert error.err.count("\n") == 1 and found["sentence"].rstrip(".") in error.err and error.out == ""
+    assert (tmp_path / "d.html").exists() and not (tmp_path / "m.json").exists()
+
+
+def test_runs_that_do_not_belong_together(runs: list[Path], rig: Path, tmp_path: Path,
+                                          capsys: pytest.CaptureFixture[str]) -> None:
+    other = run_csv(tmp_path / "other.csv", 9)
+    other.write_text(other.read_text().replace("gyro_radps", "gyro"))
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    (copy / runs[0].name).write_text(runs[0].read_text())
+    model = tmp_path / "m.json"
+    model.write_text("{}")
+    for args, says in (([*runs, other], "other.csv"), ([*runs, copy / runs[0].name], "given twice"),
+                       ([*runs, "none.csv"], "none.csv"), ([*runs, "--reference", model], "m.json"),
+                       ([*runs, "--seed", "-1"], "whole number")):
+        assert diagnose(*args, "--rig", rig, "--json", tmp_path / "d.json") == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and says in error, error
+    assert not (tmp_path / "d.json").exists()
+
+
+def test_native_runs_of_different_rigs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    texts = (RIG.read_text(), RIG.read_text().replace("lever_arm_m = 0.20", "lever_arm_m = 0.15"))
+    paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    for path, text in zip(paths, texts):
+        record_emulated(path, load_rig(RIG), text, random_multisine(1, 5.0, 0.3), 1)
+    assert diagnose(*paths, "--rig", RIG) == 2
+    assert "b.mcap: was recorded on another rig than a.mcap" in capsys.readouterr().err
+
+
+# -- what an emulated leg hides ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["stribeck_friction", "asymmetric_friction", "rotor_inertia", "joint_stiffness",
+                                  "quadratic_drag"])
+def test_hidden_effects_change_the_motion(name: str) -> None:
+    plain, other = NOTHING.plant(LegBody()), EFFECTS[name].plant(LegBody())
+    for torque in random_multisine(2, 5.0, 0.6).torque_nm:
+        a, b = plain.step(0.01, torque), other.step(0.01, torque)
+    assert max(abs(x - y) for x, y in zip(a, b)) > 1e-2
+
+
+def test_stribeck_friction_holds_up_to_its_level_at_standstill() -> None:
+    for torque, moves in ((0.099, False), (0.101, True)):
+        plant = EFFECTS["stribeck_friction"].plant(LegBody(coulomb=(5.0, 0.04)))
+        for _ in range(100):
+            state = plant.step(5e-4, torque)
+        assert (state.q2 != 0.0) is moves
+    body = LegBody(stribeck=(0.0, 0.06), stribeck_radps=0.25)
+    assert body.friction(1, 1, 0.0) == pytest.approx(0.10) and body.friction(1, -1, 0.25) == pytest.approx(0.07)
+
+
+def test_friction_that_differs_by_direction_holds_by_direction() -> None:
+    body = LegBody(coulomb=(5.0, 0.04), forward_coulomb=(0.0, 0.03))
+    for torque, moves in ((0.069, False), (0.071, True), (-0.039, False), (-0.041, True)):
+        plant = LegPlant(body)
+        for _ in range(100):
+            state = plant.step(5e-4, torque)
+        assert (state.q2 != 0.0) is moves
+
+
+def test_a_late_pivot_shows_what_was() -> None:
+    plain, late = LegPlant(), LatePivot(LegPlant(), 0.004)
+    states = [plain.step(5e-4, 0.3) for _ in range(40)]
+    seen = [late.step(5e-4, 0.3) for _ in range(40)]
+    assert seen[30].q1 == states[22].q1 and seen[30].q1dd == states[22].q1dd and seen[30].q2 == states[30].q2

@@ -1,0 +1,90 @@
+"""`legid effects`, and an effect of one's own: the README's worked example, installed and run."""
+
+import json
+import re
+import sys
+from importlib import invalidate_caches
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.effects import CLASSES, library
+from estimator.model.mechanism import leg2
+from experiments import cli
+from experiments.emulation.hidden_effects import EFFECTS
+from experiments.models.effect_library import effects_document, known_effects
+from tests.support.paths import ROOT
+
+README = ROOT / "README.md"
+CONTRACT = [
+    "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "presliding_friction", "quadratic_drag",
+    "friction_drift", "joint_stiffness", "joint_elasticity", "backlash", "rotor_inertia", "end_stop_contact",
+    "base_compliance", "torque_ripple", "torque_offset", "torque_saturation", "torque_delay", "sensor_time_skew",
+    "gyro_bias", "gyro_scale", "accelerometer_bias", "imu_misalignment", "imu_lever_arm", "encoder_offset",
+    "encoder_scale", "encoder_eccentricity"]
+
+
+def install(folder: Path, module: str, code: str, value: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package as pip would leave it: a module and the metadata that names its entry point."""
+    (folder / f"{module}.py").write_text(code)
+    info = folder / f"{module}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[legid.effects]\nmine = {value}\n")
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.delitem(sys.modules, module, raising=False)
+    invalidate_caches()
+
+
+def test_every_effect_of_the_contract_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["effects", "--json", str(tmp_path / "e.json")]) == 0
+    text = capsys.readouterr().out
+    found = json.loads((tmp_path / "e.json").read_text())
+    assert found["schema"] == "legid.effects/1"
+    assert [row["effect"] for row in found["effects"]] == CONTRACT
+    for row in found["effects"]:
+        assert row["effect"] in text and row["meaning"] and row["reference"] and row["experiment"]
+        assert all(part["unit"] for part in row["sizes"] + row["shapes"]) and row["sizes"]
+    assert {row["effect"] for row in found["not_testable"]} == {"torque_gain", "payload"}
+    assert all(row["why"] in re.sub(r"\s+", " ", text) for row in found["not_testable"])
+    assert max(map(len, text.splitlines())) <= 110
+
+
+def test_readme_example_is_found_and_tested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                            capsys: pytest.CaptureFixture[str]) -> None:
+    text = README.read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    value = re.search(r'\[project\.entry-points\."legid\.effects"\]\n\w+ = "(.*?)"', text)
+    assert value is not None
+    module = value.group(1).partition(":")[0]
+    install(tmp_path, module, code, value.group(1), monkeypatch)
+    kind = list(known_effects().values())[-1]
+    assert kind not in CLASSES and kind.name not in CONTRACT
+    assert cli.main(["effects"]) == 0
+    assert kind.name in capsys.readouterr().out
+    effects, _ = library(leg2(lever_arm=0.2), True)
+    assert kind.name in {e.name for e in effects}
+    monkeypatch.delitem(sys.modules, module)
+
+
+@pytest.mark.parametrize("code, says", [
+    ("import no_such_module_at_all", "no_such_module_at_all"), ("Mine = 3", "not an Effect class"),
+    ("from estimator.effects.friction import StribeckFriction as Mine", "two effects are called stribeck_friction"),
+])
+def test_a_broken_effect_is_named_in_one_line(code: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                              capsys: pytest.CaptureFixture[str]) -> None:
+    install(tmp_path, "broken_effect", code, "broken_effect:Mine", monkeypatch)
+    assert cli.main(["effects"]) == 2
+    error = capsys.readouterr().err
+    assert says in error and "legid.effects" in error and error.count("\n") == 1
+    monkeypatch.delitem(sys.modules, "broken_effect", raising=False)
+
+
+def test_what_a_demo_can_hide_is_in_the_library() -> None:
+    from experiments.cli.commands.demo import HIDEABLE
+
+    known = {row["effect"]: row for row in effects_document()["effects"]}
+    assert set(HIDEABLE) == {"none", *EFFECTS}
+    assert set(EFFECTS) <= set(known)
+    assert len(EFFECTS) >= 8 and np.all([hidden.words for hidden in EFFECTS.values()])

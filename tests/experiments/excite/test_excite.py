@@ -1,0 +1,242 @@
+"""`legid excite`: within limits by another simulator, odd, and as informative as it says, by refits."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.recording.plan import read_plan
+from daq.rig import load_rig
+from estimator.fitting.fit import fit
+from estimator.model.mechanism import leg2
+from estimator.options import FitOptions
+from experiments.cli import main
+from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Bench, merit
+from experiments.models.model_file import load_model
+from tests.support.models import LEG, write_model
+from tests.support.mujoco_leg import Leg, record
+
+RIG = """[mechanism]
+model = "leg2"
+actuated = [2]
+[imu]
+lever_arm_m = 0.2
+[limits]
+torque_nm = 1.5
+speed_radps = 12.0
+q1_rad = {q1}
+q2_rad = 2.0
+"""
+SECONDS = 6.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rig, and a prior model that is off by some per cent."""
+    path = tmp_path_factory.mktemp("excite")
+    (path / "rig.toml").write_text(RIG.format(q1=1.0))
+    beta = Leg().beta() * (1 + 0.05 * np.random.default_rng(3).standard_normal(9))
+    write_model(path / "model.json", list(beta), LEG)
+    return path
+
+
+@pytest.fixture(scope="module")
+def bench(folder: Path) -> Bench:
+    return Bench(load_model(folder / "model.json"), load_rig(folder / "rig.toml"), "model.json")
+
+
+def excite(folder: Path, *more: str, steps: int = 30) -> int:
+    return main(["excite", "--rig", str(folder / "rig.toml"), "--model", str(folder / "model.json"), "--seconds",
+                 f"{SECONDS:g}", "--tries", "1", "--steps", str(steps), *more])
+
+
+@pytest.fixture(scope="module")
+def plan(folder: Path) -> np.ndarray:
+    assert excite(folder, "--out", str(folder / "plan.csv"), steps=60) == 0
+    return read_plan(folder / "plan.csv").torque_nm
+
+
+def test_the_true_leg_stays_within_the_limits(plan: np.ndarray) -> None:
+    """The true leg is not the prior; the margin of a fifth is there for that."""
+    run = record(Leg(), np.random.default_rng(0), seconds=SECONDS, tau=plan, hold="zero", gyro=0.0)
+    assert np.abs(plan).max() <= 0.8 * 1.5
+    assert np.abs(run["q1_rad"]).max() < 1.0 and np.abs(run["q2_rad"]).max() < 2.0
+    assert np.abs(run["gyro_radps"]).max() < 12.0
+    assert np.abs(np.diff(run["q2_rad"])).max() * 100 < 12.0
+    assert np.ptp(run["q2_rad"]) > 0.5  # it is no plan that avoids the limits by doing nothing
+
+
+def test_only_odd_harmonics(plan: np.ndarray) -> None:
+    """A sum of odd harmonics of one period changes sign after half of it; the tapered ends do not count."""
+    half, edge = plan.size // 2, round(TAPER_S * RATE_HZ) + 1
+    first, second = plan[edge: half - edge], plan[half + edge: 2 * half - edge]
+    np.testing.assert_allclose(second, -first, atol=1e-6)
+    assert plan[0] == plan[-1] == 0.0
+
+
+def test_condition_numbers_are_printed_and_seeds_are_realisations(folder: Path,
+                                                                  capsys: pytest.CaptureFixture[str]) -> None:
+    for name, seed in (("a.csv", "1"), ("b.csv", "1"), ("c.csv", "2")):
+        assert excite(folder, "--out", str(folder / name), "--seed", seed, steps=4) == 0
+    out = capsys.readouterr().out
+    assert out.count("condition number before") == 3
+    texts = [(folder / f"{name}.csv").read_text() for name in "abc"]
+    assert texts[0] == texts[1] != texts[2]
+
+
+def test_the_gradient_is_that_of_the_information(bench: Bench) -> None:
+    """Against differences of whole simulations, along three directions of the torque."""
+    prior, rng = bench.prior(50.0), np.random.default_rng(0)
+    t = np.arange(200) / 50.0
+    torque = 0.3 * np.sin(2 * np.pi * (0.2 * t + 0.3 * t**2))
+    moved = prior.move(torque)
+    assert moved is not None
+    at = prior.eliminated(moved)
+    slope = merit(at.information, bench.beta, 0.5)[1]
+    by_torque = prior.by_torque(at, *prior.by_motion(moved, at, np.linalg.cholesky(slope)))
+
+    def value(u: np.ndarray) -> float:
+        there = prior.move(u, moved)
+        assert there is not None
+        return merit(prior.eliminated(there).information, bench.beta, 0.5)[0]
+
+    for _ in range(3):
+        along = np.sin(2 * np.pi * rng.uniform(0.2, 2.0) * t + rng.uniform(0, 6))
+        quotient = (value(torque + 1e-5 * along) - value(torque - 1e-5 * along)) / 2e-5
+        assert -by_torque @ along == pytest.approx(quotient, rel=2e-3, abs=1e-3)
+
+
+def test_refits_agree_with_what_is_predicted(bench: Bench, plan: np.ndarray) -> None:
+    """Real fits on MuJoCo's data, with the plan and with a chirp of the same length and limits.
+
+    How good a plan so few steps find depends on the processor's rounding; what it promises must come true.
+    """
+    t = np.arange(plan.size) / RATE_HZ
+    edges = np.clip(np.minimum(t, t[-1] - t) / TAPER_S, 0, 1)
+    chirp = bench.sized(edges * np.sin(2 * np.pi * (0.1 * t + 4.9 * t**2 / (2 * SECONDS))), 0.8)
+    assert chirp is not None
+    fitted, predicted = [], []
+    for tau in (chirp.torque_nm, plan):
+        run = record(Leg(), np.random.default_rng(7), seconds=SECONDS, tau=tau, hold="zero")
+        fitted.append(fit([run], leg2(lever_arm=0.2), FitOptions(sensors="imu", hold="zero")).std)
+        moved = bench.fine.move(tau)
+        assert moved is not None
+        predicted.append(np.sqrt(np.diag(np.linalg.inv(bench.fine.eliminated(moved).information))))
+    told, seen = (np.exp(np.log(std[1] / std[0]).mean()) for std in (predicted, fitted))
+    assert seen == pytest.approx(told, rel=0.15)
+    assert seen < 0.7
+    assert max(fitted[1] / Leg().beta()) < 0.9 * max(fitted[0] / Leg().beta())
+    ratio = predicted[1] / fitted[1]
+    assert ratio.min() > 0.5 and ratio.max() < 2.0, ratio
+
+
+def test_models_off_by_the_doubt_keep_the_limits(folder: Path) -> None:
+    model, rig = load_model(folder / "model.json"), load_rig(folder / "rig.toml")
+    t = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    shape = np.sin(2 * np.pi * 1.1 * t)
+    sure, doubtful = (Bench(model, rig, "model.json", doubt) for doubt in (0.0, 0.3))
+    assert not sure.others and len(doubtful.others) == 8
+    large, small = sure.sized(shape, 1.0), doubtful.sized(shape, 1.0)
+    assert large is not None and small is not None and small.peaks["torque_nm"] < large.peaks["torque_nm"]
+    for other in doubtful.others:
+        moved = other.move(small.torque_nm)
+        assert moved is not None and np.abs(moved.q[:, 0]).max() <= 1.0 and np.abs(moved.v).max() <= 12.0
+
+
+def test_one_joint(tmp_path: Path) -> None:
+    write_model(tmp_path / "model.json", [0.02, 0.1, 0.03, 0.01], {"model": "joint1", "actuated": (1,)})
+    (tmp_path / "rig.toml").write_text(RIG.format(q1=1.0).replace("leg2", "joint1").replace("[2]", "[1]"))
+    assert excite(tmp_path, "--out", str(tmp_path / "plan.csv"), steps=5) == 0
+    assert 0 < read_plan(tmp_path / "plan.csv").peak_nm <= 0.8 * 1.5
+
+
+def session(folder: Path, name: str, *more: str) -> dict:
+    assert excite(folder, "--session", str(folder / name), *more, steps=3) == 0
+    return json.loads((folder / name / "session.json").read_text())
+
+
+def test_a_session_has_every_kind_in_every_part(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Parts as `estimator.diagnosis.data_split` splits runs; each plan within the limits by the prior, none twice."""
+    found = session(folder, "usual")
+    assert "condition number before" in capsys.readouterr().out
+    plans = found["plans"]
+    assert len(plans) == 16 and found["session"]["seconds"] == pytest.approx(16 * SECONDS)
+    for part, where in {"fit": (0, 2), "screen": (1,), "confirm": (3,)}.items():
+        runs = [p for i, p in enumerate(plans) if i % 4 in where]
+        assert {p["part"] for p in runs} == {part}
+        assert {p["kind"] for p in runs} == {"large", "ramps", "small", "swing"}
+    torques = [tuple(read_plan(folder / "usual" / p["file"]).torque_nm) for p in plans]
+    assert len(set(torques)) == 16
+    for p, torque in zip(plans, torques):
+        assert np.abs(torque).max() == pytest.approx(p["peaks"]["torque_nm"], rel=1e-6)
+        assert p["peaks"]["speed_radps"] <= 0.8 * 12.0 * 1.001 and p["peaks"]["q2_rad"] <= 0.8 * 2.0 * 1.001
+    swing = np.array(torques[3])
+    assert np.count_nonzero(swing) < 0.4 * swing.size and not swing[-round(RATE_HZ):].any()
+    large = max(p["std"]["beta8"] for p in plans if p["kind"] == "large")
+    assert found["session"]["std"]["beta8"] < large
+
+
+def test_next_chooses_what_the_causes_call_for(folder: Path, tmp_path: Path,
+                                               capsys: pytest.CaptureFixture[str]) -> None:
+    diagnosis = {"schema": "legid.diagnosis/1", "verdict": "one_of",
+                 "causes": [{"effect": "stribeck_friction", "joint": 2}, {"effect": "torque_delay", "joint": None},
+                            {"effect": "sensor_time_skew", "joint": None}]}
+    path = tmp_path / "d.json"
+    path.write_text(json.dumps(diagnosis))
+    found = session(folder, "next", "--next", str(path), "--runs", "4")
+    assert [p["kind"] for p in found["plans"]] == ["large", "slow", "fast", "steady"]
+    said = capsys.readouterr().out
+    assert "fast: high frequencies, 3 to 8 Hz; for torque_delay, sensor_time_skew" in said
+    assert "by hand: sensor_time_skew: tap the leg" in said and "not every part" in said
+    slow = read_plan(folder / "next" / "02-slow.csv").torque_nm
+    power = np.abs(np.fft.rfft(slow)) ** 2
+    assert power[np.fft.rfftfreq(slow.size, 1 / RATE_HZ) < 0.6].sum() > 0.9 * power.sum()
+
+
+def test_every_effect_has_its_kinds() -> None:
+    from experiments.excite.session import chosen_for
+    from experiments.excite.waveforms import BY_HAND, EFFECT_KINDS, KINDS
+    from experiments.models.effect_library import known_effects
+
+    assert set(EFFECT_KINDS) == set(known_effects()) and set(BY_HAND) <= set(EFFECT_KINDS)
+    for effect, kinds in EFFECT_KINDS.items():
+        choice = chosen_for([effect])
+        assert set(kinds) < set(choice.kinds) <= set(KINDS) and len(choice.kinds) == 4
+        assert {"large", "small"} <= set(choice.kinds)
+
+
+def test_what_cannot_be_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = ("--out", str(folder / "x.csv"))
+    assert excite(folder, *out, "--high", "0.2") == 2
+    assert excite(folder, *out, "--margin", "2") == 2
+    assert excite(folder, *out, "--seed", "-1") == 2
+    assert excite(folder, *out, "--next", "d.json") == 2
+    (tmp_path / "d.json").write_text('{"schema": "legid.fit/1"}')
+    assert excite(folder, "--session", str(tmp_path / "s"), "--next", str(tmp_path / "d.json")) == 2
+    write_model(tmp_path / "model.json", [0.02, 0.1, 0.03, 0.01], {"model": "joint1", "actuated": (1,)})
+    (tmp_path / "rig.toml").write_text(RIG.format(q1=1.0))
+    assert excite(tmp_path, *out) == 2
+    (tmp_path / "model.json").write_bytes((folder / "model.json").read_bytes())
+    (tmp_path / "rig.toml").write_text(RIG.format(q1=1e-6))
+    assert excite(tmp_path, *out) == 1
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 7
+    assert "odd harmonics" in errors[0] and "--session DIR" in errors[3] and "no legid.diagnosis/1" in errors[4]
+    assert "give a model of this rig" in errors[5] and "widen [limits]" in errors[6]
+    assert not (folder / "x.csv").exists() and not (tmp_path / "s").exists()
+
+
+def test_a_first_plan_needs_no_model_and_is_gentle(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    start = ["excite", "--rig", str(folder / "rig.toml"), "--out", str(folder / "first.csv")]
+    assert main([*start, "--seconds", "8"]) == 0
+    first = read_plan(folder / "first.csv")
+    assert first.peak_nm == pytest.approx(0.1 * 1.5) and first.duration_s == pytest.approx(8.0)
+    assert main([*start, "--seconds", "8", "--peak", "0.7", "--seed", "1"]) == 0
+    second = read_plan(folder / "first.csv").torque_nm
+    assert np.abs(second).max() == pytest.approx(0.7) and not np.allclose(second / 0.7, first.torque_nm / 0.15)
+    assert main([*start, "--peak", "2"]) == 2
+    assert main([*start, "--peak", "1", "--model", str(folder / "model.json")]) == 2
+    assert main([*start, "--seconds", "3"]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 3 and "limit of 1.5 N m" in errors[0] and "leave out --peak" in errors[1]

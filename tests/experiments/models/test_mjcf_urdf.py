@@ -1,0 +1,176 @@
+"""Models as MJCF and URDF: MuJoCo reads both, and moves as `legid simulate` says."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from daq.recording.plan import Plan, write_plan
+from daq.runs.csv_run import read_csv
+from experiments.cli import main
+from tests.support.models import LEG, write_model
+from tests.support.mujoco_leg import Leg, random_leg
+
+RATE_HZ = 500.0
+SECONDS = 4.0
+
+
+def leg_beta(leg: Leg, viscous: float = 1.0, coulomb: float = 0.0) -> list[float]:
+    return list(leg.beta() * np.array([1, 1, 1, 1, 1, viscous, viscous, coulomb, coulomb]))
+
+
+def export(folder: Path, kind: str, model: Path) -> Path:
+    out = folder / f"model.{kind}"
+    assert main(["export", str(model), "--to", kind, "--out", str(out)]) == 0
+    return out
+
+
+def drive(loaded: mujoco.MjModel, torque: np.ndarray, joint: int, q0: list[float], by_ctrl: bool
+          ) -> tuple[np.ndarray, np.ndarray]:
+    """(angles, sensor data) at the samples of a torque that is held between them."""
+    data = mujoco.MjData(loaded)
+    data.qpos[:] = q0
+    steps = round(1.0 / (RATE_HZ * loaded.opt.timestep))
+    assert steps * loaded.opt.timestep * RATE_HZ == pytest.approx(1.0)
+    angles, readings = [], []
+    for tau in torque:
+        if by_ctrl:
+            data.ctrl[-1] = tau
+        else:
+            data.qfrc_applied[joint] = tau
+        mujoco.mj_forward(loaded, data)
+        angles.append(data.qpos.copy())
+        readings.append(data.sensordata.copy())
+        for _ in range(steps):
+            mujoco.mj_step(loaded, data)
+    return np.array(angles), np.array(readings)
+
+
+def simulate(folder: Path, model: Path, start: list[float], peak: float = 1.0) -> dict[str, np.ndarray]:
+    t = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
+    write_plan(Plan(t, peak * (np.sin(5 * t) + 0.5 * np.sin(11 * t + 1))), folder / "plan.csv")
+    assert main(["simulate", str(model), "--plan", str(folder / "plan.csv"), "--out", str(folder / "sim.csv"),
+                 "--start", ",".join(map(str, start)), "--rate", str(RATE_HZ)]) == 0
+    return {name: np.asarray(values) for name, values in read_csv(folder / "sim.csv").columns.items()}
+
+
+@pytest.mark.parametrize(("viscous", "peak"), [(0.0, 0.4), (1.0, 0.4), (1.0, 1.0)])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_mjcf_moves_as_the_simulation_does(seed: int, viscous: float, peak: float, tmp_path: Path) -> None:
+    model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(seed)), viscous), LEG)
+    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
+    own = simulate(tmp_path, model, [0.4, -0.3], peak)
+    angles, readings = drive(loaded, own["tau2_cmd_nm"], 1, [0.4, -0.3], by_ctrl=True)
+    assert np.ptp(angles, axis=0).min() > 0.5  # it does move
+    np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-6)
+    imu = np.column_stack([own["accel_x_mps2"], own["accel_y_mps2"], own["gyro_radps"]])
+    # IMU units are about a hundred times those of the angles in a motion this fast
+    np.testing.assert_allclose(readings[:, [0, 1, 5]] * [1, 1, -1], imu, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_other_bodies_move_alike(seed: int, tmp_path: Path) -> None:
+    """The leg's own bodies against those of the export, knee spinning without friction: here every error grows."""
+    leg = replace(random_leg(np.random.default_rng(seed)), viscous=(0.0, 0.0))
+    model = write_model(tmp_path / "m.json", leg_beta(leg), LEG)
+    exported, own = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model))), leg.model(5e-4)
+    assert abs(exported.body_mass[1] / own.body_mass[1] - 1) > 0.05  # they are not the same bodies
+    t = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
+    torque = np.sin(5 * t) + 0.5 * np.sin(11 * t + 1)
+    (found, _), (true, _) = (drive(m, torque, 1, [0.4, -0.3], by_ctrl=False) for m in (exported, own))
+    assert np.abs(true).max() > 2 * np.pi
+    np.testing.assert_allclose(found, true, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_urdf_moves_alike(seed: int, tmp_path: Path) -> None:
+    model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(seed))), LEG)
+    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "urdf", model)))
+    loaded.opt.integrator, loaded.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 5e-4
+    own = simulate(tmp_path, model, [0.4, -0.3])
+    angles, _ = drive(loaded, own["tau2_cmd_nm"], 1, [0.4, -0.3], by_ctrl=False)
+    np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-6)
+
+
+def test_bodies_are_physical_and_keep_what_motion_shows(tmp_path: Path) -> None:
+    leg = random_leg(np.random.default_rng(5))
+    beta = leg.beta()
+    model = write_model(tmp_path / "m.json", list(beta), LEG)
+    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
+    (m1, m2), (i1, i2) = loaded.body_mass[1:], loaded.body_inertia[1:, 1]
+    (c1, c2), l1 = -loaded.body_ipos[1:, 2], -loaded.body_pos[2, 2]
+    assert min(m1, m2, i1, i2) > 0
+    assert l1 == pytest.approx(leg.l1)
+    found = [i1 + m1 * c1**2 + m2 * l1**2, i2 + m2 * c2**2, m2 * l1 * c2, m1 * c1 + m2 * l1, m2 * c2]
+    np.testing.assert_allclose(found, beta[:5], rtol=1e-9)
+    np.testing.assert_allclose(loaded.dof_damping, beta[5:7])
+    np.testing.assert_allclose(loaded.dof_frictionloss, beta[7:9])
+
+
+def test_rotor_and_offset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    beta = [*leg_beta(Leg()), 0.01, 0.15]
+    model = write_model(tmp_path / "m.json", beta, {**LEG, "rotor_inertia": (2,), "torque_offset": (2,)})
+    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
+    own = simulate(tmp_path, model, [0.0, 0.0])
+    angles, _ = drive(loaded, own["tau2_cmd_nm"], 1, [0.0, 0.0], by_ctrl=True)
+    np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-6)
+    capsys.readouterr()
+    export(tmp_path, "urdf", model)
+    notes = capsys.readouterr().err
+    assert "no rotor inertia: 0.01" in notes and "no torque offset: 0.15" in notes
+
+
+def test_one_joint_and_a_chain(tmp_path: Path) -> None:
+    one = write_model(tmp_path / "one.json", [0.02, 0.1, 0.03, 0.0], {"model": "joint1", "actuated": (1,)})
+    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", one)))
+    own = simulate(tmp_path, one, [0.5], 0.4)
+    angles, _ = drive(loaded, own["tau2_cmd_nm"], 0, [0.5], by_ctrl=True)
+    np.testing.assert_allclose(angles[:, 0], own["q1_rad"], rtol=0, atol=1e-6)
+    slide = write_model(tmp_path / "slide.json", [2.0, 0.5, 0.0],
+                        {"model": "joint1", "actuated": (1,), "gravity_mps2": 0.0, "prismatic": True})
+    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", slide)))
+    own = simulate(tmp_path, slide, [0.0], 1.0)
+    angles, _ = drive(loaded, own["tau2_cmd_nm"], 0, [0.0], by_ctrl=True)
+    np.testing.assert_allclose(angles[:, 0], own["q1_m"], rtol=0, atol=1e-6)
+    assert mujoco.MjModel.from_xml_path(str(export(tmp_path, "urdf", slide))).nq == 1
+    chain = write_model(tmp_path / "chain.json", leg_beta(Leg()), {"model": "chain", "actuated": (2,), "links": 2})
+    assert mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", chain))).nq == 2
+
+
+def test_what_a_format_cannot_hold_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    beta = leg_beta(Leg(), coulomb=1.0)
+    beta[5] = -0.003
+    model = write_model(tmp_path / "m.json", beta, LEG)
+    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
+    assert loaded.dof_damping[0] == 0.0
+    notes = capsys.readouterr().err
+    assert "viscous friction of pivot is -0.003" in notes and "frictionloss" in notes
+
+
+@pytest.mark.parametrize(("changes", "words"), [
+    ({2: 1.0}, "not positive definite"), ({4: -0.1}, "no length"), ({4: 0.0}, "no length")])
+def test_what_no_body_can_be(changes: dict[int, float], words: str, tmp_path: Path,
+                             capsys: pytest.CaptureFixture[str]) -> None:
+    beta = leg_beta(Leg())
+    for k, value in changes.items():
+        beta[k] = value
+    model = write_model(tmp_path / "m.json", beta, LEG)
+    assert main(["export", str(model), "--to", "mjcf", "--out", str(tmp_path / "x.xml")]) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
+    assert not (tmp_path / "x.xml").exists()
+
+
+def test_three_links_volts_and_run_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    biped = write_model(tmp_path / "b.json", [1.0] * 8, {"model": "biped3", "actuated": (2, 3)})
+    servo = write_model(tmp_path / "v.json", [1.0] * 4, {"model": "joint1", "actuated": (1,), "input": "voltage"})
+    leg = write_model(tmp_path / "m.json", leg_beta(Leg()), LEG)
+    for model, more in ((biped, []), (servo, []), (leg, ["--rate", "100"])):
+        assert main(["export", str(model), "--to", "urdf", "--out", str(tmp_path / "x.urdf"), *more]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 3
+    assert "one or two links" in errors[0] and "volt" in errors[1] and "--rate" in errors[2]
+    assert json.loads(biped.read_text())["schema"] == "legid.model/1"

@@ -1,0 +1,134 @@
+"""MODEL.json: what is written reads back; anything else is refused with the place named."""
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from daq.errors import InputError
+from daq.rig import parse_rig
+from experiments.models.mechanism_settings import build_mechanism, mechanism_settings
+from experiments.models.model_file import load_model, save_model
+from experiments.models.schema import MechanismSettings, Model
+from experiments.reports.fit_json import fit_document, model_of
+from experiments.rig.setup import choose_sensors
+from tests.support.fits import synthetic_fit
+
+RIG = parse_rig('[mechanism]\nmodel="leg2"\nactuated=[2]\n[imu]\nlever_arm_m=0.2')
+
+
+def leg_model() -> Model:
+    return model_of(synthetic_fit(), mechanism_settings(RIG), "linear", ["a.csv"], datetime(2026, 1, 2, tzinfo=UTC))
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "model.json"
+    save_model(leg_model(), path)
+    assert load_model(path) == leg_model()
+    document = json.loads(path.read_text())
+    assert document["schema"] == "legid.model/1" and document["effects"] == []
+    assert document["mechanism"]["actuated"] == [2]
+    assert document["provenance"]["date"] == "2026-01-02T00:00:00+00:00"
+
+
+def test_mechanism_comes_back_with_its_settings() -> None:
+    settings = mechanism_settings(parse_rig(
+        '[mechanism]\nmodel="leg2"\nactuated=[1,2]\ngravity_mps2=9.8\n[imu]\nlever_arm_m=0.11\n'
+        '[terms]\nrotor_inertia=[2]\ntorque_offset=[2]\nfriction_velocity_radps=0.02'))
+    mechanism = build_mechanism(settings)
+    assert mechanism.actuated == (0, 1) and mechanism.lever_arm == 0.11 and mechanism.gravity == 9.8
+    assert mechanism.names[-2:] == ("rotor_inertia_2", "torque_offset_2") and mechanism.velocity_scale == 0.02
+
+
+@pytest.mark.parametrize("settings, what", [
+    (MechanismSettings(model="leg2", actuated=(3,)), "above 2"),
+    (MechanismSettings(model="leg2", actuated=(2,), input="voltage"), "voltage"),
+    (MechanismSettings(model="joint1", actuated=(1,), rotor_inertia=(1,)), "rotor_inertia"),
+    (MechanismSettings(model="biped3", actuated=(2, 3), torque_offset=(2,)), "torque_offset"),
+])
+def test_mechanisms_that_cannot_be(settings: MechanismSettings, what: str) -> None:
+    with pytest.raises(ValueError, match=what):
+        build_mechanism(settings)
+
+
+def test_unknown_variance_is_null(tmp_path: Path) -> None:
+    result = synthetic_fit()
+    result.covariance[8, 8] = np.inf
+    model = model_of(result, mechanism_settings(RIG), "zero", [])
+    save_model(model, tmp_path / "m.json")
+    assert load_model(tmp_path / "m.json").covariance[8][8] is None
+
+
+def document() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(msgspec.json.encode(leg_model()))
+    return found
+
+
+def changed(path: list[Any], value: Any) -> dict[str, Any]:
+    whole = document()
+    at: Any = whole
+    for key in path[:-1]:
+        at = at[key]
+    at[path[-1]] = value
+    return whole
+
+
+@pytest.mark.parametrize("content, place", [
+    ("", "not JSON"), ("{", "not JSON"), ("[]", "expected `object`"), ("\x80", "not JSON"), ("{}", "schema"),
+    (json.dumps(changed(["schema"], "legid.model/9")), "schema"),
+    (json.dumps(changed(["mechanism", "model"], "spider")), "mechanism.model"),
+    (json.dumps(changed(["parameters", 3, "value"], "big")), "parameters[3].value"),
+    (json.dumps(changed(["parameters", 3, "value"], None)), "parameters[3].value"),
+    (json.dumps(changed(["parameters"], [])), "parameters"),
+    (json.dumps(changed(["parameters", 0, "name"], "beta2")), "parameters"),
+    (json.dumps(changed(["covariance"], [[1.0]])), "9 by 9"),
+    (json.dumps(changed(["noise", "gyro_radps"], -1.0)), "noise"),
+    (json.dumps(changed(["mechanism", "actuated"], [7])), "above 2"),
+    (json.dumps(changed(["hold"], "cubic")), "hold"),
+    (json.dumps(changed(["surprise"], 1)), "surprise"),
+    (json.dumps(changed(["parameters", 3, "value"], 12345.5)).replace("12345.5", "1e999"), "parameters"),
+])
+def test_bad_files_are_refused_in_one_line(tmp_path: Path, content: str, place: str) -> None:
+    path = tmp_path / "model.json"
+    path.write_text(content, encoding="latin-1")
+    with pytest.raises(InputError) as caught:
+        load_model(path)
+    text = str(caught.value)
+    assert str(path) in text and place in text and "\n" not in text
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.json"):
+        load_model(tmp_path / "none.json")
+
+
+def test_fit_document_is_the_contract() -> None:
+    found = fit_document(synthetic_fit(), mechanism_settings(RIG))
+    first = {"schema", "model", "method", "sensors", "parameters", "noise", "torque_residual_rms_nm", "converged",
+             "iterations", "samples", "wall_s"}
+    assert first <= set(found) and found["schema"] == "legid.fit/1" and found["model"] == "leg2"
+    assert [p["name"] for p in found["parameters"]] == [f"beta{k}" for k in range(1, 10)]
+    assert [p["unit"] for p in found["parameters"]] == ["kg m^2"] * 3 + ["kg m"] * 2 + ["N m s/rad"] * 2 + ["N m"] * 2
+    p = found["parameters"][0]
+    assert p["meaning"] == "I1 + m1*lc1^2 + m2*l1^2"
+    assert p["ci95"] == pytest.approx([p["value"] - 1.959964 * p["std"], p["value"] + 1.959964 * p["std"]])
+
+
+def test_sensors_follow_the_columns() -> None:
+    class Run(dict[str, object]):
+        name = "r"
+
+    imu = Run.fromkeys(["gyro_radps", "accel_x_mps2", "accel_y_mps2", "q1_rad"])
+    hall = Run.fromkeys(["q1_rad"])
+    pick: Any = choose_sensors
+    assert pick(RIG, [imu, imu], None) == "imu"
+    assert pick(RIG, [imu, hall], None) == "encoder"
+    assert pick(RIG, [imu], "encoder") == "encoder"
+    with pytest.raises(InputError, match="no IMU columns"):
+        pick(RIG, [hall], "imu")
+    with pytest.raises(InputError, match="q1_rad"):
+        pick(RIG, [Run.fromkeys(["gyro_radps", "accel_x_mps2", "accel_y_mps2"]), hall], None)

@@ -1,0 +1,168 @@
+"""Models with effects are models: saved, read, simulated and validated; the plant that judges them is independent."""
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from daq.errors import InputError
+from daq.recording.plan import read_plan, write_plan
+from daq.rig import load_rig
+from daq.runs.csv_run import read_csv
+from estimator.effects import CLASSES
+from experiments import cli
+from experiments.emulation.hidden_effects import DRAG, EFFECTS, REST_RAD, SPRING_NM
+from experiments.emulation.plant import LegBody
+from experiments.excite.multisine import random_multisine
+from experiments.models.mechanism_settings import mechanism_settings
+from experiments.models.model_file import load_model, save_model, values_of
+from experiments.models.schema import EffectValue, Model
+from experiments.models.with_effects import effect_value, effects_of
+from experiments.reports.fit_json import model_of
+from tests.support.fits import synthetic_fit
+from tests.support.paths import DEMO_RIG as RIG
+
+REACH = ((-0.6, 0.6), (-1.5, 1.5))
+SPRING = EffectValue(name="joint_stiffness", joint=2, sizes={"stiffness": SPRING_NM, "preload": SPRING_NM * REST_RAD})
+
+
+def model_with(*effects: EffectValue) -> Model:
+    """The plant's true parameters, extended."""
+    plain = model_of(synthetic_fit(), mechanism_settings(load_rig(RIG)), "zero", ["a"],
+                     datetime(2026, 1, 1, tzinfo=UTC))
+    count = 9 + sum(len(e.sizes) + len(e.shapes) for e in effects)
+    covariance = tuple(tuple(1e-8 * (i == j) for j in range(count)) for i in range(count))
+    noise = {"gyro_radps": 0.005, "accel_mps2": 0.05, "torque_nm": 0.02, "encoder_rad": 4e-4}
+    return msgspec.structs.replace(plain, effects=effects, covariance=covariance, noise=noise, gear_ratio=50.0,
+                                   reach=REACH)
+
+
+def run_of(model: Model, folder: Path, *more: str, seconds: float = 8.0) -> Mapping[str, np.ndarray[Any, Any]]:
+    """Columns of `legid simulate` under a plan at 200 Hz; the run stays in run.csv."""
+    save_model(model, folder / "m.json")
+    if not (folder / "plan.csv").exists():
+        write_plan(random_multisine(5, seconds, 0.6, rate_hz=200.0), folder / "plan.csv")
+    assert cli.main(["simulate", str(folder / "m.json"), "--plan", str(folder / "plan.csv"), "--out",
+                     str(folder / "run.csv"), *more]) == 0
+    return read_csv(folder / "run.csv", load_rig(RIG)).columns
+
+
+def plant_motion(name: str, folder: Path) -> np.ndarray[Any, Any]:
+    """Angles (N, 2) of the emulated leg that hides `name`, under the same plan."""
+    plant, motion = EFFECTS[name].plant(LegBody()), []
+    state = plant.step(1e-9, 0.0)
+    for torque in read_plan(folder / "plan.csv").torque_nm:
+        motion.append((state.q1, state.q2))
+        state = plant.step(0.005, torque)
+    return np.array(motion)
+
+
+@pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.name)
+def test_every_effect_is_saved_and_read(kind: Any, tmp_path: Path) -> None:
+    effect = kind(1 if kind.per_joint else None)
+    size = np.linspace(0.1, 0.3, effect.count)
+    model = model_with(effect_value(effect, size))
+    save_model(model, tmp_path / "m.json")
+    back = load_model(tmp_path / "m.json")
+    assert back == model
+    ((again, values),) = effects_of(back)
+    assert type(again) is kind and again.joint == effect.joint
+    np.testing.assert_array_equal(values, size)
+    stored = json.loads((tmp_path / "m.json").read_text())["effects"][0]
+    assert set(stored) == {"name", "joint", "sizes", "shapes"} and stored["joint"] == (2 if kind.per_joint else None)
+
+
+@pytest.mark.parametrize("name, value", [
+    ("joint_stiffness", SPRING),
+    ("quadratic_drag", EffectValue(name="quadratic_drag", joint=2, sizes={"drag": DRAG})),
+    ("rotor_inertia", EffectValue(name="rotor_inertia", joint=2, sizes={"inertia": 0.004})),
+    ("asymmetric_friction", EffectValue(name="asymmetric_friction", joint=2, sizes={
+        "coulomb_difference": 0.03, "viscous_difference": 0.0})),
+])
+def test_extended_simulation_is_the_motion_of_a_plant_with_the_effect(name: str, value: EffectValue,
+                                                                      tmp_path: Path) -> None:
+    extended = run_of(model_with(value), tmp_path)
+    truth = plant_motion(name, tmp_path)
+    plain = run_of(model_with(), tmp_path)
+    for j, column in enumerate(("q1_rad", "q2_rad")):
+        error, without = (np.sqrt(np.mean((run[column] - truth[:, j]) ** 2)) for run in (extended, plain))
+        assert error < 0.03 * np.ptp(truth[:, j]) and error < 0.4 * without
+
+
+@pytest.mark.parametrize("value, column, difference", [
+    (EffectValue(name="gyro_bias", joint=None, sizes={"bias": 0.02}), "gyro_radps", 0.02),
+    (EffectValue(name="torque_offset", joint=None, sizes={"offset": -0.03}), "tau2_nm", -0.03),
+    (EffectValue(name="encoder_offset", joint=2, sizes={"offset": 0.01}), "q2_rad", 0.01),
+])
+def test_a_sensor_effect_changes_its_reading_and_nothing_else(value: EffectValue, column: str, difference: float,
+                                                              tmp_path: Path) -> None:
+    extended, plain = run_of(model_with(value), tmp_path), run_of(model_with(), tmp_path)
+    for name, values in plain.items():
+        np.testing.assert_allclose(extended[name] - values, difference if name == column else 0.0, atol=1e-6)
+
+
+def test_a_late_imu_shows_what_was(tmp_path: Path) -> None:
+    late = EffectValue(name="sensor_time_skew", joint=None, sizes={"skew": 0.01})
+    extended, plain = run_of(model_with(late), tmp_path), run_of(model_with(), tmp_path)
+    np.testing.assert_allclose(extended["gyro_radps"][12:-10], plain["gyro_radps"][10:-12], atol=1e-3)
+
+
+@pytest.mark.parametrize("value, gains", [
+    (EffectValue(name="joint_stiffness", joint=2, sizes={"stiffness": 0.1, "preload": 0.03}), True),
+    (EffectValue(name="torque_offset", joint=None, sizes={"offset": 0.05}), True),
+    (EffectValue(name="sensor_time_skew", joint=None, sizes={"skew": 0.002}), False),  # the motion is the nominal one
+])
+def test_validate_runs_the_extended_model(value: EffectValue, gains: bool, tmp_path: Path) -> None:
+    run_of(model_with(value), tmp_path, "--noise-seed", "3")
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG.read_text().replace("rate_hz = 250.0", "rate_hz = 200.0"))
+    save_model(model_with(), tmp_path / "plain.json")
+    rmse = {}
+    for name in ("m", "plain"):
+        assert cli.main(["validate", str(tmp_path / f"{name}.json"), str(tmp_path / "run.csv"), "--rig", str(rig),
+                         "--json", str(tmp_path / "v.json"), "--html", str(tmp_path / "v.html")]) == 0
+        (run,) = json.loads((tmp_path / "v.json").read_text())["runs"]
+        assert not run["diverged"] and run["horizon_s"] == pytest.approx(8.0, abs=0.1)
+        rmse[name] = run["rmse"]
+    assert rmse["m"]["q1_rad"] < 0.01 and rmse["m"]["q2_rad"] < 0.03
+    assert not gains or rmse["m"]["q2_rad"] < 0.5 * rmse["plain"]["q2_rad"]
+
+
+def test_reference_values_carry_what_is_not_determined() -> None:
+    covariance = [list(row) for row in model_with().covariance]
+    covariance[8][8] = None  # type: ignore[call-overload]
+    model = msgspec.structs.replace(model_with(), covariance=tuple(map(tuple, covariance)))
+    found = values_of(model)
+    assert found["beta1"] == (pytest.approx(LegBody().beta()[0]), pytest.approx(1e-4)) and found["beta9"][1] == np.inf
+
+
+@pytest.mark.parametrize("change, says", [
+    ({"name": "warp_drive"}, "warp_drive"), ({"joint": None}, "no joint"), ({"joint": 3}, "reach"),
+    ({"sizes": {"stiffness": 1.0}}, "stiffness, preload"), ({"shapes": {"angle": 1.0}}, "shapes angle"),
+    ({"sizes": {"stiffness": 1.0, "preload": "x"}}, "effects[0].sizes"), ({"size": 1}, "size"),
+])
+def test_effects_that_cannot_be_run_are_named(change: dict[str, Any], says: str, tmp_path: Path,
+                                              capsys: pytest.CaptureFixture[str]) -> None:
+    document = json.loads(msgspec.json.encode(model_with(SPRING)))
+    document["effects"][0] |= change
+    path = tmp_path / "m.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError) as caught:
+        load_model(path)
+    assert says in str(caught.value) and str(path) in str(caught.value)
+    write_plan(random_multisine(5, 6.0, 0.5), tmp_path / "p.csv")
+    assert cli.main(["simulate", str(path), "--plan", str(tmp_path / "p.csv"), "--out", str(tmp_path / "r.csv")]) == 2
+    error = capsys.readouterr().err
+    assert says in error and error.count("\n") == 1 and not (tmp_path / "r.csv").exists()
+
+
+def test_covariance_and_reach_belong_to_the_effects(tmp_path: Path) -> None:
+    for change, says in (({"covariance": model_with().covariance}, "11 by 11"), ({"reach": ()}, "reach")):
+        save_model(msgspec.structs.replace(model_with(SPRING), **change), tmp_path / "m.json")
+        with pytest.raises(InputError, match=says):
+            load_model(tmp_path / "m.json")

@@ -1,0 +1,121 @@
+"""A diagnosis as JSON, text and page: complete, in the order promised, honest where there is nothing to show."""
+
+import re
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import msgspec
+import pytest
+
+from estimator.diagnosis.result import Diagnosis, SensorGain, ShortRuns
+from experiments.reports.diagnosis_figures import axis_label, signature_limits
+from experiments.reports.diagnosis_json import diagnosis_document
+from experiments.reports.diagnosis_page import diagnosis_sections, verdict_words
+from experiments.reports.diagnosis_text import diagnosis_text, key_label
+from experiments.reports.html import render_page
+from tests.support.diagnoses import synthetic
+from tests.support.pages import Outside
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return render_page("t", synthetic().sentence, diagnosis_sections(synthetic()))
+
+
+def test_document_is_the_contract() -> None:
+    found = msgspec.json.decode(msgspec.json.encode(diagnosis_document(synthetic())))
+    assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
+            "sentence", "next_experiment", "warnings"} == set(found)
+    assert found["schema"] == "legid.diagnosis/1"
+    (cause,) = found["causes"]
+    assert cause["effect"] == "stribeck_friction" and cause["joint"] == 2 and cause["p_value"] == 0.004
+    assert cause["size"][0] == {"name": "excess_torque", "unit": "N m", "value": 0.05, "ci95": [0.04, 0.06]}
+    assert cause["confusable_with"] == ["presliding_friction"]
+    assert {"effect", "joint", "score", "p_value", "smallest_detectable", "unit"} <= set(found["candidates"][0])
+    assert found["gain"] == {
+        "confirm_runs": ["r4.csv", "r8.csv"],
+        "free_run_rmse": {"q1_rad": {"before": 0.04, "after": 0.01, "floor": 0.009},
+                          "q2_rad": {"before": 0.05, "after": 0.02, "floor": 0.015}},
+        "torque_rms_nm": {"before": [0.01, 0.05], "after": [0.01, 0.02]}, "gap_closed": 0.9,
+        "gap_closed_ci95": [0.8, 0.97]}
+    short = ShortRuns(1.0, {"q1_rad": SensorGain(0.02, 0.01, 0.009)}, 0.9, (0.7, 1.0))
+    pieces = diagnosis_document(replace(synthetic(), short=short))["gain"]["pieces"]
+    assert pieces == {"horizon_s": 1.0, "rmse": {"q1_rad": {"before": 0.02, "after": 0.01, "floor": 0.009}},
+                      "gap_closed": 0.9, "gap_closed_ci95": [0.7, 1.0]}
+    assert "pieces of 1 s" in diagnosis_text(replace(synthetic(), short=short))
+    assert found["runs"]["screen"] == ["r2.csv"] and found["parameters"]["extended"]["beta9"] == 0.11
+
+
+def test_joints_are_those_of_the_contract() -> None:
+    # The contract gives a rotor no joint, the library does; what is tested at the knee is testable.
+    found = diagnosis_document(synthetic())
+    assert [c["joint"] for c in found["candidates"]] == [2, 2, None, None]
+    assert [(row["effect"], row["joint"]) for row in found["not_testable"]] == [("torque_gain", None), ("backlash", 1)]
+    assert key_label("rotor_inertia@2") == "rotor_inertia" and key_label("q2 in gyro") == "q2 in gyro"
+    assert key_label("backlash@2") == "backlash, joint 2" and key_label("|q| sign v@2") == "|q| sign v, joint 2"
+
+
+def test_page_answers_in_the_order_of_the_questions(page: str) -> None:
+    titles = re.findall(r"<h2>(.*?)</h2>", page)
+    assert titles == ["Causes", "How far the simulation is off", "Candidates", "Signature",
+                      "Simulation against measurement, before and after", "What can be told apart",
+                      "What the extension does to the parameters", "Next experiment", "Ruled out",
+                      "What cannot be tested here", "Runs"]
+    assert page.index(synthetic().sentence.replace("'", "&#39;")) < page.index("<h2>")
+
+
+def test_page_shows_what_was_found(page: str) -> None:
+    for words in ("0.04 .. 0.06", "few runs", "closes 90 %", "80 to 97 %", "p = 0.004", "&lt; 1e-6",
+                  "presliding_friction, joint 2", "backlash, joint 1", "Slow reversals.", "noise alone", "0.006"):
+        assert words in page, words
+    assert page.count("<svg") == 1 + 2 + 2 + 1 + 1
+
+
+def test_page_is_one_file_and_its_figures_are_drawn(page: str) -> None:
+    parser = Outside()
+    parser.feed(page)
+    assert parser.found == []
+    figures = re.findall(r"<svg.*?</svg>", page, re.DOTALL)
+    for svg in figures:
+        root = ElementTree.fromstring(svg)
+        assert "viewBox" in root.attrib and "width" not in root.attrib and "<image" not in svg
+        assert "#010203" not in svg and len(svg) < 200_000
+    clips = [i for svg in figures for i in re.findall(r'<clipPath id="([^"]*)"', svg)]
+    assert len(clips) == len(set(clips))  # one page: a figure must not be cut by another's frame
+
+
+def test_signatures_of_rivals_share_their_axes() -> None:
+    found = synthetic().signatures
+    ((key, (x, y)),) = signature_limits(found).items()
+    assert key == ("velocity of joint 2 [rad/s]", "torque of joint 2 [N m]") and x == (-2.0, 2.0)
+    assert y[0] == min(float((s.before - s.before_error).min()) for s in found)
+    assert y[1] == max(float((s.before + s.before_error).max()) for s in found)
+
+
+def test_text_begins_with_the_verdict_and_ends_with_what_next() -> None:
+    text = diagnosis_text(synthetic())
+    assert text.startswith(synthetic().sentence)
+    order = ["Causes:", "0.04 .. 0.06", "Free-run error", "Runners-up", "Cannot be tested", "warning: few runs",
+             "Next experiment: Slow reversals.", "Runs: fit r1.csv, r3.csv"]
+    assert [text.index(words) for words in order] == sorted(text.index(words) for words in order)
+    runners = text[text.index("Runners-up"):text.index("Cannot")]
+    assert "stribeck" not in runners and "presliding_friction, joint 2" in runners
+
+
+@pytest.mark.parametrize("verdict", ["none", "one_of", "unexplained", "fit_failed"])
+def test_verdicts_with_less_to_show(verdict: str) -> None:
+    whole = synthetic()
+    bare = Diagnosis(verdict, "No more than this.")
+    for found in (bare, replace(whole, verdict=verdict, causes=(), sensors={}, signatures=(), traces=(), extended={},
+                                extended_std={}, gap_closed=None, gap_closed_ci95=None)):
+        page = render_page(verdict_words(verdict), found.sentence, diagnosis_sections(found))
+        assert "No more than this." in page or whole.sentence in page
+        assert "The extension closes" not in page and "nan<" not in page and ">None<" not in page
+        document = diagnosis_document(found)
+        assert document["verdict"] == verdict and document["gain"]["gap_closed"] is None and document["causes"] == []
+        assert diagnosis_text(found).startswith(found.sentence)
+
+
+def test_sensor_names_carry_their_units() -> None:
+    assert [axis_label(c) for c in ("q2_rad", "gyro_radps", "accel_x_mps2")] == ["q2 [rad]", "gyro [rad/s]",
+                                                                                 "accel_x [m/s²]"]

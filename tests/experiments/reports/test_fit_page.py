@@ -1,0 +1,132 @@
+"""The report page: complete, self-contained, escaped, and readable at a phone's width as far as text can tell."""
+
+import re
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from estimator.model.mechanism import Mechanism, joint1
+from estimator.result import FitResult
+from experiments.emulation.plant import LegBody
+from experiments.reports.figures import BLUE, Line, plot_lines, window
+from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
+from experiments.reports.fit_text import fit_text, number
+from experiments.reports.html import Picture, Section, Table, render_page
+from tests.support.fits import estimates, synthetic_fit
+from tests.support.pages import Outside
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    result = synthetic_fit()
+    truth = dict(zip(result.mechanism.names, LegBody().beta()))
+    return render_page("Leg <A> & co", fit_summary(result, "leg2"),
+                       [*fit_sections(result), truth_section(result.mechanism, estimates(result), truth)])
+
+
+def test_page_fetches_and_runs_nothing(page: str) -> None:
+    parser = Outside()
+    parser.feed(page)
+    assert parser.found == []
+    assert not re.search(r"url\((?!#)", page) and "@import" not in page
+    assert "default-src 'none'" in page
+
+
+def test_text_from_files_is_escaped() -> None:
+    hostile = "<script>alert(1)</script>"
+    page = render_page(hostile, hostile, [Section(hostile, [hostile], [Table([hostile], [[hostile]], hostile)],
+                                                  notes=[hostile])])
+    assert "<script" not in page and page.count("&lt;script&gt;") == 9
+
+
+def test_hostile_name_in_a_figure_stays_text() -> None:
+    svg = plot_lines(np.arange(3.0), [Line("<script>x</script>", np.arange(3.0), BLUE)], "y [m]")
+    assert "<script" not in svg
+    ElementTree.fromstring(svg)
+
+
+def test_every_parameter_stands_with_interval_and_unit(page: str) -> None:
+    result = synthetic_fit()
+    for p, (low, high), std in zip(result.mechanism.parameters, result.ci95(), result.std):
+        assert p.name in page and p.meaning in page and p.unit in page
+        assert f"{number(low, std)} .. {number(high, std)}" in page
+
+
+def test_figures_of_the_paper_are_there_with_units(page: str) -> None:
+    for label in ("gyro [rad/s]", "accelerometer x [m/s²]", "accelerometer y [m/s²]", "torque, joint 1 [N m]",
+                  "torque, joint 2 [N m]"):
+        assert label in page
+    assert page.count("time [s]") == 5
+    assert page.count(">zero<") == 1  # the pivot's line only
+    for svg in re.findall(r"<svg.*?</svg>", page, re.DOTALL):
+        root = ElementTree.fromstring(svg)
+        assert "viewBox" in root.attrib and "width" not in root.attrib  # scales with the column
+        assert len(svg) < 200_000
+
+
+def test_figures_follow_the_colour_scheme(page: str) -> None:
+    assert "currentColor" in page and "prefers-color-scheme: dark" in page
+    assert "#010203" not in page and "#000000" not in page
+
+
+def test_unconverged_and_undetermined_fits_say_so() -> None:
+    result = replace(synthetic_fit(), converged=False, undetermined=("beta8 -0.5*beta6",), warnings=("few samples",))
+    covariance = result.covariance.copy()
+    covariance[7, 7] = np.inf
+    result = replace(result, covariance=covariance, trajectories=())
+    page = render_page("x", fit_summary(result, "leg2"), fit_sections(result))
+    assert "DID NOT CONVERGE" in page and "beta8 -0.5*beta6" in page and "Warning: few samples" in page
+    text = fit_text(result, "leg2")
+    assert "NOT CONVERGED" in text and "not determined by this data: beta8" in text
+    assert "nan" not in text.lower() and "inf" not in text.lower().replace("infinite", "")
+
+
+def test_a_truth_outside_its_interval_is_counted_as_such() -> None:
+    result = synthetic_fit()
+    truth = dict(zip(result.mechanism.names, LegBody().beta()))
+    truth["beta1"] *= 1.2
+    section = truth_section(result.mechanism, estimates(result), truth)
+    assert "8 of 9" in section.paragraphs[0]
+    assert section.tables[0].rows[0][4] == "no"
+
+
+def test_units_follow_the_joint_and_its_input() -> None:
+    def text(mechanism: Mechanism) -> str:
+        p = mechanism.p
+        result = FitResult(mechanism, "wls", "encoder", np.ones(p), np.eye(p), {"torque_nm": 0.1, "encoder_rad": 0.2},
+                           np.array([0.1]), True, 1, 100, 0.0)
+        return fit_text(result, "joint1") + fit_summary(result, "joint1")
+
+    slide, servo = text(joint1(prismatic=True, gravity_mps2=0.0)), text(joint1(voltage=True))
+    assert "torque 0.1 N," in slide and "encoder 0.2 m" in slide and "volt" not in slide
+    assert "torque 0.1 V," in servo and "encoder 0.2 rad" in servo and servo.count("every parameter is in volt") == 2
+
+
+def test_numbers_carry_the_digits_that_mean_something() -> None:
+    assert number(0.123456, 0.0012) == "0.1235"
+    assert number(12.3456, 1.2) == "12.3"
+    assert number(1234.5, 200.0) == "1234"
+    assert number(0.5) == "0.5"
+    assert number(float("nan"), 1.0) == "not determined"
+
+
+def test_window_takes_the_beginning() -> None:
+    t = np.arange(100) / 10.0 + 5.0
+    assert window(t, 2.0) == slice(0, 21)
+    assert window(t, 1e9) == slice(0, 100)
+
+
+def test_a_gap_leaves_a_hole_in_the_curve() -> None:
+    values = np.sin(np.arange(50.0))
+    whole = plot_lines(np.arange(50.0), [Line("a", values, BLUE)], "y [m]")
+    values[20:25] = np.nan
+    holed = plot_lines(np.arange(50.0), [Line("a", values, BLUE)], "y [m]")
+    moves = [len(re.findall(r"M ", max(re.findall(r' d="([^"]*)"', svg), key=len))) for svg in (whole, holed)]
+    assert moves == [1, 2]
+
+
+def test_picture_goes_in_unescaped() -> None:
+    page = render_page("x", "y", [Section("s", pictures=[Picture('<svg viewBox="0 0 1 1"></svg>', "c <i>")])])
+    assert '<svg viewBox="0 0 1 1"></svg>' in page and "c &lt;i&gt;" in page

@@ -1,0 +1,164 @@
+"""`legid init`: a rig file by asking and by probing, which the other commands take."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from daq.rig import load_rig
+from drivers.mock.plant import StillPlant
+from drivers.mock.pty_server import PtyServer
+from drivers.mock.rig import MockRig
+from drivers.mock.settings import FirmwareSettings
+from experiments.cli import main
+from experiments.doctor import preflight
+from experiments.rig import discovery
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
+    """Says what is answered; the questions asked are in the list returned."""
+    def give(*texts: str) -> list[str]:
+        rest, asked = iter(texts), []
+
+        def answer(question: str = "") -> str:
+            asked.append(question)
+            try:
+                return next(rest)
+            except StopIteration:
+                raise EOFError from None
+
+        monkeypatch.setattr("builtins.input", answer)
+        return asked
+
+    return give
+
+
+def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.toml"
+    asked = answers("", "", "9.8101", "wide", "0.17", "", "50", "0.85", "/dev/ttyUSB3", "1000", "-1", "1.5", "12", "",
+                    "2.2")
+    assert main(["init", str(path)]) == 0
+    rig = load_rig(path)
+    assert rig.mechanism.model == "leg2" and rig.mechanism.actuated == (2,)
+    assert rig.mechanism.gravity_mps2 == 9.8101
+    assert rig.imu.lever_arm_m == 0.17  # asked twice: `wide` is no number
+    assert rig.devices.imu is not None and rig.devices.imu.bus == "/dev/i2c-1"
+    assert rig.motor.gear_ratio == 50.0
+    assert rig.calibration.torque_constant_nm_per_a == 0.85
+    assert rig.devices.controller is not None
+    assert (rig.devices.controller.port, rig.devices.controller.rate_hz) == ("/dev/ttyUSB3", 1000.0)
+    limits = rig.limits
+    assert (limits.torque_nm, limits.speed_radps, limits.q1_rad, limits.q2_rad) == (1.5, 12.0, 1.6, 2.2)
+    out = capsys.readouterr().out
+    assert "wide is not a number" in out and "-1 is not a number" in out
+    assert "[0.2]" in asked[3] and asked[3] == asked[4]
+    text = path.read_text()
+    assert "pivot to IMU along link 1 [m]\n" in text  # given, hence not marked
+    assert text.count("ASSUMED, please measure") == 3  # knee zero, shunt offset, mount
+
+
+def test_a_chain_on_can(tmp_path: Path, answers: Callable[..., list[str]]) -> None:
+    path = tmp_path / "chain.toml"
+    answers("pendulum", "chain", "3", "2,3", "", "20", "", "can0", "5", "", "", "", "", "")
+    assert main(["init", str(path)]) == 0
+    rig = load_rig(path)
+    assert (rig.mechanism.model, rig.mechanism.links, rig.mechanism.actuated) == ("chain", 3, (2, 3))
+    assert rig.devices.imu is None
+    assert rig.devices.controller is not None
+    assert rig.devices.controller.can == {"interface": "socketcan", "channel": "can0"}
+    assert rig.devices.controller.node == 5
+
+
+def test_what_exists_is_left_alone(tmp_path: Path, answers: Callable[..., list[str]],
+                                   capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text("mine")
+    asked = answers()
+    for how in ([], ["--defaults"], ["--probe"]):
+        assert main(["init", str(path), *how]) == 2
+    assert capsys.readouterr().err.count("exists already") == 3
+    assert path.read_text() == "mine"
+    assert not asked  # refused before anybody answers anything
+
+
+def test_answers_that_end_early_or_do_not_fit(tmp_path: Path, answers: Callable[..., list[str]],
+                                              capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.toml"
+    answers("leg2", "2")
+    assert main(["init", str(path)]) == 2
+    assert "end before the questions" in capsys.readouterr().err
+    answers("", "7", *[""] * 12)  # leg2 has no joint 7
+    assert main(["init", str(path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert main(["init", str(path), "--port", "/dev/x"]) == 2
+    assert main(["init", str(tmp_path / "no" / "rig.toml"), "--defaults"]) == 2
+    assert not path.exists()
+
+
+def test_defaults_are_a_rig(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    assert main(["init", str(path), "--defaults"]) == 0
+    rig = load_rig(path)
+    assert rig.devices.imu is not None and rig.devices.controller is not None
+    assert "lever_arm_m = 0.2" in path.read_text() and path.read_text().count("ASSUMED, please measure") >= 9
+
+
+@pytest.fixture
+def mock() -> Iterator[tuple[MockRig, str]]:
+    """An emulated rig whose chip is at 0x6A, and its port."""
+    firmware = FirmwareSettings(telemetry_hz=250, gear_ratio=36.0, torque_limit_nm=1.25)
+    rig = MockRig(StillPlant(), firmware=firmware, address=0x6A)
+    with PtyServer(rig.firmware, rig.clock) as server:
+        yield rig, server.path
+
+
+def test_by_probing(mock: tuple[MockRig, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                    capsys: pytest.CaptureFixture[str]) -> None:
+    rig_mock, port = mock
+    monkeypatch.setattr(discovery, "i2c_buses", lambda: ["/dev/i2c-nowhere", "/dev/i2c-7"])
+    monkeypatch.setattr(discovery, "serial_ports", lambda: ["/dev/ttyNowhere", port])
+    monkeypatch.setattr(discovery, "can_channels", list)
+    real = discovery.open_bus
+    for module in ("rig.discovery", "rig.devices", "doctor.bus"):
+        monkeypatch.setattr(f"experiments.{module}.open_bus",
+                            lambda path: rig_mock.imu if path == "/dev/i2c-7" else real(path))
+    path = tmp_path / "rig.toml"
+    assert main(["init", str(path), "--probe"]) == 0
+    out = capsys.readouterr().out
+    assert "no such bus" in out and "no such port" in out and "LSM9DS1 at 0x6A" in out
+    rig = load_rig(path)
+    assert rig.devices.imu is not None and rig.devices.controller is not None
+    assert (rig.devices.imu.bus, rig.devices.imu.address) == ("/dev/i2c-7", 0x6A)
+    assert (rig.devices.controller.port, rig.devices.controller.rate_hz) == (port, 250.0)
+    assert (rig.motor.gear_ratio, rig.limits.torque_nm) == (36.0, 1.25)
+    assert rig_mock.firmware.drive.torque_nm == 0.0
+    monkeypatch.setattr(preflight, "LISTEN_S", 0.5)
+    path.write_text(path.read_text().replace("rate_hz = 238.0", "rate_hz = 59.5 ").replace("0.005 ", "5.0 "))
+    assert main(["doctor", "--rig", str(path), "--out", str(tmp_path)]) == 0, capsys.readouterr().out
+
+
+def test_probing_where_there_is_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                        capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(discovery, "DEV", tmp_path)
+    monkeypatch.setattr(discovery, "NET", tmp_path)
+    path = tmp_path / "rig.toml"
+    assert main(["init", str(path), "--probe"]) == 0
+    out = capsys.readouterr().out
+    assert "no I2C bus" in out and "no leg controller" in out
+    rig = load_rig(path)
+    assert rig.devices.imu is None and rig.devices.controller is None
+    assert "# [devices.imu]" in path.read_text()
+
+
+def test_where_is_looked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("i2c-1", "ttyACM0", "ttyUSB2", "ttyS0", "tty1"):
+        (tmp_path / name).touch()
+    for name, kind in (("can0", "280"), ("eth0", "1")):
+        (tmp_path / "net" / name).mkdir(parents=True)
+        (tmp_path / "net" / name / "type").write_text(kind + "\n")
+    monkeypatch.setattr(discovery, "DEV", tmp_path)
+    monkeypatch.setattr(discovery, "NET", tmp_path / "net")
+    assert [Path(p).name for p in discovery.i2c_buses()] == ["i2c-1"]
+    assert [Path(p).name for p in discovery.serial_ports()] == ["ttyACM0", "ttyUSB2"]
+    assert discovery.can_channels() == ["can0"]

@@ -1,0 +1,163 @@
+"""Public records through the ordinary commands; what needs the records is skipped where they are not at hand.
+
+Published figures are those of the data sets' own READMEs.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec import structs
+
+from daq.errors import InputError
+from daq.rig import load_rig
+from estimator.diagnosis.result import Cause, Diagnosis
+from experiments.cli import main
+from experiments.studies.casebook import RIGS, Diagnosed, DiagnoseTask, cases_in, load_cases, study_case
+from experiments.studies.casebook_page import study_text
+from tests.support.paths import REAL as DATA
+from tests.support.paths import ROOT
+
+needs_records = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
+
+
+def test_every_rig_file_shipped_is_valid_and_used() -> None:
+    asked = {task.rig for case in load_cases() for task in (*case.fit, *case.sweep, *case.diagnose,
+                                                        *case.calibrate)}
+    shipped = {path.name for path in RIGS.glob("*.toml")} - {"cases.toml"}
+    assert asked == shipped
+    for name in shipped:
+        load_rig(RIGS / name)
+
+
+def test_no_code_knows_a_data_set_by_name() -> None:
+    names = re.compile(r"\b(" + "|".join({word for case in load_cases() for word in
+                                          (case.folder, case.folder.split("_")[0])}) + r")(?=\b|_)", re.IGNORECASE)
+    for package in ("drivers", "daq", "estimator", "experiments"):
+        for path in (ROOT / package).rglob("*.py"):
+            code = [line for line in path.read_text().splitlines() if not line.strip().startswith("reference =")]
+            assert not names.search("\n".join(code)), path  # an effect's reference may cite a publication
+
+
+def test_a_folder_without_known_records_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["casebook", str(tmp_path)]) == 2
+    assert "known folders" in capsys.readouterr().err
+    with pytest.raises(InputError, match="extra"):
+        (tmp_path / "cases.toml").write_text("[[case]]\ntitle = 'a'\nfolder = 'b'\nsource = ''\nknown = ''\nextra = 1")
+        load_cases(tmp_path / "cases.toml")
+    (tmp_path / load_cases()[0].folder).mkdir()
+    assert cases_in(tmp_path, load_cases()) == [load_cases()[0]]
+
+
+@pytest.mark.parametrize(("verdict", "effects", "agrees"), [
+    ("named", ["asymmetric_friction", "torque_delay"], True), ("named", ["torque_delay"], False),
+    ("one_of", ["asymmetric_friction", "torque_offset"], False), ("none", [], False)])
+def test_only_a_cause_that_is_named_agrees(verdict: str, effects: list[str], agrees: bool) -> None:
+    causes = tuple(Cause(name, 1, "", (), 0.001, 9.0, ()) for name in effects)
+    task = DiagnoseTask(rig="r.toml", runs=("a.csv",), expected=("asymmetric_friction",))
+    assert Diagnosed(task, Diagnosis(verdict, "", causes), "").agrees() is agrees
+
+
+@pytest.fixture(scope="module")
+def book(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str]:
+    """JSON by folder, and the page."""
+    out = tmp_path_factory.mktemp("casebook")
+    wanted = [word for name in ("emps", "multiarm", "song_imu", "bam_xl330") for word in ("--only", name)]
+    assert main(["casebook", str(DATA), *wanted, "--json", str(out / "c.json"), "--html", str(out / "c.html")]) == 0
+    return ({case["folder"]: case for case in json.loads((out / "c.json").read_text())["cases"]},
+            (out / "c.html").read_text())
+
+
+@needs_records
+def test_published_least_squares_of_the_prismatic_axis_are_reproduced(book: tuple[dict[str, Any], str]) -> None:
+    fit = book[0]["emps"]["fits"][0]
+    published = {"beta1": 95.1089, "beta2": 203.5034, "beta3": 20.3935, "torque_offset_1": -3.1648}
+    assert fit["found"] == pytest.approx(published, rel=0.005)
+    assert fit["relative_error_percent"] == pytest.approx([4.0834], abs=0.1)
+
+
+@needs_records
+def test_friction_that_differs_by_direction_is_named_and_gains(book: tuple[dict[str, Any], str]) -> None:
+    found = book[0]["emps"]["diagnoses"][0]
+    assert found["verdict"] == "named"
+    assert "asymmetric_friction" in found["causes"]
+    sizes = found["sizes"]["asymmetric_friction"]
+    for name, published in found["published"].items():
+        low, high = sizes[name]["ci95"]
+        assert low < published < high
+    assert sizes["viscous_difference"]["value"] == pytest.approx(-73.72, rel=0.05)
+    assert sizes["viscous_difference"]["unit"] == "N s/m"  # a slide
+    free = found["free_run_rmse"]["q1_m"]
+    assert free["after"] < 0.2 * free["before"]
+    (left,) = found["left_over_percent"]["after"]
+    assert left < 4.08 * 0.85  # published: 4.08 % symmetric, 3.11 % asymmetric
+
+
+@needs_records
+def test_friction_that_grows_with_load_leads_under_a_voltage(book: tuple[dict[str, Any], str]) -> None:
+    found = book[0]["bam_xl330"]["diagnoses"][0]
+    assert found["causes"] == ["load_dependent_friction"]
+    size = found["sizes"]["load_dependent_friction"]["load_coefficient"]
+    assert size["ci95"][0] < found["published"]["load_coefficient"] < size["ci95"][1]
+    free = found["free_run_rmse"]["q1_rad"]
+    assert free["after"] < 0.7 * free["before"]
+
+
+@needs_records
+def test_free_swing_gives_the_published_ratios_and_prefers_coulomb_friction(
+        book: tuple[dict[str, Any], str]) -> None:
+    both, viscous, coulomb, without = book[0]["multiarm"]["fits"]
+    published = {"beta1": 5.6485e-3, "beta2": 3.1453e-3, "beta3": 2.7754e-3, "beta4": 0.03395, "beta5": 0.01607}
+    for fit in (both, viscous, coulomb):
+        assert {name: fit["found"][name] for name in published} == pytest.approx(published, rel=0.02)
+    assert both["found"]["beta8"] > 5 * both["std"]["beta8"]  # Coulomb friction at the pivot, beside viscous
+    assert coulomb["torque_residual_rms"][0] < viscous["torque_residual_rms"][0]
+    assert "scale of the parameters is not determined" in without["refused"]
+
+
+@needs_records
+def test_records_without_a_torque_are_refused_and_voltage_is_an_input(book: tuple[dict[str, Any], str],
+                                                                       capsys: pytest.CaptureFixture[str]) -> None:
+    (refused,) = book[0]["song_imu"]["fits"]
+    assert "tau1_nm is missing" in refused["refused"]
+    (calibrated,) = book[0]["song_imu"]["calibrations"]  # by the data's README: gain .985, about -.0006 rad/s
+    assert calibrated["found"]["gyro_scale"]["value"] == pytest.approx(-0.015, abs=0.0015)
+    assert calibrated["rms"]["angle_rad"]["after"] < 0.5 * calibrated["rms"]["angle_rad"]["before"]
+    assert calibrated["rms"]["angle_rad"]["before"] < calibrated["published_angle_rms_rad"]
+    runs = [str(DATA / "bam_xl330" / "kp100_sin_sin.csv.gz")]
+    assert main(["fit", *runs, "--rig", str(RIGS / "song_imu.toml")]) == 2
+    assert "tau1_nm is missing" in capsys.readouterr().err
+    fit = book[0]["bam_xl330"]["fits"][0]  # beside the data's README: 5.575 V gravity, .438 V s/rad, .0766 V s2/rad
+    assert 9.81 * fit["found"]["beta2"] == pytest.approx(5.575, rel=0.1)
+    assert fit["found"]["beta3"] == pytest.approx(0.438, rel=0.15)
+
+
+@needs_records
+def test_the_page_says_where_the_program_disagrees(book: tuple[dict[str, Any], str]) -> None:
+    cases, page = book[0], html.unescape(book[1])
+    for case in cases.values():
+        assert case["title"] in page
+        for found in case["diagnoses"]:
+            if found["agrees"] is False:
+                assert f"Published is {', '.join(found['expected'])}: the program does NOT name it." in page
+    assert "<script" not in page
+
+
+@needs_records
+@pytest.mark.parametrize("folder", ["dfki_c0", "dfki_a0"])
+def test_the_default_method_does_not_shrink_as_the_bandwidth_grows(folder: str) -> None:
+    (case,) = (case for case in load_cases() if case.folder == folder)
+    (task,) = case.sweep
+    wide = structs.replace(task, cutoffs_hz=(5.0, 30.0))
+    study = study_case(structs.replace(case, fit=(), diagnose=(), sweep=(wide,)), DATA)
+    (swept,) = study.sweeps
+    for cutoff in (5.0, 30.0):
+        assert max(abs(v) for v in swept.departure("mle", cutoff).values()) < 0.1
+    assert swept.departure("wls", 30.0)["beta1"] < -0.5  # what least squares on filtered motion makes of the same
+    text = study_text(study)
+    assert "mle from 5 to 30 Hz: within" in text

@@ -1,0 +1,95 @@
+"""The Python API: docs/example.py as a script, and what the functions refuse."""
+
+import inspect
+import runpy
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments import api
+from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
+from experiments.emulation.plant import LegBody
+from tests.support.paths import ROOT
+
+EXAMPLE = ROOT / "docs" / "example.py"
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The example's names after it ran."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("example")))
+        return runpy.run_path(str(EXAMPLE))
+
+
+@pytest.mark.slow
+def test_the_example_finds_what_was_hidden(example: dict[str, Any]) -> None:
+    found: api.Diagnosis = example["found"]
+    assert found.verdict == "named" and [(c.effect, c.joint) for c in found.causes] == [("joint_stiffness", 2)]
+    stiffness, preload = found.causes[0].size
+    assert stiffness.value == pytest.approx(SPRING_NM, rel=0.05)
+    assert preload.value == pytest.approx(SPRING_NM * REST_RAD, rel=0.1)
+    assert example["after"].rmse["q2_rad"] < 0.2 * example["before"].rmse["q2_rad"]
+
+
+@pytest.mark.slow
+def test_the_examples_results_have_the_shapes_that_the_docstrings_give(example: dict[str, Any]) -> None:
+    result: api.FitResult = example["result"]
+    assert result.beta.shape == (9,) and result.covariance.shape == (9, 9) and result.ci95().shape == (9, 2)
+    extended, truth = np.array(example["extended"].beta), np.array(LegBody().beta())
+    assert np.all(np.abs(extended[:3] / truth[:3] - 1) < 0.02)
+    assert np.all(np.abs(result.beta[:3] / truth[:3] - 1) > 0.1)  # the spring, which the nominal model put down to mass
+    (run,), before = example["runs"][3:], example["before"]
+    assert run.columns.keys() >= {"q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2"}
+    assert before.q.shape == before.reference_q.shape == (len(before.time_s), 2)
+    again, simulated = api.load_model(example["folder"] / "extended.json"), example["what_if"]
+    assert again == example["extended"] and [e.name for e in again.effects] == ["joint_stiffness"]
+    assert len(simulated) == 600 and simulated.rate_hz == 100.0 and "accel_x_mps2" in simulated
+
+
+@pytest.mark.slow
+def test_load_gives_what_record_gave(example: dict[str, Any]) -> None:
+    (again,) = api.load(example["folder"] / "run1.mcap", example["rig_file"])
+    first = example["runs"][0]
+    assert again.columns.keys() == first.columns.keys()
+    assert all(np.array_equal(again[name], first[name], equal_nan=True) for name in first.columns)
+
+
+@pytest.mark.slow
+def test_no_model_is_made_of_a_fit_that_is_not_sure(example: dict[str, Any]) -> None:
+    result, runs, rig = example["result"], example["runs"][:3], example["rig"]
+    with pytest.raises(api.WorkError, match="did not converge"):
+        api.model(replace(result, converged=False), runs, rig)
+    with pytest.raises(api.WorkError, match="does not determine beta8"):
+        api.model(replace(result, undetermined=("beta8",)), runs, rig)
+    with pytest.raises(api.WorkError, match="too short"):
+        api.model(api.Diagnosis("fit_failed", "too short"), runs, rig)
+
+
+def test_bad_input_is_an_input_error(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n')
+    plan = api.multisine(seed=0, duration_s=6.0, peak_nm=0.1)
+    with pytest.raises(api.InputError, match="only a leg2 can be emulated"):
+        api.record(tmp_path / "rig.toml", plan, tmp_path / "run.mcap", emulate="none")
+    with pytest.raises(api.InputError, match=r"has no \[devices.controller\]"):
+        api.record(tmp_path / "rig.toml", plan, tmp_path / "run.mcap")
+    with pytest.raises(api.InputError, match=r"neither \.csv, \.csv\.gz nor \.mcap"):
+        api.load(tmp_path / "run.txt", tmp_path / "rig.toml")
+    with pytest.raises(api.InputError, match="cannot be hidden"):
+        (tmp_path / "leg.toml").write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n')
+        api.record(tmp_path / "leg.toml", plan, tmp_path / "run.mcap", emulate="a_ghost")
+    assert not (tmp_path / "run.mcap").exists()
+
+
+def test_every_function_is_typed_and_explained() -> None:
+    functions = [getattr(api, name) for name in api.__all__ if inspect.isfunction(getattr(api, name))]
+    assert {f.__name__ for f in functions} >= {"load", "fit", "diagnose", "validate", "record", "simulate", "model"}
+    for f in functions:
+        assert "raises" in (f.__doc__ or "").lower(), f.__name__
+        signature = inspect.signature(f)
+        assert signature.return_annotation is not signature.empty, f.__name__
+        assert all(p.annotation is not p.empty for p in signature.parameters.values()), f.__name__

@@ -1,0 +1,93 @@
+"""The demo end to end: what it says, its files, documents by their schemas."""
+
+import json
+import re
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import pytest
+
+from experiments import cli
+from experiments.excite.multisine import random_multisine
+from experiments.models.model_file import load_model
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a demo of four short runs leaves behind, and `said.txt` for what it printed."""
+    out = tmp_path_factory.mktemp("demo")
+    args = ["demo", "--out", str(out), "--seconds", "6", "--runs", "4", "--effect", "torque_offset"]
+    with redirect_stdout(StringIO()) as said:
+        assert cli.main(args) == 0, said.getvalue()
+    (out / "said.txt").write_text(said.getvalue())
+    return out
+
+
+@pytest.mark.slow
+def test_it_says_what_was_hidden_what_was_found_and_where_it_is(demo: Path) -> None:
+    said = (demo / "said.txt").read_text()
+    assert "Hidden in it: a shunt that reads 0.04 N m too much." in said
+    assert json.loads((demo / "diagnosis.json").read_text())["sentence"] in said
+    for name in ("report.html", "fit.html", "model.json", "extended.json", "fit.json", "diagnosis.json",
+                 "validation.json", "rig.toml", "demo-run*.mcap"):
+        assert str(demo / name) in said
+    assert re.search(r"\d of 9 parameters of the plant lie inside", said)
+    assert {f"demo-run{k}.mcap" for k in (1, 2, 3, 4)} <= {path.name for path in demo.iterdir()}
+
+
+@pytest.mark.slow
+def test_documents_follow_their_schemas(demo: Path) -> None:
+    fit = json.loads((demo / "fit.json").read_text())
+    assert fit["schema"] == "legid.fit/1" and fit["converged"] and len(fit["parameters"]) == 9
+    model = load_model(demo / "model.json")
+    assert model.provenance.runs == ("demo-run1.mcap", "demo-run2.mcap", "demo-run3.mcap") and not model.effects
+    assert [p.value for p in model.parameters] == pytest.approx([p["value"] for p in fit["parameters"]])
+    found = json.loads((demo / "diagnosis.json").read_text())
+    assert found["schema"] == "legid.diagnosis/1" and found["runs"]["confirm"] == ["demo-run4.mcap"]
+    extended = load_model(demo / "extended.json")
+    assert {e.name for e in extended.effects} <= {cause["effect"] for cause in found["causes"]}
+    (run,) = json.loads((demo / "validation.json").read_text())["runs"]
+    assert run["run"] == "demo-run4.mcap" and not run["diverged"]
+    assert run["rmse"]["q1_rad"] < 0.05 and run["rmse"]["q2_rad"] < 0.1
+
+
+@pytest.mark.slow
+def test_fit_report_shows_figures_4_and_5_and_the_validation(demo: Path) -> None:
+    page = (demo / "fit.html").read_text()
+    for words in ("Parameters", "Against the truth", "Accelerometer and gyro", "it must be zero", "wls (encoder)",
+                  "Free-run simulation against validation data", "Noise levels", "What is not determined"):
+        assert words in page
+    assert page.count("<svg") == 7 and "http-equiv" in page and "<script" not in page
+
+
+@pytest.mark.slow
+def test_report_tells_what_was_hidden(demo: Path) -> None:
+    page = (demo / "report.html").read_text()
+    for words in ("What was hidden", "a shunt that reads 0.04 N m too much", "Against the truth", "Candidates",
+                  "What cannot be tested here"):
+        assert words in page
+    assert "<script" not in page
+
+
+@pytest.mark.slow
+def test_fit_and_validate_work_on_its_files(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model, page = tmp_path / "m.json", tmp_path / "v.html"
+    args = ["fit", str(demo / "demo-run1.mcap"), "--rig", str(demo / "rig.toml"), "--model-out", str(model),
+            "--json", str(tmp_path / "f.json"), "--html", str(tmp_path / "f.html"), "--fix", "beta9=0.04"]
+    assert cli.main(args) == 0, capsys.readouterr().err
+    assert "given" in capsys.readouterr().out
+    rows = {p["name"]: p for p in json.loads((tmp_path / "f.json").read_text())["parameters"]}
+    assert rows["beta9"]["value"] == 0.04 and rows["beta9"]["fixed"]
+    assert cli.main(["validate", str(model), str(demo / "demo-run3.mcap"), "--rig", str(demo / "rig.toml"),
+                     "--json", str(tmp_path / "v.json"), "--html", str(page)]) == 0
+    assert json.loads((tmp_path / "v.json").read_text())["schema"] == "legid.validation/1"
+    assert "demo-run3.mcap" in page.read_text()
+
+
+def test_the_plan_is_drawn_from_the_seed() -> None:
+    a, b, c = (random_multisine(seed, 20.0, 0.7) for seed in (1, 1, 2))
+    assert (a.torque_nm == b.torque_nm).all() and not (a.torque_nm == c.torque_nm).all()
+    assert a.peak_nm == pytest.approx(0.7) and a.torque_nm[0] == 0.0 and a.duration_s == pytest.approx(20.0)
+    with pytest.raises(ValueError, match="too short"):
+        random_multisine(1, 2.0, 0.7)

@@ -1,0 +1,63 @@
+"""`legid fit --each`: every run alone, in order, on local processes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.runs.csv_run import write_csv
+from experiments.cli import main
+from tests.support.mujoco_leg import Leg, record
+
+RIG = """
+[mechanism]
+model = "leg2"
+actuated = [2]
+[imu]
+lever_arm_m = 0.2
+"""
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
+    folder = tmp_path_factory.mktemp("runs")
+    rig = folder / "rig.toml"
+    rig.write_text(RIG)
+    paths = []
+    for k in range(3):
+        paths.append(folder / f"r{k}.csv")
+        write_csv(record(Leg(), np.random.default_rng(k), seconds=6.0), paths[-1])
+    return rig, paths
+
+
+def test_each_run_gets_its_own_fit_in_order(runs: tuple[Path, list[Path]], tmp_path: Path,
+                                            capsys: pytest.CaptureFixture[str]) -> None:
+    rig, paths = runs
+    js = tmp_path / "fits.json"
+    assert main(["fit", "--each", *map(str, paths), "--rig", str(rig), "--workers", "2", "--json", str(js)]) == 0
+    fits = json.loads(js.read_text())["fits"]
+    assert [Path(fit["run"]).name for fit in fits] == ["r0.csv", "r1.csv", "r2.csv"]
+    single = tmp_path / "one.json"
+    assert main(["fit", str(paths[1]), "--rig", str(rig), "--json", str(single)]) == 0
+    alone = json.loads(single.read_text())["parameters"]
+    np.testing.assert_allclose([p["value"] for p in fits[1]["parameters"]], [p["value"] for p in alone], rtol=1e-9)
+    assert "r2.csv" in capsys.readouterr().out
+
+
+def test_one_bad_file_does_not_stop_the_others(runs: tuple[Path, list[Path]], tmp_path: Path,
+                                               capsys: pytest.CaptureFixture[str]) -> None:
+    rig, paths = runs
+    bad = tmp_path / "bad.csv"
+    bad.write_text("time_s,q2_rad\n0,x\n")
+    assert main(["fit", "--each", str(bad), str(paths[0]), "--rig", str(rig), "--workers", "1"]) == 2
+    out = capsys.readouterr().out
+    assert "not fitted" in out and "r0.csv" in out
+
+
+def test_each_makes_no_model(runs: tuple[Path, list[Path]], tmp_path: Path,
+                             capsys: pytest.CaptureFixture[str]) -> None:
+    rig, paths = runs
+    arguments = ["fit", "--each", str(paths[0]), "--rig", str(rig), "--model-out", str(tmp_path / "m.json")]
+    assert main(arguments) == 2
+    assert "--each" in capsys.readouterr().err

@@ -1,0 +1,106 @@
+"""Real records of a two-link arm through the ordinary commands; skipped where the data are not at hand.
+
+The published parameters are those of the data sets' own READMEs (models 3.0 and 2.0), in the contract's terms.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.rig import parse_rig
+from estimator.calibration.encoder_zeros import find_differing, find_zeros, subtract
+from estimator.fitting.validation import validate
+from experiments.cli import main
+from experiments.rig.setup import load_runs, setup_of
+from experiments.workflows.fit import fit_setup
+from tests.support.paths import REAL as DATA
+
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
+RIG = """
+[mechanism]
+model = "leg2"
+actuated = {actuated}
+
+[terms]
+rotor_inertia = [2]
+torque_offset = {actuated}
+friction_velocity_radps = 0.05
+
+[motor]
+gear_ratio = 6.0
+
+[noise]
+encoder_rad = 0.002   # the gear's play, seen by no encoder
+
+[filter]
+cutoff_hz = 3.0
+
+[sampling]
+rate_hz = 100.0
+hold = "average"
+"""
+DESIGNS = {
+    "dfki_c0": (["00", "01", "02", "05", "06"], "04", [0.05354, 0.05328, 0.03623, 0.24113, 0.18117]),
+    "dfki_a0": (["00", "01", "02", "03"], "12", [0.11116, 0.02346, 0.03332, 0.34912, 0.11106]),
+}
+
+
+@pytest.mark.parametrize("method", ["wls", "mle"])
+@pytest.mark.parametrize("design", DESIGNS)
+def test_published_parameters_are_found_within_ten_per_cent(design: str, method: str, tmp_path: Path) -> None:
+    runs, left_out, published = DESIGNS[design]
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG.format(actuated=[1, 2]))
+    files = [str(DATA / design / f"{r}.csv.gz") for r in runs]
+    out, model = tmp_path / "fit.json", tmp_path / "model.json"
+    assert main(["fit", *files, "--rig", str(rig), "--method", method, "--json", str(out),
+                 "--model-out", str(model)]) == 0
+    found = {p["name"]: p["value"] for p in json.loads(out.read_text())["parameters"]}
+    beta = np.array([found[f"beta{k + 1}"] for k in range(5)])
+    assert np.max(np.abs(beta / published - 1)) < 0.10
+    check = tmp_path / "check.json"
+    assert main(["validate", str(model), str(DATA / design / f"{left_out}.csv.gz"), "--rig", str(rig),
+                 "--json", str(check)]) == 0
+    assert check.stat().st_size > 100
+
+
+def test_the_passive_pivot_is_the_papers_case(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG.format(actuated=[2]))
+    files = [str(DATA / "dfki_c0" / f"{r}_passive.csv.gz") for r in ("03", "04")]
+    out = tmp_path / "fit.json"
+    assert main(["fit", *files, "--rig", str(rig), "--method", "wls", "--json", str(out)]) == 0
+    found = {p["name"]: p["value"] for p in json.loads(out.read_text())["parameters"]}
+    # gravity terms agree with the driven runs; the two runs excite the inertias poorly (the data's README)
+    assert found["beta4"] == pytest.approx(0.2411, rel=0.15)
+    assert found["beta5"] == pytest.approx(0.1812, rel=0.15)
+
+
+@pytest.mark.parametrize(("design", "names"), [("dfki_c0", ["00", "01", "02", "03", "04", "05", "06"]),
+                                               ("dfki_a0", ["00", "01", "02", "03", "12"])])
+def test_zeros_that_differ_are_found_and_lower_the_error_of_halves_not_seen(design: str, names: list[str]) -> None:
+    """Each run is left out in turn: parameters by the others, its zeros by its first half, the second simulated."""
+    plain = parse_rig(RIG.format(actuated=[1, 2]))
+    declared = parse_rig(RIG.format(actuated=[1, 2]).replace("[terms]", "[terms]\nencoder_zero = [1, 2]"))
+    runs = load_runs([DATA / design / f"{name}.csv.gz" for name in names], plain)
+    whole = setup_of(runs, plain)
+    seen = find_differing(runs, whole.mechanism, whole.options)
+    assert seen is not None and seen.joints == (0, 1) and np.all(seen.p_value < 1e-4)
+    squares = np.zeros((2, 2))
+    for k, run in enumerate(runs):
+        others = [other for i, other in enumerate(runs) if i != k]
+        middle = len(run) // 2
+        first, second = run.part(slice(0, middle)), run.part(slice(middle, None))
+        for way, rig in enumerate((plain, declared)):
+            setup = setup_of(others, rig)
+            beta = fit_setup(setup).beta
+            if way:
+                second = subtract([second], setup.mechanism,
+                                  find_zeros([first], setup.mechanism, setup.options, (0, 1), beta))[0]
+            found = validate(second, setup.mechanism, beta, setup.options)
+            squares[way] += [np.mean([v.rmse[c] ** 2 for v in found]) for c in ("q1_rad", "q2_rad")]
+    assert np.all(np.sqrt(squares[1] / squares[0]) < (0.75, 0.9))  # measured: 0.63 and 0.80, 0.62 and 0.65

@@ -1,0 +1,1 @@
+"""What several rooms of tests share: plants that the estimator did not compute, records, devices, a browser."""

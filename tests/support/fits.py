@@ -1,0 +1,31 @@
+"""A fit made of sines, for pages and files."""
+
+import numpy as np
+
+from estimator.model.mechanism import leg2
+from estimator.result import FitResult, Trajectory
+from experiments.emulation.plant import LegBody
+
+
+def synthetic_fit() -> FitResult:
+    """A fit as an estimator would return it, its motion made of sines."""
+    mechanism = leg2(lever_arm=0.2)
+    rng = np.random.default_rng(3)
+    t = np.arange(1500) / 100.0
+    q = np.stack([0.3 * np.sin(2 * t), 0.8 * np.sin(3 * t + 1)], axis=1)
+    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
+    beta = np.array(LegBody().beta())
+    tau = mechanism.inverse_dynamics(q, qd, qdd, beta)
+    tau[:, 0] = 0.02 * rng.standard_normal(t.size)
+    predicted = {"gyro_radps": qd[:, 0], "accel_x_mps2": 0.2 * qdd[:, 0] + 9.81 * np.sin(q[:, 0]),
+                 "accel_y_mps2": -0.2 * qd[:, 0] ** 2 - 9.81 * np.cos(q[:, 0])}
+    measured = {k: v + 0.05 * rng.standard_normal(t.size) for k, v in predicted.items()}
+    shown = np.stack([np.zeros(t.size), tau[:, 1] + 0.02 * rng.standard_normal(t.size)], axis=1)
+    path = Trajectory("run1.mcap", t, q, qd, qdd, tau, shown, measured, predicted)
+    covariance = np.diag((0.01 * beta + 1e-4) ** 2)
+    return FitResult(mechanism, "mle", "imu", beta, covariance, {"gyro_radps": 0.005, "accel_mps2": 0.05},
+                     np.array([0.02, 0.021]), True, 7, 1500, 0.4, (), ("noise is white",), (), (path,))
+
+
+def estimates(result: FitResult) -> dict[str, tuple[float, float]]:
+    return dict(zip(result.mechanism.names, zip(map(float, result.beta), map(float, result.std))))
