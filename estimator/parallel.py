@@ -1,4 +1,4 @@
-"""`spread`: independent pieces of one computation on several processes."""
+"""`parallel_map`: independent pieces of one computation on several processes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def spread(work: Callable[[int], T], count: int, workers: int) -> list[T]:
+def parallel_map(work: Callable[[int], T], count: int, workers: int) -> list[T]:
     """[work(0), ..., work(count - 1)], on up to `workers` forked processes; in this one where they cannot be had.
 
     What `work` raises is raised. What it changes is lost: only what it returns comes back, and must be picklable. Where

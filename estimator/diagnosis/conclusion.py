@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from daq import FloatArray
-from estimator.diagnosis.context import Explained
-from estimator.diagnosis.data_split import Session
-from estimator.diagnosis.parametric_bootstrap import rehearse
+from estimator.diagnosis.context import Explanation
+from estimator.diagnosis.data_split import RunSplit
+from estimator.diagnosis.parametric_bootstrap import draw_replicate
 from estimator.diagnosis.refit import Model, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, SensorGain, ShortRuns, SizeEstimate, Trace
 from estimator.effects import Shape, Size
 from estimator.errors import FitError
 from estimator.likelihood import ExtendedProblem, FreeRun, State, free_run
-from estimator.parallel import spread
+from estimator.parallel import parallel_map
 
 BLOCK_S = 2.0
 """Length of a block of the gain's bootstrap."""
@@ -34,34 +34,34 @@ NO_GAP = ("a free run over a whole run cannot show the gain: noise alone, added 
 UNSURE_GAP = "free runs over whole runs leave open whether the extension helps: the interval of its share holds zero"
 
 
-def base(session: Session, nominal: Model, refused: Mapping[str, str],
+def base(split: RunSplit, nominal: Model, refused: Mapping[str, str],
          reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
     """What every verdict carries: runs, nominal parameters, what cannot be tested."""
-    names = session.mechanism.names
+    names = split.mechanism.names
     std = nominal.std()
     warnings = []
-    if session.single:
+    if split.single:
         warnings.append("one run only: its parts stand in for runs and are not independent, so every p-value and "
                         "interval here is approximate; record several runs")
-    elif len(session.names) < 6:
-        warnings.append(f"{len(session.names)} runs only: the scatter between runs is poorly known; eight are better")
+    elif len(split.names) < 6:
+        warnings.append(f"{len(split.names)} runs only: the scatter between runs is poorly known; eight are better")
     if np.isinf(std).any():
         warnings.append("the nominal fit does not settle: the nominal parameters are least squares on filtered motion "
                         "and have no intervals")
     if reference:
         warnings += changes(dict(zip(names, zip(nominal.state.beta, std))), reference)
-    groups = {"fit": session.fit, "screen": session.screen, "confirm": session.confirm}
+    groups = {"fit": split.fit, "screen": split.screen, "confirm": split.confirm}
     noise = nominal.state.noise
-    levels = {"torque_nm": float(np.max(noise.torque[list(session.mechanism.actuated)], initial=0.0))}
+    levels = {"torque_nm": float(np.max(noise.torque[list(split.mechanism.actuated)], initial=0.0))}
     if np.isfinite(noise.encoder).any():
         levels["encoder_rad"] = float(np.max(noise.encoder[np.isfinite(noise.encoder)]))
-    if session.has_imu:
+    if split.has_imu:
         levels |= {"gyro_radps": noise.gyro, "accel_mps2": noise.accel}
     return Diagnosis(
-        "none", "", confirm_runs=tuple(session.names[i] for i in session.confirm), not_testable=dict(refused),
+        "none", "", confirm_runs=tuple(split.names[i] for i in split.confirm), not_testable=dict(refused),
         nominal=dict(zip(names, map(float, nominal.state.beta))), nominal_std=dict(zip(names, map(float, std))),
-        runs={k: tuple(session.names[i] for i in v) for k, v in groups.items()}, warnings=tuple(warnings), noise=levels,
-        reach=nominal.problem.stage.reach)
+        runs={k: tuple(split.names[i] for i in v) for k, v in groups.items()}, warnings=tuple(warnings), noise=levels,
+        angle_range=nominal.problem.stage.angle_range)
 
 
 def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tuple[float, float]]) -> list[str]:
@@ -118,7 +118,7 @@ def torque_readings(problem: ExtendedProblem, state: State) -> FloatArray:
     return out
 
 
-def resimulate(session: Session, fitted: tuple[ExtendedProblem, State], run: int, q1: FloatArray,
+def resimulate(split: RunSplit, fitted: tuple[ExtendedProblem, State], run: int, q1: FloatArray,
                or_still: bool = False, horizon_s: float = np.inf) -> Resimulated:
     """Free run of a run `fitted` by `smooth`, whole or in pieces of `horizon_s`; the pivot's angle q1 is taken for
     measured.
@@ -134,12 +134,12 @@ def resimulate(session: Session, fitted: tuple[ExtendedProblem, State], run: int
         raise FitError("the free run diverges")
     still = {k: np.full_like(y, y.mean()) for k, y in measured.items()}
     simulated = still if found is None else sensed(problem, found)
-    time_s = np.concatenate([s.time_s for s in session.runs[run]])
+    time_s = np.concatenate([s.time_s for s in split.runs[run]])
     return Resimulated(run, time_s, measured, {k: simulated[k] for k in measured},
                        problem.torque - problem.motor_torque(state.x, state.beta) - torque_readings(problem, state))
 
 
-def floor_errors(session: Session, model: Model, fitted: tuple[ExtendedProblem, State], run: int,
+def floor_errors(split: RunSplit, model: Model, fitted: tuple[ExtendedProblem, State], run: int,
                  rng: np.random.Generator, horizon_s: float = np.inf) -> dict[str, FloatArray]:
     """Squared free-run errors by sensor of a rehearsal of the model on a run `fitted`: what its noise alone leaves.
 
@@ -150,9 +150,9 @@ def floor_errors(session: Session, model: Model, fitted: tuple[ExtendedProblem, 
     if truth is None:
         raise FitError("the free run diverges")
     for _ in range(ATTEMPTS):
-        signals = rehearse(problem, state, session.runs[run], rng)
-        again = session.problem([run], model.problem.stage.reach, model.effects, signals=signals)
-        begin = state if np.isinf(horizon_s) else smooth(session, model, run, state.x, signals)[1]
+        signals = draw_replicate(problem, state, split.runs[run], rng)
+        again = split.problem([run], model.problem.stage.angle_range, model.effects, signals=signals)
+        begin = state if np.isinf(horizon_s) else smooth(split, model, run, state.x, signals)[1]
         found = free_run(again, begin, again.torque - torque_readings(problem, state), horizon_s)
         if found is not None:
             simulated = sensed(problem, found)
@@ -172,26 +172,26 @@ class Gain:
     traces: tuple[Trace, ...]
 
 
-def measure_gain(session: Session, nominal: Model, extended: Model, rng: np.random.Generator,
+def measure_gain(split: RunSplit, nominal: Model, extended: Model, rng: np.random.Generator,
                  horizon_s: float = np.inf) -> Gain:
     """Before, after and floor on the confirm runs, with the share of the gap closed and its block bootstrap."""
-    seeds = rng.integers(2**63, size=len(session.confirm))
+    seeds = rng.integers(2**63, size=len(split.confirm))
 
     def simulated(k: int) -> tuple[Resimulated, Resimulated, dict[str, FloatArray]]:
-        i = session.confirm[k]
-        fitted = smooth(session, extended, i)
+        i = split.confirm[k]
+        fitted = smooth(split, extended, i)
         q1 = fitted[1].x.q[:, 0]
-        return (resimulate(session, smooth(session, nominal, i), i, q1, True, horizon_s),
-                resimulate(session, fitted, i, q1, False, horizon_s),
-                floor_errors(session, extended, fitted, i, np.random.default_rng(seeds[k]), horizon_s))
+        return (resimulate(split, smooth(split, nominal, i), i, q1, True, horizon_s),
+                resimulate(split, fitted, i, q1, False, horizon_s),
+                floor_errors(split, extended, fitted, i, np.random.default_rng(seeds[k]), horizon_s))
 
     blocks: dict[str, list[tuple[float, float, float]]] = {}
     traces, torque = [], []
-    for before, after, floor in spread(simulated, len(session.confirm), session.workers):
+    for before, after, floor in parallel_map(simulated, len(split.confirm), split.workers):
         i = after.run
-        traces.append(Trace(session.names[i], after.time_s, after.measured, before.simulated, after.simulated))
+        traces.append(Trace(split.names[i], after.time_s, after.measured, before.simulated, after.simulated))
         torque.append((np.mean(before.torque_residual**2, axis=0), np.mean(after.torque_residual**2, axis=0)))
-        size = max(10, int(BLOCK_S * session.runs[i][0].rate_hz))
+        size = max(10, int(BLOCK_S * split.runs[i][0].rate_hz))
         for k, y in after.measured.items():
             parts = max(1, len(y) // size)
             errors = [np.array_split(e, parts) for e in
@@ -211,10 +211,10 @@ def measure_gain(session: Session, nominal: Model, extended: Model, rng: np.rand
                 (tuple(map(float, rms[0])), tuple(map(float, rms[1]))), tuple(traces))
 
 
-def in_pieces(session: Session, nominal: Model, extended: Model) -> ShortRuns | None:
+def in_pieces(split: RunSplit, nominal: Model, extended: Model) -> ShortRuns | None:
     """The gain in pieces of HORIZON_S; None where they diverge."""
     try:
-        gain = measure_gain(session, nominal, extended, np.random.default_rng(0), HORIZON_S)
+        gain = measure_gain(split, nominal, extended, np.random.default_rng(0), HORIZON_S)
     except FitError:
         return None
     return ShortRuns(HORIZON_S, gain.sensors, gain.closed, gain.ci95)
@@ -232,7 +232,7 @@ def _closed(table: Mapping[str, FloatArray], which: NDArray[np.intp]) -> float |
     return float(np.clip((before - after) / gap, -1.0, 1.5)) if gap > 0 else None
 
 
-def nothing(found: Diagnosis, session: Session, nominal: Model) -> Diagnosis:
+def nothing(found: Diagnosis, split: RunSplit, nominal: Model) -> Diagnosis:
     """Verdict `none`."""
     best = found.candidates[0] if found.candidates else None
     sentence = "Nothing beyond noise is detectable in these runs"
@@ -244,14 +244,14 @@ def nothing(found: Diagnosis, session: Session, nominal: Model) -> Diagnosis:
                    "smallest detectable sizes fall with the square root of their number.")
 
 
-def unexplained(found: Diagnosis, session: Session, nominal: Model, best: Explained | None, why: str,
+def unexplained(found: Diagnosis, split: RunSplit, nominal: Model, best: Explanation | None, why: str,
                 rng: np.random.Generator | None = None) -> Diagnosis:
     """Verdict `unexplained`: the closest explanation, if any, is kept but not named as a finding."""
     sentence = f"Something is wrong with the model, and no listed effect accounts for it: {why}."
     causes: tuple[Cause, ...] = ()
     if best is not None:
         causes = tuple(causes_of(best, 1.0, found))
-        found = with_gain(found, session, nominal, best, rng)
+        found = with_gain(found, split, nominal, best, rng)
         sentence = (f"Something is wrong with the model, and no listed effect accounts for it; the closest, "
                     f"{' with '.join(label(c.effect, c.joint) for c in causes)}, does not suffice: {why}.")
     return replace(found, verdict="unexplained", sentence=sentence, causes=causes, effects=(),
@@ -259,11 +259,11 @@ def unexplained(found: Diagnosis, session: Session, nominal: Model, best: Explai
                    "missing shows in one kind more than in the others. A new effect can be added in a file of its own.")
 
 
-def finding(found: Diagnosis, session: Session, nominal: Model, ties: Sequence[Explained], p_value: float,
+def finding(found: Diagnosis, split: RunSplit, nominal: Model, ties: Sequence[Explanation], p_value: float,
             rng: np.random.Generator) -> Diagnosis:
     """Verdict `named`, or `one_of` where several explanations fit alike."""
     best = ties[0]
-    found = with_gain(found, session, nominal, best, rng)
+    found = with_gain(found, split, nominal, best, rng)
     causes = {c.effect + str(c.joint): c for t in ties for c in causes_of(t, p_value, found)}
     rivals = [causes_of(t, p_value, found) for t in ties]
     if len(ties) == 1:
@@ -280,35 +280,35 @@ def finding(found: Diagnosis, session: Session, nominal: Model, ties: Sequence[E
                    causes=tuple(causes.values()), next_experiment=f"To tell them apart: {steps}.")
 
 
-def with_gain(found: Diagnosis, session: Session, nominal: Model, best: Explained,
+def with_gain(found: Diagnosis, split: RunSplit, nominal: Model, best: Explanation,
               rng: np.random.Generator | None) -> Diagnosis:
     """With the gain, the extended parameters and the pictures of `best`."""
-    model, p = best.model, session.mechanism.p
+    model, p = best.model, split.mechanism.p
     covariance = best.covariance()
-    names = session.mechanism.names
+    names = split.mechanism.names
     found = replace(
         found, extended=dict(zip(names, map(float, model.state.beta[:p]))),
         extended_std=dict(zip(names, map(float, np.sqrt(np.diag(covariance)[:p])))),
         effects=tuple(zip(model.named, model.sizes())), extended_beta=model.state.beta[:model.width].copy(),
         extended_covariance=covariance,
-        signatures=tuple(s for e in model.named if (s := signature(session, nominal, model, e)) is not None))
+        signatures=tuple(s for e in model.named if (s := signature(split, nominal, model, e)) is not None))
     try:
-        gain = measure_gain(session, nominal, model, rng or np.random.default_rng(0))
+        gain = measure_gain(split, nominal, model, rng or np.random.default_rng(0))
     except FitError as error:
         return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
     if gain.ci95 is None or gain.ci95[0] <= 0.0:
         found = replace(found, warnings=(*found.warnings, NO_GAP if gain.closed is None else UNSURE_GAP),
-                        short=in_pieces(session, nominal, model))
+                        short=in_pieces(split, nominal, model))
     return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
 
 
-def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Cause]:
+def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> list[Cause]:
     """Sizes with 95 % intervals by Student's t, of their own scatter between runs; none of shapes that were held or
     are at a limit of their range."""
-    model = explained.model
+    model = explanation.model
     unit = model.problem.mechanism.unit
-    half = float(student.isf(0.025, explained.left.freedom)) * np.sqrt(np.diag(explained.covariance()))
+    half = float(student.isf(0.025, explanation.left.freedom)) * np.sqrt(np.diag(explanation.covariance()))
     keys, cosines = found.separability
     out = []
     for effect, size, here in zip(model.named, model.sizes(), model.places()):
@@ -323,7 +323,7 @@ def causes_of(explained: Explained, p_value: float, found: Diagnosis) -> list[Ca
             near = tuple(dict.fromkeys(k.split("@")[0] for k, c in zip(keys, row)
                                        if c > CONFUSABLE and k.split("@")[0] != effect.name))
         out.append(Cause(effect.name, None if effect.joint is None else effect.joint + 1, effect.sentence, sizes,
-                         p_value, explained.gain, near))
+                         p_value, explanation.gain, near))
     return out
 
 

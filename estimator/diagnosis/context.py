@@ -1,4 +1,4 @@
-"""`Desk`: what the steps of a diagnosis share: session, candidates, nominal model, and when a gain counts."""
+"""`DiagnosisContext`: what its steps share: split runs, candidates, nominal model, and when a gain counts."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.data_split import Session
-from estimator.diagnosis.noise_check import loud, ratios, swamped
+from estimator.diagnosis.data_split import RunSplit
+from estimator.diagnosis.noise_check import excess_noise, noise_dominated, ratios
 from estimator.diagnosis.refit import Model, begin_afresh
 from estimator.diagnosis.score_statistics import RunScore, Tests
 from estimator.effects import SensorTimeSkew
@@ -28,7 +28,7 @@ effects gained 39 at most, 0.0033 a sample; Stribeck friction 104.)"""
 
 
 @dataclass(frozen=True)
-class Explained:
+class Explanation:
     """One set of effects, fitted, and what it leaves over on the discover runs."""
 
     model: Model
@@ -37,9 +37,9 @@ class Explained:
     best_left: int
     """Candidate with the largest remaining gain."""
     best_named_left: int
-    closed: bool
+    adequate: bool
     """What it leaves is little beside its gain."""
-    clean: bool = False
+    no_residual_effect: bool = False
     """It leaves nothing detectable."""
     by_run: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(R,) misfit of each discover run, under the noise levels of those that it was weighed with"""
@@ -49,7 +49,7 @@ class Explained:
     """(m,) how much more variance than white noise gives them its parameters have; see `scores.own_inflation`"""
     beside: frozenset[str] = frozenset()
     """Effects of the explanation that it was grown from, by one more, and ..."""
-    margin: float = 0.0
+    gain_over_parent: float = 0.0
     """... its gain over that one"""
     moved: FloatArray | None = None
     """(m,) by how much a sharper rounding of dry friction moved its parameters: as much again is uncertain of them"""
@@ -63,10 +63,10 @@ class Explained:
 
 
 @dataclass
-class Desk:
+class DiagnosisContext:
     """What all steps share."""
 
-    session: Session
+    split: RunSplit
     candidates: list[Candidate]
     columns: list[NDArray[np.intp]]
     named: int
@@ -78,21 +78,21 @@ class Desk:
     @cached_property
     def afresh(self) -> Model:
         """The nominal model at filtered motion, for fits that lead nowhere from its own fit."""
-        return begin_afresh(self.session, self.nominal)
+        return begin_afresh(self.split, self.nominal)
 
     @cached_property
     def levels(self) -> dict[str, tuple[float, float]]:
         """Noise levels of the nominal fit; see `estimator.diagnosis.noise_check`."""
-        return ratios(self.session, self.nominal)
+        return ratios(self.split, self.nominal)
 
-    def too_loud(self, model: Model) -> str:
+    def excess_noise(self, model: Model) -> str:
         """What `model` leaves to the noise levels, in words; empty where that is in order."""
-        return loud(self.session, model, None if model is self.nominal else self.levels)
+        return excess_noise(self.split, model, None if model is self.nominal else self.levels)
 
     @cached_property
-    def swamped(self) -> str:
+    def noise_dominated(self) -> str:
         """Why nothing found does not mean that nothing is wrong; empty where it does."""
-        return swamped(self.session, self.nominal)
+        return noise_dominated(self.split, self.nominal)
 
     @property
     def trials(self) -> int:
@@ -101,36 +101,37 @@ class Desk:
     def gain(self, tests: Tests, i: int) -> float:
         """Of candidate i; nil for a skew that the recorder's clocks leave open anyway."""
         if (self.candidates[i].effect.name == SensorTimeSkew.name
-                and abs(float(tests.size(self.columns[i])[0])) < self.session.clock_bound_s):
+                and abs(float(tests.size(self.columns[i])[0])) < self.split.clock_bound_s):
             return 0.0
         return tests.gain(self.columns[i])
 
     def material(self, which: Sequence[int]) -> float:
         """Least gain that counts on these runs."""
-        return MATERIAL * sum(len(s.time_s) for s in self.session.signals(which))
+        return MATERIAL * sum(len(s.time_s) for s in self.split.signals(which))
 
 
-def least_gain(desk: Desk, i: int) -> float:
+def least_gain(context: DiagnosisContext, i: int) -> float:
     """Gain on the discover runs above which candidate i counts as detected."""
-    clear = i < desk.named and not desk.candidates[i].effect.near_rest
-    return (CLEAR if clear else 1.0) * desk.material(desk.session.discover)
+    clear = i < context.named and not context.candidates[i].effect.near_rest
+    return (CLEAR if clear else 1.0) * context.material(context.split.discover)
 
 
-def detected(desk: Desk, tests: Tests) -> bool:
+def detected(context: DiagnosisContext, tests: Tests) -> bool:
     """Whether anything at all is there, named or not."""
-    return any(desk.gain(tests, i) > least_gain(desk, i) and p_of(desk, tests, i) < ALPHA for i in range(desk.trials))
+    return any(context.gain(tests, i) > least_gain(context, i) and p_of(context, tests, i) < ALPHA
+               for i in range(context.trials))
 
 
-def p_of(desk: Desk, tests: Tests, i: int) -> float:
+def p_of(context: DiagnosisContext, tests: Tests, i: int) -> float:
     """p-value of candidate i over all that were tried."""
-    return min(1.0, tests.p_value(desk.columns[i]) * desk.trials)
+    return min(1.0, tests.p_value(context.columns[i]) * context.trials)
 
 
-def best_shapes(desk: Desk, tests: Tests, skip: Sequence[str] = ()) -> list[int]:
+def best_shapes(context: DiagnosisContext, tests: Tests, skip: Sequence[str] = ()) -> list[int]:
     """Library candidates, best shape of each effect, by falling gain."""
     best: dict[str, int] = {}
-    for i in range(desk.named):
-        key = desk.candidates[i].effect.key
-        if key not in skip and (key not in best or desk.gain(tests, i) > desk.gain(tests, best[key])):
+    for i in range(context.named):
+        key = context.candidates[i].effect.key
+        if key not in skip and (key not in best or context.gain(tests, i) > context.gain(tests, best[key])):
             best[key] = i
-    return sorted(best.values(), key=lambda i: -desk.gain(tests, i))
+    return sorted(best.values(), key=lambda i: -context.gain(tests, i))

@@ -1,4 +1,4 @@
-"""`Session`: the runs of a diagnosis, split once into fit, screen and confirm."""
+"""`RunSplit`: the runs of a diagnosis, split once into fit, screen and confirm."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PARTS = 8
 
 
 @dataclass(frozen=True)
-class Session:
+class RunSplit:
     """Runs in the order of recording, each a list of gap-free stretches."""
 
     mechanism: Mechanism
@@ -51,8 +51,9 @@ class Session:
     free, it takes the bias for noise, and beta stays within 1 %.)"""
     workers: int = 1
     """Processes that may work on independent fits and runs."""
-    rest: dict[int, FloatArray] = field(default_factory=dict)
-    """Run to `LatentProblem.rest`, as its first fit found it: all explanations are compared on the same weights."""
+    stiction: dict[int, FloatArray] = field(default_factory=dict)
+    """Run to `LatentProblem.stiction_variance`, as its first fit found it: all explanations are compared on the same
+    weights."""
 
     @property
     def discover(self) -> tuple[int, ...]:
@@ -63,9 +64,9 @@ class Session:
     def has_imu(self) -> bool:
         return bool(self.runs[0][0].imu)
 
-    def sharp(self) -> Session:
+    def sharp(self) -> RunSplit:
         """The same with the rig's own rounding of sign(qd)."""
-        return replace(self, mechanism=replace(self.mechanism, velocity_scale=self.velocity_scale), rest={})
+        return replace(self, mechanism=replace(self.mechanism, velocity_scale=self.velocity_scale), stiction={})
 
     def floors(self, problem: ExtendedProblem, beta: FloatArray) -> Noise:
         """Least noise levels of a fit at beta (p,)."""
@@ -82,30 +83,30 @@ class Session:
         """All stretches of these runs."""
         return [s for i in which for s in self.runs[i]]
 
-    def problem(self, which: Sequence[int], reach: FloatArray, effects: Sequence[Effect] = (),
+    def problem(self, which: Sequence[int], angle_range: FloatArray, effects: Sequence[Effect] = (),
                 candidates: Sequence[Candidate] = (), signals: Sequence[SignalSet] | None = None) -> ExtendedProblem:
         """Likelihood of these runs; `signals` stand in for their own (a rehearsal of them)."""
         run = [i for i in which for _ in self.runs[i]]
         begin = [s.time_s[0] - self.runs[i][0].time_s[0] for i in which for s in self.runs[i]]
         stage = Stage(tuple(run), tuple(self.starts_s[i] + b for i, b in zip(run, begin)), tuple(map(float, begin)),
-                      reach, self.gear_ratio)
+                      angle_range, self.gear_ratio)
         problem = ExtendedProblem(self.signals(which) if signals is None else signals, self.mechanism,
                                   self.options.hold, stage, effects, candidates)
-        if all(i in self.rest for i in which):
-            problem.rest = np.concatenate([self.rest[i] for i in which])
+        if all(i in self.stiction for i in which):
+            problem.stiction_variance = np.concatenate([self.stiction[i] for i in which])
         return problem
 
-    def keep_rest(self, which: Sequence[int], problem: ExtendedProblem) -> None:
+    def keep_stiction(self, which: Sequence[int], problem: ExtendedProblem) -> None:
         """Remember where the joints of these runs rest, unless that is known already."""
-        if problem.rest is None:
+        if problem.stiction_variance is None:
             return
         lengths = [sum(len(s.time_s) for s in self.runs[i]) for i in which]
-        for i, part in zip(which, np.split(problem.rest, np.cumsum(lengths)[:-1])):
-            self.rest.setdefault(i, part)
+        for i, part in zip(which, np.split(problem.stiction_variance, np.cumsum(lengths)[:-1])):
+            self.stiction.setdefault(i, part)
 
 
-def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
-                 gear_ratio: float = 1.0, workers: int = 1) -> Session:
+def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
+                 gear_ratio: float = 1.0, workers: int = 1) -> RunSplit:
     """Split runs: of four in turn two fit, one screens, one confirms. Raises `FitError` where there is too little."""
     known, options = options.noise, replace(options, noise={})
     own_scale = mechanism.velocity_scale
@@ -128,7 +129,7 @@ def open_session(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     confirm = [i for i in range(count) if i % 4 == 3] or [count - 1]
     screen = [i for i in range(count) if i % 4 == 1 and i not in confirm]
     fit = [i for i in range(count) if i not in confirm and i not in screen]
-    return Session(mechanism, options, tuple(d.name for d in datasets), tuple(runs), tuple(map(float, starts)),
+    return RunSplit(mechanism, options, tuple(d.name for d in datasets), tuple(runs), tuple(map(float, starts)),
                    tuple(fit), tuple(screen), tuple(confirm), gear_ratio, own_scale, single,
                    max(d.clock_bound_s for d in datasets), known, workers)
 

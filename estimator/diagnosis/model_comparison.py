@@ -1,4 +1,4 @@
-"""`tied`: which closed explanations these runs cannot tell from the most likely one."""
+"""`indistinguishable_set`: which closed explanations these runs cannot tell from the most likely one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.diagnosis.context import Explained
+from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.model_search import significant
 
 TIE = 0.005
@@ -14,7 +14,7 @@ TIE = 0.005
 TIE_GAIN = 8.0
 """... or within this much of twice the log likelihood ..."""
 TIE_ALIKE = 0.02
-"""... nor those that differ by one effect for another of its group (`Effect.alike`) within this share ..."""
+"""... nor those that differ by one effect for another of its `Effect.equivalence_class` within this share ..."""
 AGREE = 0.6
 """... nor where runs disagree: their differences in misfit sum to less than this share of their absolute values ..."""
 WIDEST = 0.1
@@ -23,18 +23,19 @@ to 81, and the confirm runs prefer the other one. Of five wrong rivals within 12
 one group aside, no run preferred any by more than 6.)"""
 
 
-def tied(closed: Sequence[Explained]) -> list[Explained]:
+def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
     """Of explanations by equally many effects, the best, and those that are not told apart from it.
 
     The most likely stands for all, unless it leaves something detectable and another does not.
     """
-    most, *others = sorted(closed, key=lambda o: -o.gain)
-    near = [most, *(o for o in others if close(o, most))]
-    best = next((o for o in near if o.clean), most)
-    return settled([best, *(o for o in near if o is not best and (o.clean or not best.clean or alike(o, best)))])
+    most, *others = sorted(adequate, key=lambda o: -o.gain)
+    near = [most, *(o for o in others if is_close(o, most))]
+    best = next((o for o in near if o.no_residual_effect), most)
+    return settled([best, *(o for o in near if o is not best and
+                             (o.no_residual_effect or not best.no_residual_effect or equivalent(o, best)))])
 
 
-def close(other: Explained, most: Explained) -> bool:
+def is_close(other: Explanation, most: Explanation) -> bool:
     """Whether `other` is about as likely as the `most` likely.
 
     Second causes beside one and the same first are compared by what they add to it, not by the first one's gain
@@ -42,43 +43,46 @@ def close(other: Explained, most: Explained) -> bool:
     IMU had left 1,047.)
     """
     common = bool(most.beside) and most.beside == other.beside
-    share, short = most.margin if common else most.gain, most.gain - other.gain
-    if short <= share * (TIE_ALIKE if alike(other, most) else TIE) + TIE_GAIN:
+    share, short = most.gain_over_parent if common else most.gain, most.gain - other.gain
+    if short <= share * (TIE_ALIKE if equivalent(other, most) else TIE) + TIE_GAIN:
         return True
     worse = other.by_run - most.by_run
     return bool(worse.sum() < AGREE * np.abs(worse).sum() and short <= share * WIDEST)
 
 
-def alike(one: Explained, other: Explained) -> bool:
+def equivalent(one: Explanation, other: Explanation) -> bool:
     """Whether two explanations differ by effects of one group only."""
     keys = {e.key for e in one.model.effects} & {e.key for e in other.model.effects}
-    first, second = (sorted(e.alike or e.key for e in o.model.effects if e.key not in keys) for o in (one, other))
+    first, second = (sorted(e.equivalence_class or e.key for e in o.model.effects if e.key not in keys)
+                     for o in (one, other))
     return first == second
 
 
-def settled(ties: list[Explained]) -> list[Explained]:
-    """Ties among effects of one group settled by the sizes that set them apart (`Effect.apart`).
+def settled(ties: list[Explanation]) -> list[Explanation]:
+    """Ties among effects of one group settled by the sizes that set them apart (`Effect.distinguishing_size`).
 
     Where the best has such a size, those without it are out. Where it has none, those are out that say no more than
     another does with fewer sizes: a spring without stiffness beside an offset of the torque.
     """
     best, others = ties[0], ties[1:]
     if set_apart(best):
-        return [best, *(o for o in others if not alike(o, best) or set_apart(o))]
-    plain = [o for o in ties if all(e.apart is None for e in o.model.effects if e.alike)]
+        return [best, *(o for o in others if not equivalent(o, best) or set_apart(o))]
+    plain = [o for o in ties if all(e.distinguishing_size is None for e in o.model.effects if e.equivalence_class)]
     return [o for o in ties if set_apart(o) or o in plain or not any(nested(p, o) for p in plain)]
 
 
-def set_apart(explained: Explained) -> bool:
+def set_apart(explanation: Explanation) -> bool:
     """Whether an effect of a group has the size that sets it apart from the others, beside its own scatter too.
 
     (Measured: an offset was named a spring of -0.02 N m/rad, 3.5 of its own deviations.)
     """
-    spread = np.sqrt(np.maximum(explained.inflation, explained.left.scatter))
-    return any(e.alike and e.apart is not None and significant(explained.model, k, spread)[e.apart]
-               for k, e in enumerate(explained.model.effects))
+    spread = np.sqrt(np.maximum(explanation.inflation, explanation.left.scatter))
+    return any(e.equivalence_class and e.distinguishing_size is not None
+               and significant(explanation.model, k, spread)[e.distinguishing_size]
+               for k, e in enumerate(explanation.model.effects))
 
 
-def nested(plain: Explained, other: Explained) -> bool:
+def nested(plain: Explanation, other: Explanation) -> bool:
     """Whether `plain` is `other` with the size nil that sets it apart: first of its effect's sizes, all else equal."""
-    return alike(plain, other) and any(e.alike and e.apart == 0 for e in other.model.effects)
+    return equivalent(plain, other) and any(e.equivalence_class and e.distinguishing_size == 0
+                                            for e in other.model.effects)

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.context import ALPHA, Desk, Explained, best_shapes, p_of
+from estimator.diagnosis.context import ALPHA, DiagnosisContext, Explanation, best_shapes, p_of
 from estimator.diagnosis.refit import (
     Model,
+    bootstrap_scores,
     log_volume,
     misfit,
     misfit_by_run,
     refit,
-    rehearsal_scores,
     score_discover,
     tests_of,
 )
@@ -24,7 +24,7 @@ from estimator.diagnosis.score_statistics import RunScore, Tests, own_inflation
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.likelihood import State
-from estimator.parallel import spread
+from estimator.parallel import parallel_map
 
 Progress = Callable[[str, float], None]
 SINGLES = 5
@@ -57,266 +57,271 @@ RIVAL = 0.5
 """An explanation with less than this share of the best one's gain leaves the rest of it unexplained: not a rival."""
 
 
-def explain(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
+def explain(context: DiagnosisContext, tests: Tests, say: Progress) -> list[Explanation]:
     """Fitted explanations; more effects only where no single closes. Then the best that closes, parts exchanged."""
-    found = search(desk, tests, say)
-    closed = [e for e in found if e.closed]
-    if not closed:
+    found = search(context, tests, say)
+    adequate = [e for e in found if e.adequate]
+    if not adequate:
         return found
-    fewest = min(len(e.model.effects) for e in closed)
-    best = max((e for e in closed if len(e.model.effects) == fewest), key=lambda e: e.gain)
-    return found + swapped(desk, tests, best, {keys_of(e) for e in found})
+    fewest = min(len(e.model.effects) for e in adequate)
+    best = max((e for e in adequate if len(e.model.effects) == fewest), key=lambda e: e.gain)
+    return found + swapped(context, tests, best, {keys_of(e) for e in found})
 
 
-def swapped(desk: Desk, tests: Tests, best: Explained, known: set[frozenset[str]]) -> list[Explained]:
+def swapped(context: DiagnosisContext, tests: Tests, best: Explanation, known: set[frozenset[str]]
+            ) -> list[Explanation]:
     """`best` with one effect after the other changed for each that it resembles, as far as not `known`."""
     model, out = best.model, []
     pairs = list(zip(model.effects, model.sizes()))
-    shapes = best_shapes(desk, tests)
+    shapes = best_shapes(context, tests)
     for k, effect in enumerate(model.effects):
-        own = next(i for i in shapes if desk.candidates[i].effect.key == effect.key)
+        own = next(i for i in shapes if context.candidates[i].effect.key == effect.key)
         for i in shapes:
-            other = desk.candidates[i].effect
-            start = [*pairs[:k], (other, start_size(desk, tests, i)), *pairs[k + 1 :]]
+            other = context.candidates[i].effect
+            start = [*pairs[:k], (other, start_size(context, tests, i)), *pairs[k + 1 :]]
             keys = frozenset(e.key for e, _ in start)
-            if keys in known or len(keys) < len(start) or not resemble(desk, tests, own, i):
+            if keys in known or len(keys) < len(start) or not resemble(context, tests, own, i):
                 continue
-            both = weigh(desk, [pairs, start])
+            both = fit_candidates(context, [pairs, start])
             found = next((e for e in both if other.key in keys_of(e)), None)
             mine = next((e for e in both if keys_of(e) == keys_of(best)), None)
             if found is not None and mine is not None:
                 scatter = best.left.scatter
                 more = (found.gain - mine.gain) / scatter  # both weighed under one noise, unlike `best`
-                out.append(replace(judged(desk, found, best.bias, scatter), gain=best.gain + more,
+                out.append(replace(assess_residual(context, found, best.bias, scatter), gain=best.gain + more,
                                    beside=best.beside if best.beside <= keys else frozenset(),
-                                   margin=best.margin + more, by_run=best.by_run + found.by_run - mine.by_run))
+                                   gain_over_parent=best.gain_over_parent + more,
+                                   by_run=best.by_run + found.by_run - mine.by_run))
     return out
 
 
-def resemble(desk: Desk, tests: Tests, i: int, k: int) -> bool:
-    """Whether the effects of two candidates are of one group (`Effect.alike`) at one joint, or nearly collinear."""
-    one, other = desk.candidates[i].effect, desk.candidates[k].effect
-    if one.alike and one.alike == other.alike:
+def resemble(context: DiagnosisContext, tests: Tests, i: int, k: int) -> bool:
+    """Whether the effects of two candidates are of one `Effect.equivalence_class` at one joint, or nearly collinear."""
+    one, other = context.candidates[i].effect, context.candidates[k].effect
+    if one.equivalence_class and one.equivalence_class == other.equivalence_class:
         return None in (one.joint, other.joint) or one.joint == other.joint
-    a, b = desk.columns[i][0], desk.columns[k][0]
+    a, b = context.columns[i][0], context.columns[k][0]
     information = tests.information
     return bool(information[a, b] ** 2 > COLLINEAR**2 * information[a, a] * information[b, b] > 0.0)
 
 
-def keys_of(explained: Explained) -> frozenset[str]:
+def keys_of(explanation: Explanation) -> frozenset[str]:
     """Its effects."""
-    return frozenset(e.key for e in explained.model.effects)
+    return frozenset(e.key for e in explanation.model.effects)
 
 
-def search(desk: Desk, tests: Tests, say: Progress) -> list[Explained]:
+def search(context: DiagnosisContext, tests: Tests, say: Progress) -> list[Explanation]:
     """Singles; where none closes, pairs; where none of these does, one triple.
 
     What a single may leave over could be a difference of form, or a second cause: where it leaves something, a pair
     that leaves next to nothing is preferred. (Measured: a lever arm gained 609,000 and left 1,800, which was a spring;
     a stand 194,000, and left 860, which was a late torque.)
     """
-    far = best_shapes(desk, tests) if desk.too_loud(desk.nominal) else []  # from where one step may lead nowhere
-    effects = [desk.candidates[i].effect for i in far]
+    # from where one step may lead nowhere
+    far = best_shapes(context, tests) if context.excess_noise(context.nominal) else []
+    effects = [context.candidates[i].effect for i in far]
     starts = [[(e, np.array(size))] for e in effects for size in e.starts]
     known = {e.key for e in effects if e.starts}
-    for i in promising(desk, tests, SINGLES):
-        if desk.candidates[i].effect.key not in known:
-            starts.append([(desk.candidates[i].effect, start_size(desk, tests, i))])
-    singles = weigh(desk, starts)
+    for i in promising(context, tests, SINGLES):
+        if context.candidates[i].effect.key not in known:
+            starts.append([(context.candidates[i].effect, start_size(context, tests, i))])
+    singles = fit_candidates(context, starts)
     say("looking at what they leave over", 0.6)
-    singles = judge(desk, singles[:4])
+    singles = assess_residuals(context, singles[:4])
     if not singles:
         return []
-    if any(s.closed for s in singles):
-        best = max((s for s in singles if s.closed), key=lambda s: s.gain)
-        if best.clean:
+    if any(s.adequate for s in singles):
+        best = max((s for s in singles if s.adequate), key=lambda s: s.gain)
+        if best.no_residual_effect:
             return singles
         say("trying pairs", 0.7)
-        pairs = [p for p in grow(desk, [best], PAIRS)
-                 if p.closed and keys_of(best) < keys_of(p) and not akin(best, p)
-                 and (p.clean or desk.gain(p.left, p.best_left) < STILL_LEFT * p.margin)]
-        return [*pairs, *(replace(s, closed=False) for s in singles)] if pairs else singles
+        pairs = [p for p in forward_step(context, [best], PAIRS)
+                 if p.adequate and keys_of(best) < keys_of(p) and not same_family(best, p)
+                 and (p.no_residual_effect or context.gain(p.left, p.best_left) < STILL_LEFT * p.gain_over_parent)]
+        return [*pairs, *(replace(s, adequate=False) for s in singles)] if pairs else singles
     say("trying pairs", 0.7)
-    pairs = grow(desk, singles[:2], PAIRS)
-    pairs += reduced(desk, pairs)
-    if any(s.closed for s in pairs) or not pairs:
+    pairs = forward_step(context, singles[:2], PAIRS)
+    pairs += backward_step(context, pairs)
+    if any(s.adequate for s in pairs) or not pairs:
         return pairs + singles
     say("trying three", 0.8)
-    return grow(desk, pairs[:1], 2) + pairs + singles
+    return forward_step(context, pairs[:1], 2) + pairs + singles
 
 
-def reduced(desk: Desk, explained: Sequence[Explained]) -> list[Explained]:
+def backward_step(context: DiagnosisContext, explanation: Sequence[Explanation]) -> list[Explanation]:
     """Those that leave little but hold an effect that is nil, fitted without it, as far as they close then.
 
     A nominal fit that is far wrong can hide the one cause there is from the first singles. (Measured: a tilted IMU was
     found beside a bias of the accelerometer only, which was nil then.)
     """
     starts = {}
-    for e in explained:
+    for e in explanation:
         there = presence(e.model, float(np.sqrt(e.left.scatter)))
-        little = e.clean or desk.gain(e.left, e.best_left) < LEFT_OVER * e.gain
+        little = e.no_residual_effect or context.gain(e.left, e.best_left) < LEFT_OVER * e.gain
         if little and any(there) and not all(there):
             starts[keys_of(e)] = [pair for pair, real in zip(zip(e.model.effects, e.model.sizes()), there) if real]
-    return [e for e in judge(desk, weigh(desk, list(starts.values()))) if e.closed]
+    return [e for e in assess_residuals(context, fit_candidates(context, list(starts.values()))) if e.adequate]
 
 
-def promising(desk: Desk, tests: Tests, most: int, skip: Sequence[str] = ()) -> list[int]:
+def promising(context: DiagnosisContext, tests: Tests, most: int, skip: Sequence[str] = ()) -> list[int]:
     """Candidates worth a re-fit, each effect in its best shape: the best by gain, and by gain over the common scatter
     instead of their own."""
-    order = best_shapes(desk, tests, skip)
-    chance = {i: p_of(desk, tests, i) for i in order}
+    order = best_shapes(context, tests, skip)
+    chance = {i: p_of(context, tests, i) for i in order}
     best = [i for i in order[:most] if chance[i] < 0.5]
-    common = {i: desk.gain(tests, i) * float(np.mean(tests.inflation[desk.columns[i]])) / tests.scatter
+    common = {i: context.gain(tests, i) * float(np.mean(tests.inflation[context.columns[i]])) / tests.scatter
               for i in order if i not in best and chance[i] < 0.5}
     badly = sorted(common, key=lambda i: -common[i])[:SCATTERED]
-    return [*best, *(i for i in badly if common[i] > desk.material(desk.session.discover))]
+    return [*best, *(i for i in badly if common[i] > context.material(context.split.discover))]
 
 
-def akin(best: Explained, pair: Explained) -> bool:
+def same_family(best: Explanation, pair: Explanation) -> bool:
     """Whether what `pair` adds to `best` is of the kin of one of its effects, at the same joint, or a delay that a law
     leaves out.
 
     (Measured: play with an elastic stop was named play and a soft gear; an encoder's disc off centre, an offset too.)
     """
-    own = {(e.kin, e.joint) for e in best.model.effects if e.kin}
+    own = {(e.family, e.joint) for e in best.model.effects if e.family}
     lag_s = max(e.lag_s for e in best.model.effects)
     more = [(e, s) for e, s in zip(pair.model.effects, pair.model.sizes()) if e.key not in keys_of(best)]
-    return any((e.kin, e.joint) in own or (e.sizes[0].unit == "s" and abs(s[0]) < lag_s) for e, s in more)
+    return any((e.family, e.joint) in own or (e.sizes[0].unit == "s" and abs(s[0]) < lag_s) for e, s in more)
 
 
-def start_size(desk: Desk, tests: Tests, i: int) -> FloatArray:
+def start_size(context: DiagnosisContext, tests: Tests, i: int) -> FloatArray:
     """One-step sizes of candidate i, with its shape; nil for those that do not define it, whose steps can be wild."""
-    effect, shape = desk.candidates[i].effect, desk.candidates[i].shape
+    effect, shape = context.candidates[i].effect, context.candidates[i].shape
     size = np.zeros(len(effect.sizes))
-    size[: effect.defining] = tests.size(desk.columns[i][: effect.defining])
+    size[: effect.defining] = tests.size(context.columns[i][: effect.defining])
     if effect.positive:  # a bad nominal fit can mislead even the sign
         size[0] = abs(size[0])
     return np.concatenate([size, shape])
 
 
-def weigh(desk: Desk, starts: Sequence[Sequence[tuple[Effect, FloatArray]]],
-          fits: Sequence[Model] = ()) -> list[Explained]:
+def fit_candidates(context: DiagnosisContext, starts: Sequence[Sequence[tuple[Effect, FloatArray]]],
+          fits: Sequence[Model] = ()) -> list[Explanation]:
     """Fit every start, compare all and `fits` under the noise of the best, most likely first, each set of effects
     once."""
-    session, reach = desk.session, desk.nominal.problem.stage.reach
+    split, angle_range = context.split, context.nominal.problem.stage.angle_range
 
     def fitted(k: int) -> State | None:
-        model = fit_extension(desk, starts[k])
+        model = fit_extension(context, starts[k])
         return None if model is None else model.state
 
     models = list(fits)
-    for start, state in zip(starts, spread(fitted, len(starts), session.workers)):
+    for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers)):
         if state is not None:
             effects = tuple(e for e, _ in start)
-            models.append(Model(effects, state, session.problem(session.discover, reach, effects)))
+            models.append(Model(effects, state, split.problem(split.discover, angle_range, effects)))
     if not models:
         return []
-    noise = min((m.state.noise for m in models), key=lambda s: log_volume(desk.nominal.problem, s))
-    models.sort(key=lambda m: deviance(desk, m))
+    noise = min((m.state.noise for m in models), key=lambda s: log_volume(context.nominal.problem, s))
+    models.sort(key=lambda m: deviance(context, m))
     models = [*models[:WEIGHED], *(m for m in models[WEIGHED:] if any(m is f for f in fits))]
-    every = [desk.nominal, *models]
+    every = [context.nominal, *models]
 
-    def weighed(k: int) -> tuple[float, FloatArray] | None:
+    def refitted(k: int) -> tuple[float, FloatArray] | None:
         m = every[k]
         try:
-            again = refit(session, m, list(zip(m.effects, m.sizes())), WEIGH_STEPS, noise)
+            again = refit(split, m, list(zip(m.effects, m.sizes())), WEIGH_STEPS, noise)
         except FitError:
             if k > 0:  # under the noise of the best one it has no fit at all
                 return None
             # the nominal model is too wrong to settle under so little noise; where it stands will do
             again = replace(m, state=replace(m.state, noise=noise))
-        return misfit(again), misfit_by_run(session, again)
+        return misfit(again), misfit_by_run(split, again)
 
-    plain, *found = spread(weighed, len(every), session.workers)
+    plain, *found = parallel_map(refitted, len(every), split.workers)
     assert plain is not None
-    out = [Explained(m, plain[0] - w[0], _NO_TESTS, -1, -1, False, by_run=w[1])
+    out = [Explanation(m, plain[0] - w[0], _NO_TESTS, -1, -1, False, by_run=w[1])
            for m, w in zip(models, found) if w is not None]
     out.sort(key=lambda e: -e.gain)
     first = {keys_of(e): i for i, e in reversed(list(enumerate(out)))}
     return [e for i, e in enumerate(out) if first[keys_of(e)] == i]
 
 
-def deviance(desk: Desk, model: Model) -> float:
+def deviance(context: DiagnosisContext, model: Model) -> float:
     """-2 log likelihood under the model's own noise levels, up to a constant."""
-    return misfit(model) + 2.0 * log_volume(desk.nominal.problem, model.state.noise)
+    return misfit(model) + 2.0 * log_volume(context.nominal.problem, model.state.noise)
 
 
-def fit_extension(desk: Desk, start: Sequence[tuple[Effect, FloatArray]]) -> Model | None:
+def fit_extension(context: DiagnosisContext, start: Sequence[tuple[Effect, FloatArray]]) -> Model | None:
     """Full re-fit, first with shapes held; None where it fails.
 
     A large effect spoils the nominal fit's motion: where a fit fails from there, it starts again from filtered motion.
     """
     for again in (False, True):
         try:
-            held = refit(desk.session, desk.afresh if again else desk.nominal, start, HELD_STEPS, hold_shapes=True)
+            held = refit(context.split, context.afresh if again else context.nominal, start, HELD_STEPS,
+                         hold_shapes=True)
         except (FitError, np.linalg.LinAlgError):
             continue
         if not any(e.shapes and not e.whole_shapes for e in held.effects) and held.state.converged:
             return held
         try:
-            found = refit(desk.session, held, list(zip(held.effects, held.sizes())), FREE_STEPS, hold_limits=False)
+            found = refit(context.split, held, list(zip(held.effects, held.sizes())), FREE_STEPS, hold_limits=False)
             if any(np.any(e.at_limits(s)) for e, s in zip(found.effects, found.sizes())):
                 if not found.state.converged:
-                    found = refit(desk.session, found, list(zip(found.effects, found.sizes())), FREE_STEPS)
-                return min(found, held, key=lambda m: deviance(desk, m))  # a shape can run away
+                    found = refit(context.split, found, list(zip(found.effects, found.sizes())), FREE_STEPS)
+                return min(found, held, key=lambda m: deviance(context, m))  # a shape can run away
             return found
         except (FitError, np.linalg.LinAlgError):
             return held
     return None
 
 
-def judge(desk: Desk, explained: Sequence[Explained], bias: Sequence[RunScore] = ()) -> list[Explained]:
+def assess_residuals(context: DiagnosisContext, explanation: Sequence[Explanation], bias: Sequence[RunScore] = ()
+                     ) -> list[Explanation]:
     """Each with what it leaves over, gains over the scatter that the most likely one leaves; with its `bias`, which is
     rehearsed where it is not given."""
-    if not explained:
+    if not explanation:
         return []
-    scores = score_discover(desk.session, explained[0].model, desk.candidates)
-    bias = bias or rehearsed(desk, explained[0].model, scores)
-    first = judged(desk, explained[0], bias, None, scores)
+    scores = score_discover(context.split, explanation[0].model, context.candidates)
+    bias = bias or bootstrap_bias(context, explanation[0].model, scores)
+    first = assess_residual(context, explanation[0], bias, None, scores)
     scatter = first.left.scatter
-    rivals = [e for e in explained[1:] if e.gain > RIVAL * explained[0].gain]
-    return [first, *(judged(desk, e, bias, scatter) for e in rivals)]
+    rivals = [e for e in explanation[1:] if e.gain > RIVAL * explanation[0].gain]
+    return [first, *(assess_residual(context, e, bias, scatter) for e in rivals)]
 
 
-def rehearsed(desk: Desk, model: Model, scores: Sequence[RunScore]) -> list[RunScore]:
+def bootstrap_bias(context: DiagnosisContext, model: Model, scores: Sequence[RunScore]) -> list[RunScore]:
     """Bias of the `scores` at `model`, without the entries of its own sizes; the nominal model's where it cannot run.
 
     Motion and noise of an explanation differ from the nominal fit's, and so does the bias.
     """
     try:
-        found = rehearsal_scores(desk.session, model, desk.candidates, scores, desk.rng)
+        found = bootstrap_scores(context.split, model, context.candidates, scores, context.rng)
     except FitError:
-        return desk.bias
-    return [bare(r, model) for r in found]
+        return context.bias
+    return [drop_size_entries(r, model) for r in found]
 
 
-def bare(score: RunScore, model: Model) -> RunScore:
-    """Without the entries of the model's own sizes; `padded` puts them back, as zeros."""
+def drop_size_entries(score: RunScore, model: Model) -> RunScore:
+    """Without the entries of the model's own sizes; `insert_size_entries` puts them back, as zeros."""
     own = np.arange(model.problem.mechanism.p, model.problem.parameter_count)
     return RunScore(np.delete(score.score, own), np.delete(np.delete(score.information, own, 0), own, 1))
 
 
-def judged(desk: Desk, explained: Explained, rehearsals: Sequence[RunScore], scatter: float | None,
-           scores: Sequence[RunScore] | None = None) -> Explained:
+def assess_residual(context: DiagnosisContext, explanation: Explanation, replicates: Sequence[RunScore],
+                    scatter: float | None, scores: Sequence[RunScore] | None = None) -> Explanation:
     """With what it leaves over on the discover runs, and its gain over the scatter (by default its own)."""
-    model = explained.model
-    scores = scores or score_discover(desk.session, model, desk.candidates)
-    left = tests_of(desk.session, model, scores, [padded(b, model) for b in rehearsals])
+    model = explanation.model
+    scores = scores or score_discover(context.split, model, context.candidates)
+    left = tests_of(context.split, model, scores, [insert_size_entries(b, model) for b in replicates])
     own = {e.key for e in model.effects}
-    gains = [desk.gain(left, i) if c.effect.key not in own else 0.0 for i, c in enumerate(desk.candidates)]
+    gains = [context.gain(left, i) if c.effect.key not in own else 0.0 for i, c in enumerate(context.candidates)]
     best = int(np.argmax(gains))
-    best_named = int(np.argmax(gains[: desk.named]))
+    best_named = int(np.argmax(gains[: context.named]))
     scatter = left.scatter if scatter is None else scatter
-    gain = explained.gain / scatter
-    least = desk.material(desk.session.discover)
-    detectable = [i for i, g in enumerate(gains) if g > least and p_of(desk, left, i) < ALPHA]
-    small = all(gains[i] < may_leave(model, desk.candidates[i].effect) * gain for i in detectable)
-    closed = (gain > least and small and not desk.too_loud(model)
+    gain = explanation.gain / scatter
+    least = context.material(context.split.discover)
+    detectable = [i for i, g in enumerate(gains) if g > least and p_of(context, left, i) < ALPHA]
+    small = all(gains[i] < may_leave(model, context.candidates[i].effect) * gain for i in detectable)
+    adequate = (gain > least and small and not context.excess_noise(model)
               and all(presence(model, float(np.sqrt(left.scatter)))))
     own_scatter = own_inflation(scores, np.diag(model.state.covariance) > 0.0, left.scatter)
-    return replace(explained, gain=gain, margin=explained.margin / scatter, left=left, best_left=best,
-                   best_named_left=best_named, closed=closed, clean=not detectable, bias=tuple(rehearsals),
-                   inflation=own_scatter)
+    return replace(explanation, gain=gain, gain_over_parent=explanation.gain_over_parent / scatter, left=left,
+                   best_left=best, best_named_left=best_named, adequate=adequate, no_residual_effect=not detectable,
+                   bias=tuple(replicates), inflation=own_scatter)
 
 
 def may_leave(model: Model, other: Effect) -> float:
@@ -348,26 +353,26 @@ def significant(model: Model, which: int, spread: float | FloatArray) -> NDArray
     return np.asarray(np.abs(model.sizes()[which]) > NIL * std)[: len(model.effects[which].sizes)]
 
 
-def padded(score: RunScore, model: Model) -> RunScore:
+def insert_size_entries(score: RunScore, model: Model) -> RunScore:
     """The bias of a run of the nominal model as one of `model`, which has more parameters."""
     p = model.problem.mechanism.p
     return RunScore(np.insert(score.score, [p] * (model.problem.parameter_count - p), 0.0), score.information)
 
 
-def grow(desk: Desk, parents: Sequence[Explained], most: int) -> list[Explained]:
+def forward_step(context: DiagnosisContext, parents: Sequence[Explanation], most: int) -> list[Explanation]:
     """Each parent with one more effect: those that its left-over scores best."""
     starts = []
     for parent in parents:
         begin = list(zip(parent.model.effects, parent.model.sizes()))
-        for i in promising(desk, parent.left, max(1, most // len(parents)), [e.key for e in parent.model.effects]):
-            starts.append([*begin, (desk.candidates[i].effect, start_size(desk, parent.left, i))])
+        for i in promising(context, parent.left, max(1, most // len(parents)), [e.key for e in parent.model.effects]):
+            starts.append([*begin, (context.candidates[i].effect, start_size(context, parent.left, i))])
     unique = {tuple(sorted(e.key for e, _ in s)): s for s in reversed(starts)}
-    weighed = weigh(desk, list(unique.values()), [p.model for p in parents])
-    gains = {keys_of(e): e.gain for e in weighed}
+    refitted = fit_candidates(context, list(unique.values()), [p.model for p in parents])
+    gains = {keys_of(e): e.gain for e in refitted}
     grown = []
-    for e in weighed:
+    for e in refitted:
         beside = next((keys_of(p) for p in parents if keys_of(p) < keys_of(e)), None)
         if beside is not None:
-            grown.append(replace(e, beside=beside, margin=e.gain - gains.get(beside, 0.0)))
-    bias = parents[0].bias if parents[0].closed else ()  # what little its effect leaves hardly changes noise levels
-    return judge(desk, grown[:3], bias)
+            grown.append(replace(e, beside=beside, gain_over_parent=e.gain - gains.get(beside, 0.0)))
+    bias = parents[0].bias if parents[0].adequate else ()  # what little its effect leaves hardly changes noise levels
+    return assess_residuals(context, grown[:3], bias)

@@ -1,4 +1,4 @@
-"""`loud`: channels whose noise a fit finds larger than the rig declares, or than neighbouring samples show.
+"""`excess_noise`: channels whose noise a fit finds larger than the rig declares, or than neighbouring samples show.
 
 A model that lacks something unlike every listed term can leave it to the noise levels: each score is then small beside
 scores that scatter, and yet a gyro that is good to 5 mrad/s errs by 95. (Measured on legs with nothing hidden, process
@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from estimator.diagnosis.data_split import Session
+from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.refit import Model
 from estimator.fitting import TORQUE_SHARE, mistakes_torque
 from estimator.signals import white_noise_level
@@ -24,12 +24,12 @@ SHARE = 0.2
 """... or this share of what the nominal fit had beyond its level, in variance: functional forms differ."""
 
 
-def ratios(session: Session, model: Model) -> dict[str, tuple[float, float]]:
+def ratios(split: RunSplit, model: Model) -> dict[str, tuple[float, float]]:
     """Channel in words to (noise found over its level, most it may be); no undeclared torques nor encoders."""
-    known, problem, noise = session.known, model.problem, model.state.noise
+    known, problem, noise = split.known, model.problem, model.state.noise
     out: dict[str, tuple[float, float]] = {}
     for j, level in enumerate(noise.torque):
-        own = "passive_nm" if j in session.mechanism.passive and "passive_nm" in known else "torque_nm"
+        own = "passive_nm" if j in split.mechanism.passive and "passive_nm" in known else "torque_nm"
         if own in known:
             out[f"torque at joint {j + 1}"] = float(level) / known[own], TORQUE
     for j in map(int, np.flatnonzero(problem.has_encoder)):
@@ -47,10 +47,10 @@ def ratios(session: Session, model: Model) -> dict[str, tuple[float, float]]:
     return out
 
 
-def loud(session: Session, model: Model, before: Mapping[str, tuple[float, float]] | None = None) -> str:
+def excess_noise(split: RunSplit, model: Model, before: Mapping[str, tuple[float, float]] | None = None) -> str:
     """The loudest channel in words; empty where none is too loud, beside what it was `before` if that is given."""
     worst, text = 1.0, ""
-    for name, (ratio, limit) in ratios(session, model).items():
+    for name, (ratio, limit) in ratios(split, model).items():
         rough = [f for e in model.effects for channel, f in e.rough.items() if name.startswith(channel)]
         allowed = math.prod([limit, *rough]) ** 2
         if before is not None:
@@ -60,16 +60,16 @@ def loud(session: Session, model: Model, before: Mapping[str, tuple[float, float
     return text
 
 
-def swamped(session: Session, nominal: Model) -> str:
+def noise_dominated(split: RunSplit, nominal: Model) -> str:
     """Says so where the nominal fit takes as much of a measured torque for noise as a fit may; else empty.
 
     What is missing can hide in so much noise, and a re-fit that needs as much is refused: nothing found then does not
     mean that nothing is wrong. (Measured on an arm with play in its gears: nothing was detectable at 100 Hz, where
     40 % of the torque was left to noise; at 25 Hz, where it was a quarter, play was, at p < 1e-6.)
     """
-    floors = session.floors(nominal.problem, nominal.state.beta)
+    floors = split.floors(nominal.problem, nominal.state.beta)
     if not mistakes_torque(nominal.problem, nominal.state, floors):
         return ""
-    share, rate = 100 * TORQUE_SHARE, session.runs[0][0].rate_hz
+    share, rate = 100 * TORQUE_SHARE, split.runs[0][0].rate_hz
     return (f"the nominal fit leaves {share:.0f} % of a measured torque to noise, the most that it may; if the angles "
             f"are too coarse to check torque at {rate:g} Hz, a lower rate_hz under [sampling] leaves less")

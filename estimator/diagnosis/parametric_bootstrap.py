@@ -1,4 +1,4 @@
-"""`rehearse`: records that a fitted model would have given, with its own noise and quantisers.
+"""`draw_replicate`: records that a fitted model would have given, with its own noise and quantisers.
 
 What a score is on average when nothing is wrong is not exactly zero: quantisers, the sampling of reversals and
 the smoothing leave traces. They are measured on rehearsals and taken off.
@@ -16,7 +16,7 @@ from estimator.likelihood import ExtendedProblem, FreeRun, State, free_run
 from estimator.signals import IMU_COLUMNS, SignalSet, quantum
 
 
-def perform(problem: ExtendedProblem, state: State, rng: np.random.Generator) -> FreeRun:
+def simulate_run(problem: ExtendedProblem, state: State, rng: np.random.Generator) -> FreeRun:
     """What the model does under the torque in `state`; always the same where no joint is passive.
 
     Raises `FitError` where its simulation does not stay with the run.
@@ -30,14 +30,14 @@ def perform(problem: ExtendedProblem, state: State, rng: np.random.Generator) ->
     return run
 
 
-def rehearse(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet], rng: np.random.Generator,
+def draw_replicate(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet], rng: np.random.Generator,
              run: FreeRun | None = None) -> list[SignalSet]:
     """One synthetic record for each stretch in `signals` of `run`, by default a new one.
 
     Angles fall on the grid of the real encoder where it shows one; the other noise is white at the levels
-    found. Raises `FitError` as `perform` does.
+    found. Raises `FitError` as `simulate_run` does.
     """
-    run = run or perform(problem, state, rng)
+    run = run or simulate_run(problem, state, rng)
     out = []
     noise = state.noise
     for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):

@@ -16,20 +16,20 @@ from threadpoolctl import threadpool_limits
 
 from daq import Dataset, FloatArray
 from estimator.diagnosis import conclusion
-from estimator.diagnosis.context import ALPHA, Desk, Explained, best_shapes, detected, least_gain, p_of
-from estimator.diagnosis.data_split import Session, open_session
-from estimator.diagnosis.model_comparison import tied
-from estimator.diagnosis.model_search import Progress, bare, explain, padded
+from estimator.diagnosis.context import ALPHA, DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of
+from estimator.diagnosis.data_split import RunSplit, split_runs
+from estimator.diagnosis.model_comparison import indistinguishable_set
+from estimator.diagnosis.model_search import Progress, drop_size_entries, explain, insert_size_entries
 from estimator.diagnosis.refit import (
-    borrowed,
+    bootstrap_scores,
     fit_nominal,
+    pooled_bias,
     refit,
-    rehearsal_scores,
     score_confirm,
     score_discover,
     tests_of,
 )
-from estimator.diagnosis.result import Diagnosis, Ranked
+from estimator.diagnosis.result import CandidateScore, Diagnosis
 from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
 from estimator.effects import AnonymousReading, AnonymousTorque, SensorTimeSkew, battery, library
 from estimator.errors import FitError
@@ -67,92 +67,93 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     say = progress or (lambda stage, fraction: None)
     try:
         with threadpool_limits(1):
-            session = open_session(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
-            found = _diagnose(session, np.random.default_rng(seed), say, reference)
+            split = split_runs(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
+            found = _diagnose(split, np.random.default_rng(seed), say, reference)
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
     return replace(found, wall_s=time.perf_counter() - start)
 
 
-def _diagnose(session: Session, rng: np.random.Generator, say: Progress,
+def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,
               reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
     say("fitting the nominal model", 0.02)
     jit.expect()
-    nominal = fit_nominal(session)
-    effects, refused = library(session.mechanism, session.has_imu)
+    nominal = fit_nominal(split)
+    effects, refused = library(split.mechanism, split.has_imu)
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     named = len(candidates)
-    candidates += [Candidate(e) for e in battery(session.mechanism, session.has_imu)]
+    candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu)]
     say("scoring the library", 0.15)
-    scores = score_discover(session, nominal, candidates)
+    scores = score_discover(split, nominal, candidates)
     say("rehearsing the nominal model", 0.2)
     try:
-        bias = rehearsal_scores(session, nominal, candidates, scores, rng)
+        bias = bootstrap_scores(split, nominal, candidates, scores, rng)
     except FitError:  # a fit that is far wrong can have friction below zero, and its simulation run off
         bias = [RunScore(np.zeros_like(s.score), s.information) for s in scores]
-    desk = Desk(session, candidates, columns_of(candidates), named, bias, nominal, rng)
-    tests = tests_of(session, nominal, scores, bias)
-    ranked = rank(desk, tests)
-    base = conclusion.base(session, nominal, refused, reference)
-    base = replace(base, candidates=ranked, separability=separability(desk, tests))
-    if not detected(desk, tests) and not desk.too_loud(nominal):
-        if desk.swamped:
-            raise FitError(desk.swamped)
-        return conclusion.nothing(base, desk.session, nominal)
+    context = DiagnosisContext(split, candidates, columns_of(candidates), named, bias, nominal, rng)
+    tests = tests_of(split, nominal, scores, bias)
+    ranked = rank(context, tests)
+    base = conclusion.base(split, nominal, refused, reference)
+    base = replace(base, candidates=ranked, separability=separability(context, tests))
+    if not detected(context, tests) and not context.excess_noise(nominal):
+        if context.noise_dominated:
+            raise FitError(context.noise_dominated)
+        return conclusion.nothing(base, context.split, nominal)
     say("re-fitting the best explanations", 0.4)
-    options = explain(desk, tests, say)
+    options = explain(context, tests, say)
     say("opening the confirm runs", 0.85)
-    return conclude(desk, base, options, rng)
+    return conclude(context, base, options, rng)
 
 
-def rank(desk: Desk, tests: Tests) -> tuple[Ranked, ...]:
+def rank(context: DiagnosisContext, tests: Tests) -> tuple[CandidateScore, ...]:
     """Every effect of the library as scored."""
     out = []
-    for i in best_shapes(desk, tests):
-        effect, columns = desk.candidates[i].effect, desk.columns[i]
-        out.append(Ranked(effect.name, None if effect.joint is None else effect.joint + 1,
-                          float(np.sqrt(max(desk.gain(tests, i), 0.0))), p_of(desk, tests, i),
+    for i in best_shapes(context, tests):
+        effect, columns = context.candidates[i].effect, context.columns[i]
+        out.append(CandidateScore(effect.name, None if effect.joint is None else effect.joint + 1,
+                          float(np.sqrt(max(context.gain(tests, i), 0.0))), p_of(context, tests, i),
                           float(tests.size(columns)[0]),
-                          tests.detectable(int(columns[0]), ALPHA / desk.trials, least_gain(desk, i)),
-                          desk.session.mechanism.unit(effect.sizes[0].unit)))
+                          tests.detectable(int(columns[0]), ALPHA / context.trials, least_gain(context, i)),
+                          context.split.mechanism.unit(effect.sizes[0].unit)))
     return tuple(out)
 
 
-def separability(desk: Desk, tests: Tests) -> tuple[tuple[str, ...], FloatArray]:
+def separability(context: DiagnosisContext, tests: Tests) -> tuple[tuple[str, ...], FloatArray]:
     """Cosines between what the best shapes of the library would add, nominal parameters projected out."""
-    order = best_shapes(desk, tests)[:14]
-    first = np.array([desk.columns[i][0] for i in order])
+    order = best_shapes(context, tests)[:14]
+    first = np.array([context.columns[i][0] for i in order])
     information = tests.information[np.ix_(first, first)]
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    return tuple(desk.candidates[i].effect.key for i in order), information / np.outer(scale, scale)
+    return tuple(context.candidates[i].effect.key for i in order), information / np.outer(scale, scale)
 
 
-def conclude(desk: Desk, base: Diagnosis, options: Sequence[Explained], rng: np.random.Generator) -> Diagnosis:
+def conclude(context: DiagnosisContext, base: Diagnosis, options: Sequence[Explanation], rng: np.random.Generator
+             ) -> Diagnosis:
     """Verdict by closure on the confirm runs, gain and what a report draws."""
-    session = desk.session
-    closed = sorted((o for o in options if o.closed), key=lambda o: (len(o.model.effects), -o.gain))
+    split = context.split
+    adequate = sorted((o for o in options if o.adequate), key=lambda o: (len(o.model.effects), -o.gain))
     if not options:
-        why = desk.too_loud(desk.nominal) or desk.swamped or "no effect of the library fits"
-        return conclusion.unexplained(base, session, desk.nominal, None, why)
-    if not closed:
+        why = context.excess_noise(context.nominal) or context.noise_dominated or "no effect of the library fits"
+        return conclusion.unexplained(base, split, context.nominal, None, why)
+    if not adequate:
         best = max(options, key=lambda o: o.gain)
-        what = desk.candidates[best.best_left].effect
+        what = context.candidates[best.best_left].effect
         label = what.key if not isinstance(what, AnonymousTorque | AnonymousReading) else "a term without a name"
         left = f"beside it {label} is still detectable"
-        why = desk.too_loud(best.model) or (NIL_SIZES if best.clean else left)
-        return conclusion.unexplained(base, session, desk.nominal, best, why, rng)
-    fewest = len(closed[0].model.effects)
-    ties = tied([o for o in closed if len(o.model.effects) == fewest])
+        why = context.excess_noise(best.model) or (NIL_SIZES if best.no_residual_effect else left)
+        return conclusion.unexplained(base, split, context.nominal, best, why, rng)
+    fewest = len(adequate[0].model.effects)
+    ties = indistinguishable_set([o for o in adequate if len(o.model.effects) == fewest])
     best = ties[0]
-    if not confirmed(desk, best):
-        return conclusion.unexplained(base, session, desk.nominal, best, "it does not hold on the confirm runs", rng)
-    p = max(1e-12, min(1.0, _p_of_gain(best) * desk.trials))
-    sharp = sharpened(desk, best)
+    if not confirmed(context, best):
+        return conclusion.unexplained(base, split, context.nominal, best, "it does not hold on the confirm runs", rng)
+    p = max(1e-12, min(1.0, _p_of_gain(best) * context.trials))
+    sharp = sharpened(context, best)
     if sharp is not best:  # else what was found under the search's rounding is measured under it, too
-        session, ties = session.sharp(), [sharp, *ties[1:]]
-    found = conclusion.finding(base, session, desk.nominal, ties, p, rng)
+        split, ties = split.sharp(), [sharp, *ties[1:]]
+    found = conclusion.finding(base, split, context.nominal, ties, p, rng)
     why = falls_short(found)
-    return conclusion.unexplained(base, session, desk.nominal, best, why, rng) if why else found
+    return conclusion.unexplained(base, split, context.nominal, best, why, rng) if why else found
 
 
 def falls_short(found: Diagnosis) -> str:
@@ -169,7 +170,7 @@ def falls_short(found: Diagnosis) -> str:
     return ""
 
 
-def sharpened(desk: Desk, explained: Explained) -> Explained:
+def sharpened(context: DiagnosisContext, explanation: Explanation) -> Explanation:
     """Re-fitted with the rig's own rounding of sign(qd), which its saved model has too; as it was where that fails or
     leads elsewhere.
 
@@ -177,46 +178,46 @@ def sharpened(desk: Desk, explained: Explained) -> Explained:
     leave it open, the IMU's time line is free meanwhile. Dry friction near rest has no known form: what the two
     roundings make of a parameter differs, and the difference counts as one standard deviation more.
     """
-    model, bound = explained.model, desk.session.clock_bound_s
+    model, bound = explanation.model, context.split.clock_bound_s
     effects = list(zip(model.effects, model.sizes()))
     skew = SensorTimeSkew()
     ways = [(effects, 0)]
-    if desk.session.has_imu and bound > 0.0 and skew.key not in {e.key for e in model.effects}:
+    if context.split.has_imu and bound > 0.0 and skew.key not in {e.key for e in model.effects}:
         ways.insert(0, ([*effects, (skew, np.zeros(1))], 1))
     for which, beside in ways:
         try:
-            again = replace(refit(desk.session.sharp(), model, which), beside=beside)
+            again = replace(refit(context.split.sharp(), model, which), beside=beside)
         except (FitError, np.linalg.LinAlgError):
             continue
         if again.state.converged and (not beside or abs(again.state.beta[-1]) <= bound):
             break
     else:
-        return explained
+        return explanation
     moved = np.abs(np.concatenate(again.sizes()[: len(model.effects)]) - np.concatenate(model.sizes()))
-    if np.any(moved > ANOTHER * np.abs(np.concatenate(model.sizes())) + 3.0 * model.std()[desk.session.mechanism.p :]):
-        return explained
-    return replace(explained, model=again, moved=again.state.beta[: model.width] - model.state.beta[: model.width])
+    if np.any(moved > ANOTHER * np.abs(np.concatenate(model.sizes())) + 3.0 * model.std()[context.split.mechanism.p :]):
+        return explanation
+    return replace(explanation, model=again, moved=again.state.beta[: model.width] - model.state.beta[: model.width])
 
 
-def _p_of_gain(explained: Explained) -> float:
+def _p_of_gain(explanation: Explanation) -> float:
     from scipy.stats import f as fisher
 
-    k = sum(len(e.sizes) for e in explained.model.effects)
-    return float(fisher.sf(explained.gain / k, k, explained.left.freedom))
+    k = sum(len(e.sizes) for e in explanation.model.effects)
+    return float(fisher.sf(explanation.gain / k, k, explanation.left.freedom))
 
 
-def confirmed(desk: Desk, explained: Explained) -> bool:
+def confirmed(context: DiagnosisContext, explanation: Explanation) -> bool:
     """Closure on the confirm runs, opened here for the first and only time, and a gain there."""
-    session, model = desk.session, explained.model
-    scores, gain = score_confirm(session, desk.nominal, model, desk.candidates)
-    bias = [padded(borrowed(explained.bias, bare(r, model)), model) for r in scores]
-    left = tests_of(session, model, scores, bias, explained.left)
+    split, model = context.split, explanation.model
+    scores, gain = score_confirm(split, context.nominal, model, context.candidates)
+    bias = [insert_size_entries(pooled_bias(explanation.bias, drop_size_entries(r, model)), model) for r in scores]
+    left = tests_of(split, model, scores, bias, explanation.left)
     own = {e.key for e in model.effects}
-    share = len(session.confirm) / len(session.discover)
-    small = max(LEFT_OVER_CONFIRM * explained.gain * share, desk.material(session.confirm))
-    for i in range(desk.trials):
-        if desk.candidates[i].effect.key in own:
+    share = len(split.confirm) / len(split.discover)
+    small = max(LEFT_OVER_CONFIRM * explanation.gain * share, context.material(split.confirm))
+    for i in range(context.trials):
+        if context.candidates[i].effect.key in own:
             continue
-        if p_of(desk, left, i) < ALPHA and desk.gain(left, i) > small:
+        if p_of(context, left, i) < ALPHA and context.gain(left, i) > small:
             return False
     return gain > 0.0

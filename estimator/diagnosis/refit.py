@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq import FloatArray
-from estimator.diagnosis.data_split import Session
-from estimator.diagnosis.parametric_bootstrap import perform, rehearse
+from estimator.diagnosis.data_split import RunSplit
+from estimator.diagnosis.parametric_bootstrap import draw_replicate, simulate_run
 from estimator.diagnosis.score_statistics import RunScore, Tests, project, score_alone, score_run
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import MAX_ITERATIONS, free_mask, gentle_start, iterate, mistakes_torque, start_state
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
-from estimator.parallel import spread
+from estimator.parallel import parallel_map
 
-REHEARSALS = (2, 16)
+REPLICATES = (2, 16)
 """Fewest and most rehearsals of each run, in between as many as make up ..."""
-REHEARSED = 24_000
+REPLICATED_SAMPLES = 24_000
 """... so many samples in all: with two of short records a verdict hangs on the seed."""
 OFF = 1.5
 """Times the run's own sum of squares above which a rehearsal is left out. (Measured: on two runs of six a stand's
@@ -72,7 +72,7 @@ class Model:
         return np.sqrt(np.maximum(np.diag(self.state.covariance), 0.0))
 
 
-def fit_nominal(session: Session) -> Model:
+def fit_nominal(split: RunSplit) -> Model:
     """Nominal fit of the discover runs. Raises `FitError`.
 
     A model that is far wrong can take the torque for noise, or not settle; then the fit starts again from slow motion.
@@ -80,39 +80,39 @@ def fit_nominal(session: Session) -> Model:
     the noise levels are sought: what is missing shows there too. Such a beta has no interval: its variances are
     infinite.
     """
-    signals = session.signals(session.discover)
-    n = session.mechanism.n
-    free, beta = free_mask(session.mechanism, session.options)
+    signals = split.signals(split.discover)
+    n = split.mechanism.n
+    free, beta = free_mask(split.mechanism, split.options)
     held = np.zeros_like(free)
     for begin, steps in ((start_state, (free,)), (gentle_start, (held, free)), (start_state, (held,))):
-        blank = session.problem(session.discover, np.zeros((n, 2)))
-        state = begin(blank, signals, session.mechanism, session.options, free, beta)
-        floors = session.floors(blank, state.beta)
+        blank = split.problem(split.discover, np.zeros((n, 2)))
+        state = begin(blank, signals, split.mechanism, split.options, free, beta)
+        floors = split.floors(blank, state.beta)
         try:
             for freed in steps:
-                iterate(blank, state, freed, session.options, floors, MAX_ITERATIONS if freed is steps[-1] else FIRST)
+                iterate(blank, state, freed, split.options, floors, MAX_ITERATIONS if freed is steps[-1] else FIRST)
         except FitError:
             continue
         if state.converged and not mistakes_torque(blank, state, floors):
             break
-    if not np.isfinite(state.beta).all() or blank.rest is None or not np.isfinite(state.x.q).all():
+    if not np.isfinite(state.beta).all() or blank.stiction_variance is None or not np.isfinite(state.x.q).all():
         raise FitError("the nominal fit leads nowhere, so nothing can be said about what it leaves over")
-    session.keep_rest(session.discover, blank)
+    split.keep_stiction(split.discover, blank)
     if freed is held:
         state.covariance[free, free] = np.inf
-    reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    return Model((), state, session.problem(session.discover, reach))
+    angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
+    return Model((), state, split.problem(split.discover, angle_range))
 
 
-def begin_afresh(session: Session, nominal: Model) -> Model:
+def begin_afresh(split: RunSplit, nominal: Model) -> Model:
     """`nominal` with motion, beta and noise levels as a fit would start from them."""
-    signals = session.signals(session.discover)
-    free, beta = free_mask(session.mechanism, session.options)
-    state = gentle_start(nominal.problem, signals, session.mechanism, session.options, free, beta)
+    signals = split.signals(split.discover)
+    free, beta = free_mask(split.mechanism, split.options)
+    state = gentle_start(nominal.problem, signals, split.mechanism, split.options, free, beta)
     return replace(nominal, state=state)
 
 
-def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30,
+def refit(split: RunSplit, start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30,
           noise: Noise | None = None, hold_shapes: bool = False, hold_limits: bool = True) -> Model:
     """Full non-linear fit of the discover runs with `effects` at their starting sizes; keeps `noise` if given.
 
@@ -120,19 +120,19 @@ def refit(session: Session, start: Model, effects: Sequence[tuple[Effect, FloatA
     beyond it foresees what never comes. (Measured on play: the encoder's noise level of such a fit stood at a quarter
     of what it left over, and it did not settle.) Raises `FitError`.
     """
-    problem = session.problem(session.discover, start.problem.stage.reach, [e for e, _ in effects])
-    p = session.mechanism.p
+    problem = split.problem(split.discover, start.problem.stage.angle_range, [e for e, _ in effects])
+    p = split.mechanism.p
     parameters = np.concatenate([start.state.beta[:p], *[s for _, s in effects]])
     x = start.state.x
     state = State(Latents(x.q.copy(), x.v.copy(), x.u.copy()), parameters, noise or start.state.noise,
                   np.zeros((parameters.size, parameters.size)))
     free = np.ones(parameters.size, dtype=bool)
-    free[:p] = free_mask(session.mechanism, session.options)[0]
+    free[:p] = free_mask(split.mechanism, split.options)[0]
     for (effect, size), place in zip(effects, problem.places()):
         held = hold_shapes or effect.whole_shapes or (effect.at_limits(size) if hold_limits else False)
         free[place.stop - len(effect.shapes) : place.stop] = ~np.asarray(held)
-    floors = None if noise is not None else session.floors(problem, state.beta[:p])
-    iterate(problem, state, free, session.options, floors, limit)
+    floors = None if noise is not None else split.floors(problem, state.beta[:p])
+    iterate(problem, state, free, split.options, floors, limit)
     if floors is not None and mistakes_torque(problem, state, floors):
         raise FitError("the fit takes the torque for noise")
     return Model(tuple(e for e, _ in effects), state, problem)
@@ -147,11 +147,11 @@ def misfit(model: Model) -> float:
     return min(here, model.state.lowest)
 
 
-def misfit_by_run(session: Session, model: Model) -> FloatArray:
+def misfit_by_run(split: RunSplit, model: Model) -> FloatArray:
     """(R,) the same for each discover run at the model's state."""
     out = []
-    for i, state in zip(session.discover, run_states(session, model)):
-        problem = session.problem([i], model.problem.stage.reach, model.effects)
+    for i, state in zip(split.discover, run_states(split, model)):
+        problem = split.problem([i], model.problem.stage.angle_range, model.effects)
         out.append(problem.linearise(state.x, state.beta, state.noise).objective)
     return np.array(out)
 
@@ -164,11 +164,11 @@ def log_volume(problem: ExtendedProblem, noise: Noise) -> float:
     return problem.total * float(np.sum(np.log(levels)))
 
 
-def run_states(session: Session, model: Model) -> list[State]:
+def run_states(split: RunSplit, model: Model) -> list[State]:
     """The discover fit's state cut into runs."""
     out, begin = [], 0
-    for i in session.discover:
-        length = sum(len(s.time_s) for s in session.runs[i])
+    for i in split.discover:
+        length = sum(len(s.time_s) for s in split.runs[i])
         where = slice(begin, begin + length)
         x = model.state.x
         out.append(replace(model.state, x=Latents(x.q[where], x.v[where], x.u[where])))
@@ -176,36 +176,36 @@ def run_states(session: Session, model: Model) -> list[State]:
     return out
 
 
-def smooth(session: Session, model: Model, run: int, start: Latents | None = None,
+def smooth(split: RunSplit, model: Model, run: int, start: Latents | None = None,
            signals: Sequence | None = None) -> tuple[ExtendedProblem, State]:  # type: ignore[type-arg]
     """Motion of a run that the fit has not seen (or of a rehearsal of it), parameters and noise held."""
-    own = list(session.runs[run]) if signals is None else list(signals)
-    problem = session.problem([run], model.problem.stage.reach, model.effects, signals=own)
+    own = list(split.runs[run]) if signals is None else list(signals)
+    problem = split.problem([run], model.problem.stage.angle_range, model.effects, signals=own)
     if start is None:
-        begin = start_state(problem, own, session.mechanism, session.options,
-                            np.zeros(session.mechanism.p, dtype=bool), model.state.beta[: session.mechanism.p])
+        begin = start_state(problem, own, split.mechanism, split.options,
+                            np.zeros(split.mechanism.p, dtype=bool), model.state.beta[: split.mechanism.p])
         start = begin.x
     # a small model error, enforced at once from far off, does not settle; a rehearsal starts at its own motion
-    known, tried = problem.rest, []
-    steep = not np.array_equal(problem.eased(model.state.beta, np.inf), model.state.beta)
+    known, tried = problem.stiction_variance, []
+    steep = not np.array_equal(problem.relaxed(model.state.beta, np.inf), model.state.beta)
     for path in (SLACK[-1:] if signals is not None else LONGER if steep else SLACK, LONGER):
         try:
-            state = _settle(session, model, problem, start, path, known)
+            state = _settle(split, model, problem, start, path, known)
         except FitError as error:
             failure = error
             continue
-        tried.append((per_value(problem, state), problem.rest, state))
+        tried.append((per_value(problem, state), problem.stiction_variance, state))
         if tried[-1][0] < BAD or (steep and path is LONGER):
             break
     if not tried:
         raise failure
-    _, problem.rest, state = min(tried, key=lambda t: t[0])
+    _, problem.stiction_variance, state = min(tried, key=lambda t: t[0])
     if signals is None:
-        session.keep_rest([run], problem)
+        split.keep_stiction([run], problem)
     return problem, state
 
 
-def _settle(session: Session, model: Model, problem: ExtendedProblem, start: Latents,
+def _settle(split: RunSplit, model: Model, problem: ExtendedProblem, start: Latents,
             path: Sequence[tuple[float, int]], known: FloatArray | None) -> State:
     """The motion that is reached from `start` along a path of slacks, of the passive joint and of steep laws.
 
@@ -214,14 +214,14 @@ def _settle(session: Session, model: Model, problem: ExtendedProblem, start: Lat
     noise, held = model.state.noise, np.zeros(model.state.beta.size, dtype=bool)
     state = State(start, model.state.beta.copy(), noise, model.state.covariance)
     for slack, limit in path:
-        problem.rest = known
+        problem.stiction_variance = known
         torque = noise.torque.copy()
-        torque[list(session.mechanism.passive)] *= slack
-        state.beta = problem.eased(model.state.beta, slack)
+        torque[list(split.mechanism.passive)] *= slack
+        state.beta = problem.relaxed(model.state.beta, slack)
         steep = not np.array_equal(state.beta, model.state.beta)
         encoder = noise.encoder * min(slack, LOOSE_ENCODER) if steep else noise.encoder
         state.noise = replace(noise, torque=torque, encoder=encoder)
-        iterate(problem, state, held, session.options, None, limit)
+        iterate(problem, state, held, split.options, None, limit)
     return state
 
 
@@ -232,67 +232,67 @@ def per_value(problem: ExtendedProblem, state: State) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def score_discover(session: Session, model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
+def score_discover(split: RunSplit, model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
     """Scores of `candidates` at `model`, one a discover run."""
-    states = run_states(session, model)
+    states = run_states(split, model)
 
     def scored(k: int) -> RunScore:
-        problem = session.problem([session.discover[k]], model.problem.stage.reach, model.effects, candidates)
+        problem = split.problem([split.discover[k]], model.problem.stage.angle_range, model.effects, candidates)
         return score_run(problem, states[k])
 
-    return spread(scored, len(states), session.workers)
+    return parallel_map(scored, len(states), split.workers)
 
 
-def score_confirm(session: Session, nominal: Model, model: Model, candidates: Sequence[Candidate]
+def score_confirm(split: RunSplit, nominal: Model, model: Model, candidates: Sequence[Candidate]
                   ) -> tuple[list[RunScore], float]:
     """The same on the confirm runs, which the fit has not seen, nothing re-fitted; and the fall of -2 log likelihood
     there from `nominal` to `model`, at the latter's noise."""
     plain = replace(nominal, state=replace(nominal.state, noise=model.state.noise))
 
     def confirmed(k: int) -> tuple[RunScore, float]:
-        i = session.confirm[k]
-        problem, state = smooth(session, model, i)
-        scored = session.problem([i], model.problem.stage.reach, model.effects, candidates)
-        before, apart = smooth(session, plain, i)
-        gain = misfit(Model((), apart, before)) - misfit(Model(model.effects, state, problem))
+        i = split.confirm[k]
+        problem, state = smooth(split, model, i)
+        scored = split.problem([i], model.problem.stage.angle_range, model.effects, candidates)
+        before, plain_state = smooth(split, plain, i)
+        gain = misfit(Model((), plain_state, before)) - misfit(Model(model.effects, state, problem))
         return score_run(scored, state), gain
 
-    scores, gains = zip(*spread(confirmed, len(session.confirm), session.workers))
+    scores, gains = zip(*parallel_map(confirmed, len(split.confirm), split.workers))
     return list(scores), float(sum(gains))
 
 
-def rehearsal_scores(session: Session, model: Model, candidates: Sequence[Candidate], scores: Sequence[RunScore],
+def bootstrap_scores(split: RunSplit, model: Model, candidates: Sequence[Candidate], scores: Sequence[RunScore],
                      rng: np.random.Generator) -> list[RunScore]:
     """Mean score of rehearsals of the model, one a discover run: the bias of `scores` when nothing is wrong.
 
     A rehearsal that the model fits worse than the run itself was not simulated well, and is left out; a run without
     any has the bias of the others. Raises `FitError` where there is none at all.
     """
-    states, seeds = run_states(session, model), rng.integers(2**63, size=len(session.discover))
-    count = int(np.clip(REHEARSED // model.problem.total, *REHEARSALS))
+    states, seeds = run_states(split, model), rng.integers(2**63, size=len(split.discover))
+    count = int(np.clip(REPLICATED_SAMPLES // model.problem.total, *REPLICATES))
 
-    def rehearsed(k: int) -> FloatArray | None:
-        i, own = session.discover[k], np.random.default_rng(seeds[k])
-        problem = session.problem([i], model.problem.stage.reach, model.effects)
+    def bootstrap_bias(k: int) -> FloatArray | None:
+        i, own = split.discover[k], np.random.default_rng(seeds[k])
+        problem = split.problem([i], model.problem.stage.angle_range, model.effects)
         found, worst = [], OFF * per_value(problem, states[k])
-        staged = None if session.mechanism.passive else perform(problem, states[k], own)
+        staged = None if split.mechanism.passive else simulate_run(problem, states[k], own)
         for _ in range(count):
-            signals = rehearse(problem, states[k], session.runs[i], own, staged)
-            rehearsal, again = smooth(session, model, i, states[k].x, signals)
-            if per_value(rehearsal, again) > worst:
+            signals = draw_replicate(problem, states[k], split.runs[i], own, staged)
+            replicate, again = smooth(split, model, i, states[k].x, signals)
+            if per_value(replicate, again) > worst:
                 continue
-            scored = session.problem([i], model.problem.stage.reach, model.effects, candidates, signals)
+            scored = split.problem([i], model.problem.stage.angle_range, model.effects, candidates, signals)
             found.append(score_alone(scored, again))
         return np.mean(found, axis=0) if found else None
 
-    means = spread(rehearsed, len(states), session.workers)
+    means = parallel_map(bootstrap_bias, len(states), split.workers)
     good = [RunScore(mean, s.information) for mean, s in zip(means, scores) if mean is not None]
     if not good:
         raise FitError("no rehearsal of the model is like its run")
-    return [borrowed(good, s) if mean is None else RunScore(mean, s.information) for mean, s in zip(means, scores)]
+    return [pooled_bias(good, s) if mean is None else RunScore(mean, s.information) for mean, s in zip(means, scores)]
 
 
-def borrowed(bias: Sequence[RunScore], run: RunScore) -> RunScore:
+def pooled_bias(bias: Sequence[RunScore], run: RunScore) -> RunScore:
     """Mean bias of other runs, scaled column by column to what this run informs of.
 
     A run that never reaches a stop says nothing of it, and has no bias about it either.
@@ -303,7 +303,7 @@ def borrowed(bias: Sequence[RunScore], run: RunScore) -> RunScore:
     return RunScore(score * share, run.information)
 
 
-def tests_of(session: Session, model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None,
+def tests_of(split: RunSplit, model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None,
              scatter: Tests | None = None) -> Tests:
     """Efficient tests with the model's own parameters projected out."""
     return project(runs, model.problem.parameter_count, bias, scatter)

@@ -37,7 +37,7 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class Ranked:
+class CandidateScore:
     """One effect of the library as scored before any re-fit."""
 
     effect: str
@@ -112,7 +112,7 @@ class Diagnosis:
     sentence: str
     """The verdict in one sentence for a person."""
     causes: tuple[Cause, ...] = ()
-    candidates: tuple[Ranked, ...] = ()
+    candidates: tuple[CandidateScore, ...] = ()
     confirm_runs: tuple[str, ...] = ()
     sensors: Mapping[str, SensorGain] = field(default_factory=dict)
     """Column to its free-run error."""
@@ -139,7 +139,7 @@ class Diagnosis:
     extended_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(p + sizes, p + sizes)"""
     noise: Mapping[str, float] = field(default_factory=dict)
-    reach: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    angle_range: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     """(n, 2) range of each joint's angle over the runs that were fitted: what the effects' sizes refer to."""
     short: ShortRuns | None = None
     """Only where free runs over whole runs cannot show the gain."""

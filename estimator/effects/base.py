@@ -29,8 +29,8 @@ what a spline follows; of each encoder the rate and the acceleration."""
 
 
 CONSTANT = "constant torque"
-"""`Effect.alike`: a constant torque on a joint that slides, shared out between two directions of friction, a preload or
-an offset. They differ near rest only, where no friction law is exact."""
+"""`Effect.equivalence_class`: a constant torque on a joint that slides, shared out between two directions of friction,
+a preload or an offset. They differ near rest only, where no friction law is exact."""
 
 
 class Size(NamedTuple):
@@ -90,7 +90,7 @@ class View:
     starts: NDArray[np.intp]
     """First sample of each gap-free stretch."""
     dt_s: float
-    reach: FloatArray
+    angle_range: FloatArray
     """(n, 2) smallest and largest angle over all runs."""
     gear_ratio: float = 1.0
     measured: Mapping[str, FloatArray] | None = None
@@ -135,13 +135,13 @@ class Effect(ABC):
     experiment: ClassVar[str]
     """What run would show it best."""
     per_joint: ClassVar[bool] = False
-    alike: ClassVar[str] = ""
+    equivalence_class: ClassVar[str] = ""
     """Effects of one such group cannot be told apart by small differences: these stem from what no model has right."""
     instant: ClassVar[bool] = False
     """The torque that it adds in a simulation is `law` alone."""
-    kin: ClassVar[str] = ""
+    family: ClassVar[str] = ""
     """Laws of one such group at one joint may differ by form alone: what one leaves to another is no second cause."""
-    apart: ClassVar[int | None] = None
+    distinguishing_size: ClassVar[int | None] = None
     """Which size sets an effect apart from its group: without it, it is the same function of the motion."""
     positive: ClassVar[int] = 0
     """Its first so many sizes are not below zero where the effect is present: friction that drives is none."""
@@ -206,7 +206,7 @@ class Effect(ABC):
         magnitudes = np.abs(self.tried(shape))
         return float(magnitudes.min() / shape.below), float(magnitudes.max() * shape.above)
 
-    def eased(self, size: FloatArray, slack: float) -> FloatArray:
+    def relaxed(self, size: FloatArray, slack: float) -> FloatArray:
         """`size` of a law that is less steep by up to `slack`: a motion that is sought from afar comes by it."""
         return size
 
@@ -227,7 +227,7 @@ class Effect(ABC):
         """beta (p,) of a simulation without a record, friction of the motor's side included."""
         return beta
 
-    def lost(self, view: View, size: FloatArray) -> Mapping[int, FloatArray]:
+    def drive_loss(self, view: View, size: FloatArray) -> Mapping[int, FloatArray]:
         """Joint to the motor's torque (N,) beyond the torque latent, where a record's is the torque behind a gear."""
         return {}
 

@@ -83,7 +83,7 @@ class TorqueOffset(TorqueSensorEffect):
     """reading = u + c."""
 
     name = "torque_offset"
-    alike = CONSTANT
+    equivalence_class = CONSTANT
     sizes = (Size("offset", "N m", 0.01),)
     sentence = "the measured torque has an offset (shunt zero)"
     reference = "contracts: torque from the current shunt"

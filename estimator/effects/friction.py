@@ -15,7 +15,7 @@ class StribeckFriction(TorqueEffect):
     """F exp(-(v/vs)^2) sign(v)."""
 
     name = "stribeck_friction"
-    kin = "friction"
+    family = "friction"
     near_rest = True
     positive = 1
     sizes = (Size("excess_torque", "N m", 0.01),)
@@ -34,9 +34,9 @@ class AsymmetricFriction(TorqueEffect):
     """Extra Coulomb and viscous friction while v > 0: F max(s, 0) + B max(v, 0)."""
 
     name = "asymmetric_friction"
-    kin = "friction"
-    alike = CONSTANT
-    apart = 1
+    family = "friction"
+    equivalence_class = CONSTANT
+    distinguishing_size = 1
     sizes = (Size("coulomb_difference", "N m", 0.01), Size("viscous_difference", "N m s/rad", 0.01))
     sentence = "friction differs between the two directions of motion"
     reference = "Janot, Gautier, Brunot 2019 (EMPS)"
@@ -57,7 +57,7 @@ class LoadDependentFriction(TorqueEffect):
     """
 
     name = "load_dependent_friction"
-    kin = "friction"
+    family = "friction"
     near_rest = True
     positive = 1
     sizes = (Size("load_coefficient", "1", 0.01),)
@@ -84,7 +84,7 @@ class QuadraticDrag(TorqueEffect):
     """c v |v|."""
 
     name = "quadratic_drag"
-    kin = "friction"
+    family = "friction"
     positive = 1
     sizes = (Size("drag", "N m s^2/rad^2", 0.001),)
     sentence = "drag grows with the square of the speed"
@@ -100,7 +100,7 @@ class FrictionDrift(TorqueEffect):
     """Coulomb level that settles in the course of the session, C (1 - exp(-t / tau)), and drifts within each run."""
 
     name = "friction_drift"
-    kin = "friction"
+    family = "friction"
     sizes = (Size("change", "N m", 0.005), Size("change_per_minute_within_runs", "N m", 0.01))
     shapes = (Shape("time_constant", "s", (30.0, 100.0, 300.0)),)
     sentence = "the friction level drifts with time (warming up, running in)"
@@ -121,7 +121,7 @@ class PreslidingFriction(Effect):
     """
 
     name = "presliding_friction"
-    kin = "friction"
+    family = "friction"
     near_rest = True
     positive = 2  # bristles that drove would give back more than they took: a hysteresis that fades does
     defining = 1

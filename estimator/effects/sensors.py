@@ -96,7 +96,7 @@ class ImuLeverArm(ImuEffect):
 class EncoderEffect(SensorEffect):
     """Base: the joint's own encoder reads wrong."""
 
-    kin = "encoder"
+    family = "encoder"
     per_joint = True
 
     def error(self, q: FloatArray, size: FloatArray) -> FloatArray:

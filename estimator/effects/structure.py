@@ -30,8 +30,8 @@ class JointStiffness(TorqueEffect):
     """k q - c: a spring at the joint, c = k q0 its torque at the zero angle."""
 
     name = "joint_stiffness"
-    alike = CONSTANT
-    apart = 0
+    equivalence_class = CONSTANT
+    distinguishing_size = 0
     positive = 1
     sizes = (Size("stiffness", "N m/rad", 0.05), Size("preload", "N m", 0.01))
     sentence = "a spring acts at the joint (cable, seal, hose)"
@@ -76,7 +76,7 @@ class EndStopContact(TorqueEffect):
         j = self.joint or 0
         q = at.q[j]
         side = np.sign(size[1])
-        reach = abs(view.reach[j, 1 if side > 0 else 0])
+        reach = abs(view.angle_range[j, 1 if side > 0 else 0])
         depth = side * q - abs(size[1]) * reach
         rounded = 0.5 * (depth + np.sqrt(depth * depth + 1e-6))
         return size[0] * side * rounded
@@ -97,7 +97,7 @@ class GearEffect(Effect):
 
     per_joint = True
     instant = True
-    kin = "encoder"
+    family = "encoder"
     defining = 1
     lag_s = 0.005
     """A gear damps, and its twist lags. (Measured on gears that damp: beside the twist alone an IMU was found to be 1.7
@@ -115,7 +115,7 @@ class GearEffect(Effect):
         j = self.joint or 0
         s = view.samples
         if view.measured is not None:
-            return Perturbation(readings={f"torque{j + 1}": self.lost(view, size)[j],
+            return Perturbation(readings={f"torque{j + 1}": self.drive_loss(view, size)[j],
                                           f"encoder{j + 1}": self.twist(s.u[j], size)[0]})
         friction = view.parameter("viscous", j) * s.v[j] + view.parameter("coulomb", j) * s.sign[j]
         gauss, samples = np.zeros_like(view.gauss.a), np.zeros_like(s.a)
@@ -137,7 +137,7 @@ class GearEffect(Effect):
         j = self.joint or 0
         return {f"encoder{j + 1}": self.twist(view.samples.u[j], size)[1]}
 
-    def lost(self, view: View, size: FloatArray) -> Mapping[int, FloatArray]:
+    def drive_loss(self, view: View, size: FloatArray) -> Mapping[int, FloatArray]:
         j = self.joint or 0
         if view.measured is None:
             return {}
@@ -180,7 +180,7 @@ class Backlash(GearEffect):
     """Flanks meet with an impact, shorter than a sample. (Measured on gaps of 0.09 to 0.13 rad, found to one part in a
     hundred: the accelerometer is left up to 2.1 times as loud as its noise.)"""
 
-    def eased(self, size: FloatArray, slack: float) -> FloatArray:
+    def relaxed(self, size: FloatArray, slack: float) -> FloatArray:
         contact = abs(size[-1])
         return np.append(size[:-1], max(contact, min(slack * contact, max(self.shapes[0].grid))))
 

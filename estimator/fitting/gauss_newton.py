@@ -55,14 +55,14 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     index = np.flatnonzero(free)
     settled, share, lowest, change = 0, 1.0, np.inf, 0.0
     before = np.zeros(index.size)
-    taken: Mapping[str, FloatArray] | None = None
-    finds_rest = problem.rest is None
+    effective_dof: Mapping[str, FloatArray] | None = None
+    finds_rest = problem.stiction_variance is None
     state.lowest = np.inf
-    problem.foreseen = None if state.misfit is None else MARGIN * problem.total * state.misfit
+    problem.predicted_misfit = None if state.misfit is None else MARGIN * problem.total * state.misfit
     for iteration in range(limit):
         state.iterations = iteration + 1
         if finds_rest and iteration < REST_STEPS:
-            problem.rest = problem.rest_variance(state.x.v, state.beta)
+            problem.stiction_variance = problem.find_stiction_variance(state.x.v, state.beta)
         jit.note(problem.total)
         point = problem.linearise(state.x, state.beta, state.noise)
         if floors is None:
@@ -94,12 +94,12 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
             raise FitError("the fit ran away; the starting values are too far from the data")
         residuals = problem.residuals_after(point, step, step_beta, index)
         if floors is not None:
-            if taken is None or change > SAME_NOISE:
-                taken = problem.effective_samples(point, solved.inverse_diagonal(), state.noise)
-            change = _update_noise(problem, state, taken, residuals, options, floors)
+            if effective_dof is None or change > SAME_NOISE:
+                effective_dof = problem.effective_samples(point, solved.inverse_diagonal(), state.noise)
+            change = _update_noise(problem, state, effective_dof, residuals, options, floors)
         share_left = np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / problem.torque_variance(state.noise))
         state.misfit = np.minimum(share_left / problem.total, 1.0)
-        problem.foreseen = MARGIN * problem.total * state.misfit
+        problem.predicted_misfit = MARGIN * problem.total * state.misfit
         std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         moved = damping * float(np.max(np.abs(step_beta) / std, initial=0.0))
         if not index.size:
@@ -110,7 +110,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         if settled >= (1 if rough else 2):
             state.converged = True
             break
-    problem.foreseen = None
+    problem.predicted_misfit = None
 
 
 def most_noise(problem: LatentProblem, joint: int, floors: Noise) -> float:
@@ -140,9 +140,9 @@ def _shortest(angles: FloatArray, share: float) -> float:
     return share if biggest < 0.5 else share * 0.5 / biggest
 
 
-def _update_noise(problem: LatentProblem, state: State, taken: Mapping[str, FloatArray],
+def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[str, FloatArray],
                   residuals: Mapping[str, FloatArray], options: FitOptions, floors: Noise) -> float:
-    """sigma^2 = sum r^2 / (samples - those `taken` by the latents); returns the largest relative change.
+    """sigma^2 = sum r^2 / (samples - those `effective_dof` by the latents); returns the largest relative change.
 
     `residuals` are those after a whole step: they belong to the same noise levels as the degrees of freedom do.
     Mixing them with the residuals before it, or after a part of it, makes the levels swing with period two.
@@ -164,12 +164,12 @@ def _update_noise(problem: LatentProblem, state: State, taken: Mapping[str, Floa
         if ("torque_nm" if j in actuated else "passive_nm") not in known:
             r, count = weight[:, j] * residuals["torque"][:, j], float(weight[:, j].sum())
             haste = 1.0 if j in actuated or state.iterations <= PASSIVE_WAIT else PASSIVE_HASTE
-            torque[j] = level(r, float(taken["torque"][j]), floors.torque[j], old.torque[j], haste, count)
+            torque[j] = level(r, float(effective_dof["torque"][j]), floors.torque[j], old.torque[j], haste, count)
             if j in actuated:
                 torque[j] = min(torque[j], most_noise(problem, j, floors))
         if problem.has_encoder[j] and options.encoder_noise(int(j)) is None:
             r = residuals["encoder"][:, j]
-            encoder[j] = level(r, float(taken["encoder"][j]), floors.encoder[j], old.encoder[j])
+            encoder[j] = level(r, float(effective_dof["encoder"][j]), floors.encoder[j], old.encoder[j])
     driven = [torque[j] for j in actuated]
     most = max((TORQUE_SHARE * float(problem.torque_spread[j]) for j in actuated), default=np.inf) or np.inf
     for j in problem.mechanism.passive:
@@ -177,9 +177,9 @@ def _update_noise(problem: LatentProblem, state: State, taken: Mapping[str, Floa
             torque[j] = min(max(torque[j], PASSIVE_SHARE * min(driven)), most)
     gyro, accel = old.gyro, old.accel
     if problem.has_imu and "gyro_radps" not in known:
-        gyro = level(residuals["gyro"], float(taken["gyro"][0]), floors.gyro, old.gyro)
+        gyro = level(residuals["gyro"], float(effective_dof["gyro"][0]), floors.gyro, old.gyro)
     if problem.has_imu and "accel_mps2" not in known:
-        accel = level(residuals["accel"], float(taken["accel"][0]), floors.accel, old.accel)
+        accel = level(residuals["accel"], float(effective_dof["accel"][0]), floors.accel, old.accel)
     state.noise = Noise(torque, encoder, gyro, accel)
     pairs = [(torque, old.torque), (encoder, old.encoder), (np.array([gyro, accel]), np.array([old.gyro, old.accel]))]
     return max(float(np.max(np.abs(np.log(a[np.isfinite(a)] / b[np.isfinite(a)])), initial=0.0)) for a, b in pairs)

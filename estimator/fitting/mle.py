@@ -65,11 +65,11 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
     the lines stay as they are.
     """
-    reach = np.zeros((problem.n, 2))
+    angle_range = np.zeros((problem.n, 2))
     blank = (0.0,) * len(signals)
     wide = ExtendedProblem(signals, problem.mechanism, options.hold,
-                           Stage((0,) * len(signals), blank, blank, reach), (SensorTimeSkew(),))
-    wide.rest = problem.rest
+                           Stage((0,) * len(signals), blank, blank, angle_range), (SensorTimeSkew(),))
+    wide.stiction_variance = problem.stiction_variance
     again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
     iterate(wide, again, np.append(free, True), options, floors)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))

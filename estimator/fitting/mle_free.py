@@ -5,8 +5,8 @@ and q1d, with q1dd differenced from q1d by (43); on the encoder path q1 itself, 
 Everything else is taken as measured, filtered and differenced, (34)-(39). beta is eliminated at every step by
 (45), the sum of squares (50) is lowered by Gauss-Newton on all of them with exact, sparse derivatives: the
 residual of a sample depends on its neighbours only, so a step costs a time that grows linearly with samples.
-The paper's numerical gradient and Hessian give the same minimum (tests/estimator/fitting/test_mle_free.py), at a cost that grows
-with the square of the samples for the gradient alone.
+The paper's numerical gradient and Hessian give the same minimum (tests/estimator/fitting/test_mle_free.py), at a cost
+that grows with the square of the samples for the gradient alone.
 
 (63) is used with its signs mended (`estimator.signals.imu.tilt`); (29) with the inverse covariance; (51) printed
 without its sign: the step is -H^-1 g. sin and cos are free of each other, as in the paper: no circle binds them.

@@ -319,8 +319,8 @@ def _damped_step(information: FloatArray, score: FloatArray, damping: FloatArray
     scale = np.sqrt(np.maximum(np.einsum("rii->ri", information), 1e-300))
     values, vectors = np.linalg.eigh(information / (scale[:, :, None] * scale[:, None, :]))
     values = np.maximum(values, 1e-13) + damping[:, None]
-    turned = np.einsum("rij,ri->rj", vectors, score / scale) / values
-    step: FloatArray = -np.einsum("rij,rj->ri", vectors, turned) / scale
+    transposed = np.einsum("rij,ri->rj", vectors, score / scale) / values
+    step: FloatArray = -np.einsum("rij,rj->ri", vectors, transposed) / scale
     return step
 
 

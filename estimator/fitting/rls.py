@@ -8,7 +8,8 @@ leg with an encoder of 13 bits to 0.4 of the truth at 1 % of the others' varianc
 declares, and what the first fit leaves unexplained where nothing is declared.
 
 In exact arithmetic the recursion adds Z^T R^-1 Z to the inverse of P at every sample, so all its estimates are
-one running sum; that is how they are computed. tests/estimator/fitting/test_rls.py holds them against (64)-(67) step by step.
+one running sum; that is how they are computed. tests/estimator/fitting/test_rls.py holds them against (64)-(67) step by
+step.
 """
 
 from __future__ import annotations

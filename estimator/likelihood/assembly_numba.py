@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from daq import FloatArray
-from estimator.likelihood.normal_equations import Extra, Latents, Sums
+from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
 from estimator.model import Collocation, Motion, Samples
 from estimator.numerics import at, compiled, padded
 
@@ -24,7 +24,7 @@ seconds to compile, once on a machine."""
 
 
 def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
-               extra: Extra | None, sums: Sums) -> None:
+               extra: Extra | None, accumulators: Accumulators) -> None:
     """As `arrayrows.add_motion`."""
     z, own = c.fast(*c.motion(x.q, x.v, left), beta)
     torque = (beta @ z.reshape(len(beta), -1)).reshape(z.shape[1:])
@@ -33,26 +33,27 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
         z = np.concatenate([z, extra.torque_columns[:, :, :, intervals]])
         if extra.slopes is not None:
             own += extra.slopes[..., intervals].transpose(0, 3, 1, 2, 4)
-    chain, u = sums.chain, np.ascontiguousarray(x.u)
+    chain, u = accumulators.chain, np.ascontiguousarray(x.u)
     left = np.arange(left.start, left.stop) if isinstance(left, slice) else left
     _intervals(c.mechanism.n, _constant(chain.edge))(
-        z, own, torque, u, left, c.basis, c.torque_weights, weight, chain.edge, chain.rows, sums.square, sums.misfit)
+        z, own, torque, u, left, c.basis, c.torque_weights, weight, chain.edge, chain.rows, accumulators.square,
+        accumulators.misfit)
 
 
 def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, weight: float, here: slice,
-                      extra: Extra | None, sums: Sums, accel: FloatArray) -> None:
+                      extra: Extra | None, accumulators: Accumulators, accel: FloatArray) -> None:
     """As `arrayrows.add_accelerometer`."""
     m, n, count = c.mechanism, c.mechanism.n, here.stop - here.start
     q, v, u = (np.ascontiguousarray(a[here].T)[:, None] for a in (x.q, x.v, x.u))
-    turned, columns = c.fast.turned(q), np.zeros((2, 0, count))
+    transposed, columns = c.fast.transposed(q), np.zeros((2, 0, count))
     at_rest = Motion(q, v, np.zeros_like(q), v, v)
-    z, own = c.fast(*at_rest, beta, turned)
+    z, own = c.fast(*at_rest, beta, transposed)
     excess = u[:, 0] - (beta @ z.reshape(len(beta), -1)).reshape(n, count)
     if extra is not None:
         excess -= extra.torque_at_samples[:, here]
     qdd, inverse = np.empty((n, 1, count)), np.empty((n, n, count))
     _accelerations(n)(own[:, 0], excess, qdd[:, 0], inverse)
-    z, own = c.fast(*at_rest._replace(accel=qdd), beta, turned)
+    z, own = c.fast(*at_rest._replace(accel=qdd), beta, transposed)
     q1dd, shown = qdd[0, 0], measured[:, here].copy()
     if extra is not None:
         z = np.concatenate([z, extra.sample_columns[:, :, None, here]])
@@ -65,12 +66,12 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
                 shown[axis] -= extra.readings[channel][here]
             if channel in extra.reading_columns:
                 columns[axis] = extra.reading_columns[channel][:, here]
-    chain = sums.chain
+    chain = accumulators.chain
     _samples(n, _constant(chain.edge))(
-        z[:, :, 0], own[:, 0], inverse, turned[0][0, 0], turned[1][0, 0], v[0, 0], q1dd, shown, columns, m.lever_arm,
-        m.gravity_mps2, weight, chain.edge, chain.rows[here], accel[here])
+        z[:, :, 0], own[:, 0], inverse, transposed[0][0, 0], transposed[1][0, 0], v[0, 0], q1dd, shown, columns,
+        m.lever_arm, m.gravity_mps2, weight, chain.edge, chain.rows[here], accel[here])
     right = accel[here].reshape(2 * count, -1)[:, chain.block :]
-    sums.square[:] += weight * (right.T @ right)
+    accumulators.square[:] += weight * (right.T @ right)
 
 
 def _constant(edge: int) -> int:
@@ -94,7 +95,7 @@ def _intervals(n: int, fixed: int) -> Callable[..., Any]:
         if fixed > 0:
             edge, full = fixed, whole
         line = np.zeros((height, full, STRIP))
-        turned, after = np.zeros((height, full)), np.zeros((height, edge))
+        transposed, after = np.zeros((height, full)), np.zeros((height, edge))
         for i in range(n):
             for g in range(2):
                 for w in range(STRIP):
@@ -132,17 +133,17 @@ def _intervals(n: int, fixed: int) -> Callable[..., Any]:
             for w in range(size):
                 for r in range(height):
                     for c in range(full):
-                        turned[r, c] = line[r, c, w]
+                        transposed[r, c] = line[r, c, w]
                     for c in range(edge):
-                        after[r, c] = turned[r, c]
+                        after[r, c] = transposed[r, c]
                     for c in range(b):
-                        after[r, c] = turned[r, edge + c]
+                        after[r, c] = transposed[r, edge + c]
                 k = left[at(start + w)]
                 for i in range(b):
                     for c in range(full):
                         t = rows[at(k), i, c]
                         for r in range(height):
-                            t += turned[r, i] * turned[r, c]
+                            t += transposed[r, i] * transposed[r, c]
                         rows[at(k), i, c] = t
                 for i in range(b):
                     for c in range(edge):
@@ -204,7 +205,7 @@ def _samples(n: int, fixed: int) -> Callable[..., Any]:
         count, width, extra = rate.size, 1 + z.shape[0], columns.shape[1]
         if fixed > 0:
             edge = fixed
-        line, turned = np.zeros((2, edge, STRIP)), np.zeros((2, edge))
+        line, transposed = np.zeros((2, edge, STRIP)), np.zeros((2, edge))
         for start in range(0, count, STRIP):
             size = min(STRIP, count - start)
             for j in range(n):
@@ -238,12 +239,12 @@ def _samples(n: int, fixed: int) -> Callable[..., Any]:
             for w in range(size):
                 for r in range(2):
                     for c in range(edge):
-                        turned[r, c] = line[r, c, w]
+                        transposed[r, c] = line[r, c, w]
                     for c in range(b + width):
-                        accel[at(start + w), r, c] = turned[r, c]
+                        accel[at(start + w), r, c] = transposed[r, c]
                 for i in range(b):
-                    f, g = weight * turned[0, i], weight * turned[1, i]
+                    f, g = weight * transposed[0, i], weight * transposed[1, i]
                     for c in range(edge):
-                        rows[at(start + w), i, c] += f * turned[0, c] + g * turned[1, c]
+                        rows[at(start + w), i, c] += f * transposed[0, c] + g * transposed[1, c]
 
     return compiled(run)

@@ -9,23 +9,23 @@ from __future__ import annotations
 import numpy as np
 
 from daq import FloatArray
-from estimator.likelihood.normal_equations import Extra, Latents, Sums
+from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
 from estimator.model import Collocation, Samples, after
 from estimator.numerics import gram
 from estimator.signals import accelerometer
 
 
 def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
-               extra: Extra | None, sums: Sums) -> None:
+               extra: Extra | None, accumulators: Accumulators) -> None:
     """Add the equation of motion on `intervals`, which begin at samples `left`, each row times its joint's weight."""
-    b, n = sums.chain.block, c.mechanism.n
+    b, n = accumulators.chain.block, c.mechanism.n
     rows = motion_rows(c, x, beta, weight, intervals, left, extra)
     columns = rows[:, 2 * b :]
-    sums.square[:] += np.sum(columns @ columns.swapaxes(1, 2), axis=0)
-    sums.misfit[:] += np.sum(columns[:, 0] ** 2, axis=-1).reshape(n, 2).sum(axis=1)
-    turned = _turned(rows)
-    first, second, rest = turned[:, :, :b], turned[:, :, b : 2 * b], turned[:, :, 2 * b :]
-    diagonal, lower, sides = sums.chain.diagonal, sums.chain.lower, sums.chain.right
+    accumulators.square[:] += np.sum(columns @ columns.swapaxes(1, 2), axis=0)
+    accumulators.misfit[:] += np.sum(columns[:, 0] ** 2, axis=-1).reshape(n, 2).sum(axis=1)
+    transposed = _transposed(rows)
+    first, second, rest = transposed[:, :, :b], transposed[:, :, b : 2 * b], transposed[:, :, 2 * b :]
+    diagonal, lower, sides = accumulators.chain.diagonal, accumulators.chain.lower, accumulators.chain.right
     right = after(left)
     diagonal[left] += gram(first)
     diagonal[right] += gram(second)
@@ -35,17 +35,17 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
 
 
 def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, weight: float, here: slice,
-                      extra: Extra | None, sums: Sums, accel: FloatArray) -> None:
+                      extra: Extra | None, accumulators: Accumulators, accel: FloatArray) -> None:
     """Add both axes' samples `here`; put their rows, unscaled, into accel (N, 2, b + 1 + parameters)."""
-    b = sums.chain.block
+    b = accumulators.chain.block
     rows = accelerometer_rows(c, x, beta, measured, here, extra)
     columns = rows[:, b:]
-    sums.square[:] += np.sum(columns @ columns.swapaxes(1, 2), axis=0) * weight
-    turned = accel[here] = _turned(rows)
-    own = turned[:, :, :b]
+    accumulators.square[:] += np.sum(columns @ columns.swapaxes(1, 2), axis=0) * weight
+    transposed = accel[here] = _transposed(rows)
+    own = transposed[:, :, :b]
     back = own.swapaxes(1, 2) * weight
-    sums.chain.diagonal[here] += back @ own
-    sums.chain.right[here] += back @ turned[:, :, b:]
+    accumulators.chain.diagonal[here] += back @ own
+    accumulators.chain.right[here] += back @ transposed[:, :, b:]
 
 
 def motion_rows(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
@@ -106,6 +106,6 @@ def accelerometer_rows(c: Collocation, x: Latents, beta: FloatArray, measured: F
     return rows
 
 
-def _turned(rows: FloatArray) -> FloatArray:
+def _transposed(rows: FloatArray) -> FloatArray:
     height, width, count = rows.shape
     return rows.reshape(-1, count).T.copy().reshape(count, height, width)

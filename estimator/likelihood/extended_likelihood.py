@@ -61,7 +61,7 @@ class Stage:
     """Session time of each stretch's first sample."""
     time_s: tuple[float, ...]
     """Time since the start of its run of each stretch's first sample."""
-    reach: FloatArray
+    angle_range: FloatArray
     """(n, 2)"""
     gear_ratio: float = 1.0
 
@@ -96,7 +96,7 @@ class ExtendedProblem(LatentProblem):
         gauss = Points(motion.angle, motion.rate, motion.accel, c.torque(x.u, left), sign, *self._gauss_times)
         samples = Points(x.q.T, x.v.T, qdd.T, x.u.T, smooth_sign(x.v.T, m.velocity_scale), self._time, self._session,
                          self._run)
-        return View(m, beta, gauss, samples, left, (GAUSS[0], GAUSS[1]), self._starts, self.dt, self.stage.reach,
+        return View(m, beta, gauss, samples, left, (GAUSS[0], GAUSS[1]), self._starts, self.dt, self.stage.angle_range,
                     self.stage.gear_ratio)
 
     @cached_property
@@ -137,10 +137,10 @@ class ExtendedProblem(LatentProblem):
         sizes = [e.clipped(parameters[place]) for e, place in zip(self.effects, self.places())]
         return parameters[: self.mechanism.p], sizes
 
-    def eased(self, parameters: FloatArray, slack: float) -> FloatArray:
-        """The parameter vector with every effect's law less steep; see `Effect.eased`."""
+    def relaxed(self, parameters: FloatArray, slack: float) -> FloatArray:
+        """The parameter vector with every effect's law less steep; see `Effect.relaxed`."""
         beta, sizes = self.split(parameters)
-        return np.concatenate([beta, *(e.eased(size, slack) for e, size in zip(self.effects, sizes))])
+        return np.concatenate([beta, *(e.relaxed(size, slack) for e, size in zip(self.effects, sizes))])
 
     def extra(self, x: Latents, parameters: FloatArray) -> Extra:
         """What the effects add at (x, parameters), with columns of effects, then of candidates."""
@@ -192,8 +192,8 @@ class ExtendedProblem(LatentProblem):
         view = replace(self.view(x, beta), measured=self._measured)
         out = x.u.copy()
         for effect, size in zip(self.effects, sizes):
-            for j, lost in effect.lost(view, size).items():
-                out[:, j] += lost
+            for j, drive_loss in effect.drive_loss(view, size).items():
+                out[:, j] += drive_loss
         return out
 
     def _law_slopes(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray | None, FloatArray | None]:

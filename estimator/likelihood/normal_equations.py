@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from daq import FloatArray
-from estimator.numerics import Chain
+from estimator.numerics import BlockTridiagonal
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class Latents:
         return Latents(self.q + step[:, :n], self.v + step[:, n:2 * n], self.u + step[:, 2 * n:])
 
 
-class Sums(NamedTuple):
+class Accumulators(NamedTuple):
     """Where normal equations are summed up."""
 
-    chain: Chain
+    chain: BlockTridiagonal
     square: FloatArray
     """(m, m) products of the right sides' columns, in the upper half at least."""
     misfit: FloatArray
@@ -63,7 +63,7 @@ class Linearised:
     """Gauss-Newton normal equations at one point."""
 
     objective: float
-    chain: Chain
+    chain: BlockTridiagonal
     """Of the latents; its right sides are the gradient by the latents, then the border. Elimination uses it up."""
     corner: FloatArray
     """(p, p)"""

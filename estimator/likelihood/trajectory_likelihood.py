@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.likelihood import assembly_numba, assembly_numpy
-from estimator.likelihood.normal_equations import Extra, Latents, Linearised, Sums
+from estimator.likelihood.normal_equations import Accumulators, Extra, Latents, Linearised
 from estimator.model import Collocation, Mechanism, Samples, smooth_sign
-from estimator.numerics import Chain, jit
+from estimator.numerics import BlockTridiagonal, jit
 from estimator.signals import IMU_COLUMNS, SignalSet, encoder_level, white_noise_level
 
 PIECE = 1024
@@ -82,16 +82,17 @@ class LatentProblem:
         self.angles = np.concatenate([s.angles for s in signals])
         self.has_encoder = np.isfinite(self.angles).all(axis=0)
         self.has_imu = bool(signals[0].imu)
-        self.rest: FloatArray | None = None
-        """(N, n) variance [N^2 m^2] of the torque that dry friction may hold at each sample; see `rest_variance`."""
-        self.foreseen: FloatArray | None = None
+        self.stiction_variance: FloatArray | None = None
+        """(N, n) variance [N^2 m^2] of the torque that dry friction may hold at each sample; see
+        `find_stiction_variance`."""
+        self.predicted_misfit: FloatArray | None = None
         """(n,) misfit of each joint's torque that the last step of a search foresaw; see `_inertia_gradient`."""
         if self.has_imu:
             self.gyro, *accel = (np.concatenate([s.imu[c] for s in signals]) for c in IMU_COLUMNS)
             self.accel = np.stack(accel)
             self.ax, self.ay = self.accel
 
-    def rest_variance(self, v: FloatArray, beta: FloatArray) -> FloatArray:
+    def find_stiction_variance(self, v: FloatArray, beta: FloatArray) -> FloatArray:
         """(N, n) what the rounded sign(qd) leaves open where a joint hardly moves, squared [N^2 m^2].
 
         A joint that sticks holds any torque up to its Coulomb level F; the model says F s(qd), |s| < 1. The
@@ -113,21 +114,21 @@ class LatentProblem:
         if extra is not None:
             width += extra.sample_columns.shape[0]
         rows = assembly_numba if jit.ready() else assembly_numpy
-        chain = Chain.zeros(self.total, b, width)  # right sides: residual, then parameters
-        sums = Sums(chain, np.zeros((width, width)), np.zeros(n))
+        chain = BlockTridiagonal.zeros(self.total, b, width)  # right sides: residual, then parameters
+        accumulators = Accumulators(chain, np.zeros((width, width)), np.zeros(n))
         weight = 1.0 / (TIGHT * noise.torque)
         for intervals, left in self._pieces(self.left):
-            rows.add_motion(self.collocation, x, beta, weight, intervals, left, extra, sums)
+            rows.add_motion(self.collocation, x, beta, weight, intervals, left, extra, accumulators)
         residuals: dict[str, FloatArray] = {}
         accel = np.empty((self.total if self.has_imu else 0, 2, b + width))
         if self.has_imu:
             for start in range(0, self.total, PIECE):
                 here = slice(start, min(start + PIECE, self.total))
-                rows.add_accelerometer(self.collocation, x, beta, self.accel, 1.0 / noise.accel**2, here, extra, sums,
-                                       accel)
+                rows.add_accelerometer(self.collocation, x, beta, self.accel, 1.0 / noise.accel**2, here, extra,
+                                       accumulators, accel)
             residuals["accel"] = accel[:, :, b]
-        upper = np.triu(sums.square)
-        square, misfit = upper + np.triu(upper, 1).T, sums.misfit
+        upper = np.triu(accumulators.square)
+        square, misfit = upper + np.triu(upper, 1).T, accumulators.misfit
         gradient, border = chain.right[:, :, 0], chain.right[:, :, 1:]
         objective, gradient_beta, corner = float(square[0, 0]), square[1:, 0], square[1:, 1:]
         variances = self.torque_variance(noise)
@@ -145,12 +146,12 @@ class LatentProblem:
         its misfit r. The density of what drives the joint's acceleration carries the joint's inertia m = a . beta,
         so r / m counts, whose gradient has - r^2 a / m^3 beside r r' / m^2. Without it a wrong model, or a weakly
         excited leg, runs off to beta = 0, and a right one is low by one part in the torque's signal to noise ratio.
-        On the way there a misfit is that of latents which the same step puts right: more than `foreseen`, or at
+        On the way there a misfit is that of latents which the same step puts right: more than `predicted_misfit`, or at
         first more than the samples, to which it sums where the noise level is its own estimate, would overshoot.
         (Measured: counted in full it keeps beta 0.9 % high for the first four steps.)
         """
         out = np.zeros(self.mechanism.p)
-        most = np.full(self.n, self.total) if self.foreseen is None else self.foreseen
+        most = np.full(self.n, self.total) if self.predicted_misfit is None else self.predicted_misfit
         for j in self.mechanism.passive:
             a = self._inertia[:, j]
             m = float(a @ beta)
@@ -193,7 +194,7 @@ class LatentProblem:
     def torque_variance(self, noise: Noise) -> FloatArray:
         """(N, n) of every torque sample [N^2 m^2]."""
         level = np.broadcast_to(noise.torque**2, (self.total, self.n))
-        return level if self.rest is None else level + self.rest
+        return level if self.stiction_variance is None else level + self.stiction_variance
 
     def torque_weight(self, noise: Noise) -> FloatArray:
         """(N, n) share of each torque sample's variance that is noise, not dry friction at rest."""
@@ -284,7 +285,7 @@ class LatentProblem:
         n = self.n
         variance = np.einsum("kii->ki", p_diagonal)
         weight = self.torque_weight(noise)
-        taken = {"torque": np.einsum("kj,kj->j", variance[:, 2 * n:], weight**2) / noise.torque**2,
+        effective_dof = {"torque": np.einsum("kj,kj->j", variance[:, 2 * n:], weight**2) / noise.torque**2,
                  "encoder": variance[:, :n].sum(axis=0) / noise.encoder**2}
         for channel, slope in (point.extra.by_torque.items() if point.extra is not None else ()):
             kind, j = channel[:-1], int(channel[-1]) - 1
@@ -293,10 +294,10 @@ class LatentProblem:
             both = slope**2 * variance[:, u] + 2.0 * slope * p_diagonal[:, own, u]
             if kind == "torque":
                 both *= weight[:, j] ** 2
-            taken[kind][j] += both.sum() / (noise.torque if kind == "torque" else noise.encoder)[j] ** 2
+            effective_dof[kind][j] += both.sum() / (noise.torque if kind == "torque" else noise.encoder)[j] ** 2
         if self.has_imu:
-            taken["gyro"] = np.array([variance[:, n].sum() / noise.gyro**2])
+            effective_dof["gyro"] = np.array([variance[:, n].sum() / noise.gyro**2])
             a = point.accel_rows
-            taken["accel"] = np.array([np.vdot(a @ p_diagonal, a) / noise.accel**2])
-        return taken
+            effective_dof["accel"] = np.array([np.vdot(a @ p_diagonal, a) / noise.accel**2])
+        return effective_dof
 

@@ -205,8 +205,8 @@ class Collocation:
     def to_joint(self, z: FloatArray) -> FloatArray:
         """Z (p, n, 2, K) with every row a joint's."""
         out, rigid = z.copy(), z[self._rigid]
-        turned = self.mechanism.transform.T @ rigid.reshape(*rigid.shape[:2], -1)
-        out[self._rigid] = turned.reshape(rigid.shape)
+        transposed = self.mechanism.transform.T @ rigid.reshape(*rigid.shape[:2], -1)
+        out[self._rigid] = transposed.reshape(rigid.shape)
         return out
 
     def jacobian(self, slopes: list[list[Slope]], beta: FloatArray, shape: tuple[int, ...],

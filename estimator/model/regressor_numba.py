@@ -30,7 +30,7 @@ class FastTerms:
         self.table = np.array([(CODES.index(p.term), p.at[0], p.at[-1]) for p in mechanism.parameters])
         self.transform = np.ascontiguousarray(mechanism.transform, dtype=np.float64)
 
-    def turned(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def transposed(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Cosine and sine of the links' angles, each (n, S, K), from the joints' (n, S, K)."""
         theta = self.transform @ angle.reshape(len(angle), -1)
         cosine, sine = np.empty(angle.shape), np.empty(angle.shape)
@@ -39,16 +39,16 @@ class FastTerms:
 
     def __call__(self, angle: FloatArray, rate: FloatArray, accel: FloatArray, rate_from: FloatArray,
                  rate_to: FloatArray, beta: FloatArray,
-                 turned: tuple[FloatArray, FloatArray] | None = None) -> tuple[FloatArray, FloatArray]:
+                 transposed: tuple[FloatArray, FloatArray] | None = None) -> tuple[FloatArray, FloatArray]:
         """Z (p, n, S, K) in joint rows and d(Z beta)/d(features) (n, S, 5, n, K) from contiguous features (n, S, K).
 
-        `turned`, if it is known, is that of the same angles.
+        `transposed`, if it is known, is that of the same angles.
         """
         n, points, count = rate.shape
         z, own = np.empty((len(beta), n, points, count)), np.empty((n, points, 5, n, count))
         m = self.mechanism
-        _terms(n)(*(turned or self.turned(angle)), rate, accel, rate_from, rate_to, beta, self.table, self.transform,
-                  float(m.gravity), float(m.velocity_scale) ** 2, z, own)
+        _terms(n)(*(transposed or self.transposed(angle)), rate, accel, rate_from, rate_to, beta, self.table,
+                  self.transform, float(m.gravity), float(m.velocity_scale) ** 2, z, own)
         return z, own
 
 

@@ -1,9 +1,9 @@
 """Block-tridiagonal systems eliminated at linear cost, and what is compiled by Numba."""
 
 from estimator.numerics import banded_cholesky, jit
-from estimator.numerics.block_tridiagonal import Chain, padded
+from estimator.numerics.block_tridiagonal import BlockTridiagonal, padded
 from estimator.numerics.cyclic_reduction import gram
 from estimator.numerics.elimination import eliminate
 from estimator.numerics.jit import at, compiled
 
-__all__ = ["Chain", "at", "banded_cholesky", "compiled", "eliminate", "gram", "jit", "padded"]
+__all__ = ["BlockTridiagonal", "at", "banded_cholesky", "compiled", "eliminate", "gram", "jit", "padded"]

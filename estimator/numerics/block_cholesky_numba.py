@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from daq import FloatArray
-from estimator.numerics.block_tridiagonal import Chain, padded
+from estimator.numerics.block_tridiagonal import BlockTridiagonal, padded
 from estimator.numerics.jit import at, compiled
 
 
@@ -26,7 +26,7 @@ class Swept:
     reciprocals of its diagonal in its diagonal, what became of the right sides, and U[k, k+1].
     """
 
-    chain: Chain
+    chain: BlockTridiagonal
 
     def product(self) -> FloatArray:
         """rhs^T H^-1 rhs (m, m)."""
@@ -48,7 +48,7 @@ class Swept:
         return out
 
 
-def eliminate(chain: Chain) -> Swept:
+def eliminate(chain: BlockTridiagonal) -> Swept:
     """Factor H and go forward through the right sides, in the place of both.
 
     Raises numpy.linalg.LinAlgError where H is not positive definite.

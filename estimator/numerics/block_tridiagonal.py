@@ -1,4 +1,4 @@
-"""`Chain`: normal equations that couple each sample with the next, as one array that elimination can work in.
+"""`BlockTridiagonal`: normal equations that couple each sample with the next, one array for elimination.
 
 A sample's rows hold everything that elimination takes to it at once: its own block, the right sides, and the block
 that couples it with the next sample; all padded to whole lines of the processor's cache.
@@ -22,7 +22,7 @@ def padded(count: int) -> int:
 
 
 @dataclass(frozen=True)
-class Chain:
+class BlockTridiagonal:
     """A symmetric block tridiagonal matrix H of N blocks of size b, with right sides."""
 
     rows: FloatArray
@@ -31,12 +31,12 @@ class Chain:
     """Number of right sides."""
 
     @classmethod
-    def zeros(cls, count: int, block: int, width: int) -> Chain:
+    def zeros(cls, count: int, block: int, width: int) -> BlockTridiagonal:
         """A chain of `count` blocks, all zero."""
         return cls(np.zeros((count, block, padded(padded(block + width) + block))), width)
 
     @classmethod
-    def of(cls, diagonal: FloatArray, lower: FloatArray, right: FloatArray) -> Chain:
+    def of(cls, diagonal: FloatArray, lower: FloatArray, right: FloatArray) -> BlockTridiagonal:
         """From blocks diagonal (N, b, b), lower (N-1, b, b) = H[k+1, k] and right sides (N b, width)."""
         n, b, _ = diagonal.shape
         chain = cls.zeros(n, b, right.shape[1])
@@ -45,10 +45,10 @@ class Chain:
         chain.right[:] = right.reshape(n, b, -1)
         return chain
 
-    def first(self, width: int) -> Chain:
+    def first(self, width: int) -> BlockTridiagonal:
         """A copy with the first right sides only."""
         count, b, _ = self.rows.shape
-        chain = Chain.zeros(count, b, width)
+        chain = BlockTridiagonal.zeros(count, b, width)
         chain.rows[:, :, : b + width] = self.rows[:, :, : b + width]
         chain.rows[:, :, chain.edge : chain.edge + b] = self.rows[:, :, self.edge : self.edge + b]
         return chain

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri
 
 from daq import FloatArray
-from estimator.numerics.block_tridiagonal import Chain
+from estimator.numerics.block_tridiagonal import BlockTridiagonal
 
 PIECE = 1024
 """Blocks that are worked on at a time."""
@@ -100,7 +100,7 @@ class Eliminated:
         return inverse_diagonal(self.factor)
 
 
-def eliminate(chain: Chain) -> Eliminated:
+def eliminate(chain: BlockTridiagonal) -> Eliminated:
     """Factor H and go forward through its right sides.
 
     Raises numpy.linalg.LinAlgError where H is not positive definite.

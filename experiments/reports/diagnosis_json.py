@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from daq import FloatArray
-from estimator.diagnosis import Cause, Diagnosis, Ranked, SensorGain, ShortRuns
+from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
 from experiments.console import program_version
 from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, build_mechanism, effect_value
 from experiments.rig import Setup
@@ -72,7 +72,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
             "p_value": cause.p_value, "confusable_with": list(near)}
 
 
-def _candidate(candidate: Ranked) -> dict[str, Any]:
+def _candidate(candidate: CandidateScore) -> dict[str, Any]:
     return {"effect": candidate.effect, "joint": contract_joint(candidate.effect, candidate.joint),
             "score": candidate.score, "p_value": candidate.p_value, "size": candidate.size,
             "smallest_detectable": _finite(candidate.smallest_detectable), "unit": candidate.unit}
@@ -105,7 +105,7 @@ def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, date: dat
         noise={name: float(level) for name, level in found.noise.items()},
         hold=setup.options.hold,  # type: ignore[arg-type]
         effects=tuple(effect_value(effect, size) for effect, size in found.effects), gear_ratio=gear_ratio,
-        reach=tuple((float(low), float(high)) for low, high in (found.reach if found.effects else ())),
+        reach=tuple((float(low), float(high)) for low, high in (found.angle_range if found.effects else ())),
         provenance=Provenance(runs=(*found.runs.get("fit", ()), *found.runs.get("screen", ())), method="mle",
                               sensors=setup.options.sensors,  # type: ignore[arg-type]
                               date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),

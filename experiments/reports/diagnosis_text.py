@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import isinf
 
-from estimator.diagnosis import Cause, Diagnosis, Ranked, SensorGain, ShortRuns
+from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
 from experiments.console import text_table
 from experiments.reports.diagnosis_json import contract_joint, split_key, untestable
 
@@ -38,17 +38,17 @@ def size_rows(cause: Cause) -> list[list[str]]:
     return rows
 
 
-def size_text(candidate: Ranked) -> str:
+def size_text(candidate: CandidateScore) -> str:
     """Its one-step size; nothing where the nominal parameters imitate it."""
     return "" if isinf(candidate.smallest_detectable) else f"{candidate.size:.3g}"
 
 
-def detectable_text(candidate: Ranked) -> str:
+def detectable_text(candidate: CandidateScore) -> str:
     """The smallest size that these runs would have shown."""
     return "none" if isinf(candidate.smallest_detectable) else f"{candidate.smallest_detectable:.2g}"
 
 
-def candidate_row(candidate: Ranked) -> list[str]:
+def candidate_row(candidate: CandidateScore) -> list[str]:
     """One row of CANDIDATE_HEADER."""
     return [effect_label(candidate.effect, candidate.joint), f"{candidate.score:.1f}", probability(candidate.p_value),
             size_text(candidate), detectable_text(candidate), candidate.unit]

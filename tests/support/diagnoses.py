@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from estimator.diagnosis.result import Cause, Diagnosis, Ranked, SensorGain, Signature, SizeEstimate, Trace
+from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis, SensorGain, Signature, SizeEstimate, Trace
 
 NAMES = tuple(f"beta{k}" for k in range(1, 10))
 
@@ -20,10 +20,10 @@ def synthetic() -> Diagnosis:
     measured = {"q1_rad": 0.3 * np.sin(2 * t), "q2_rad": np.sin(3 * t)}
     before = {name: values + 0.05 * np.sin(t) for name, values in measured.items()}
     after = {name: values + 0.01 * np.sin(t) for name, values in measured.items()}
-    ranked = (Ranked("stribeck_friction", 2, 9.1, 1e-9, 0.05, 0.01, "N m"),
-              Ranked("presliding_friction", 2, 5.0, 0.02, 0.02, 0.015, "N m"),
-              Ranked("rotor_inertia", 2, 1.2, 1.0, 1e-4, 2e-4, "kg m^2"),
-              Ranked("torque_offset", None, 0.3, 1.0, 1e-3, 0.006, "N m"))
+    ranked = (CandidateScore("stribeck_friction", 2, 9.1, 1e-9, 0.05, 0.01, "N m"),
+              CandidateScore("presliding_friction", 2, 5.0, 0.02, 0.02, 0.015, "N m"),
+              CandidateScore("rotor_inertia", 2, 1.2, 1.0, 1e-4, 2e-4, "kg m^2"),
+              CandidateScore("torque_offset", None, 0.3, 1.0, 1e-3, 0.006, "N m"))
     keys = ("stribeck_friction@2", "presliding_friction@2", "rotor_inertia@2", "torque_offset")
     cosines = np.array([[1.0, 0.82, 0.1, 0.0], [0.82, 1.0, -0.4, 0.0], [0.1, -0.4, 1.0, 0.2], [0.0, 0.0, 0.2, 1.0]])
     return Diagnosis(

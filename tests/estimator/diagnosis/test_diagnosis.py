@@ -14,7 +14,7 @@ from scipy.stats import t as student
 from daq.dataset import Dataset
 from estimator.diagnosis import refit
 from estimator.diagnosis.conclusion import base
-from estimator.diagnosis.data_split import open_session
+from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.procedure import diagnose, falls_short
 from estimator.diagnosis.refit import fit_nominal
 from estimator.diagnosis.result import Diagnosis, SensorGain, ShortRuns
@@ -55,8 +55,8 @@ def test_every_effect_vanishes_at_zero_size_and_acts_at_its_scale(runs: tuple[Le
     leg, data = runs
     mechanism = leg2(lever_arm=leg.lever)
     signals = split_signals(data[:1], mechanism, FitOptions())
-    reach = np.array([[-1.0, 1.0], [-1.5, 1.5]])
-    problem = ExtendedProblem(signals, mechanism, "linear", Stage((0,), (0.0,), (0.0,), reach, 50.0))
+    angle_range = np.array([[-1.0, 1.0], [-1.5, 1.5]])
+    problem = ExtendedProblem(signals, mechanism, "linear", Stage((0,), (0.0,), (0.0,), angle_range, 50.0))
     q = np.stack([data[0]["q1_rad"], data[0]["q2_rad"]], axis=-1)
     v = np.gradient(q, 0.01, axis=0)
     view = problem.view(Latents(q, v, problem.torque), leg.beta())
@@ -126,7 +126,7 @@ def test_a_stiff_pivot_is_named_with_its_size(runs: tuple[Leg, list[Dataset]]) -
     assert size.value == pytest.approx(stiffness, rel=0.25)
     assert found.gap_closed is not None and found.gap_closed > 0.8
     knee = np.concatenate([run["q2_rad"] for run in hidden if run.name not in found.confirm_runs])
-    assert found.reach[1] == pytest.approx((knee.min(), knee.max()), abs=3e-3)
+    assert found.angle_range[1] == pytest.approx((knee.min(), knee.max()), abs=3e-3)
 
 
 def test_nothing_hidden_is_never_named(runs: tuple[Leg, list[Dataset]]) -> None:
@@ -194,7 +194,7 @@ def test_intervals_hold_where_noise_lasts_longer_than_a_sample() -> None:
 def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, list[Dataset]],
                                                              monkeypatch: pytest.MonkeyPatch) -> None:
     leg, data = runs
-    session = open_session(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+    split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
 
     def stuck(problem: ExtendedProblem, state: State, free: NDArray[np.bool_], *rest: object) -> None:
         if free.any():
@@ -202,18 +202,18 @@ def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, li
         iterate(problem, state, free, *rest)
 
     monkeypatch.setattr(refit, "iterate", stuck)
-    nominal = fit_nominal(session)
+    nominal = fit_nominal(split)
     assert np.isinf(nominal.std()[:9]).all() and np.isfinite(nominal.state.beta).all()
-    assert any("no intervals" in warning for warning in base(session, nominal, {}, None).warnings)
+    assert any("no intervals" in warning for warning in base(split, nominal, {}, None).warnings)
 
 
 def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
                                                monkeypatch: pytest.MonkeyPatch) -> None:
     leg, data = runs
-    session = open_session(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
-    nominal, candidates = fit_nominal(session), [Candidate(kind(1)) for kind in (TorqueOffset, EncoderScale)]
-    scores = refit.score_discover(session, nominal, candidates)
-    plain, count = refit.rehearse, len(session.discover)
+    split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+    nominal, candidates = fit_nominal(split), [Candidate(kind(1)) for kind in (TorqueOffset, EncoderScale)]
+    scores = refit.score_discover(split, nominal, candidates)
+    plain, count = refit.draw_replicate, len(split.discover)
 
     def going_off(problem: ExtendedProblem, state: State, signals: list[SignalSet], *rest: Any) -> list[SignalSet]:
         found = plain(problem, state, signals, *rest)
@@ -222,19 +222,19 @@ def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
                 for s in found]
 
     monkeypatch.setattr(refit, "rehearse", going_off)
-    names = [session.runs[i][0].run for i in session.discover]
+    names = [split.runs[i][0].run for i in split.discover]
     bad: list[str] = []
     means = []
     for which in ([], names[:1]):
         bad[:] = which
         rng = np.random.default_rng(3)
-        means.append(refit.rehearsal_scores(session, nominal, candidates, scores, rng))
+        means.append(refit.bootstrap_scores(split, nominal, candidates, scores, rng))
     for k in range(1, count):
         assert means[1][k].score == pytest.approx(means[0][k].score, rel=1e-5)
-    assert means[1][0].score == pytest.approx(refit.borrowed(means[0][1:], scores[0]).score, rel=1e-5)
+    assert means[1][0].score == pytest.approx(refit.pooled_bias(means[0][1:], scores[0]).score, rel=1e-5)
     bad[:] = names
     with pytest.raises(FitError, match="rehearsal"):
-        refit.rehearsal_scores(session, nominal, candidates, scores, np.random.default_rng(3))
+        refit.bootstrap_scores(split, nominal, candidates, scores, np.random.default_rng(3))
 
 
 def test_a_combination_that_the_confirm_runs_hardly_know_is_not_tested_on_them() -> None:

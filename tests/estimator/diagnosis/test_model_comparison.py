@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator.diagnosis.context import Explained
-from estimator.diagnosis.model_comparison import tied
+from estimator.diagnosis.context import Explanation
+from estimator.diagnosis.model_comparison import indistinguishable_set
 from estimator.diagnosis.model_search import presence
 from estimator.effects import Effect
 from estimator.effects.drive import TorqueOffset
@@ -19,26 +19,26 @@ from estimator.effects.sensors import EncoderScale
 from estimator.effects.structure import JointElasticity, JointStiffness, RotorInertia
 
 
-def explained(effect: Effect, gain: float, by_run: list[float], sizes: list[float] | None = None,
-              clean: bool = True, inflation: float = 1.0) -> Explained:
+def explanation(effect: Effect, gain: float, by_run: list[float], sizes: list[float] | None = None,
+              no_residual_effect: bool = True, inflation: float = 1.0) -> Explanation:
     """One effect with sizes in units of their standard deviations."""
     size = np.array(sizes or [20.0] * effect.count)
     model: Any = SimpleNamespace(effects=(effect,), named=(effect,), sizes=lambda: [size],
                                  std=lambda: np.ones(5 + effect.count), places=lambda: [slice(5, 5 + effect.count)],
                                  problem=SimpleNamespace(mechanism=SimpleNamespace(p=5)))
     left: Any = SimpleNamespace(scatter=1.0)
-    return Explained(model, gain, left, 0, 0, True, clean, np.array(by_run),
+    return Explanation(model, gain, left, 0, 0, True, no_residual_effect, np.array(by_run),
                      inflation=np.full(5 + effect.count, inflation))
 
 
-def names(ties: list[Explained]) -> list[str]:
+def names(ties: list[Explanation]) -> list[str]:
     return [e.model.effects[0].name for e in ties]
 
 
 def test_runs_that_disagree_make_a_tie() -> None:
-    scale = explained(EncoderScale(1), 1546.0, [0.0] * 6)
-    rotor = explained(RotorInertia(1), 1504.0, [-75.0, 81.0, 60.0, -40.0, 55.0, -12.0])
-    assert names(tied([rotor, scale])) == ["encoder_scale", "rotor_inertia"]
+    scale = explanation(EncoderScale(1), 1546.0, [0.0] * 6)
+    rotor = explanation(RotorInertia(1), 1504.0, [-75.0, 81.0, 60.0, -40.0, 55.0, -12.0])
+    assert names(indistinguishable_set([rotor, scale])) == ["encoder_scale", "rotor_inertia"]
 
 
 @pytest.mark.parametrize(("gain", "by_run"), [
@@ -46,48 +46,49 @@ def test_runs_that_disagree_make_a_tie() -> None:
     (1300.0, [-75.0, 81.0, 60.0, -40.0, 255.0, -12.0]),  # a large one that one run makes
 ])
 def test_a_clear_second_is_no_tie(gain: float, by_run: list[float]) -> None:
-    scale = explained(EncoderScale(1), 1546.0, [0.0] * 6)
-    assert names(tied([scale, explained(RotorInertia(1), gain, by_run)])) == ["encoder_scale"]
+    scale = explanation(EncoderScale(1), 1546.0, [0.0] * 6)
+    assert names(indistinguishable_set([scale, explanation(RotorInertia(1), gain, by_run)])) == ["encoder_scale"]
 
 
 @pytest.mark.parametrize(("beside", "told"), [
     (frozenset({"sensor_time_skew"}), ["quadratic_drag"]), (frozenset(), ["quadratic_drag", "stribeck_friction"])])
 def test_second_causes_are_compared_by_what_they_were_sought_for(beside: frozenset[str], told: list[str]) -> None:
-    drag, stribeck = (replace(explained(kind(1), gain, by_run), beside=beside, margin=1047.0)
+    drag, stribeck = (replace(explanation(kind(1), gain, by_run), beside=beside, gain_over_parent=1047.0)
                       for kind, gain, by_run in ((QuadraticDrag, 319_713.0, [0.0] * 6),
                                                  (StribeckFriction, 319_410.0, [50.0, 51.0, 49.0, 52.0, 50.0, 51.0])))
-    assert names(tied([drag, stribeck])) == told
+    assert names(indistinguishable_set([drag, stribeck])) == told
 
 
-def constants(stiffness: float, viscous: float) -> list[Explained]:
+def constants(stiffness: float, viscous: float) -> list[Explanation]:
     """A constant torque told in three ways, with these sizes, in standard deviations, that set two of them apart."""
-    return [explained(JointStiffness(1), 1001.0, [0.0] * 6, [stiffness, 50.0]),
-            explained(TorqueOffset(), 1000.0, [1.0] * 6, clean=False),
-            explained(AsymmetricFriction(1), 999.0, [2.0] * 6, [50.0, viscous], clean=False)]
+    return [explanation(JointStiffness(1), 1001.0, [0.0] * 6, [stiffness, 50.0]),
+            explanation(TorqueOffset(), 1000.0, [1.0] * 6, no_residual_effect=False),
+            explanation(AsymmetricFriction(1), 999.0, [2.0] * 6, [50.0, viscous], no_residual_effect=False)]
 
 
 def test_a_spring_without_stiffness_is_an_offset() -> None:
-    assert names(tied(constants(1.5, 0.5))) == ["torque_offset", "asymmetric_friction"]
+    assert names(indistinguishable_set(constants(1.5, 0.5))) == ["torque_offset", "asymmetric_friction"]
 
 
 def test_a_spring_with_stiffness_is_no_offset() -> None:
-    assert names(tied(constants(9.0, 0.5))) == ["joint_stiffness"]
+    assert names(indistinguishable_set(constants(9.0, 0.5))) == ["joint_stiffness"]
 
 
 def test_a_stiffness_that_scatters_between_runs_makes_no_spring() -> None:
     spring, *others = constants(5.0, 0.5)
-    assert names(tied([spring, *others])) == ["joint_stiffness"]
-    loose = explained(JointStiffness(1), 1001.0, [0.0] * 6, [5.0, 50.0], inflation=2.0)
-    assert names(tied([loose, *others])) == ["torque_offset", "asymmetric_friction"]
+    assert names(indistinguishable_set([spring, *others])) == ["joint_stiffness"]
+    loose = explanation(JointStiffness(1), 1001.0, [0.0] * 6, [5.0, 50.0], inflation=2.0)
+    assert names(indistinguishable_set([loose, *others])) == ["torque_offset", "asymmetric_friction"]
 
 
 def test_a_preload_at_a_joint_without_motor_may_be_a_spring() -> None:
-    assert names(tied([constants(1.5, 0.5)[0], constants(1.5, 0.5)[2]])) == ["joint_stiffness", "asymmetric_friction"]
+    told = names(indistinguishable_set([constants(1.5, 0.5)[0], constants(1.5, 0.5)[2]]))
+    assert told == ["joint_stiffness", "asymmetric_friction"]
 
 
 def test_what_leaves_nothing_stands_before_what_is_likelier() -> None:
-    likely = explained(EncoderScale(1), 1500.0, [0.0] * 6, clean=False)
-    assert names(tied([likely, explained(RotorInertia(1), 1498.0, [0.5] * 6)])) == ["rotor_inertia"]
+    likely = explanation(EncoderScale(1), 1500.0, [0.0] * 6, no_residual_effect=False)
+    assert names(indistinguishable_set([likely, explanation(RotorInertia(1), 1498.0, [0.5] * 6)])) == ["rotor_inertia"]
 
 
 @pytest.mark.parametrize(("effect", "sizes", "there"), [
@@ -102,4 +103,4 @@ def test_what_leaves_nothing_stands_before_what_is_likelier() -> None:
     (JointStiffness(1), [-9.0, 9.0], False),  # a spring that pushes
     (JointStiffness(1), [-1.0, 9.0], True)])
 def test_an_effect_is_there_by_the_sizes_that_define_it(effect: Effect, sizes: list[float], there: bool) -> None:
-    assert presence(explained(effect, 1000.0, [0.0] * 6, sizes).model, 1.0) == [there]
+    assert presence(explanation(effect, 1000.0, [0.0] * 6, sizes).model, 1.0) == [there]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator.diagnosis.noise_check import loud, ratios
+from estimator.diagnosis.noise_check import excess_noise, ratios
 from estimator.effects import Effect
 from estimator.effects.structure import Backlash
 from estimator.likelihood.trajectory_likelihood import Noise
@@ -30,7 +30,7 @@ def ends(declared: dict[str, float], effects: tuple[Effect, ...] = (), **found: 
 
 
 def test_declared_levels_are_in_order() -> None:
-    assert loud(*ends(DECLARED)) == ""
+    assert excess_noise(*ends(DECLARED)) == ""
 
 
 @pytest.mark.parametrize(("channel", "level", "said"), [
@@ -38,26 +38,26 @@ def test_declared_levels_are_in_order() -> None:
     ("encoder", 0.002, "encoder of joint 2 is 10.0 times"), ("knee", 0.034, "torque at joint 2 is 1.7 times"),
     ("pivot", 0.04, "torque at joint 1 is 2.0 times")])
 def test_a_loud_channel_is_named(channel: str, level: float, said: str) -> None:
-    assert said in loud(*ends(DECLARED, **{channel: level}))
+    assert said in excess_noise(*ends(DECLARED, **{channel: level}))
 
 
 def test_impacts_may_be_louder_beside_play() -> None:
-    assert loud(*ends(DECLARED, (Backlash(1),), accel=0.1)) == ""
-    assert "accelerometer" in loud(*ends(DECLARED, (Backlash(1),), accel=0.14))
-    assert "torque at joint 2" in loud(*ends(DECLARED, (Backlash(1),), knee=0.045))
+    assert excess_noise(*ends(DECLARED, (Backlash(1),), accel=0.1)) == ""
+    assert "accelerometer" in excess_noise(*ends(DECLARED, (Backlash(1),), accel=0.14))
+    assert "torque at joint 2" in excess_noise(*ends(DECLARED, (Backlash(1),), knee=0.045))
 
 
 def test_process_torque_as_large_as_the_shunt_s_noise_is_no_fault() -> None:
-    assert loud(*ends(DECLARED, knee=0.0283)) == ""
+    assert excess_noise(*ends(DECLARED, knee=0.0283)) == ""
 
 
 def test_an_explanation_may_leave_a_share_of_what_was_there() -> None:
     before = ratios(*ends(DECLARED, knee=0.08))
-    assert loud(*ends(DECLARED, knee=0.036), before) == ""  # 15 % of the excess variance
-    assert "joint 2" in loud(*ends(DECLARED, knee=0.06), before)
+    assert excess_noise(*ends(DECLARED, knee=0.036), before) == ""  # 15 % of the excess variance
+    assert "joint 2" in excess_noise(*ends(DECLARED, knee=0.06), before)
 
 
 def test_without_a_declared_level_neighbouring_samples_stand_in_and_torque_is_not_judged() -> None:
     assert set(ratios(*ends({}))) == {"gyro", "accelerometer"}
-    assert loud(*ends({}, gyro=0.008, knee=1.0)) == ""
-    assert "gyro" in loud(*ends({}, gyro=0.02))
+    assert excess_noise(*ends({}, gyro=0.008, knee=1.0)) == ""
+    assert "gyro" in excess_noise(*ends({}, gyro=0.02))

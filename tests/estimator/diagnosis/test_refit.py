@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
-from estimator.diagnosis.data_split import open_session
+from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.refit import Model, begin_afresh, fit_nominal, per_value, refit, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.effects import Effect
@@ -61,13 +61,13 @@ def record(case: DrawnCase, plant: Mapping[str, float], late_s: float = 0.0) -> 
 def fitted(case: DrawnCase, data: list[Dataset], effect: Effect, afresh: bool = False,
            shapes: tuple[float, ...] = ()) -> tuple[Model, Model]:
     """Nominal fit, and the fit with the effect."""
-    session = open_session(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
-    nominal = fit_nominal(session)
+    split = split_runs(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
+    nominal = fit_nominal(split)
     start = np.zeros(effect.count)
     start[len(effect.sizes) :] = shapes
     if afresh:
         start[0] = 0.1
-    return nominal, refit(session, begin_afresh(session, nominal) if afresh else nominal, [(effect, start)], 40)
+    return nominal, refit(split, begin_afresh(split, nominal) if afresh else nominal, [(effect, start)], 40)
 
 
 def test_a_soft_gear_is_found_with_the_friction_of_its_motor() -> None:
@@ -85,17 +85,17 @@ def test_a_soft_gear_is_found_with_the_friction_of_its_motor() -> None:
 def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     case, gap = drawn("backlash"), 0.08
     data = record(case, {"shaft": 200.0, "shaft_damping": 0.12, "motor_inertia": MOTOR_INERTIA, "gap": gap})
-    session = open_session(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
+    split = split_runs(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
     effect = Backlash(1)
     start = np.array([0.5 * gap, 0.0, 0.0, 0.0, 0.1])
-    nominal = fit_nominal(session)
-    model = refit(session, nominal, [(effect, start)], 40)
+    nominal = fit_nominal(split)
+    model = refit(split, nominal, [(effect, start)], 40)
     assert model.sizes()[0][0] == pytest.approx(gap, rel=0.05)
-    picture = signature(session, nominal, model, effect)
+    picture = signature(split, nominal, model, effect)
     assert picture is not None and picture.y_label == "reading of encoder2"
     assert np.ptp(picture.curve) == pytest.approx(gap, rel=0.2)  # a step from one flank to the other
     # the law is a step of the torque: sought at once from filtered motion it leaves ten times as much
-    problem, state = smooth(session, model, session.confirm[0])
+    problem, state = smooth(split, model, split.confirm[0])
     assert per_value(problem, state) < 2.0
 
 

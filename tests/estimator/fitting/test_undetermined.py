@@ -148,8 +148,8 @@ def test_a_good_record_is_not_accused(method: str, sensors: str) -> None:
 def test_names_do_not_depend_on_the_basis_of_the_space() -> None:
     names, scale = ("a", "b", "c"), np.array([1.0, 2.0, 1.0])
     space = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    turned = space @ np.array([[0.8, -0.6], [0.6, 0.8]])
-    for directions in (space, turned, np.hstack([space, turned])):
+    transposed = space @ np.array([[0.8, -0.6], [0.6, 0.8]])
+    for directions in (space, transposed, np.hstack([space, transposed])):
         found = name_directions(names, directions / np.linalg.norm(directions, axis=0), scale)
         assert set(found) in ({"a +2*b", "c"}, {"b +0.5*a", "c"})
 

@@ -92,7 +92,7 @@ def test_cosine_and_sine_of_far_angles() -> None:
     """To the last digits of numpy's own, after many turns and close to a quarter of one."""
     angle = np.concatenate([np.random.default_rng(14).uniform(-1e5, 1e5, 5000), np.linspace(-7.0, 7.0, 5000),
                             np.arange(-40, 41) * np.pi / 4, [0.0, -0.0]])
-    cosine, sine = FastTerms(joint1()).turned(angle[None, None])
+    cosine, sine = FastTerms(joint1()).transposed(angle[None, None])
     np.testing.assert_allclose(cosine[0, 0], np.cos(angle), rtol=0.0, atol=2.5e-16)
     np.testing.assert_allclose(sine[0, 0], np.sin(angle), rtol=0.0, atol=2.5e-16)
-    assert np.isnan(FastTerms(joint1()).turned(np.full((1, 1, 1), np.nan))).all()
+    assert np.isnan(FastTerms(joint1()).transposed(np.full((1, 1, 1), np.nan))).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.numerics import banded_cholesky, block_cholesky_numba, cyclic_reduction
-from estimator.numerics.block_tridiagonal import Chain
+from estimator.numerics.block_tridiagonal import BlockTridiagonal
 from estimator.numerics.cyclic_reduction import DENSE, PIECE, factor, finish, halve, inverse_diagonal
 
 
@@ -66,13 +66,14 @@ def test_one_compiled_sweep_finds_what_odd_even_order_finds(n: int, b: int) -> N
     pytest.importorskip("numba", reason="needs the extra `fast`")
     _, diagonal, lower = chain(n, b) if n < 200 else short_chains(n, b)
     rhs, weights = np.random.default_rng(2).normal(size=(n * b, 5)), np.array([1.0, 0.5, -2.0, 0.0, 3.0])
-    swept, plain = (by.eliminate(Chain.of(diagonal, lower, rhs)) for by in (block_cholesky_numba, cyclic_reduction))
+    swept, plain = (by.eliminate(BlockTridiagonal.of(diagonal, lower, rhs))
+                    for by in (block_cholesky_numba, cyclic_reduction))
     for found, known in ((swept.product(), plain.product()), (swept.solution(weights), plain.solution(weights)),
                          (swept.inverse_diagonal(), plain.inverse_diagonal())):
         np.testing.assert_allclose(found, known, rtol=0.0, atol=1e-10 * np.abs(known).max())
     diagonal[n // 2] -= 100.0 * np.eye(b)
     with pytest.raises(np.linalg.LinAlgError):
-        block_cholesky_numba.eliminate(Chain.of(diagonal, lower, rhs))
+        block_cholesky_numba.eliminate(BlockTridiagonal.of(diagonal, lower, rhs))
 
 
 def short_chains(n: int, b: int) -> tuple[None, np.ndarray, np.ndarray]:

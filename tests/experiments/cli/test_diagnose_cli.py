@@ -83,7 +83,7 @@ def extended() -> Diagnosis:
     beta = np.array(LegBody().beta())
     return replace(synthetic(), effects=((StribeckFriction(1), np.array([0.05, 0.2])),),
                    extended_beta=np.concatenate([beta, [0.05, 0.2]]), extended_covariance=1e-8 * np.eye(11),
-                   noise={"torque_nm": 0.02}, reach=np.array([[-0.5, 0.4], [-1.0, 1.25]]))
+                   noise={"torque_nm": 0.02}, angle_range=np.array([[-0.5, 0.4], [-1.0, 1.25]]))
 
 
 def test_what_is_written_and_said(runs: list[Path], rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
