@@ -303,6 +303,7 @@ def test_a_thread_that_crashes_ends_in_a_stop(tmp_path: Path, monkeypatch: pytes
 KILLED = """
 import sys
 from pathlib import Path
+from tests.support.recordings import sine, threaded
 threaded(Path(sys.argv[1]), sine(60.0), lambda now, total: now > 0.5 and now < 0.52 and print("going", flush=True))
 """
 

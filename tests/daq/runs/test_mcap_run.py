@@ -132,7 +132,7 @@ def test_a_full_disk_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.Mon
 
 KILLED = """
 import sys
-from daq.runfile import RunWriter
+from daq.runs import RunWriter
 writer = RunWriter(sys.argv[1], {"rig.toml": "x"})
 i = 0
 while True:

@@ -221,7 +221,7 @@ def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
         return [replace(s, angles=s.angles + 0.02 * np.sin(40.0 * s.time_s)[:, None] * [0, 1]) if off else s
                 for s in found]
 
-    monkeypatch.setattr(refit, "rehearse", going_off)
+    monkeypatch.setattr(refit, "draw_replicate", going_off)
     names = [split.runs[i][0].run for i in split.discover]
     bad: list[str] = []
     means = []

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from estimator.diagnosis.data_split import open_session
+from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.refit import fit_nominal, refit
 from estimator.effects import CLASSES
 from estimator.effects.base import Effect
@@ -164,7 +164,7 @@ def test_a_saturated_motor_needs_more_current_than_its_torque_says() -> None:
 def test_a_shape_at_a_limit_is_held_and_has_no_interval() -> None:
     leg = Leg()
     runs = [record(leg, np.random.default_rng(40 + k), seconds=6.0, name=f"r{k}") for k in range(2)]
-    session = open_session(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+    session = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
     nominal = fit_nominal(session)
     effect = StribeckFriction(1)
     low = effect.clipped(np.array([0.01, 1e-9]))[1]

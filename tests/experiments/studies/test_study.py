@@ -141,5 +141,5 @@ def test_paper_table_has_four_cases_by_method() -> None:
 
 
 def test_help_is_quick() -> None:
-    code = "import sys; from experiments.cli import build_parser; build_parser(); print('numpy' in sys.modules)"
+    code = "import sys; from experiments.cli.main import build_parser; build_parser(); print('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "False"

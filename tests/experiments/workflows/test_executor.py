@@ -17,8 +17,7 @@ from experiments.cli import main
 from experiments.studies.biped3.store import load_block
 from experiments.studies.biped3.study import CASES, FLOOR, blocks, run_block
 from experiments.workflows.executor import ClusterExecutor, LocalExecutor, SerialExecutor, choose_executor
-
-HERE = Path(__file__).parent
+from tests.support.paths import ROOT
 
 
 def square(x: int) -> int:
@@ -66,7 +65,7 @@ def test_choice() -> None:
 def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
     """A scheduler and two worker processes of their own."""
     pytest.importorskip("distributed", reason="the cluster extra is not installed")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent)]), "OMP_NUM_THREADS": "1"}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     info = tmp_path / "scheduler.json"
     running: list[subprocess.Popen] = []
 
