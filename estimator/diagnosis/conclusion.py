@@ -20,6 +20,7 @@ from estimator.effects import Shape, Size
 from estimator.errors import FitError
 from estimator.likelihood import ExtendedProblem, FreeRun, State, free_run
 from estimator.parallel import parallel_map
+from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, encoder_of
 
 BLOCK_S = 2.0
 """Length of a block of the gain's bootstrap."""
@@ -101,21 +102,8 @@ def sensors_of(problem: ExtendedProblem, q1: FloatArray) -> dict[str, FloatArray
 def sensed(problem: ExtendedProblem, run: FreeRun) -> dict[str, FloatArray]:
     """What the sensors would read, by column."""
     unit = problem.mechanism.length_unit
-    out = {f"q{j + 1}_{unit}": run.readings[f"encoder{j + 1}"] for j in range(problem.n)}
-    imu = {"gyro_radps": "gyro", "accel_x_mps2": "accel_x", "accel_y_mps2": "accel_y"}
-    return out | {column: run.readings[channel] for column, channel in imu.items()}
-
-
-def torque_readings(problem: ExtendedProblem, state: State) -> FloatArray:
-    """(N, n) what effects add to the torque's reading along the motion in `state`."""
-    beta, sizes = problem.split(state.beta)
-    view = problem.view(state.x, beta)
-    out = np.zeros_like(problem.torque)
-    for effect, size in zip(problem.effects, sizes):
-        for channel, values in effect.perturb(view, size).readings.items():
-            if channel.startswith("torque"):
-                out[:, int(channel[-1]) - 1] += values
-    return out
+    out = {f"q{j + 1}_{unit}": run.readings[encoder_of(j)] for j in range(problem.n)}
+    return out | {column: run.readings[channel] for column, channel in zip(IMU_COLUMNS, IMU_CHANNELS)}
 
 
 def resimulate(split: RunSplit, fitted: tuple[ExtendedProblem, State], run: int, q1: FloatArray,
@@ -128,7 +116,7 @@ def resimulate(split: RunSplit, fitted: tuple[ExtendedProblem, State], run: int,
     """
     problem, state = fitted
     measured = sensors_of(problem, q1)
-    drive = problem.torque - torque_readings(problem, state)
+    drive = problem.torque - problem.torque_readings(state.x, state.beta)
     found = free_run(problem, state, drive, horizon_s)
     if found is None and not or_still:
         raise FitError("the free run diverges")
@@ -136,7 +124,7 @@ def resimulate(split: RunSplit, fitted: tuple[ExtendedProblem, State], run: int,
     simulated = still if found is None else sensed(problem, found)
     time_s = np.concatenate([s.time_s for s in split.runs[run]])
     return Resimulated(run, time_s, measured, {k: simulated[k] for k in measured},
-                       problem.torque - problem.motor_torque(state.x, state.beta) - torque_readings(problem, state))
+                       drive - problem.motor_torque(state.x, state.beta))
 
 
 def floor_errors(split: RunSplit, model: Model, fitted: tuple[ExtendedProblem, State], run: int,
@@ -153,7 +141,7 @@ def floor_errors(split: RunSplit, model: Model, fitted: tuple[ExtendedProblem, S
         signals = draw_replicate(problem, state, split.runs[run], rng)
         again = split.problem([run], model.problem.stage.angle_range, model.effects, signals=signals)
         begin = state if np.isinf(horizon_s) else smooth(split, model, run, state.x, signals)[1]
-        found = free_run(again, begin, again.torque - torque_readings(problem, state), horizon_s)
+        found = free_run(again, begin, again.torque - problem.torque_readings(state.x, state.beta), horizon_s)
         if found is not None:
             simulated = sensed(problem, found)
             return {k: (simulated[k] - v) ** 2 for k, v in sensors_of(again, truth.q[:, 0]).items()}

@@ -13,7 +13,7 @@ import numpy as np
 
 from estimator.errors import FitError
 from estimator.likelihood import ExtendedProblem, FreeRun, State, free_run
-from estimator.signals import IMU_COLUMNS, SignalSet, quantum
+from estimator.signals import GYRO, IMU_CHANNELS, IMU_COLUMNS, SignalSet, encoder_of, quantum, torque_of
 
 
 def simulate_run(problem: ExtendedProblem, state: State, rng: np.random.Generator) -> FreeRun:
@@ -43,7 +43,7 @@ def draw_replicate(problem: ExtendedProblem, state: State, signals: Sequence[Sig
     for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):
         angles = s.angles.copy()
         for j in map(int, np.flatnonzero(problem.has_encoder)):
-            true = run.readings[f"encoder{j + 1}"][where]
+            true = run.readings[encoder_of(j)][where]
             grid = quantum(s.angles[:, j])
             if grid > 0.0 and noise.encoder[j] < grid:
                 angles[:, j] = np.round(true / grid) * grid
@@ -51,11 +51,11 @@ def draw_replicate(problem: ExtendedProblem, state: State, signals: Sequence[Sig
                 angles[:, j] = true + noise.encoder[j] * rng.normal(size=true.shape)
         torque = np.zeros_like(s.torque)
         for j in problem.mechanism.actuated:
-            torque[:, j] = run.readings[f"torque{j + 1}"][where] + noise.torque[j] * rng.normal(size=len(where))
+            torque[:, j] = run.readings[torque_of(j)][where] + noise.torque[j] * rng.normal(size=len(where))
         imu = {}
         if problem.has_imu:
-            for column, channel in zip(IMU_COLUMNS, ("gyro", "accel_x", "accel_y")):
-                level = noise.gyro if channel == "gyro" else noise.accel
+            for column, channel in zip(IMU_COLUMNS, IMU_CHANNELS):
+                level = noise.gyro if channel == GYRO else noise.accel
                 imu[column] = run.readings[channel][where] + level * rng.normal(size=len(where))
         out.append(replace(s, angles=angles, torque=torque, imu=imu))
     return out

@@ -9,6 +9,7 @@ from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.refit import Model
 from estimator.diagnosis.result import Signature
 from estimator.effects import Effect, View
+from estimator.signals import ACCEL_X, ACCEL_Y, Channel
 
 BINS = 24
 AXES = {
@@ -45,7 +46,7 @@ def signature(split: RunSplit, nominal: Model, extended: Model, effect: Effect) 
     view = extended.problem.view(x, extended.state.beta[: split.mechanism.p])
     added = effect.perturb(view, size)
     # what an effect adds to both its joint's torque and its encoder (a gear) shows in the encoder
-    if added.torque_at_samples is not None and not any(c.startswith("encoder") for c in added.readings):
+    if added.torque_at_samples is not None and not any(c.kind == "encoder" for c in added.readings):
         row = int(np.argmax(np.std(added.torque_at_samples, axis=1)))
         curve, y_label = added.torque_at_samples[row], f"left over at joint {row + 1} [{split.mechanism.force_unit}]"
         before = _torque_left(nominal)[:, row]
@@ -77,11 +78,9 @@ def _torque_left(model: Model) -> FloatArray:
     return model.problem.torque - model.problem.motor_torque(model.state.x, model.state.beta)
 
 
-def _reading_left(model: Model, channel: str) -> FloatArray:
+def _reading_left(model: Model, channel: Channel) -> FloatArray:
     """(N,) measured less predicted reading of one sensor."""
     residuals = model.problem.linearise(model.state.x, model.state.beta, model.state.noise).residuals
-    if channel.startswith("accel"):
-        return -residuals["accel"][:, 0 if channel.endswith("x") else 1]
-    if channel == "gyro":
-        return -residuals["gyro"]
-    return -residuals[channel[:-1]][:, int(channel[-1]) - 1]
+    if channel in (ACCEL_X, ACCEL_Y):
+        return -residuals["accel"][:, (ACCEL_X, ACCEL_Y).index(channel)]
+    return -residuals[channel.kind] if channel.joint is None else -residuals[channel.kind][:, channel.joint]

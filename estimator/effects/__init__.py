@@ -1,13 +1,10 @@
 """What a simulation of the leg can get wrong: one small class an effect."""
 
 from estimator.effects.base import (
-    MOTOR_ACCELERATION,
-    MOTOR_RATE,
-    SLOW_GYRO,
-    SLOW_TORQUE,
     Effect,
     Perturbation,
     Points,
+    Record,
     SensorEffect,
     Shape,
     Size,
@@ -20,7 +17,7 @@ from estimator.effects.registry import CLASSES, ENTRY_POINT, UNTESTABLE, classes
 from estimator.effects.timing import SensorTimeSkew
 
 __all__ = [
-    "CLASSES", "ENTRY_POINT", "MOTOR_ACCELERATION", "MOTOR_RATE", "SLOW_GYRO", "SLOW_TORQUE", "UNTESTABLE",
-    "AnonymousReading", "AnonymousTorque", "Effect", "Laws", "Perturbation", "Points", "SensorEffect",
-    "SensorTimeSkew", "Shape", "Size", "TorqueEffect", "View", "battery", "by_motion", "classes", "library"
+    "CLASSES", "ENTRY_POINT", "UNTESTABLE", "AnonymousReading", "AnonymousTorque", "Effect", "Laws", "Perturbation",
+    "Points", "Record", "SensorEffect", "SensorTimeSkew", "Shape", "Size", "TorqueEffect", "View", "battery",
+    "by_motion", "classes", "library"
 ]

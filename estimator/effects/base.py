@@ -17,17 +17,10 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.model import Mechanism
+from estimator.signals import Channel
 
 WHEEL_M = 0.05
 """A slide's shapes are those of a joint that drives it by a wheel of this radius: grids of rad times this, in m."""
-SLOW_GYRO = "gyro below 12 Hz"
-SLOW_TORQUE = "slow torque of joint "
-MOTOR_RATE = "rate of encoder "
-MOTOR_ACCELERATION = "acceleration of encoder "
-"""Among `View.measured`: the gyro low-passed above any motion of a leg's links, the torque, with the joint's number, to
-what a spline follows; of each encoder the rate and the acceleration."""
-
-
 CONSTANT = "constant torque"
 """`Effect.equivalence_class`: a constant torque on a joint that slides, shared out between two directions of friction,
 a preload or an offset. They differ near rest only, where no friction law is exact."""
@@ -77,6 +70,19 @@ class Points:
 
 
 @dataclass(frozen=True)
+class Record:
+    """What sensors said, each array (N,)."""
+
+    readings: Mapping[Channel, FloatArray]
+    slow: Mapping[Channel, FloatArray]
+    """The gyro low-passed above any motion of a leg's links, torques to what a spline follows."""
+    rate: Mapping[int, FloatArray]
+    """Of each joint with an encoder, what it read differenced once, ..."""
+    acceleration: Mapping[int, FloatArray]
+    """... and twice."""
+
+
+@dataclass(frozen=True)
 class View:
     """What an effect may look at: the motion, the parameters, the rig."""
 
@@ -93,8 +99,8 @@ class View:
     angle_range: FloatArray
     """(n, 2) smallest and largest angle over all runs."""
     gear_ratio: float = 1.0
-    measured: Mapping[str, FloatArray] | None = None
-    """Channel to (N,) where there is a record; None in a simulation."""
+    measured: Record | None = None
+    """None in a simulation."""
 
     def parameter(self, term: str, joint: int) -> float:
         """The nominal parameter of this term at this joint; nil where the model has none."""
@@ -119,8 +125,8 @@ class Perturbation:
     """(n, 2, K) [N m]"""
     torque_at_samples: FloatArray | None = None
     """(n, N)"""
-    readings: Mapping[str, FloatArray] = field(default_factory=dict)
-    """Channel (torque1, encoder2, gyro, accel_x, accel_y) to (N,)."""
+    readings: Mapping[Channel, FloatArray] = field(default_factory=dict)
+    """What is added to each, (N,)."""
 
 
 class Effect(ABC):
@@ -218,7 +224,7 @@ class Effect(ABC):
         """(...) torque on its own joint [N m] by the motion at the same instant; nil where there is none."""
         return np.zeros_like(at.time_s)
 
-    def by_torque(self, view: View, size: FloatArray) -> Mapping[str, FloatArray]:
+    def by_torque(self, view: View, size: FloatArray) -> Mapping[Channel, FloatArray]:
         """Encoder or torque channel to the derivative (N,) of what it adds there by its joint's torque latent; else
         lagged."""
         return {}
@@ -259,8 +265,8 @@ class SensorEffect(Effect):
     """An amount added to what a sensor reads."""
 
     @abstractmethod
-    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
-        """Channel to (N,)."""
+    def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
+        """What is added to each channel's reading, (N,)."""
 
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         return Perturbation(readings=self.readings(view, size))

@@ -8,9 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects.base import CONSTANT, SLOW_TORQUE, Points, SensorEffect, Shape, Size, TorqueEffect, View
+from estimator.effects.base import CONSTANT, Points, SensorEffect, Shape, Size, TorqueEffect, View
 from estimator.effects.timing import shifted
 from estimator.model import Mechanism
+from estimator.signals import Channel, torque_of
 
 STEEP = 0.1
 """A saturated motor's current grows without bound; beyond this its slope, 32 then, stays."""
@@ -62,12 +63,12 @@ class TorqueSaturation(TorqueSensorEffect):
     reference = "torque constant of an iron core that saturates, K0 / sqrt(1 + (i / i_s)^2)"
     experiment = "the same motion at two amplitudes"
 
-    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
-        return {f"torque{j + 1}": self._current(view.samples.u[j], size)[0] - view.samples.u[j]
+    def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
+        return {torque_of(j): self._current(view.samples.u[j], size)[0] - view.samples.u[j]
                 for j in self._driven(view)}
 
-    def by_torque(self, view: View, size: FloatArray) -> Mapping[str, FloatArray]:
-        return {f"torque{j + 1}": self._current(view.samples.u[j], size)[1] - 1.0 for j in self._driven(view)}
+    def by_torque(self, view: View, size: FloatArray) -> Mapping[Channel, FloatArray]:
+        return {torque_of(j): self._current(view.samples.u[j], size)[1] - 1.0 for j in self._driven(view)}
 
     @staticmethod
     def _current(torque: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -89,8 +90,8 @@ class TorqueOffset(TorqueSensorEffect):
     reference = "contracts: torque from the current shunt"
     experiment = "rest with the motor off"
 
-    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
-        return {f"torque{j + 1}": np.full(view.samples.q.shape[1], size[0]) for j in self._driven(view)}
+    def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
+        return {torque_of(j): np.full(view.samples.q.shape[1], size[0]) for j in self._driven(view)}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         if any(p.term == "offset" for p in mechanism.parameters):
@@ -111,15 +112,15 @@ class TorqueDelay(TorqueSensorEffect):
     reference = "contracts: torque_delay > 0"
     experiment = "motion at high frequency: phase grows with it"
 
-    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+    def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         found = {}
         for j in self._driven(view):
             if view.measured is None:
                 true = view.samples.u[j]
-                found[f"torque{j + 1}"] = shifted(true, size[0], view) - true
+                found[torque_of(j)] = shifted(true, size[0], view) - true
             else:  # u(t - d) - y(t) is u(t) - y(t + d); noise interpolated between samples is less, so it stays
-                slow = view.measured[f"{SLOW_TORQUE}{j + 1}"]
-                found[f"torque{j + 1}"] = slow - shifted(slow, -size[0], view)
+                slow = view.measured.slow[torque_of(j)]
+                found[torque_of(j)] = slow - shifted(slow, -size[0], view)
         return found
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import Effect, Perturbation, Points, Size, View
 from estimator.model import Mechanism
+from estimator.signals import IMU_CHANNELS, Channel, encoder_of
 
 Law = Callable[[Points, int], FloatArray]
 Reading = Callable[[View], FloatArray]
@@ -76,7 +77,7 @@ class AnonymousReading(Effect):
     sentence = reference = experiment = ""
     name = "unnamed_reading"
 
-    def __init__(self, channel: str, label: str, law: Reading) -> None:
+    def __init__(self, channel: Channel, label: str, law: Reading) -> None:
         super().__init__(None)
         self.channel, self.label, self._law = channel, label, law
 
@@ -92,7 +93,6 @@ def battery(mechanism: Mechanism, has_imu: bool) -> list[Effect]:
     """All terms without a name that make sense on this rig."""
     found: list[Effect] = [AnonymousTorque(j, label, law) for j in range(mechanism.n)
                            for label, law in TORQUE_LAWS.items()]
-    channels = ["gyro", "accel_x", "accel_y", f"encoder{mechanism.n}"] if has_imu else \
-        [f"encoder{j + 1}" for j in range(mechanism.n)]
+    channels = [*IMU_CHANNELS, encoder_of(mechanism.n - 1)] if has_imu else [encoder_of(j) for j in range(mechanism.n)]
     found += [AnonymousReading(c, label, law) for c in channels for label, law in READINGS.items()]
     return found

@@ -7,12 +7,11 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import SensorEffect, Size, View
 from estimator.model import Mechanism
-from estimator.signals import accelerometer
+from estimator.signals import ACCEL_X, ACCEL_Y, GYRO, Channel, accelerometer, encoder_of
 
 
 class ImuEffect(SensorEffect):
     """Base: needs the IMU path."""
-
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         return "" if has_imu else "no IMU on this path"
@@ -27,8 +26,8 @@ class GyroBias(ImuEffect):
     reference = "LSM9DS1 datasheet: zero-rate level"
     experiment = "rest for a minute"
 
-    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
-        return {"gyro": np.full(view.samples.q.shape[1], size[0])}
+    def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
+        return {GYRO: np.full(view.samples.q.shape[1], size[0])}
 
 
 class GyroScale(ImuEffect):
@@ -40,8 +39,8 @@ class GyroScale(ImuEffect):
     reference = "LSM9DS1 datasheet: sensitivity"
     experiment = "large swings between two known rests"
 
-    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
-        return {"gyro": size[0] * view.samples.v[0]}
+    def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
+        return {GYRO: size[0] * view.samples.v[0]}
 
 
 class AccelerometerBias(ImuEffect):
@@ -53,9 +52,9 @@ class AccelerometerBias(ImuEffect):
     reference = "LSM9DS1 datasheet: zero-g level"
     experiment = "six positions at rest"
 
-    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+    def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         ones = np.ones(view.samples.q.shape[1])
-        return {"accel_x": size[0] * ones, "accel_y": size[1] * ones}
+        return {ACCEL_X: size[0] * ones, ACCEL_Y: size[1] * ones}
 
 
 def true_acceleration(view: View) -> tuple[FloatArray, FloatArray]:
@@ -73,10 +72,10 @@ class ImuMisalignment(ImuEffect):
     reference = "plane rotation"
     experiment = "rest hanging, and rest at a known angle"
 
-    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+    def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         ax, ay = true_acceleration(view)
         c, s = np.cos(size[0]), np.sin(size[0])
-        return {"accel_x": (c - 1.0) * ax - s * ay, "accel_y": (c - 1.0) * ay + s * ax}
+        return {ACCEL_X: (c - 1.0) * ax - s * ay, ACCEL_Y: (c - 1.0) * ay + s * ax}
 
 
 class ImuLeverArm(ImuEffect):
@@ -88,9 +87,9 @@ class ImuLeverArm(ImuEffect):
     reference = "contracts: accelerometer equations"
     experiment = "fast swings of the pivot"
 
-    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+    def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         s = view.samples
-        return {"accel_x": size[0] * s.a[0], "accel_y": -size[0] * s.v[0] ** 2}
+        return {ACCEL_X: size[0] * s.a[0], ACCEL_Y: -size[0] * s.v[0] ** 2}
 
 
 class EncoderEffect(SensorEffect):
@@ -103,9 +102,9 @@ class EncoderEffect(SensorEffect):
         """Error (N,) at angle q (N,) [rad]."""
         raise NotImplementedError
 
-    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+    def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         j = self.joint or 0
-        return {f"encoder{j + 1}": self.error(view.samples.q[j], size)}
+        return {encoder_of(j): self.error(view.samples.q[j], size)}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         return "this joint has no encoder on this path" if has_imu and self.joint == 0 else ""

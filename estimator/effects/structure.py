@@ -12,9 +12,6 @@ from scipy.signal import lfilter
 from daq import FloatArray
 from estimator.effects.base import (
     CONSTANT,
-    MOTOR_ACCELERATION,
-    MOTOR_RATE,
-    SLOW_GYRO,
     Effect,
     Perturbation,
     Points,
@@ -24,6 +21,7 @@ from estimator.effects.base import (
     View,
 )
 from estimator.model import Mechanism, smooth_sign
+from estimator.signals import ACCEL_X, ACCEL_Y, GYRO, Channel, encoder_of, torque_of
 
 
 class JointStiffness(TorqueEffect):
@@ -115,12 +113,12 @@ class GearEffect(Effect):
         j = self.joint or 0
         s = view.samples
         if view.measured is not None:
-            return Perturbation(readings={f"torque{j + 1}": self.drive_loss(view, size)[j],
-                                          f"encoder{j + 1}": self.twist(s.u[j], size)[0]})
+            return Perturbation(readings={torque_of(j): self.drive_loss(view, size)[j],
+                                          encoder_of(j): self.twist(s.u[j], size)[0]})
         friction = view.parameter("viscous", j) * s.v[j] + view.parameter("coulomb", j) * s.sign[j]
         gauss, samples = np.zeros_like(view.gauss.a), np.zeros_like(s.a)
         gauss[j], samples[j] = self.law(view.gauss, size, view), self.law(s, size, view)
-        return Perturbation(gauss, samples, {f"encoder{j + 1}": self.twist(s.u[j] - friction - samples[j], size)[0]})
+        return Perturbation(gauss, samples, {encoder_of(j): self.twist(s.u[j] - friction - samples[j], size)[0]})
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         return np.asarray(self.motor(size)[2] * at.a[self.joint or 0])
@@ -133,18 +131,18 @@ class GearEffect(Effect):
                     out[i] += value
         return out
 
-    def by_torque(self, view: View, size: FloatArray) -> Mapping[str, FloatArray]:
+    def by_torque(self, view: View, size: FloatArray) -> Mapping[Channel, FloatArray]:
         j = self.joint or 0
-        return {f"encoder{j + 1}": self.twist(view.samples.u[j], size)[1]}
+        return {encoder_of(j): self.twist(view.samples.u[j], size)[1]}
 
     def drive_loss(self, view: View, size: FloatArray) -> Mapping[int, FloatArray]:
         j = self.joint or 0
         if view.measured is None:
             return {}
-        rate = view.measured[f"{MOTOR_RATE}{j + 1}"]
+        rate = view.measured.rate[j]
         viscous, coulomb, inertia = self.motor(size)
         return {j: viscous * rate + coulomb * smooth_sign(rate, view.mechanism.velocity_scale)
-                + inertia * view.measured[f"{MOTOR_ACCELERATION}{j + 1}"]}
+                + inertia * view.measured.acceleration[j]}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         if mechanism.n == 1 and not has_imu:
@@ -223,7 +221,7 @@ class BaseCompliance(Effect):
         torque = t.T @ links
         q1 = s.q[0]
         return Perturbation(view.to_gauss(torque), torque,
-                            {"accel_x": base * np.cos(q1), "accel_y": base * np.sin(q1)})
+                            {ACCEL_X: base * np.cos(q1), ACCEL_Y: base * np.sin(q1)})
 
     @staticmethod
     def _filter(frequency_hz: float, damping: float, dt_s: float) -> tuple[FloatArray, FloatArray]:
@@ -238,9 +236,9 @@ class BaseCompliance(Effect):
         The pivot's fitted rate follows the equation of motion, and through that the base: fits went round in circles.
         The gyro's noise would act as torque noise, so it comes low-passed.
         """
-        if view.measured is None or SLOW_GYRO not in view.measured:
+        if view.measured is None or GYRO not in view.measured.slow:
             return view.samples.v
-        return np.concatenate([view.measured[SLOW_GYRO][None], view.samples.v[1:]])
+        return np.concatenate([view.measured.slow[GYRO][None], view.samples.v[1:]])
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         return "" if any(p.term == "gravity" for p in mechanism.parameters) else "no gravity term in the model"

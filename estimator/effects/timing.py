@@ -11,7 +11,7 @@ from scipy.ndimage import shift
 from daq import FloatArray
 from estimator.effects.base import SensorEffect, Size, View
 from estimator.model import Mechanism
-from estimator.signals import accelerometer
+from estimator.signals import IMU_CHANNELS, Channel, accelerometer
 
 
 def shifted(x: FloatArray, delay_s: float, view: View) -> FloatArray:
@@ -35,14 +35,13 @@ class SensorTimeSkew(SensorEffect):
     26 ms: found to 0.1 ms, with the gyro 1.6 times above its noise.)"""
     starts = ((0.02,), (-0.02,))
 
-    def readings(self, view: View, size: FloatArray) -> dict[str, FloatArray]:
+    def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         if view.measured is not None:  # x(t - d) - y(t) is x(t) - y(t + d), whose dependence on x is plain
-            return {name: view.measured[name] - shifted(view.measured[name], -size[0], view)
-                    for name in ("gyro", "accel_x", "accel_y")}
+            read = view.measured.readings
+            return {c: read[c] - shifted(read[c], -size[0], view) for c in IMU_CHANNELS}
         s, m = view.samples, view.mechanism
-        ax, ay = accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2)
-        true = {"gyro": s.v[0], "accel_x": ax, "accel_y": ay}
-        return {name: shifted(x, size[0], view) - x for name, x in true.items()}
+        true = (s.v[0], *accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2))
+        return {c: shifted(x, size[0], view) - x for c, x in zip(IMU_CHANNELS, true)}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         return "" if has_imu else "no IMU on this path"

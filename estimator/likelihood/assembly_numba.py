@@ -15,6 +15,7 @@ from daq import FloatArray
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
 from estimator.model import Collocation, Motion, Samples
 from estimator.numerics import at, compiled, padded
+from estimator.signals import ACCEL_X, ACCEL_Y
 
 STRIP = 32
 """Samples whose rows are made at a time."""
@@ -25,7 +26,7 @@ seconds to compile, once on a machine."""
 
 def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
                extra: Extra | None, accumulators: Accumulators) -> None:
-    """As `arrayrows.add_motion`."""
+    """As `assembly_numpy.add_motion`."""
     z, own = c.fast(*c.motion(x.q, x.v, left), beta)
     torque = (beta @ z.reshape(len(beta), -1)).reshape(z.shape[1:])
     if extra is not None:
@@ -42,7 +43,7 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
 
 def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, weight: float, here: slice,
                       extra: Extra | None, accumulators: Accumulators, accel: FloatArray) -> None:
-    """As `arrayrows.add_accelerometer`."""
+    """As `assembly_numpy.add_accelerometer`."""
     m, n, count = c.mechanism, c.mechanism.n, here.stop - here.start
     q, v, u = (np.ascontiguousarray(a[here].T)[:, None] for a in (x.q, x.v, x.u))
     transposed, columns = c.fast.transposed(q), np.zeros((2, 0, count))
@@ -61,7 +62,7 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
         if extra.sample_slopes is not None:
             own[:, 0] += extra.sample_slopes[..., here]
             _accelerations(n)(own[:, 0], excess, np.empty_like(excess), inverse)
-        for axis, channel in enumerate(("accel_x", "accel_y")):
+        for axis, channel in enumerate((ACCEL_X, ACCEL_Y)):
             if channel in extra.readings:
                 shown[axis] -= extra.readings[channel][here]
             if channel in extra.reading_columns:

@@ -12,7 +12,7 @@ from daq import FloatArray
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
 from estimator.model import Collocation, Samples, after
 from estimator.numerics import gram
-from estimator.signals import accelerometer
+from estimator.signals import ACCEL_X, ACCEL_Y, accelerometer
 
 
 def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
@@ -98,7 +98,7 @@ def accelerometer_rows(c: Collocation, x: Latents, beta: FloatArray, measured: F
     rows[0, b + 1 : b + 1 + m.p] = lever * by_beta
     if extra is not None:
         rows[0, b + 1 + m.p :] = -lever * np.einsum("jN,kjN->kN", inverse, extra.sample_columns[:, :, here])
-        for axis, channel in enumerate(("accel_x", "accel_y")):
+        for axis, channel in enumerate((ACCEL_X, ACCEL_Y)):
             if channel in extra.readings:
                 rows[axis, b] += extra.readings[channel][here]
             if channel in extra.reading_columns:

@@ -15,13 +15,10 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.effects import (
-    MOTOR_ACCELERATION,
-    MOTOR_RATE,
-    SLOW_GYRO,
-    SLOW_TORQUE,
     Effect,
     Perturbation,
     Points,
+    Record,
     TorqueEffect,
     View,
     by_motion,
@@ -29,7 +26,7 @@ from estimator.effects import (
 from estimator.likelihood.normal_equations import Extra, Latents, Linearised
 from estimator.likelihood.trajectory_likelihood import LatentProblem, Noise
 from estimator.model import ACCEL, ANGLE, GAUSS, RATE, Mechanism, mean_sign, smooth_sign
-from estimator.signals import SignalSet, lowpass
+from estimator.signals import GYRO, IMU_CHANNELS, Channel, SignalSet, encoder_of, lowpass, torque_of
 
 SLOW_HZ = 12.0
 SLOW_SHARE = 0.12
@@ -110,17 +107,20 @@ class ExtendedProblem(LatentProblem):
         return between(self._time), between(self._session), np.broadcast_to(self._run[left], (2, left.size))
 
     @cached_property
-    def _measured(self) -> dict[str, FloatArray]:
+    def _measured(self) -> Record:
         def slow(x: FloatArray, cutoff_hz: float) -> FloatArray:
             return np.concatenate([lowpass(part, cutoff_hz, 1.0 / self.dt) for part in np.split(x, self.ends[:-1])])
 
-        found = {f"torque{j + 1}": self.torque[:, j] for j in range(self.n)}
-        for j in np.flatnonzero(self.has_encoder):
-            found[f"{MOTOR_RATE}{j + 1}"], found[f"{MOTOR_ACCELERATION}{j + 1}"] = self._derivatives(self.angles[:, j])
-        found |= {f"{SLOW_TORQUE}{j + 1}": slow(self.torque[:, j], SLOW_SHARE / self.dt) for j in range(self.n)}
+        with_encoder = [int(j) for j in np.flatnonzero(self.has_encoder)]
+        readings = {torque_of(j): self.torque[:, j] for j in range(self.n)}
+        readings |= {encoder_of(j): self.angles[:, j] for j in with_encoder}
+        low_passed = {torque_of(j): slow(self.torque[:, j], SLOW_SHARE / self.dt) for j in range(self.n)}
         if self.has_imu:
-            found |= {"gyro": self.gyro, "accel_x": self.ax, "accel_y": self.ay, SLOW_GYRO: slow(self.gyro, SLOW_HZ)}
-        return found
+            readings |= dict(zip(IMU_CHANNELS, (self.gyro, self.ax, self.ay)))
+            low_passed[GYRO] = slow(self.gyro, SLOW_HZ)
+        derivatives = {j: self._derivatives(self.angles[:, j]) for j in with_encoder}
+        return Record(readings, low_passed, {j: rate for j, (rate, _) in derivatives.items()},
+                      {j: acceleration for j, (_, acceleration) in derivatives.items()})
 
     def _derivatives(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
         parts = np.split(angle, self.ends[:-1])
@@ -165,14 +165,14 @@ class ExtendedProblem(LatentProblem):
             derivatives += slopes_at_zero(candidate, view)
         k = len(derivatives)
         columns, sample_columns = np.zeros((k, n, 2, count)), np.zeros((k, n, total))
-        reading_columns: dict[str, FloatArray] = {}
+        reading_columns: dict[Channel, FloatArray] = {}
         for i, d in enumerate(derivatives):
             if d.torque is not None and d.torque_at_samples is not None:
                 columns[i], sample_columns[i] = d.torque, d.torque_at_samples
             for channel, values in d.readings.items():
                 reading_columns.setdefault(channel, np.zeros((k, total)))[i] = values
         gauss_slopes, sample_slopes = self._law_slopes(view, sizes)
-        by_torque: dict[str, FloatArray] = {}
+        by_torque: dict[Channel, FloatArray] = {}
         for effect, size in zip(self.effects, sizes):
             for channel, slope in effect.by_torque(view, size).items():
                 by_torque[channel] = by_torque.get(channel, 0.0) + slope
@@ -195,6 +195,13 @@ class ExtendedProblem(LatentProblem):
             for j, drive_loss in effect.drive_loss(view, size).items():
                 out[:, j] += drive_loss
         return out
+
+    def torque_readings(self, x: Latents, parameters: FloatArray) -> FloatArray:
+        """(N, n) what effects add to the torques' readings along a motion: measured less this is what acted."""
+        beta, sizes = self.split(parameters)
+        readings = added(list(zip(self.effects, sizes)), self.view(x, beta))[2]
+        nothing = np.zeros(self.total)
+        return np.stack([readings.get(torque_of(j), nothing) for j in range(self.n)], axis=-1)
 
     def _law_slopes(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray | None, FloatArray | None]:
         """Derivatives of the torque laws by the features of the motion, at Gauss points and at samples."""
@@ -230,10 +237,10 @@ class ExtendedProblem(LatentProblem):
 
 
 def added(pairs: Sequence[tuple[Effect, FloatArray]], view: View) -> tuple[FloatArray, FloatArray,
-                                                                           dict[str, FloatArray]]:
+                                                                           dict[Channel, FloatArray]]:
     """Torque of effects of some size at Gauss points (n, 2, K) and at samples (n, N), and what they add to readings."""
     torque, at_samples = np.zeros_like(view.gauss.q), np.zeros_like(view.samples.q)
-    readings: dict[str, FloatArray] = {}
+    readings: dict[Channel, FloatArray] = {}
     for effect, size in pairs:
         got = effect.perturb(view, size)
         if got.torque is not None and got.torque_at_samples is not None:

@@ -14,7 +14,7 @@ from estimator.likelihood.extended_likelihood import ExtendedProblem, added
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.model import simulate
-from estimator.signals import accelerometer
+from estimator.signals import IMU_CHANNELS, Channel, accelerometer, encoder_of, torque_of
 
 PASSES = 60
 SETTLED_RAD = 2e-5
@@ -39,19 +39,19 @@ class FreeRun:
     q: FloatArray
     """(N, n)"""
     v: FloatArray
-    readings: Mapping[str, FloatArray]
-    """Channel to (N,), noise free."""
+    readings: Mapping[Channel, FloatArray]
+    """(N,), noise free."""
 
 
-def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None = None,
+def free_run(problem: ExtendedProblem, state: State, drive: FloatArray | None = None,
              horizon_s: float = np.inf) -> FreeRun | None:
     """Simulate every stretch, or each piece of it of `horizon_s`, from its first state; None where it diverges.
 
-    `torque` (N, n) drives it, by default the true torque in `state`. What effects with a memory add to the equation of
+    `drive` (N, n) is the torque, by default the true one in `state`. What effects with a memory add to the equation of
     motion is found by repeated simulation, each with their torque of the one before.
     """
     m = problem.mechanism
-    u = problem.motor_torque(state.x, state.beta) if torque is None else torque
+    u = problem.motor_torque(state.x, state.beta) if drive is None else drive
     parts = pieces(problem, horizon_s)
     plant = _Plant(problem, state, u)
     found = _relaxed(plant, 0, parts)
@@ -62,10 +62,10 @@ def free_run(problem: ExtendedProblem, state: State, torque: FloatArray | None =
     q, v, taken = found
     view = plant.view(q, v, taken)
     s = view.samples
-    readings = {f"torque{j + 1}": u[:, j].copy() for j in range(m.n)}
-    readings |= {f"encoder{j + 1}": q[:, j].copy() for j in range(m.n)}
-    ax, ay = accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2)
-    readings |= {"gyro": v[:, 0].copy(), "accel_x": ax, "accel_y": ay}
+    readings = {torque_of(j): u[:, j].copy() for j in range(m.n)}
+    readings |= {encoder_of(j): q[:, j].copy() for j in range(m.n)}
+    imu = (v[:, 0].copy(), *accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2))
+    readings |= dict(zip(IMU_CHANNELS, imu))
     for channel, value in added(plant.pairs, view)[2].items():
         readings[channel] = readings[channel] + value
     return FreeRun(q, v, readings)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from daq import FloatArray
 from estimator.numerics import BlockTridiagonal
+from estimator.signals import Channel
 
 
 @dataclass(frozen=True)
@@ -42,19 +43,19 @@ class Extra:
     """(n, 2, K) torque that the motion needs beyond Z beta, at the Gauss points [N m]."""
     torque_at_samples: FloatArray
     """(n, N)"""
-    readings: Mapping[str, FloatArray]
-    """Channel (torque1, encoder2, gyro, accel_x, accel_y, ...) to what is added to its reading, (N,)."""
+    readings: Mapping[Channel, FloatArray]
+    """What is added to each, (N,)."""
     torque_columns: FloatArray
     """(k, n, 2, K)"""
     sample_columns: FloatArray
     """(k, n, N)"""
-    reading_columns: Mapping[str, FloatArray]
-    """Channel to (k, N)."""
+    reading_columns: Mapping[Channel, FloatArray]
+    """(k, N)"""
     slopes: FloatArray | None = None
     """(n, 5, n, 2, K) derivative of `torque` by the features of the motion, where it is known."""
     sample_slopes: FloatArray | None = None
     """(n, 5, n, N)"""
-    by_torque: Mapping[str, FloatArray] = field(default_factory=dict)
+    by_torque: Mapping[Channel, FloatArray] = field(default_factory=dict)
     """Encoder or torque channel to the derivative (N,) of what is added to its reading by its joint's torque latent."""
 
 
@@ -72,7 +73,7 @@ class Linearised:
     accel: FloatArray
     """(N, 2, b + 1 + p) unscaled accelerometer rows: by the latents, residual, by beta; none without an IMU."""
     residuals: dict[str, FloatArray]
-    """Unscaled residuals by channel."""
+    """Unscaled residuals: torque (N, n), encoder (N, n), gyro (N,), accel (N, 2)."""
     extra: Extra | None = None
 
     @property

@@ -15,7 +15,7 @@ beta; cost grows linearly with samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -27,7 +27,16 @@ from estimator.likelihood import assembly_numba, assembly_numpy
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents, Linearised
 from estimator.model import Collocation, Mechanism, Samples, smooth_sign
 from estimator.numerics import BlockTridiagonal, jit
-from estimator.signals import IMU_COLUMNS, SignalSet, encoder_level, white_noise_level
+from estimator.signals import (
+    GYRO,
+    IMU_COLUMNS,
+    Channel,
+    SignalSet,
+    encoder_level,
+    encoder_of,
+    torque_of,
+    white_noise_level,
+)
 
 PIECE = 1024
 """Intervals, or samples, that are worked on at a time: what they need stays in the processor's cache."""
@@ -200,13 +209,13 @@ class LatentProblem:
         """(N, n) share of each torque sample's variance that is noise, not dry friction at rest."""
         return noise.torque**2 / self.torque_variance(noise)
 
-    def _channels(self, torque: FloatArray, noise: Noise) -> list[tuple[str, int, float | FloatArray]]:
+    def _channels(self, variances: FloatArray, noise: Noise) -> list[tuple[Channel, int, float | FloatArray]]:
         """(channel, column of its latent, variance) of every sensor that reads one latent directly."""
         n = self.n
-        found: list[tuple[str, int, float | FloatArray]] = []
-        found += [(f"torque{i + 1}", 2 * n + i, torque[:, i]) for i in range(n)]
-        found += [(f"encoder{i + 1}", i, float(noise.encoder[i]) ** 2) for i in range(n) if self.has_encoder[i]]
-        return [*found, ("gyro", n, noise.gyro**2)] if self.has_imu else found
+        found: list[tuple[Channel, int, float | FloatArray]] = []
+        found += [(torque_of(i), 2 * n + i, variances[:, i]) for i in range(n)]
+        found += [(encoder_of(i), i, float(noise.encoder[i]) ** 2) for i in range(n) if self.has_encoder[i]]
+        return [*found, (GYRO, n, noise.gyro**2)] if self.has_imu else found
 
     def _node_rows(self, x: Latents, variances: FloatArray, noise: Noise, diagonal: FloatArray, gradient: FloatArray,
                    residuals: dict[str, FloatArray], extra: Extra | None) -> float:
@@ -214,13 +223,11 @@ class LatentProblem:
         n = self.n
         residuals["torque"] = x.u - self.torque
         residuals["encoder"] = x.q - self.angles
-        values = {f"torque{i + 1}": residuals["torque"][:, i] for i in range(n)}
-        values |= {f"encoder{i + 1}": residuals["encoder"][:, i] for i in range(n)}
         if self.has_imu:
-            values["gyro"] = residuals["gyro"] = x.v[:, 0] - self.gyro
+            residuals["gyro"] = x.v[:, 0] - self.gyro
         total = 0.0
         for channel, column, variance in self._channels(variances, noise):
-            r, weight = values[channel], 1.0 / variance
+            r, weight = _of(residuals, channel), 1.0 / variance
             if extra is not None and channel in extra.readings:
                 r += extra.readings[channel]  # a view: the residual of record moves with it
             pull = weight * r
@@ -243,13 +250,11 @@ class LatentProblem:
             if channel not in extra.reading_columns:
                 continue
             c = extra.reading_columns[channel] / variance
-            kind, joint = channel.rstrip("0123456789"), channel.lstrip("abcdefghijklmnopqrstuvwxyz")
-            r = residuals[kind][:, int(joint) - 1] if joint else residuals[kind]
             border[:, column, p:] += c.T
             if channel in extra.by_torque:
                 border[:, 2 * self.n + column % self.n, p:] += (extra.by_torque[channel] * c).T
             corner[p:, p:] += c @ extra.reading_columns[channel].T
-            gradient_beta[p:] += c @ r
+            gradient_beta[p:] += c @ _of(residuals, channel)
 
     def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,
                         index: NDArray[np.intp]) -> dict[str, FloatArray]:
@@ -267,14 +272,10 @@ class LatentProblem:
             size = np.zeros(len(point.gradient_beta))
             size[index] = step_beta
             for channel, slope in point.extra.by_torque.items():
-                j = int(channel[-1]) - 1
-                out[channel[:-1]][:, j] += slope * step[:, 2 * n + j]
+                _of(out, channel)[:] += slope * step[:, 2 * n + (channel.joint or 0)]
             for channel, columns in point.extra.reading_columns.items():
-                moved = size[p:] @ columns
-                if channel.startswith(("torque", "encoder")):
-                    out[channel[:-1]][:, int(channel[-1]) - 1] += moved
-                elif channel == "gyro":
-                    out["gyro"] += moved
+                if channel.kind in out:  # an accelerometer's are in its rows
+                    _of(out, channel)[:] += size[p:] @ columns
         return out
 
     def effective_samples(self, point: Linearised, p_diagonal: FloatArray, noise: Noise) -> dict[str, FloatArray]:
@@ -288,16 +289,22 @@ class LatentProblem:
         effective_dof = {"torque": np.einsum("kj,kj->j", variance[:, 2 * n:], weight**2) / noise.torque**2,
                  "encoder": variance[:, :n].sum(axis=0) / noise.encoder**2}
         for channel, slope in (point.extra.by_torque.items() if point.extra is not None else ()):
-            kind, j = channel[:-1], int(channel[-1]) - 1
+            j = channel.joint or 0
             u = 2 * n + j
-            own = u if kind == "torque" else j
+            own = u if channel.kind == "torque" else j
             both = slope**2 * variance[:, u] + 2.0 * slope * p_diagonal[:, own, u]
-            if kind == "torque":
+            if channel.kind == "torque":
                 both *= weight[:, j] ** 2
-            effective_dof[kind][j] += both.sum() / (noise.torque if kind == "torque" else noise.encoder)[j] ** 2
+            level = (noise.torque if channel.kind == "torque" else noise.encoder)[j]
+            effective_dof[channel.kind][j] += both.sum() / level**2
         if self.has_imu:
             effective_dof["gyro"] = np.array([variance[:, n].sum() / noise.gyro**2])
             a = point.accel_rows
             effective_dof["accel"] = np.array([np.vdot(a @ p_diagonal, a) / noise.accel**2])
         return effective_dof
 
+
+def _of(residuals: Mapping[str, FloatArray], channel: Channel) -> FloatArray:
+    """(N,) of a torque, encoder or gyro channel, a view."""
+    found = residuals[channel.kind]
+    return found if channel.joint is None else found[:, channel.joint]

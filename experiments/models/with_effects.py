@@ -18,7 +18,7 @@ from estimator.effects import Effect
 from estimator.fitting import Validation, iterate, noise_floors, start_state
 from estimator.likelihood import ExtendedProblem, FreeRun, Latents, Noise, Stage, State, free_run
 from estimator.model import Mechanism, simulate
-from estimator.signals import IMU_COLUMNS, SignalSet, angle_column, split_signals
+from estimator.signals import IMU_COLUMNS, SignalSet, angle_column, encoder_of, split_signals
 from experiments.models.effect_library import known_effects
 from experiments.models.schema import EffectValue, Model
 
@@ -91,7 +91,7 @@ def validate_extended(model: Model, mechanism: Mechanism, options: FitOptions, d
         signals = split_signals([data], mechanism, options)
         problem = problem_of(model, mechanism, signals, session_s)
         state = smoothed_state(model, problem, signals, options)
-        run = free_run(problem, state, acting_torque(problem, state))
+        run = free_run(problem, state, problem.torque - problem.torque_readings(state.x, state.beta))
         for where, stretch in zip(np.split(np.arange(problem.total), problem.ends[:-1]), signals):
             found.append(_compared(data, mechanism, stretch, state, run, where))
         session_s += problem.total * problem.dt
@@ -114,18 +114,6 @@ def smoothed_state(model: Model, problem: ExtendedProblem, signals: Sequence[Sig
     return state
 
 
-def acting_torque(problem: ExtendedProblem, state: State) -> FloatArray:
-    """Torque (N, n) that acted: measured, less what effects add to its reading along the smoothed motion."""
-    beta, sizes = problem.split(state.beta)
-    view = problem.view(state.x, beta)
-    torque = problem.torque.copy()
-    for effect, size in zip(problem.effects, sizes):
-        for channel, values in effect.perturb(view, size).readings.items():
-            if channel.startswith("torque"):
-                torque[:, int(channel.removeprefix("torque")) - 1] -= values
-    return torque
-
-
 def _compared(data: Dataset, mechanism: Mechanism, stretch: SignalSet, state: State, run: FreeRun | None,
               where: NDArray[np.intp]) -> Validation:
     reference = state.x.q[where].copy()
@@ -136,7 +124,7 @@ def _compared(data: Dataset, mechanism: Mechanism, stretch: SignalSet, state: St
             reference[:, j] = np.where(np.isfinite(values), values, reference[:, j])
     rate = state.x.v[where]
     q = np.full_like(reference, np.nan) if run is None else \
-        np.stack([run.readings[f"encoder{j + 1}"][where] for j in range(mechanism.n)], axis=-1)
+        np.stack([run.readings[encoder_of(j)][where] for j in range(mechanism.n)], axis=-1)
     v = np.full_like(reference, np.nan) if run is None else run.v[where]
     sums, rmse = {}, {}
     for j in range(mechanism.n):

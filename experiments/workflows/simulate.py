@@ -9,12 +9,11 @@ import numpy as np
 from daq import Dataset, FloatArray, InputError, WorkError
 from daq.recording import Plan
 from estimator.model import Mechanism, simulate
-from estimator.signals import accelerometer
+from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, Channel, accelerometer, encoder_of, torque_of
 from experiments.models import Model, build_mechanism, simulate_extended
 
 CHANNELS = {"gyro": "gyro_radps", "accel": "accel_mps2", "tau": "torque_nm", "q": "encoder_rad"}
 """How a column's name begins, and the noise level that belongs to it."""
-IMU_CHANNELS = {"gyro_radps": "gyro", "accel_x_mps2": "accel_x", "accel_y_mps2": "accel_y"}
 
 
 def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = None,
@@ -50,11 +49,11 @@ def _nominal_columns(model: Model, mechanism: Mechanism, tau: FloatArray, q0: Fl
     q, qd, qdd = simulate(mechanism, np.array(model.beta), q0, np.zeros(mechanism.n), tau, 1.0 / rate, model.hold)
     if not np.isfinite(q).all():
         raise WorkError("the simulated motion runs away; check the model's parameters and the plan's torque")
-    readings = {f"encoder{j + 1}": q[:, j] for j in range(mechanism.n)}
-    readings |= {f"torque{j + 1}": tau[:, j] for j in mechanism.actuated}
+    readings = {encoder_of(j): q[:, j] for j in range(mechanism.n)}
+    readings |= {torque_of(j): tau[:, j] for j in mechanism.actuated}
     if model.mechanism.model == "leg2":
-        a_x, a_y = accelerometer(q[:, 0], qd[:, 0], qdd[:, 0], mechanism.lever_arm, mechanism.gravity_mps2)
-        readings |= {"gyro": qd[:, 0], "accel_x": a_x, "accel_y": a_y}
+        accel = accelerometer(q[:, 0], qd[:, 0], qdd[:, 0], mechanism.lever_arm, mechanism.gravity_mps2)
+        readings |= dict(zip(IMU_CHANNELS, (qd[:, 0], *accel)))
     return _columns(model, mechanism, readings)
 
 
@@ -63,14 +62,14 @@ def _extended_columns(model: Model, mechanism: Mechanism, time_s: FloatArray, ta
     return _columns(model, mechanism, simulate_extended(model, mechanism, time_s, tau, q0).readings)
 
 
-def _columns(model: Model, mechanism: Mechanism, readings: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+def _columns(model: Model, mechanism: Mechanism, readings: Mapping[Channel, FloatArray]) -> dict[str, FloatArray]:
     """Readings by the estimator's channel as columns of the contract."""
     length, force = ("m", "n") if model.mechanism.prismatic else ("rad", "nm")
-    columns = {f"q{j + 1}_{length}": readings[f"encoder{j + 1}"] for j in range(mechanism.n)}
-    driven = mechanism.actuated[0] + 1
-    columns[f"tau{driven}_{force}"] = readings[f"torque{driven}"]
+    columns = {f"q{j + 1}_{length}": readings[encoder_of(j)] for j in range(mechanism.n)}
+    driven = mechanism.actuated[0]
+    columns[f"tau{driven + 1}_{force}"] = readings[torque_of(driven)]
     if model.mechanism.model == "leg2":
-        columns |= {column: readings[channel] for column, channel in IMU_CHANNELS.items()}
+        columns |= {column: readings[channel] for column, channel in zip(IMU_COLUMNS, IMU_CHANNELS)}
     return columns
 
 

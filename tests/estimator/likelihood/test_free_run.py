@@ -23,7 +23,7 @@ from estimator.likelihood.trajectory_likelihood import Noise
 from estimator.model.collocation import Motion
 from estimator.model.mechanism import Mechanism, joint1, leg2
 from estimator.options import FitOptions
-from estimator.signals.segments import SignalSet
+from estimator.signals import SignalSet, torque_of
 from tests.support.mujoco_leg import Leg, record
 
 FloatArray = NDArray[np.float64]
@@ -142,7 +142,7 @@ def test_readings_that_follow_the_torque_are_linearised(effect: Effect) -> None:
         change = moved[channel] - point.residuals[channel]
         assert after[channel] - point.residuals[channel] == pytest.approx(change, rel=1e-2, abs=1e-8)
     variance = np.einsum("k,ij->kij", rng.uniform(1.0, 2.0, count), np.eye(problem.block))
-    by_u = 1.0 + point.extra.by_torque.get("torque2", 0.0)
+    by_u = 1.0 + point.extra.by_torque.get(torque_of(1), 0.0)
     taken = problem.effective_samples(point, variance, noise)["torque"][1]
     assert taken == pytest.approx(np.sum(by_u**2 * variance[:, 5, 5]) / 2.0**2)
 
@@ -156,7 +156,7 @@ def test_a_saturated_motor_needs_more_current_than_its_torque_says() -> None:
     x = Latents(np.zeros((41, 2)), np.zeros((41, 2)), np.column_stack([np.zeros(41), torque]))
     effect = TorqueSaturation()
     beta = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
-    added = effect.readings(problem.view(x, beta), np.array([c]))["torque2"]
+    added = effect.readings(problem.view(x, beta), np.array([c]))[torque_of(1)]
     assert (torque + added)[:-1] == pytest.approx(current[:-1])
     assert np.isfinite(added[-1]) and added[-1] > 10.0
 
