@@ -4,7 +4,10 @@ from .effects.base import Effect as Effect
 from .errors import FitError as FitError
 from .fitting.fit import fit as fit
 from .fitting.validation import validate as validate
+from .methods import METHODS as METHODS
+from .methods import Method as Method
 from .options import FitOptions as FitOptions
 from .parallel import cores as cores
+from .result import Combination as Combination
 from .result import FitResult as FitResult
 from .result import Trajectory as Trajectory

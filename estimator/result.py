@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -38,6 +37,19 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
+class Combination:
+    """Amounts by which parameters can change together without the data noticing."""
+
+    amounts: tuple[tuple[str, float], ...]
+    """Name and amount of each, the one that leads first, by 1."""
+
+    def __str__(self) -> str:
+        """For a person: "beta2 -0.8*beta3"."""
+        (lead, _), *others = self.amounts
+        return " ".join([lead, *(f"{amount:+.3g}*{name}" for name, amount in others)])
+
+
+@dataclass(frozen=True)
 class FitResult:
     """Identified parameters with their covariance, noise levels and the motion they came with."""
 
@@ -58,8 +70,8 @@ class FitResult:
     iterations: int
     samples: int
     wall_s: float
-    undetermined: tuple[str, ...] = ()
-    """Parameters, or combinations of them, that this data cannot determine."""
+    undetermined: tuple[Combination, ...] = ()
+    """What this data cannot determine: single parameters, or several together."""
     assumptions: tuple[str, ...] = ()
     """What the intervals rest on, one plain sentence each."""
     warnings: tuple[str, ...] = ()
@@ -70,8 +82,7 @@ class FitResult:
     @property
     def open_parameters(self) -> frozenset[str]:
         """Names of the parameters that take part in what is undetermined: their values mean nothing."""
-        words = re.findall(r"[A-Za-z_]\w*", " ".join(self.undetermined))
-        return frozenset(words) & frozenset(self.mechanism.names)
+        return frozenset(name for combination in self.undetermined for name, _ in combination.amounts)
 
     @property
     def std(self) -> FloatArray:

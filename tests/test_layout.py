@@ -15,8 +15,8 @@ FLOORS = {"drivers": {"drivers"}, "daq": {"drivers", "daq"}, "estimator": {"esti
 ROOMS = {
     "daq": [["errors", "dataset", "rig", "rig_text", "si_units"], ["runs"], ["timing"], ["recording"],
             ["calibration"], ["load"]],
-    "estimator": [["errors", "parallel"], ["numerics"], ["model"], ["options", "result"], ["signals"], ["effects"],
-                  ["likelihood"], ["fitting"], ["diagnosis", "calibration"]],
+    "estimator": [["errors", "methods", "parallel"], ["numerics"], ["model"], ["options", "result"], ["signals"],
+                  ["effects"], ["likelihood"], ["fitting"], ["diagnosis", "calibration"]],
     "experiments": [["console"], ["models"], ["rig", "excite", "emulation"], ["reports"],
                     ["workflows", "doctor", "calibrate", "live"], ["api", "studies"], ["cli"]],
 }

@@ -18,7 +18,7 @@ from scipy.stats import f as fisher
 
 from daq import FloatArray
 from estimator.likelihood import Candidate, ExtendedProblem, State
-from estimator.numerics import eliminate
+from estimator.numerics import eliminate, pseudo_inverse
 
 HIDDEN = 1e-5
 """A candidate that the nominal parameters imitate but for this share is not tested: what is left is rounding. Nor is
@@ -119,7 +119,7 @@ def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | 
     `scatter` lends its inflation, and its judgement of what can be known, to a set with few runs.
     """
     total = np.sum([r.information for r in runs], axis=0)
-    carry = _inverse(total[:nuisance, :nuisance]) @ total[:nuisance, nuisance:]
+    carry = pseudo_inverse(total[:nuisance, :nuisance]) @ total[:nuisance, nuisance:]
     by_run, informations = [], []
     for i, r in enumerate(runs):
         s = r.score - bias[i].score if bias is not None else r.score
@@ -152,19 +152,11 @@ def own_inflation(runs: Sequence[RunScore], free: NDArray[np.bool_], least: floa
     out = np.full(free.size, least)
     which = np.flatnonzero(free)
     informations = np.array([r.information[np.ix_(which, which)] for r in runs])
-    inverse = _inverse(informations.sum(axis=0))
+    inverse = pseudo_inverse(informations.sum(axis=0))
     rows = inverse / np.diag(inverse)[:, None]
     scores = np.array([r.score[which] for r in runs]) @ rows.T
     out[which], _ = _inflation(scores, np.einsum("ki,rij,kj->rk", rows, informations, rows), least)
     return out
-
-
-def _inverse(information: FloatArray) -> FloatArray:
-    """Inverse (m, m) of a pooled information; what runs hardly know of gets a large variance, no infinite one."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    both = np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(information / both)
-    return np.asarray((vectors / np.maximum(values, 1e-12)) @ vectors.T / both)
 
 
 def _inflation(scores: FloatArray, own: FloatArray, least: float = 1.0) -> tuple[FloatArray, float]:

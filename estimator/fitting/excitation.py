@@ -20,6 +20,7 @@ from estimator.fitting.identifiability import name_directions, plausible_sizes, 
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions
+from estimator.result import Combination
 from estimator.signals import IMU_COLUMNS, SignalSet, quantum, split_signals, white_noise_level
 
 DRAWS = 2
@@ -39,7 +40,7 @@ FEW_VALUES = 8
 
 
 def undetermined_by_design(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
-                           least_power: float = LEAST_POWER) -> tuple[str, ...]:
+                           least_power: float = LEAST_POWER) -> tuple[Combination, ...]:
     """Names of what differenced, filtered measurements leave open: not excited, or too uncertain by least squares.
 
     Raises `FitError` where there is nothing to make a regressor from.

@@ -16,14 +16,14 @@ from estimator.fitting.mle_free import fit_mle_free
 from estimator.fitting.profile_likelihood import suits
 from estimator.fitting.rls import fit_rls
 from estimator.fitting.wls import fit_wls
+from estimator.methods import METHODS
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import FitResult
 from estimator.signals import split_signals
 
 Estimator = Callable[[Sequence[Dataset], Mechanism, FitOptions], FitResult]
-ESTIMATORS: dict[str, Estimator] = {"mle": fit_mle, "wls": fit_wls, "rls": fit_rls, "hekf": fit_hekf}
-METHODS = ("mle", "wls", "rls", "hekf")
+ESTIMATORS: dict[str, Estimator] = dict(zip(METHODS, (fit_mle, fit_wls, fit_rls, fit_hekf), strict=True))
 
 
 def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str = "mle") -> FitResult:
@@ -42,8 +42,8 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
         names = undetermined_by_design(datasets, mechanism, options)
         if not names:
             raise
-        raise FitError(f"this data does not determine {', '.join(names)}: move every joint, or give parameters with "
-                       f"--fix NAME=VALUE ({error})") from None
+        raise FitError(f"this data does not determine {', '.join(map(str, names))}: move every joint, or give "
+                       f"parameters with --fix NAME=VALUE ({error})") from None
     if result.method == "mle" and suits(split_signals(datasets, mechanism, options), mechanism, options):
         return result
     sound = result.method == "mle" and result.converged
@@ -54,7 +54,7 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
 def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str) -> FitResult:
     """`fit` without a look at the excitation; for many records of one experiment."""
     if method not in ESTIMATORS:
-        raise FitError(f"method {method!r} is none of {', '.join(ESTIMATORS)}")
+        raise FitError(f"method {method!r} is none of {', '.join(METHODS)}")
     run = fit_mle_free if method == "mle" and options.latent == "free" else ESTIMATORS[method]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that runs away is found out by itself
         return run(datasets, mechanism, options)

@@ -12,6 +12,7 @@ from scipy.linalg import qr
 
 from daq import FloatArray
 from estimator.model import Mechanism
+from estimator.result import Combination
 
 LARGEST_STD = 0.5
 """A direction whose standard deviation exceeds this share of its scale is undetermined."""
@@ -22,14 +23,14 @@ SMALL_SHARE = 0.1
 
 
 def undetermined(mechanism: Mechanism, beta: FloatArray, covariance: FloatArray,
-                 free: NDArray[np.bool_]) -> tuple[str, ...]:
+                 free: NDArray[np.bool_]) -> tuple[Combination, ...]:
     """Names of parameters or combinations whose uncertainty exceeds what the rest of the model makes plausible.
 
     The covariance (p, p) is judged in the units of `plausible_sizes`.
     """
     index = np.flatnonzero(free)
     if index.size and not np.isfinite(covariance[np.ix_(index, index)]).all():
-        return tuple(mechanism.names[k] for k in index if not np.isfinite(covariance[k]).all())
+        return tuple(Combination(((mechanism.names[k], 1.0),)) for k in index if not np.isfinite(covariance[k]).all())
     scale = plausible_sizes(mechanism, beta)
     return name_directions(mechanism.names, uncertain_directions(covariance, scale, free), scale)
 
@@ -49,10 +50,10 @@ def uncertain_directions(covariance: FloatArray, scale: FloatArray, free: NDArra
     return np.hstack([alone, out[:, values > LARGEST_STD**2]])
 
 
-def name_directions(names: tuple[str, ...], directions: FloatArray, scale: FloatArray) -> tuple[str, ...]:
-    """One name for each independent direction (p, k), given in units of `scale` (p,).
+def name_directions(names: tuple[str, ...], directions: FloatArray, scale: FloatArray) -> tuple[Combination, ...]:
+    """One combination for each independent direction (p, k), given in units of `scale` (p,).
 
-    Any basis of the same space says the same; the one chosen gives every name a parameter of its own to lead.
+    Any basis of the same space says the same; the one chosen gives every one a parameter of its own to lead.
     """
     u, s, _ = np.linalg.svd(directions, full_matrices=False)
     basis = u[:, s > SAME_DIRECTION]
@@ -64,7 +65,7 @@ def name_directions(names: tuple[str, ...], directions: FloatArray, scale: Float
     for lead, shares in sorted(zip(leads.tolist(), own.T), key=lambda pair: pair[0]):
         others = [k for k in np.flatnonzero(np.abs(shares) >= SMALL_SHARE) if k != lead]
         amounts = shares * scale / scale[lead]
-        found.append(" ".join([names[lead], *(f"{amounts[k]:+.3g}*{names[k]}" for k in others)]))
+        found.append(Combination(tuple((names[k], float(amounts[k])) for k in (lead, *others))))
     return tuple(found)
 
 

@@ -23,6 +23,7 @@ from scipy.optimize import lsq_linear
 from daq import FloatArray
 from estimator.likelihood import BatchProblem, Noise, Point, Records
 from estimator.model import Collocation, Mechanism
+from estimator.numerics import pseudo_inverse
 from estimator.options import FitOptions
 from estimator.signals import SignalSet
 
@@ -328,14 +329,3 @@ def _shortened(step: FloatArray, n: int) -> FloatArray:
     """step (R, N, b) with no angle moved by more than REACH_RAD."""
     biggest = np.max(np.abs(step[..., :n]), axis=(1, 2))
     return step * np.minimum(1.0, REACH_RAD / np.maximum(biggest, 1e-300))[:, None, None]
-
-
-def pseudo_inverse(information: FloatArray) -> FloatArray:
-    """Inverses of positive semidefinite matrices (R, p, p); near-null directions get a huge variance."""
-    scale = np.sqrt(np.maximum(np.einsum("rii->ri", information), 1e-300))
-    both = scale[:, :, None] * scale[:, None, :]
-    values, vectors = np.linalg.eigh(information / both)
-    values = np.maximum(values, 1e-13)
-    with np.errstate(over="ignore"):
-        inverse: FloatArray = (vectors / values[:, None]) @ vectors.swapaxes(1, 2) / both
-    return inverse

@@ -32,7 +32,7 @@ def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, An
         "noise": {name: float(level) for name, level in result.noise.items()},
         "torque_residual_rms_nm": [float(rms) for rms in result.torque_residual_rms],
         "converged": bool(result.converged), "iterations": int(result.iterations), "samples": int(result.samples),
-        "wall_s": float(result.wall_s), "undetermined": list(result.undetermined),
+        "wall_s": float(result.wall_s), "undetermined": list(map(str, result.undetermined)),
         "warnings": list(result.warnings), "assumptions": list(result.assumptions),
     }
 
@@ -40,7 +40,7 @@ def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, An
 def check_sound(result: FitResult, for_model: bool) -> None:
     """Raises `WorkError` for a fit that did not converge or that knows nothing; `for_model`, for one that is not sure
     of every parameter too."""
-    missing = f"this data does not determine {', '.join(result.undetermined)}" if result.undetermined else ""
+    missing = f"this data does not determine {', '.join(map(str, result.undetermined))}" if result.undetermined else ""
     if not result.converged:
         raise WorkError(f"did not converge after {result.iterations} iterations; the values above are not to be used, "
                         + ("no model was written" if for_model else "record more, or richer, motion")

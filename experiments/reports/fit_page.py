@@ -23,7 +23,7 @@ def fit_summary(result: FitResult, model: str) -> str:
     """One sentence at the top of the page."""
     ending = "The fit converged." if result.converged else "THE FIT DID NOT CONVERGE: no number below may be used."
     if result.undetermined:
-        ending += f" This data does not determine {', '.join(result.undetermined)}."
+        ending += f" This data does not determine {', '.join(map(str, result.undetermined))}."
     if result.mechanism.force_unit == "V":
         ending += f" {VOLTS}"
     return (f"{model}, identified by {result.method} from the {_sensors(result)}, {result.samples} samples. {ending}")
@@ -145,6 +145,6 @@ def _noise(result: FitResult) -> Section:
 def _limits(result: FitResult) -> Section:
     text: Sequence[str] = (["This data does not determine:"] if result.undetermined
                            else ["This data determines every parameter of the model."])
-    notes = [*result.undetermined, *(f"Warning: {w}" for w in result.warnings),
+    notes = [*map(str, result.undetermined), *(f"Warning: {w}" for w in result.warnings),
              *(f"Assumed: {a}" for a in result.assumptions)]
     return Section("What is not determined, and what is assumed", text, notes=notes)

@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from daq import InputError, WorkError, load_rig
-from estimator import FitError, FitResult
+from estimator import FitError, FitResult, Method
 from estimator.calibration import SIGNALS, EncoderFit
 from estimator.diagnosis import Diagnosis
 from estimator.fitting import Validation
@@ -38,7 +38,7 @@ class FitTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     title: str
     rig: str
     runs: tuple[str, ...]
-    method: Literal["mle", "wls", "rls", "hekf"] = "mle"
+    method: Method = "mle"
     fix: dict[str, float] = {}
     validate: tuple[str, ...] = ()
     """Runs to simulate that the fit does not see."""
@@ -301,7 +301,7 @@ def _fit_entry(f: Fitted) -> dict[str, Any]:
     entry: dict[str, Any] = {"title": f.task.title, "method": f.task.method, "refused": f.refusal or None,
                              "published": f.task.published}
     if f.result is not None:
-        entry |= {"converged": bool(f.result.converged), "undetermined": list(f.result.undetermined),
+        entry |= {"converged": bool(f.result.converged), "undetermined": list(map(str, f.result.undetermined)),
                   "found": values(f.result), "std": dict(zip(f.result.mechanism.names, map(float, f.result.std))),
                   "torque_residual_rms": [float(r) for r in f.result.torque_residual_rms],
                   "relative_error_percent": f.relative_error_percent(),

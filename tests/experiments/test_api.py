@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimator import Combination
 from experiments import api
 from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
 from experiments.emulation.plant import LegBody
@@ -65,7 +66,7 @@ def test_no_model_is_made_of_a_fit_that_is_not_sure(example: dict[str, Any]) -> 
     with pytest.raises(api.WorkError, match="did not converge"):
         api.model(replace(result, converged=False), runs, rig)
     with pytest.raises(api.WorkError, match="does not determine beta8"):
-        api.model(replace(result, undetermined=("beta8",)), runs, rig)
+        api.model(replace(result, undetermined=(Combination((("beta8", 1.0),)),)), runs, rig)
     with pytest.raises(api.WorkError, match="too short"):
         api.model(api.Diagnosis("fit_failed", "too short"), runs, rig)
 

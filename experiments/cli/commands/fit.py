@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from estimator import METHODS
 from experiments.cli.arguments import MOST_WORKERS, whole_number
-
-METHODS = ("mle", "wls", "rls", "hekf")
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

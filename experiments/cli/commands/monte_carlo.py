@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
+from estimator import METHODS
 from experiments.cli.arguments import whole_number
 
-METHODS = ("mle", "wls", "rls", "hekf")
 CHOICES = (*METHODS, "mle-free")
 MOST_RUNS = 1_000_000
 

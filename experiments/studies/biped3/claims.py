@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.studies.biped3.study import CASES, FLOOR, METHODS
+from estimator import METHODS
+from experiments.studies.biped3.study import CASES, FLOOR
 from experiments.studies.biped3.table import LABELS, Cell, Table
 
 CLEAN = (1, 2, 3)

@@ -6,12 +6,13 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from estimator import METHODS
 from experiments.console import program_version, text_table
 from experiments.reports import BLUE, GREEN, GREY, ORANGE, Line, Picture, Section, plot_lines
 from experiments.reports import Table as PageTable
 from experiments.studies.biped3.claims import claims
 from experiments.studies.biped3.reasons import reasons
-from experiments.studies.biped3.study import BLOCK, FLOOR, METHODS, PAPERS_MLE, Case, truth
+from experiments.studies.biped3.study import BLOCK, FLOOR, PAPERS_MLE, Case, truth
 from experiments.studies.biped3.table import LABELS, PAPER, Cell, Table
 from experiments.studies.walker import motor_mechanism
 

@@ -28,7 +28,6 @@ TORQUE_VARIANCE = 0.1
 PASSIVE_NM = 0.03
 """Standard deviation that stands for the stance foot's exact zero [N m]: a tenth of the motors' noise. MLE does not
 hinge on it (tests/experiments/studies/test_study.py)."""
-METHODS = ("mle", "wls", "rls", "hekf")
 PAPERS_MLE = "mle-free"
 """The paper's own MLE, with free latents and central differences (`estimator.fitting.mle_free`); on request."""
 FLOOR = "floor"

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from estimator import Combination
 from estimator.model.mechanism import Mechanism, joint1
 from estimator.result import FitResult
 from experiments.emulation.plant import LegBody
@@ -72,7 +73,8 @@ def test_figures_follow_the_colour_scheme(page: str) -> None:
 
 
 def test_unconverged_and_undetermined_fits_say_so() -> None:
-    result = replace(synthetic_fit(), converged=False, undetermined=("beta8 -0.5*beta6",), warnings=("few samples",))
+    result = replace(synthetic_fit(), converged=False,
+                     undetermined=(Combination((("beta8", 1.0), ("beta6", -0.5))),), warnings=("few samples",))
     covariance = result.covariance.copy()
     covariance[7, 7] = np.inf
     result = replace(result, covariance=covariance, trajectories=())
@@ -80,6 +82,7 @@ def test_unconverged_and_undetermined_fits_say_so() -> None:
     assert "DID NOT CONVERGE" in page and "beta8 -0.5*beta6" in page and "Warning: few samples" in page
     text = fit_text(result, "leg2")
     assert "NOT CONVERGED" in text and "not determined by this data: beta8" in text
+    assert result.open_parameters == {"beta6", "beta8"}
     assert "nan" not in text.lower() and "inf" not in text.lower().replace("infinite", "")
 
 
