@@ -24,6 +24,8 @@ class StribeckFriction(TorqueEffect):
     sentence = "friction is higher near standstill than in motion (Stribeck)"
     reference = "Stribeck 1902; Armstrong-Helouvry 1991"
     experiment = "slow reversals: a multisine below 0.3 Hz at small amplitude"
+    depends_on = "v"
+    plans = ("slow", "steady")
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j = self.joint or 0
@@ -41,6 +43,8 @@ class AsymmetricFriction(TorqueEffect):
     sentence = "friction differs between the two directions of motion"
     reference = "Janot, Gautier, Brunot 2019 (EMPS)"
     experiment = "constant speed in both directions at several speeds, with rests between"
+    depends_on = "v"
+    plans = ("steady",)
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j = self.joint or 0
@@ -64,11 +68,14 @@ class LoadDependentFriction(TorqueEffect):
     sentence = "friction grows with the torque that the joint transmits"
     reference = "Duclusaud, Passault, Padois, Ly 2025"
     experiment = "the same slow motion with two payloads, or under gravity at several angles"
+    depends_on = "u"
+    plans = ("steady", "ramps")
+    by_hand = "record the session a second time with another payload"
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j, m = self.joint or 0, view.mechanism
         if m.force_unit == "V":
-            links = np.array([p.term in ("inertia", "gravity") for p in m.parameters])
+            links = np.array([p.rigid for p in m.parameters])
             q, v, a = (np.moveaxis(x, 0, -1) for x in (at.q, at.v, at.a))
             load = m.inverse_dynamics(q, v, a, view.beta * links)[..., j]
             return size[0] * np.sqrt(load**2 + 1e-6) * at.sign[j]
@@ -90,6 +97,8 @@ class QuadraticDrag(TorqueEffect):
     sentence = "drag grows with the square of the speed"
     reference = "effects of air and churning; quadratic drag law"
     experiment = "a free swing from a large angle, or fast motion at two amplitudes"
+    depends_on = "v"
+    plans = ("swing",)
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         v = at.v[self.joint or 0]
@@ -106,6 +115,9 @@ class FrictionDrift(TorqueEffect):
     sentence = "the friction level drifts with time (warming up, running in)"
     reference = "Simoni, Beschi, Legnani, Visioli 2015"
     experiment = "the same run repeated cold and warm, temperature recorded"
+    depends_on = "session"
+    plans = ()
+    by_hand = "record the session twice, cold and warm, with the temperature"
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         level = -size[0] * np.expm1(-at.session_s / size[2]) + size[1] * at.time_s / 60.0
@@ -131,6 +143,8 @@ class PreslidingFriction(Effect):
     sentence = "after a reversal friction builds up over a displacement, like a spring (presliding)"
     reference = "Dahl 1968; Canudas de Wit et al. 1995 (LuGre)"
     experiment = "micro-motions: sines of a few milliradians about several angles"
+    depends_on = "v"
+    plans = ("micro", "slow")
     per_joint = True
 
     def perturb(self, view: View, size: FloatArray) -> Perturbation:

@@ -19,6 +19,9 @@ import numpy as np
 
 from daq import FloatArray
 
+VELOCITY_SCALE = 0.005
+"""Velocity over which sign(qd) is rounded off where a rig does not say otherwise [rad/s]."""
+
 
 class Parameter(NamedTuple):
     """One entry of beta and the term of the model that it multiplies."""
@@ -27,14 +30,114 @@ class Parameter(NamedTuple):
     meaning: str
     unit: str
     term: str
-    """inertia | gravity | viscous | coulomb | rotor | offset"""
+    """One of `TERMS`."""
     at: tuple[int, ...]
-    """Links (inertia, gravity) or joints (all others), 0-based."""
+    """Links of a rigid term or joints of another, 0-based."""
+
+    @property
+    def rigid(self) -> bool:
+        """Whether its term lives in absolute link angles; else in joint angles."""
+        return TERMS[self.term].rigid
 
 
 def smooth_sign(velocity: FloatArray, scale: float) -> FloatArray:
     """sign(v) rounded off over `scale` [rad/s]: v / sqrt(v^2 + scale^2). Same shape as `velocity`."""
     return velocity / np.sqrt(velocity * velocity + scale * scale)
+
+
+class World(NamedTuple):
+    """What terms know beside the motion."""
+
+    gravity: float
+    """Factor of sin(theta); see `Mechanism.gravity`."""
+    velocity_scale: float
+    """[rad/s]"""
+
+
+At = tuple[int, ...]
+Part = tuple[int, FloatArray]
+"""Row of the equations of motion, and what is added to it per unit of the parameter."""
+Mass = tuple[int, int, FloatArray | float]
+"""Row, column, and the entry of the inertia matrix per unit of the parameter."""
+
+
+class Term:
+    """What one unit of a parameter adds to the equations of motion, mass . acceleration + bias.
+
+    Angles x and rates v have the link, or the joint, first: (n, ...). This table gives the regressor, the inertia
+    matrix and the bias torque; `Collocation.terms` adds the slopes and `regressor_numba` repeats both, compiled.
+    """
+
+    rigid = False
+
+    def mass(self, at: At, x: FloatArray) -> list[Mass]:
+        """What multiplies accelerations."""
+        return []
+
+    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
+        """What is left where accelerations are zero."""
+        return []
+
+
+class Inertia(Term):
+    """p_ij: (c a_j + s v_j^2) at link i and (c a_i - s v_i^2) at link j, c and s of theta_i - theta_j."""
+
+    rigid = True
+
+    def mass(self, at: At, x: FloatArray) -> list[Mass]:
+        i, j = at
+        if i == j:
+            return [(i, i, 1.0)]
+        c = np.cos(x[i] - x[j])
+        return [(i, j, c), (j, i, c)]
+
+    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
+        i, j = at
+        if i == j:
+            return []
+        s = np.sin(x[i] - x[j])
+        return [(i, s * v[j] ** 2), (j, -s * v[i] ** 2)]
+
+
+class Gravity(Term):
+    """g_i sin(theta_i)."""
+
+    rigid = True
+
+    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
+        return [(at[0], world.gravity * np.sin(x[at[0]]))]
+
+
+class Viscous(Term):
+    """The joint's rate."""
+
+    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
+        return [(at[0], v[at[0]])]
+
+
+class Coulomb(Term):
+    """The rounded sign of the joint's rate."""
+
+    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
+        return [(at[0], smooth_sign(v[at[0]], world.velocity_scale))]
+
+
+class Rotor(Term):
+    """The joint's acceleration, in its own row only."""
+
+    def mass(self, at: At, x: FloatArray) -> list[Mass]:
+        return [(at[0], at[0], 1.0)]
+
+
+class Offset(Term):
+    """One."""
+
+    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
+        return [(at[0], np.ones_like(v[at[0]]))]
+
+
+TERMS: dict[str, Term] = {"inertia": Inertia(), "gravity": Gravity(), "viscous": Viscous(), "coulomb": Coulomb(),
+                          "rotor": Rotor(), "offset": Offset()}
 
 
 @dataclass(frozen=True)
@@ -54,7 +157,7 @@ class Mechanism:
     """Pivot to IMU along link 1 [m]."""
     gravity_mps2: float = 9.81
     """Gravity as an accelerometer feels it [m/s2]."""
-    velocity_scale: float = 0.005
+    velocity_scale: float = VELOCITY_SCALE
     """Velocity over which sign(qd) is rounded off [rad/s]."""
     length_unit: str = field(default="rad")
     """Unit of q: rad, or m for a prismatic joint."""
@@ -101,42 +204,27 @@ class Mechanism:
         except ValueError:
             raise KeyError(name) from None
 
+    @cached_property
+    def world(self) -> World:
+        """What terms know beside the motion."""
+        return World(self.gravity, self.velocity_scale)
+
     def regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """Z of tau = Z(q, qd, qdd) beta, eq. (13). Arguments (..., n) in rad, rad/s, rad/s2; Z (..., n, p)."""
-        lead = q.shape[:-1]
-        theta, thetad, thetadd = (np.moveaxis(x @ self.transform.T, -1, 0).copy() for x in (q, qd, qdd))
-        z = np.zeros((self.n, self.p, *lead))
-
-        def turn(link: int, k: int, values: FloatArray) -> None:
-            for joint in np.flatnonzero(self.transform[link]):
-                z[joint, k] += self.transform[link, joint] * values
-
-        for k, (_, _, _, term, at) in enumerate(self.parameters):
-            if term == "inertia":
-                i, j = at
-                if i == j:
-                    turn(i, k, thetadd[i])
-                else:
-                    delta = theta[i] - theta[j]
-                    c, s = np.cos(delta), np.sin(delta)
-                    turn(i, k, c * thetadd[j] + s * thetad[j] ** 2)
-                    turn(j, k, c * thetadd[i] - s * thetad[i] ** 2)
-            elif term == "gravity":
-                turn(at[0], k, self.gravity * np.sin(theta[at[0]]))
-            else:
-                z[at[0], k] = self._joint_term(term, qd[..., at[0]], qdd[..., at[0]])
+        joints, links = self._motion(q, qd, qdd)
+        z = np.zeros((self.n, self.p, *q.shape[:-1]))
+        for k, parameter in enumerate(self.parameters):
+            term, (x, v, a) = TERMS[parameter.term], links if parameter.rigid else joints
+            parts = [(row, mass * a[column]) for row, column, mass in term.mass(parameter.at, x)]
+            for row, values in [*parts, *term.bias(parameter.at, x, v, self.world)]:
+                for joint in np.flatnonzero(self.transform[row]) if parameter.rigid else (row,):
+                    z[joint, k] += (self.transform[row, joint] if parameter.rigid else 1.0) * values
         return np.moveaxis(z, (0, 1), (-2, -1))
 
-    def _joint_term(self, term: str, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        if term == "viscous":
-            return qd
-        if term == "coulomb":
-            return smooth_sign(qd, self.velocity_scale)
-        if term == "rotor":
-            return qdd
-        if term == "offset":
-            return np.ones_like(qd)
-        raise ValueError(f"unknown term {term}")
+    def _motion(self, *motion: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Joint and link angles, rates, ... (n, ...) from joint ones (..., n)."""
+        return ([np.moveaxis(x, -1, 0) for x in motion],
+                [np.moveaxis(x @ self.transform.T, -1, 0) for x in motion])
 
     def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray, beta: FloatArray) -> FloatArray:
         """tau (..., n) [N m] that makes the motion happen; beta (..., p)."""
@@ -144,40 +232,25 @@ class Mechanism:
 
     def inertia_matrix(self, q: FloatArray, beta: FloatArray) -> FloatArray:
         """D(q) of eq. (8), (..., n, n) [kg m^2]; q (..., n), beta (..., p)."""
-        theta = q @ self.transform.T
+        joints, links = self._motion(q)
         lead = np.broadcast_shapes(q.shape[:-1], beta.shape[:-1])
-        links = np.zeros((*lead, self.n, self.n))
-        rotors = np.zeros((*lead, self.n, self.n))
-        for k, (_, _, _, term, at) in enumerate(self.parameters):
-            if term == "inertia":
-                i, j = at
-                value = beta[..., k] * (1.0 if i == j else np.cos(theta[..., i] - theta[..., j]))
-                links[..., i, j] = value
-                links[..., j, i] = value
-            elif term == "rotor":
-                rotors[..., at[0], at[0]] = beta[..., k]
-        return np.swapaxes(self.transform, 0, 1) @ links @ self.transform + rotors
+        rigid, own = np.zeros((2, *lead, self.n, self.n))
+        for k, parameter in enumerate(self.parameters):
+            x, to = (links, rigid) if parameter.rigid else (joints, own)
+            for row, column, mass in TERMS[parameter.term].mass(parameter.at, x[0]):
+                to[..., row, column] += beta[..., k] * mass
+        return np.swapaxes(self.transform, 0, 1) @ rigid @ self.transform + own
 
     def bias_torque(self, q: FloatArray, qd: FloatArray, beta: FloatArray) -> FloatArray:
         """C qd + G + F of eq. (9), offsets included: the torque at qdd = 0, (..., n) [N m]."""
-        theta, thetad = q @ self.transform.T, qd @ self.transform.T
+        joints, links = self._motion(q, qd)
         lead = np.broadcast_shapes(q.shape[:-1], beta.shape[:-1])
-        links = np.zeros((*lead, self.n))
-        joints = np.zeros((*lead, self.n))
-        rest = np.zeros(())
-        for k, (_, _, _, term, at) in enumerate(self.parameters):
-            b = beta[..., k]
-            if term == "inertia":
-                i, j = at
-                if i != j:
-                    s = b * np.sin(theta[..., i] - theta[..., j])
-                    links[..., i] += s * thetad[..., j] ** 2
-                    links[..., j] -= s * thetad[..., i] ** 2
-            elif term == "gravity":
-                links[..., at[0]] += b * self.gravity * np.sin(theta[..., at[0]])
-            elif term != "rotor":
-                joints[..., at[0]] += b * self._joint_term(term, qd[..., at[0]], rest)
-        return links @ self.transform + joints
+        rigid, own = np.zeros((2, *lead, self.n))
+        for k, parameter in enumerate(self.parameters):
+            (x, v), to = (links, rigid) if parameter.rigid else (joints, own)
+            for row, values in TERMS[parameter.term].bias(parameter.at, x, v, self.world):
+                to[..., row] += beta[..., k] * values
+        return rigid @ self.transform + own
 
     def forward_dynamics(self, q: FloatArray, qd: FloatArray, tau: FloatArray, beta: FloatArray) -> FloatArray:
         """qdd (..., n) [rad/s2] under joint torques tau (..., n) [N m]."""
@@ -215,7 +288,7 @@ def extra_parameters(rotor_inertia: tuple[int, ...], torque_offset: tuple[int, .
 
 def leg2(*, gravity_mps2: float = 9.81, lever_arm: float = 0.0, actuated: tuple[int, ...] = (1,),
          rotor_inertia: tuple[int, ...] = (), torque_offset: tuple[int, ...] = (),
-         velocity_scale: float = 0.005) -> Mechanism:
+         velocity_scale: float = VELOCITY_SCALE) -> Mechanism:
     """The 2-link leg hanging from its pivot, eq. (62), beta in the paper's order (contracts, fit JSON)."""
     rigid = tree_parameters(
         [(0, 0), (1, 1), (0, 1)], [0, 1],
@@ -240,7 +313,7 @@ def biped3(*, actuated: tuple[int, ...] = (1, 2), gravity_mps2: float = 9.8) -> 
 
 
 def joint1(*, gravity_mps2: float = 9.81, prismatic: bool = False, actuated: tuple[int, ...] = (0,),
-           torque_offset: tuple[int, ...] = (), velocity_scale: float = 0.005, voltage: bool = False,
+           torque_offset: tuple[int, ...] = (), velocity_scale: float = VELOCITY_SCALE, voltage: bool = False,
            lever_arm: float = 0.0) -> Mechanism:
     """One joint, rotary or prismatic: inertia (or mass), gravity moment unless gravity is 0, friction.
 
@@ -259,7 +332,7 @@ def joint1(*, gravity_mps2: float = 9.81, prismatic: bool = False, actuated: tup
 
 def chain(links: int, *, gravity_mps2: float = 9.81, actuated: tuple[int, ...] | None = None,
           rotor_inertia: tuple[int, ...] = (), torque_offset: tuple[int, ...] = (),
-          velocity_scale: float = 0.005) -> Mechanism:
+          velocity_scale: float = VELOCITY_SCALE) -> Mechanism:
     """An open chain of `links` links hanging from a pivot, each angle relative to the link before (Fig. 1)."""
     pairs = [(i, i) for i in range(links)] + [(i, j) for i in range(links) for j in range(i + 1, links)]
     meanings = [f"p{i + 1}{j + 1}" for i, j in pairs] + [f"first moment, link {i + 1}" for i in range(links)]
