@@ -8,24 +8,18 @@ from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.refit import Model
 from estimator.diagnosis.result import Signature
-from estimator.effects import Effect, View
+from estimator.effects import Axis, Effect, View
 from estimator.signals import ACCEL_X, ACCEL_Y, Channel
 
 BINS = 24
-AXES = {
-    "stribeck_friction": "v", "asymmetric_friction": "v", "quadratic_drag": "v", "presliding_friction": "v",
-    "load_dependent_friction": "u", "torque_saturation": "u", "backlash": "u", "joint_elasticity": "u",
-    "joint_stiffness": "q", "end_stop_contact": "q", "torque_ripple": "turn", "encoder_scale": "q",
-    "encoder_eccentricity": "q", "rotor_inertia": "a", "friction_drift": "session", "gyro_scale": "v",
-    "torque_offset": "v", "gyro_bias": "v", "torque_delay": "du", "sensor_time_skew": "a", "imu_lever_arm": "v",
-}
-LABELS = {"v": ("velocity of joint {j}", "rad/s"), "u": ("what the motor gives", "N m"), "q": ("joint {j}", "rad"),
-          "a": ("acceleration of joint {j}", "rad/s2"), "session": ("session time", "s"),
-          "du": ("rate of what the motor gives", "N m/s"), "turn": ("the motor's angle within a turn", "turn")}
+LABELS: dict[Axis, tuple[str, str]] = {
+    "v": ("velocity of joint {j}", "rad/s"), "u": ("what the motor gives", "N m"), "q": ("joint {j}", "rad"),
+    "a": ("acceleration of joint {j}", "rad/s2"), "session": ("session time", "s"),
+    "du": ("rate of what the motor gives", "N m/s"), "turn": ("the motor's angle within a turn", "turn")}
 """What is meant, and its unit on a rotary joint under torque."""
 
 
-def abscissa(kind: str, view: View, joint: int) -> FloatArray:
+def abscissa(kind: Axis, view: View, joint: int) -> FloatArray:
     """(N,) natural variable of an effect."""
     s = view.samples
     if kind == "du":
@@ -37,10 +31,7 @@ def abscissa(kind: str, view: View, joint: int) -> FloatArray:
 
 def signature(split: RunSplit, nominal: Model, extended: Model, effect: Effect) -> Signature | None:
     """Binned left-over of the sensor that shows `effect` most, nominal and extended; None where it adds nothing."""
-    kind = AXES.get(effect.name, "q")
-    joint = effect.joint if effect.joint is not None else 0
-    if effect.name.startswith("torque"):
-        joint = split.mechanism.n - 1
+    kind, joint = effect.depends_on, effect.shown_at(split.mechanism)
     size = dict(zip((e.key for e in extended.effects), extended.sizes()))[effect.key]
     x = extended.state.x
     view = extended.problem.view(x, extended.state.beta[: split.mechanism.p])

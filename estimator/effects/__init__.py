@@ -1,8 +1,10 @@
 """What a simulation of the leg can get wrong: one small class an effect."""
 
 from estimator.effects.base import (
+    Axis,
     Effect,
     Perturbation,
+    PlanKind,
     Points,
     Record,
     SensorEffect,
@@ -17,7 +19,7 @@ from estimator.effects.registry import CLASSES, ENTRY_POINT, UNTESTABLE, classes
 from estimator.effects.timing import SensorTimeSkew
 
 __all__ = [
-    "CLASSES", "ENTRY_POINT", "UNTESTABLE", "AnonymousReading", "AnonymousTorque", "Effect", "Laws", "Perturbation",
-    "Points", "Record", "SensorEffect", "SensorTimeSkew", "Shape", "Size", "TorqueEffect", "View", "battery",
-    "by_motion", "classes", "library"
+    "CLASSES", "ENTRY_POINT", "UNTESTABLE", "AnonymousReading", "AnonymousTorque", "Axis", "Effect", "Laws",
+    "Perturbation", "PlanKind", "Points", "Record", "SensorEffect", "SensorTimeSkew", "Shape", "Size", "TorqueEffect",
+    "View", "battery", "by_motion", "classes", "library"
 ]

@@ -10,12 +10,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.errors import FitError
 from estimator.model import Mechanism
 from estimator.signals import Channel
 
@@ -24,6 +25,12 @@ WHEEL_M = 0.05
 CONSTANT = "constant torque"
 """`Effect.equivalence_class`: a constant torque on a joint that slides, shared out between two directions of friction,
 a preload or an offset. They differ near rest only, where no friction law is exact."""
+
+
+Axis = Literal["q", "v", "a", "u", "du", "turn", "session"]
+"""Angle, rate and acceleration of a joint, what the motor gives, its rate, the motor's angle within a turn, time."""
+PlanKind = Literal["large", "small", "ramps", "swing", "slow", "steady", "fast", "micro", "rest"]
+"""Kinds of torque plan that a session is made of; experiments make them."""
 
 
 class Size(NamedTuple):
@@ -128,6 +135,12 @@ class Perturbation:
     readings: Mapping[Channel, FloatArray] = field(default_factory=dict)
     """What is added to each, (N,)."""
 
+    def __post_init__(self) -> None:
+        for channel in self.readings:
+            if not isinstance(channel, Channel):  # an effect of someone's own: it would add to nothing
+                raise FitError(f"an effect adds to the reading of {channel!r}, which is no Channel: take GYRO, "
+                               "ACCEL_X, ACCEL_Y, torque_of(joint) or encoder_of(joint) of estimator.signals")
+
 
 class Effect(ABC):
     """Base of all effects; `size` vectors hold the sizes first, then the shapes."""
@@ -140,6 +153,12 @@ class Effect(ABC):
     reference: ClassVar[str]
     experiment: ClassVar[str]
     """What run would show it best."""
+    depends_on: ClassVar[Axis] = "q"
+    """Against what its signature is drawn."""
+    plans: ClassVar[tuple[PlanKind, ...] | None] = None
+    """Kinds of plan that show it, beside `large` and `small`, which every session has; None where none is known."""
+    by_hand: ClassVar[str] = ""
+    """What shows it that no torque plan can do."""
     per_joint: ClassVar[bool] = False
     equivalence_class: ClassVar[str] = ""
     """Effects of one such group cannot be told apart by small differences: these stem from what no model has right."""
@@ -176,6 +195,10 @@ class Effect(ABC):
     def key(self) -> str:
         """Name, and the joint (1-based) where there is one."""
         return self.name if self.joint is None else f"{self.name}@{self.joint + 1}"
+
+    def shown_at(self, mechanism: Mechanism) -> int:
+        """The joint whose motion its signature is drawn against."""
+        return self.joint or 0
 
     @property
     def count(self) -> int:

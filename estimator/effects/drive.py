@@ -27,6 +27,8 @@ class TorqueRipple(TorqueEffect):
     sentence = "the motor's torque ripples with its angle (cogging, commutation)"
     reference = "whole orders of the motor's angle"
     experiment = "slow constant speed over several turns of the motor"
+    depends_on = "turn"
+    plans = ("steady",)
     rough: ClassVar[Mapping[str, float]] = {"accelerometer": 1.6}
     """Its harmonics are not in the law, and many fall between samples."""
 
@@ -42,6 +44,9 @@ class TorqueSensorEffect(SensorEffect):
     """Base of what is wrong with the measured torque; acts on every driven joint alike."""
 
     per_joint = False
+
+    def shown_at(self, mechanism: Mechanism) -> int:
+        return mechanism.actuated[-1]
 
     def _driven(self, view: View) -> list[int]:
         return list(view.mechanism.actuated)
@@ -62,6 +67,8 @@ class TorqueSaturation(TorqueSensorEffect):
     sentence = "at high current the motor gives less torque than the current says (saturation)"
     reference = "torque constant of an iron core that saturates, K0 / sqrt(1 + (i / i_s)^2)"
     experiment = "the same motion at two amplitudes"
+    depends_on = "u"
+    plans = ()
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         return {torque_of(j): self._current(view.samples.u[j], size)[0] - view.samples.u[j]
@@ -89,6 +96,8 @@ class TorqueOffset(TorqueSensorEffect):
     sentence = "the measured torque has an offset (shunt zero)"
     reference = "contracts: torque from the current shunt"
     experiment = "rest with the motor off"
+    depends_on = "v"
+    plans = ("rest",)
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         return {torque_of(j): np.full(view.samples.q.shape[1], size[0]) for j in self._driven(view)}
@@ -111,6 +120,8 @@ class TorqueDelay(TorqueSensorEffect):
     sentence = "the measured torque is late against the torque that acted (early where the delay is negative)"
     reference = "contracts: torque_delay > 0"
     experiment = "motion at high frequency: phase grows with it"
+    depends_on = "du"
+    plans = ("fast",)
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         found = {}

@@ -25,6 +25,8 @@ class GyroBias(ImuEffect):
     sentence = "the gyro has a bias"
     reference = "LSM9DS1 datasheet: zero-rate level"
     experiment = "rest for a minute"
+    depends_on = "v"
+    plans = ("rest",)
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         return {GYRO: np.full(view.samples.q.shape[1], size[0])}
@@ -38,6 +40,8 @@ class GyroScale(ImuEffect):
     sentence = "the gyro's scale is wrong"
     reference = "LSM9DS1 datasheet: sensitivity"
     experiment = "large swings between two known rests"
+    depends_on = "v"
+    plans = ("rest",)
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         return {GYRO: size[0] * view.samples.v[0]}
@@ -51,6 +55,8 @@ class AccelerometerBias(ImuEffect):
     sentence = "the accelerometer has a bias"
     reference = "LSM9DS1 datasheet: zero-g level"
     experiment = "six positions at rest"
+    plans = ("rest",)
+    by_hand = "let legid calibrate see the IMU in six positions"
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         ones = np.ones(view.samples.q.shape[1])
@@ -71,6 +77,8 @@ class ImuMisalignment(ImuEffect):
     sentence = "the IMU is mounted at an angle to the link"
     reference = "plane rotation"
     experiment = "rest hanging, and rest at a known angle"
+    plans = ("rest",)
+    by_hand = "hold the link at a known angle in one run"
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         ax, ay = true_acceleration(view)
@@ -86,6 +94,8 @@ class ImuLeverArm(ImuEffect):
     sentence = "the IMU's distance from the pivot is not the declared one"
     reference = "contracts: accelerometer equations"
     experiment = "fast swings of the pivot"
+    depends_on = "v"
+    plans = ("fast", "swing")
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         s = view.samples
@@ -118,6 +128,7 @@ class EncoderOffset(EncoderEffect):
     sentence = "the encoder's zero is wrong"
     reference = "contracts: q2 = 0 straight"
     experiment = "rest hanging straight"
+    plans = ("rest",)
 
     def error(self, q: FloatArray, size: FloatArray) -> FloatArray:
         return np.full_like(q, size[0])
@@ -131,6 +142,8 @@ class EncoderScale(EncoderEffect):
     sentence = "the encoder's scale is wrong (counts or gear ratio)"
     reference = "counts per turn"
     experiment = "a full turn between two known stops"
+    plans = ("ramps",)
+    by_hand = "turn the joint by hand from one known stop to the other in one run"
 
     def error(self, q: FloatArray, size: FloatArray) -> FloatArray:
         return size[0] * q
@@ -144,6 +157,7 @@ class EncoderEccentricity(EncoderEffect):
     sentence = "the encoder's disc is off centre: an error once a turn"
     reference = "contracts: once a turn of the angle measured"
     experiment = "a full slow turn"
+    plans = ("steady", "ramps")
 
     def error(self, q: FloatArray, size: FloatArray) -> FloatArray:
         return size[0] * np.sin(q) + size[1] * np.cos(q)

@@ -35,6 +35,7 @@ class JointStiffness(TorqueEffect):
     sentence = "a spring acts at the joint (cable, seal, hose)"
     reference = "linear spring"
     experiment = "static holds over the whole range of the joint"
+    plans = ("ramps",)
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         return size[0] * at.q[self.joint or 0] - size[1]
@@ -49,6 +50,8 @@ class RotorInertia(TorqueEffect):
     sentence = "the motor's rotor adds inertia at its joint (gear ratio squared)"
     reference = "Spong 1987"
     experiment = "fast motion of the joint with the other one at large and small speed"
+    depends_on = "a"
+    plans = ("fast",)
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         return size[0] * at.a[self.joint or 0]
@@ -69,6 +72,8 @@ class EndStopContact(TorqueEffect):
     sentence = "the joint touches a stop at the end of its range"
     reference = "Hunt and Crossley 1975 (linearised)"
     experiment = "slow approach to both ends of the range"
+    plans = ("ramps",)
+    by_hand = "approach the stops by hand: a plan keeps away from them"
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j = self.joint or 0
@@ -159,6 +164,9 @@ class JointElasticity(GearEffect):
     sentence = "the gear twists under torque: the encoder on the motor does not show the link's angle"
     reference = "Spong 1987, quasi-static: below the motor's resonance"
     experiment = "a chirp up to the resonance; static torque steps against a blocked link"
+    depends_on = "u"
+    plans = ("fast",)
+    by_hand = "add torque steps against a blocked link"
 
     def twist(self, through: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
         return size[0] * through, np.full_like(through, size[0])
@@ -174,6 +182,8 @@ class Backlash(GearEffect):
     sentence = "the gear has play: the link lies at one or the other side of a gap"
     reference = "Nordin and Gutman 2002"
     experiment = "slow torque reversals across zero with the link held by gravity"
+    depends_on = "u"
+    plans = ("slow", "ramps")
     rough: ClassVar[Mapping[str, float]] = {"gyro": 1.6, "accelerometer": 2.0, "torque": 1.3}
     """Flanks meet with an impact, shorter than a sample. (Measured on gaps of 0.09 to 0.13 rad, found to one part in a
     hundred: the accelerometer is left up to 2.1 times as loud as its noise.)"""
@@ -203,6 +213,8 @@ class BaseCompliance(Effect):
     sentence = "the stand moves: the pivot is not fixed"
     reference = "one horizontal mode"
     experiment = "taps on the stand, and a chirp through its mode"
+    plans = ("fast",)
+    by_hand = "tap the stand in one run"
 
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         m, s = view.mechanism, view.samples

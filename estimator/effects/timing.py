@@ -30,6 +30,9 @@ class SensorTimeSkew(SensorEffect):
     sentence = "the IMU is late against encoder and torque"
     reference = "contracts: sensor_time_skew > 0"
     experiment = "fast reversals of the pivot; a tap seen by both"
+    depends_on = "a"
+    plans = ("fast",)
+    by_hand = "tap the leg once in one run"
     rough: ClassVar[Mapping[str, float]] = {"gyro": 1.6, "accelerometer": 1.6}
     """The record is interpolated between its samples, and misses what dry friction's reversals do there. (Measured on
     26 ms: found to 0.1 ms, with the gyro 1.6 times above its noise.)"""

@@ -12,6 +12,7 @@ import numpy as np
 
 from daq import FloatArray, InputError, WorkError
 from daq.recording import write_plan
+from estimator.effects import Effect, PlanKind
 from experiments.console import make_directory, write_json
 from experiments.excite.optimal_design import (
     RATE_HZ,
@@ -24,7 +25,8 @@ from experiments.excite.optimal_design import (
     design,
     standard_errors,
 )
-from experiments.excite.waveforms import BY_HAND, EFFECT_KINDS, KINDS, USUAL
+from experiments.excite.waveforms import KINDS, USUAL
+from experiments.models import known_effects
 
 SCHEMA = "legid.excitation/1"
 INDEX = "session.json"
@@ -37,7 +39,7 @@ PARTS = ("fit", "screen", "fit", "confirm")
 class Choice:
     """Which kinds take turns, and why."""
 
-    kinds: tuple[str, ...]
+    kinds: tuple[PlanKind, ...]
     """TURN of them."""
     reasons: tuple[str, ...]
     by_hand: tuple[str, ...] = ()
@@ -48,7 +50,7 @@ class SessionPlan:
     """One plan of a session."""
 
     file: str
-    kind: str
+    kind: PlanKind
     part: str
     """fit | screen | confirm"""
     candidate: Candidate
@@ -94,7 +96,8 @@ def next_choice(path: Path | str) -> Choice:
                                                for c in causes):
         raise InputError(where, "`causes` is no list of effects", "give the JSON of legid diagnose --json")
     names = list(dict.fromkeys(str(c["effect"]) for c in causes))
-    known = [name for name in names if name in EFFECT_KINDS]
+    library = known_effects()
+    known = [library[name] for name in names if name in library and library[name].plans is not None]
     if verdict not in ("named", "one_of") or not known:
         told = f"the verdict is {verdict!r}" + ("" if verdict in ("none", "unexplained", "fit_failed") else
                                                 " of causes that no kind of plan is known for")
@@ -103,25 +106,25 @@ def next_choice(path: Path | str) -> Choice:
     return chosen_for(known)
 
 
-def chosen_for(effects: Sequence[str]) -> Choice:
+def chosen_for(effects: Sequence[type[Effect]]) -> Choice:
     """`large` first, then in turn what each of the effects calls for, `small` where there is room."""
-    wanted: dict[str, list[str]] = {}
+    wanted: dict[PlanKind, list[str]] = {}
     for rank in range(2):  # every effect's first kind before any one's second
-        for name in effects:
-            for kind in EFFECT_KINDS[name][rank:rank + 1]:
-                wanted.setdefault(kind, []).append(name)
+        for effect in effects:
+            for kind in (effect.plans or ())[rank:rank + 1]:
+                wanted.setdefault(kind, []).append(effect.name)
     kinds, left = list(wanted)[: TURN - 1], list(wanted)[TURN - 1:]
     if len(kinds) < TURN - 1:
         kinds.insert(1 if kinds else 0, "small")
-    order: tuple[str, ...] = ("large", *kinds)
+    order: tuple[PlanKind, ...] = ("large", *kinds)
     order += {2: order, 3: (kinds[0],)}.get(len(order), ())
     reasons = [f"{kind}: {KINDS[kind].what}" + (f"; for {', '.join(wanted[kind])}" if kind in wanted else "")
                for kind in dict.fromkeys(order)]
     reasons += [f"{kind} is left out, for there are {TURN} turns: {KINDS[kind].what}; for {', '.join(wanted[kind])}"
                 for kind in left]
-    reasons += [f"{name}: large and small are all that it needs" for name in effects if not EFFECT_KINDS[name]]
-    return Choice(tuple(order), tuple(reasons), tuple(f"{name}: {BY_HAND[name]}" for name in effects
-                                                      if name in BY_HAND))
+    reasons += [f"{effect.name}: large and small are all that it needs" for effect in effects if not effect.plans]
+    return Choice(order, tuple(reasons), tuple(f"{effect.name}: {effect.by_hand}" for effect in effects
+                                               if effect.by_hand))
 
 
 def plan_session(bench: Bench, band: Band, search: Search, choice: Choice, runs: int,
@@ -134,7 +137,7 @@ def plan_session(bench: Bench, band: Band, search: Search, choice: Choice, runs:
     time_s = np.arange(round(band.seconds * RATE_HZ)) / RATE_HZ
     plans: list[SessionPlan] = []
     designs: list[Design] = []
-    turns: dict[str, int] = {}
+    turns: dict[PlanKind, int] = {}
 
     def designed(k: int) -> Design:
         while len(designs) <= k:
@@ -160,7 +163,7 @@ def plan_session(bench: Bench, band: Band, search: Search, choice: Choice, runs:
     return PlannedSession(tuple(plans), designs[0], choice)
 
 
-def _shaped(bench: Bench, kind: str, time_s: FloatArray, search: Search, run: int) -> Candidate | None:
+def _shaped(bench: Bench, kind: PlanKind, time_s: FloatArray, search: Search, run: int) -> Candidate | None:
     shape = KINDS[kind].shape
     assert shape is not None
     wave = shape(time_s, np.random.default_rng((search.seed, run)))

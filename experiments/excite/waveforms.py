@@ -1,4 +1,4 @@
-"""Kinds of torque plan that an experiment is made of: what each moves, and which effect calls for which."""
+"""Kinds of torque plan that an experiment is made of: what each moves. Which effect calls for which, it says itself."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq import FloatArray
+from estimator.effects import PlanKind
 
 HOLD_LEVELS = (0.0, 0.5, 1.0, 0.5, 0.0, -0.5, -1.0, -0.5, 0.0)
 STEADY_SPEEDS = (1.0, 2.0, 4.0)
@@ -103,7 +104,7 @@ def _faded(wave: FloatArray, t: FloatArray) -> FloatArray:
     return np.asarray(wave * np.clip(np.minimum(t, t[-1] - t) / EDGE_S, 0.0, 1.0))
 
 
-KINDS = {
+KINDS: dict[PlanKind, Kind] = {
     "large": Kind("designed Fourier series, as large as the limits allow"),
     "small": Kind("the same motion with half the torque", share=0.5),
     "ramps": Kind("slow torque ramps with holds between, both sides of zero", ramps),
@@ -114,29 +115,4 @@ KINDS = {
     "micro": Kind("small sines about several held torques", micro, 0.8),
     "rest": Kind("rest with the motor off, one large swing, rest again", rest),
 }
-USUAL = ("large", "ramps", "small", "swing")
-
-EFFECT_KINDS: dict[str, tuple[str, ...]] = {
-    "stribeck_friction": ("slow", "steady"), "asymmetric_friction": ("steady",),
-    "load_dependent_friction": ("steady", "ramps"), "presliding_friction": ("micro", "slow"),
-    "quadratic_drag": ("swing",), "friction_drift": (), "joint_stiffness": ("ramps",), "joint_elasticity": ("fast",),
-    "backlash": ("slow", "ramps"), "rotor_inertia": ("fast",), "end_stop_contact": ("ramps",),
-    "base_compliance": ("fast",), "torque_ripple": ("steady",), "torque_offset": ("rest",),
-    "torque_saturation": (), "torque_delay": ("fast",), "sensor_time_skew": ("fast",), "gyro_bias": ("rest",),
-    "gyro_scale": ("rest",), "accelerometer_bias": ("rest",), "imu_misalignment": ("rest",),
-    "imu_lever_arm": ("fast", "swing"), "encoder_offset": ("rest",), "encoder_scale": ("ramps",),
-    "encoder_eccentricity": ("steady", "ramps"),
-}
-"""Beside `large` and `small`, which every session has: torque_saturation needs no more."""
-BY_HAND = {
-    "load_dependent_friction": "record the session a second time with another payload",
-    "friction_drift": "record the session twice, cold and warm, with the temperature",
-    "joint_elasticity": "add torque steps against a blocked link",
-    "base_compliance": "tap the stand in one run",
-    "sensor_time_skew": "tap the leg once in one run",
-    "accelerometer_bias": "let legid calibrate see the IMU in six positions",
-    "imu_misalignment": "hold the link at a known angle in one run",
-    "encoder_scale": "turn the joint by hand from one known stop to the other in one run",
-    "end_stop_contact": "approach the stops by hand: a plan keeps away from them",
-}
-"""What no torque plan can do."""
+USUAL: tuple[PlanKind, ...] = ("large", "ramps", "small", "swing")

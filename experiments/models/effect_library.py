@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import textwrap
-from typing import Any
+from typing import Any, get_args
 
 from daq import InputError
-from estimator.effects import ENTRY_POINT, UNTESTABLE, Effect, classes
+from estimator.effects import ENTRY_POINT, UNTESTABLE, Effect, PlanKind, classes
 
 SCHEMA = "legid.effects/1"
 
@@ -26,6 +26,10 @@ def known_effects() -> dict[str, type[Effect]]:
         if kind.name in known:
             raise InputError(f"entry point group {ENTRY_POINT}", f"two effects are called {kind.name}",
                              "give yours a name of its own")
+        strange = set(kind.plans or ()) - set(get_args(PlanKind))
+        if strange:
+            raise InputError(f"entry point group {ENTRY_POINT}", f"{kind.name} asks for plans of the kind "
+                             f"{min(strange)!r}", f"`plans` are of {', '.join(get_args(PlanKind))}")
         known[kind.name] = kind
     return known
 

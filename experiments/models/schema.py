@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from estimator.model import VELOCITY_SCALE
+
 SCHEMA = "legid.model/1"
 NonNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
@@ -28,7 +30,7 @@ class MechanismSettings(_Part, frozen=True, kw_only=True, forbid_unknown_fields=
     lever_arm_m: NonNegative = 0.0
     rotor_inertia: tuple[Joint, ...] = ()
     torque_offset: tuple[Joint, ...] = ()
-    friction_velocity_radps: Positive = 0.01
+    friction_velocity_radps: Positive = VELOCITY_SCALE
 
 
 class ParameterValue(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -71,6 +71,8 @@ def test_readme_example_is_found_and_tested(tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.parametrize("code, says", [
     ("import no_such_module_at_all", "no_such_module_at_all"), ("Mine = 3", "not an Effect class"),
     ("from estimator.effects.friction import StribeckFriction as Mine", "two effects are called stribeck_friction"),
+    ("from estimator.effects import TorqueEffect\nclass Mine(TorqueEffect):\n    name = 'mine'\n    plans = ('slwo',)",
+     "mine asks for plans of the kind 'slwo'"),
 ])
 def test_a_broken_effect_is_named_in_one_line(code: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                               capsys: pytest.CaptureFixture[str]) -> None:

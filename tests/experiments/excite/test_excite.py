@@ -2,12 +2,14 @@
 
 import json
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from daq.recording.plan import read_plan
 from daq.rig import load_rig
+from estimator.effects import PlanKind
 from estimator.fitting.fit import fit
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
@@ -196,13 +198,14 @@ def test_next_chooses_what_the_causes_call_for(folder: Path, tmp_path: Path,
 
 def test_every_effect_has_its_kinds() -> None:
     from experiments.excite.session import chosen_for
-    from experiments.excite.waveforms import BY_HAND, EFFECT_KINDS, KINDS
-    from experiments.models.effect_library import known_effects
+    from experiments.excite.waveforms import KINDS
+    from experiments.models import known_effects
 
-    assert set(EFFECT_KINDS) == set(known_effects()) and set(BY_HAND) <= set(EFFECT_KINDS)
-    for effect, kinds in EFFECT_KINDS.items():
+    assert set(KINDS) == set(get_args(PlanKind))
+    for effect in known_effects().values():
         choice = chosen_for([effect])
-        assert set(kinds) < set(choice.kinds) <= set(KINDS) and len(choice.kinds) == 4
+        assert effect.plans is not None and set(effect.plans) < set(choice.kinds) <= set(KINDS)
+        assert len(choice.kinds) == 4
         assert {"large", "small"} <= set(choice.kinds)
 
 

@@ -1,6 +1,7 @@
 """MODEL.json: what is written reads back; anything else is refused with the place named."""
 
 import json
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,14 @@ import pytest
 
 from daq.errors import InputError
 from daq.rig import parse_rig
+from estimator.model import leg2
 from experiments.models.mechanism_settings import build_mechanism, mechanism_settings
 from experiments.models.model_file import load_model, save_model
 from experiments.models.schema import MechanismSettings, Model
 from experiments.reports.fit_json import fit_document, model_of
 from experiments.rig.setup import choose_sensors
 from tests.support.fits import synthetic_fit
+from tests.support.paths import ROOT
 
 RIG = parse_rig('[mechanism]\nmodel="leg2"\nactuated=[2]\n[imu]\nlever_arm_m=0.2')
 
@@ -42,6 +45,15 @@ def test_mechanism_comes_back_with_its_settings() -> None:
     mechanism = build_mechanism(settings)
     assert mechanism.actuated == (0, 1) and mechanism.lever_arm == 0.11 and mechanism.gravity == 9.8
     assert mechanism.names[-2:] == ("rotor_inertia_2", "torque_offset_2") and mechanism.velocity_scale == 0.02
+
+
+def test_friction_is_rounded_off_over_one_speed_where_nothing_is_said() -> None:
+    """In a rig file, a model file and the estimator, as README states."""
+    stated = re.search(r"friction_velocity_radps = (\S+)", (ROOT / "README.md").read_text())
+    assert stated is not None
+    rig = mechanism_settings(parse_rig('[mechanism]\nmodel="leg2"\nactuated=[2]')).friction_velocity_radps
+    model = MechanismSettings(model="leg2", actuated=(2,)).friction_velocity_radps
+    assert rig == model == leg2().velocity_scale == float(stated.group(1))
 
 
 @pytest.mark.parametrize("settings, what", [
