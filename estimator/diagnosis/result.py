@@ -105,7 +105,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The whole answer; see contracts, diagnosis JSON."""
+    """The whole answer; see docs/formats.md, diagnosis JSON."""
 
     verdict: str
     """none | named | one_of | unexplained | fit_failed"""

@@ -94,7 +94,7 @@ class TorqueOffset(TorqueSensorEffect):
     equivalence_class = CONSTANT
     sizes = (Size("offset", "N m", 0.01),)
     sentence = "the measured torque has an offset (shunt zero)"
-    reference = "contracts: torque from the current shunt"
+    reference = "zero of the current shunt, [calibration] shunt_offset_a in README.md"
     experiment = "rest with the motor off"
     depends_on = "v"
     plans = ("rest",)
@@ -118,7 +118,7 @@ class TorqueDelay(TorqueSensorEffect):
     name = "torque_delay"
     sizes = (Size("delay", "s", 0.001),)
     sentence = "the measured torque is late against the torque that acted (early where the delay is negative)"
-    reference = "contracts: torque_delay > 0"
+    reference = "dead time of a current loop; positive: the measurement is late"
     experiment = "motion at high frequency: phase grows with it"
     depends_on = "du"
     plans = ("fast",)

@@ -92,7 +92,7 @@ class ImuLeverArm(ImuEffect):
     name = "imu_lever_arm"
     sizes = (Size("excess", "m", 0.002),)
     sentence = "the IMU's distance from the pivot is not the declared one"
-    reference = "contracts: accelerometer equations"
+    reference = "rigid-body acceleration at the IMU, docs/theory.md, The sensors"
     experiment = "fast swings of the pivot"
     depends_on = "v"
     plans = ("fast", "swing")
@@ -126,7 +126,7 @@ class EncoderOffset(EncoderEffect):
     name = "encoder_offset"
     sizes = (Size("offset", "rad", 0.005),)
     sentence = "the encoder's zero is wrong"
-    reference = "contracts: q2 = 0 straight"
+    reference = "docs/formats.md: q2 = 0 is straight"
     experiment = "rest hanging straight"
     plans = ("rest",)
 
@@ -155,7 +155,7 @@ class EncoderEccentricity(EncoderEffect):
     name = "encoder_eccentricity"
     sizes = (Size("sine_amplitude", "rad", 0.005), Size("cosine_amplitude", "rad", 0.005))
     sentence = "the encoder's disc is off centre: an error once a turn"
-    reference = "contracts: once a turn of the angle measured"
+    reference = "eccentricity of a graduated disc: first harmonic of the angle measured"
     experiment = "a full slow turn"
     plans = ("steady", "ramps")
 

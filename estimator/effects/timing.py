@@ -28,7 +28,7 @@ class SensorTimeSkew(SensorEffect):
     name = "sensor_time_skew"
     sizes = (Size("skew", "s", 0.001),)
     sentence = "the IMU is late against encoder and torque"
-    reference = "contracts: sensor_time_skew > 0"
+    reference = "docs/theory.md, Clocks; positive: the IMU is late"
     experiment = "fast reversals of the pivot; a tap seen by both"
     depends_on = "a"
     plans = ("fast",)

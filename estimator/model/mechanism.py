@@ -289,7 +289,7 @@ def extra_parameters(rotor_inertia: tuple[int, ...], torque_offset: tuple[int, .
 def leg2(*, gravity_mps2: float = 9.81, lever_arm: float = 0.0, actuated: tuple[int, ...] = (1,),
          rotor_inertia: tuple[int, ...] = (), torque_offset: tuple[int, ...] = (),
          velocity_scale: float = VELOCITY_SCALE) -> Mechanism:
-    """The 2-link leg hanging from its pivot, eq. (62), beta in the paper's order (contracts, fit JSON)."""
+    """The 2-link leg hanging from its pivot, eq. (62), beta in the paper's order (docs/formats.md, fit JSON)."""
     rigid = tree_parameters(
         [(0, 0), (1, 1), (0, 1)], [0, 1],
         ["I1 + m1*lc1^2 + m2*l1^2", "I2 + m2*lc2^2", "m2*l1*lc2", "m1*lc1 + m2*l1", "m2*lc2"])

@@ -55,14 +55,14 @@ class LegBody:
         return level
 
     def beta(self) -> tuple[float, ...]:
-        """beta1..beta9 of contracts.md from the physical parameters."""
+        """beta1..beta9 of docs/formats.md from the physical parameters."""
         return (self.i1 + self.m1 * self.c1**2 + self.m2 * self.l1**2, self.i2 + self.m2 * self.c2**2,
                 self.m2 * self.l1 * self.c2, self.m1 * self.c1 + self.m2 * self.l1, self.m2 * self.c2,
                 *self.viscous, *self.coulomb)
 
 
 class State(NamedTuple):
-    """Motion at one instant; angles by contracts.md [rad], rates [rad/s], accelerations [rad/s2]."""
+    """Motion at one instant; angles by docs/formats.md [rad], rates [rad/s], accelerations [rad/s2]."""
 
     q1: float
     q2: float

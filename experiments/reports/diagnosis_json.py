@@ -20,7 +20,7 @@ WHOLE_RIG = frozenset({"rotor_inertia"})
 
 
 def diagnosis_document(found: Diagnosis) -> dict[str, Any]:
-    """`legid.diagnosis/1` of contracts.md, with the sentence, warnings and the next experiment added to it."""
+    """`legid.diagnosis/1` of docs/formats.md, with the sentence, warnings and the next experiment added to it."""
     before, after = found.torque_rms_nm
     return {
         "schema": SCHEMA, "verdict": found.verdict, "sentence": found.sentence,
@@ -42,7 +42,7 @@ def diagnosis_document(found: Diagnosis) -> dict[str, Any]:
 
 
 def rmse(sensors: Mapping[str, SensorGain]) -> dict[str, dict[str, float]]:
-    """Free-run errors as contracts.md has them."""
+    """Free-run errors as docs/formats.md has them."""
     return {column: {"before": gain.before, "after": gain.after, "floor": gain.floor}
             for column, gain in sensors.items()}
 

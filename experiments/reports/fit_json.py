@@ -17,7 +17,7 @@ FIT_SCHEMA = "legid.fit/1"
 
 
 def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, Any]:
-    """`legid.fit/1` of contracts.md, with what is undetermined, warned of and assumed added to it.
+    """`legid.fit/1` of docs/formats.md, with what is undetermined, warned of and assumed added to it.
 
     A parameter that takes part in what is undetermined has NaN, null in the file, for numbers.
     """

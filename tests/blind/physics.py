@@ -1,6 +1,6 @@
 """A two-link leg hanging from a passive pivot, integrated for many lanes at once.
 
-A lane is one run of one case. The plain leg is Lagrange's equation in the relative angles of contracts.md,
+A lane is one run of one case. The plain leg is Lagrange's equation in the relative angles of docs/formats.md,
 written from masses, lengths and inertias (Spong, Robot Modeling and Control, section 7.3, two-link arm with
 angles counted from the downward vertical). Smooth forces go through classical RK4. Dry friction is a set-valued
 force: its impulse over a step is the solution of a two-contact box problem (Moreau time stepping), so that a

@@ -10,7 +10,7 @@ from daq.rig import joint_count, load_rig, parse_rig
 LEG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
 
 
-def test_the_contracts_example_is_read() -> None:
+def test_the_documented_example_is_read() -> None:
     rig = parse_rig(LEG + "gravity_mps2 = 9.81\n[imu]\nlever_arm_m = 0.20\n[motor]\ngear_ratio = 50.0\n[noise]\n"
                     "gyro_radps = 0.005\naccel_mps2 = 0.05\ntorque_nm = 0.02\nencoder_rad = 4e-4\n"
                     "[sampling]\nrate_hz = 100.0\n")

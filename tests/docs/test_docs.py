@@ -40,6 +40,15 @@ def test_every_message_that_is_explained_is_in_the_code() -> None:
     assert [m for m in messages if not any(m in text for text in known)] == []
 
 
+def test_no_code_cites_a_document_that_is_not_here() -> None:
+    """A name with a folder, or one that stands in docs/ or at the top; `contracts` and `design` were of elsewhere."""
+    cited = re.compile(r"(?<![\w/<>.-])((?:docs/)?[A-Za-z_][\w-]*\.md)\b|\b(contracts)\b[:,]")
+    for floor in ("drivers", "daq", "estimator", "experiments"):
+        for path in (ROOT / floor).rglob("*.py"):
+            for name, other in cited.findall(path.read_text(encoding="utf-8")):
+                assert not other and (ROOT / name).is_file(), f"{path}: {name or other}"
+
+
 @pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda p: p.name)
 def test_links_between_pages_lead_somewhere(page: Path) -> None:
     for target, _ in LINK.findall(page.read_text(encoding="utf-8")):
