@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
+from pkgutil import iter_modules
 
 from estimator.effects import drive, friction, sensors, structure, timing
 from estimator.effects.base import Effect, Perturbation, Points, Shape, Size, View
@@ -24,10 +27,23 @@ ENTRY_POINT = "legid.effects"
 """Group under which a user's own package names its `Effect` classes."""
 
 
+MACHINERY = {"base", "derivatives", "generic_terms", "registry"}
+"""Modules beside this one that hold no effects of the library."""
+
+
 def classes() -> tuple[type[Effect], ...]:
-    """The library's effects, then those that installed packages add under the entry point group."""
-    added = [point.load() for point in entry_points(group=ENTRY_POINT)]
-    return CLASSES + tuple(added)
+    """The library's effects, those in further files beside this one, then those that installed packages add under the
+    entry point group."""
+    return (*CLASSES, *_further(), *(point.load() for point in entry_points(group=ENTRY_POINT)))
+
+
+def _further() -> list[type[Effect]]:
+    """Effects of modules that `CLASSES` has nothing of: a new one is a file in this folder, and no list to mend."""
+    package = __name__.rpartition(".")[0]
+    listed = {kind.__module__ for kind in CLASSES} | {f"{package}.{name}" for name in MACHINERY}
+    names = [f"{package}.{info.name}" for info in iter_modules([str(Path(__file__).parent)])]
+    return [kind for name in names if name not in listed for kind in vars(import_module(name)).values()
+            if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == name and "name" in vars(kind)]
 
 
 def library(mechanism: Mechanism, has_imu: bool) -> tuple[list[Effect], dict[str, str]]:

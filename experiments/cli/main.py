@@ -7,6 +7,8 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
 from typing import NoReturn
 
 from daq import InputError, WorkError
@@ -16,7 +18,7 @@ from estimator import FitError
 COMMANDS = ("demo", "record", "calibrate", "info", "recover", "export", "fit", "validate", "diagnose", "effects",
             "simulate", "casebook", "monte_carlo", "doctor",
             "runs", "init", "excite", "emulate", "live")
-"""Module names, in the order in which `legid --help` lists them."""
+"""Module names, in the order in which `legid --help` lists them; further modules of the folder follow."""
 TRACEBACK = "LEGID_TRACEBACK"
 """Set in the environment, an error that nobody foresaw is raised as it is: for whoever mends it."""
 
@@ -46,7 +48,9 @@ def build_parser() -> Parser:
                     epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--version", action=_Version)
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, dest="command")
-    for name in COMMANDS:
+    folder = Path(__file__).parent / "commands"
+    further = [info.name for info in iter_modules([str(folder)]) if info.name not in COMMANDS]
+    for name in (*COMMANDS, *further):
         import_module(f"experiments.cli.commands.{name}").add_parser(subparsers)
     return parser
 

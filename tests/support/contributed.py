@@ -1,0 +1,112 @@
+"""What a newcomer's four files do once they are in the packages; run by test_contributing in a copy of these."""
+
+import select
+import socket
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+from drivers.tcp_link import TcpLink
+from estimator.model.crane import crane
+from msgspec import structs
+
+from daq import Dataset
+from daq.recording import Plan
+from drivers import LegController, State
+from drivers.mock import FirmwareSettings, MockRig, RealClock
+from drivers.mock.plant import StillPlant
+from estimator import FitOptions, fit
+from estimator.effects import library
+from estimator.model import leg2, simulate
+from experiments.cli import main
+from experiments.models import load_model
+from experiments.models.schema import EffectValue
+from experiments.workflows.simulate import simulate_run
+from tests.support.models import LEG, write_model
+
+BETA = [0.14, 0.03, 0.05, 0.5, 0.15, 0.05, 0.03, 0.001, 0.001]
+
+
+def effect(folder: Path) -> None:
+    """Listed, offered for both joints, and in a simulation the hip rests where its torque balances gravity's."""
+    assert main(["effects"]) == 0
+    assert {"wind@1", "wind@2"} <= {e.key for e in library(leg2(lever_arm=0.2), True)[0]}
+    plain = load_model(write_model(folder / "leg.json", BETA, LEG))
+    windy = structs.replace(plain, effects=(EffectValue(name="wind", joint=1, sizes={"push": 0.5}),),
+                            reach=((-1.0, 1.0), (-1.0, 1.0)))
+    calm = Plan(np.arange(0.0, 40.0, 0.02), np.zeros(2000))
+    q1, q2 = (simulate_run(windy, calm, "calm").columns[name][-1] for name in ("q1_rad", "q2_rad"))
+    needed = 9.81 * (0.5 * np.sin(q1) + 0.15 * np.sin(q1 + q2))
+    assert q1 > 0.05 and abs(needed - 0.5 * np.cos(q1)) < 0.005, (q1, q2, needed)
+
+
+def mechanism() -> None:
+    """Fitted from a motion of its own, with noise."""
+    m, rng, time = crane(), np.random.default_rng(2), np.arange(1500) / 100.0
+    beta = np.array([1.2, 0.3, 0.35, 2.0, 0.6, 0.2, 0.02, 0.1, 0.01])
+    tau = np.column_stack([4.0 * np.sin(2.1 * time) + 3.0 * np.sin(5.3 * time + 1.0), np.zeros(time.size)])
+    q, _, _ = simulate(m, beta, np.zeros(2), np.zeros(2), tau, 0.01)
+    assert np.isfinite(q).all() and np.abs(q[:, 1]).max() > 0.1
+    columns = {"q1_rad": q[:, 0], "q2_rad": q[:, 1]}
+    columns = {name: x + 2e-4 * rng.normal(size=x.size) for name, x in columns.items()}
+    run = Dataset("crane", 100.0, time, columns | {"tau1_nm": tau[:, 0] + 0.02 * rng.normal(size=time.size)})
+    found = fit([run], m, FitOptions(sensors="encoder"))
+    assert found.converged and not found.undetermined
+    assert np.abs(found.beta[:5] / beta[:5] - 1.0).max() < 0.03, found.beta
+
+
+def device() -> None:
+    """The emulated controller behind a socket shakes hands, arms, and is off again when the driver lets go."""
+    clock = RealClock()
+    rig = MockRig(StillPlant(), clock, firmware=FirmwareSettings())
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        ended = threading.Event()
+
+        def serve() -> None:
+            peer, _ = server.accept()
+            with peer:
+                while not ended.is_set():
+                    if select.select([peer], [], [], 0.001)[0]:
+                        data = peer.recv(65536)
+                        if not data:
+                            return
+                        rig.firmware.receive(data, clock.now_ns())
+                    peer.sendall(b"".join(frame for _, frame in rig.firmware.transmit(clock.now_ns())))
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        controller = LegController(TcpLink("127.0.0.1", server.getsockname()[1]))
+        try:
+            assert controller.open().boot_id == rig.firmware.boot_id
+            controller.arm(100)
+            until(controller, State.ARMED)
+        finally:
+            controller.close()
+            thread.join(5.0)
+            ended.set()
+    assert rig.firmware.drive.state == State.DISARMED and rig.firmware.drive.torque_nm == 0.0
+
+
+def until(controller: LegController, state: State) -> None:
+    for _ in range(2000):
+        controller.poll()
+        if controller.telemetry is not None and controller.telemetry.state == state:
+            return
+    raise AssertionError(f"never {state}")
+
+
+def command(folder: Path) -> None:
+    """Its line is in the help, and it says how long a run is."""
+    (folder / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n')
+    rows = [f"{k / 100.0},{np.sin(k / 20.0)},0.1" for k in range(201)]
+    (folder / "run.csv").write_text("\n".join(["time_s,q1_rad,tau1_nm", *rows]) + "\n")
+    assert main(["length", str(folder / "run.csv"), "--rig", str(folder / "rig.toml")]) == 0
+
+
+if __name__ == "__main__":
+    here = Path(sys.argv[1])
+    effect(here)
+    mechanism()
+    device()
+    command(here)

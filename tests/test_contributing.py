@@ -1,0 +1,55 @@
+"""CONTRIBUTING.md alone is enough: each of its files, put where it says, is in use without any other change."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.paths import ROOT
+
+PACKAGES = ("drivers", "daq", "estimator", "experiments")
+FILE = re.compile(r"^`(\w+/\S+\.py)`:\n\n```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The packages and what tests share, with the files of CONTRIBUTING.md."""
+    folder = tmp_path_factory.mktemp("house")
+    files = FILE.findall((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
+    assert [Path(name).parent.as_posix() for name, _ in files] == [
+        "estimator/effects", "estimator/model", "drivers", "experiments/cli/commands"]
+    for name in (*PACKAGES, "tests/support"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    for name, code in files:
+        assert not (folder / name).exists(), name
+        (folder / name).write_text(code, encoding="utf-8")
+    return folder
+
+
+def run(house: Path, *command: str) -> str:
+    done = subprocess.run([sys.executable, *command], cwd=house, env={**os.environ, "PYTHONPATH": str(house)},
+                          capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_an_effect_a_mechanism_a_device_and_a_command_are_one_file_each(house: Path, tmp_path: Path) -> None:
+    said = run(house, "-m", "tests.support.contributed", str(tmp_path))
+    assert "wind (by joint)" in said and said.endswith("2.00 s\n")
+
+
+def test_the_files_keep_the_rules_of_style(house: Path) -> None:
+    run(house, "-m", "ruff", "check", "--no-cache", *(name for name, _ in FILE.findall(
+        (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))))
+
+
+def test_without_its_file_a_newcomer_is_not_known(house: Path) -> None:
+    """The copy is what runs: the packages here know no wind."""
+    from estimator.effects import classes
+
+    assert "wind" not in {kind.name for kind in classes()}
