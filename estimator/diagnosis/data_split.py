@@ -19,8 +19,8 @@ from estimator.signals import SignalSet, split_signals
 
 ROUNDING = {"rad": 0.02, "m": 0.001}
 """Least velocity over which sign(qd) is rounded off in a diagnosis [rad/s, or m/s on a slide]. Sharper ones describe
-rest better, but the re-fits of friction laws then do not settle (measured: still moving after 20 steps at 0.005 rad/s,
-settled at 0.03). A slide gets what a wheel of 0.05 m on such a joint would."""
+rest better, but the re-fits of friction laws then do not settle. A slide gets what a wheel of 0.05 m on such a joint
+would."""
 PARTS = 8
 """Stretches into which a single run is cut."""
 
@@ -47,8 +47,7 @@ class RunSplit:
     """See `Dataset.clock_bound_s`; the largest of all runs."""
     known: Mapping[str, float] = field(default_factory=dict)
     """Noise levels that the rig declares: here the least that an estimate may be, for a sensor that errs shows as
-    noise first. (Measured: held at its declared level, a gyro with a bias of 0.1 rad/s drags the fit to beta = 0;
-    free, it takes the bias for noise, and beta stays within 1 %.)"""
+    noise first."""
     workers: int = 1
     """Processes that may work on independent fits and runs."""
     stiction: dict[int, FloatArray] = field(default_factory=dict)

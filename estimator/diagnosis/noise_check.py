@@ -1,8 +1,7 @@
 """`excess_noise`: channels whose noise a fit finds larger than the rig declares, or than neighbouring samples show.
 
 A model that lacks something unlike every listed term can leave it to the noise levels: each score is then small beside
-scores that scatter, and yet a gyro that is good to 5 mrad/s errs by 95. (Measured on legs with nothing hidden, process
-torque as large as the shunt's noise included: sensors at most 1.02 times their level, the driven torque at most 1.42.)
+scores that scatter, and yet a gyro that is good to 5 mrad/s errs by 95.
 """
 
 from __future__ import annotations
@@ -64,8 +63,7 @@ def noise_dominated(split: RunSplit, nominal: Model) -> str:
     """Says so where the nominal fit takes as much of a measured torque for noise as a fit may; else empty.
 
     What is missing can hide in so much noise, and a re-fit that needs as much is refused: nothing found then does not
-    mean that nothing is wrong. (Measured on an arm with play in its gears: nothing was detectable at 100 Hz, where
-    40 % of the torque was left to noise; at 25 Hz, where it was a quarter, play was, at p < 1e-6.)
+    mean that nothing is wrong.
     """
     floors = split.floors(nominal.problem, nominal.state.beta)
     if not mistakes_torque(nominal.problem, nominal.state, floors):

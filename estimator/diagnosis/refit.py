@@ -22,9 +22,7 @@ REPLICATES = (2, 16)
 REPLICATED_SAMPLES = 24_000
 """... so many samples in all: with two of short records a verdict hangs on the seed."""
 OFF = 1.5
-"""Times the run's own sum of squares above which a rehearsal is left out. (Measured: on two runs of six a stand's
-motion went off, 6 to 50 times, their scores by 700 standard deviations; the runs' scatter rose from 1.9 to 230, and
-nothing beside the stand could be seen under it.)"""
+"""Times the run's own sum of squares above which a rehearsal is left out."""
 SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
 """Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
 LONGER = ((1000.0, 6), (200.0, 6), (40.0, 6), (16.0, 6), (8.0, 6), (4.0, 6), (2.0, 8), (1.4, 8), (1.0, 30))
@@ -117,8 +115,7 @@ def refit(split: RunSplit, start: Model, effects: Sequence[tuple[Effect, FloatAr
     """Full non-linear fit of the discover runs with `effects` at their starting sizes; keeps `noise` if given.
 
     `hold_shapes` estimates the sizes alone, `hold_limits` holds shapes that start at a limit of their range: a step
-    beyond it foresees what never comes. (Measured on play: the encoder's noise level of such a fit stood at a quarter
-    of what it left over, and it did not settle.) Raises `FitError`.
+    beyond it foresees what never comes. Raises `FitError`.
     """
     problem = split.problem(split.discover, start.problem.stage.angle_range, [e for e, _ in effects])
     p = split.mechanism.p
@@ -139,10 +136,7 @@ def refit(split: RunSplit, start: Model, effects: Sequence[tuple[Effect, FloatAr
 
 
 def misfit(model: Model) -> float:
-    """Objective at the model's state, or the least on the way to it: -2 log likelihood at its noise, up to a constant.
-
-    (Measured: eight steps of three forms of one effect, which differ by 150 at their ends, stood 2,500 apart.)
-    """
+    """Objective at the model's state, or the least on the way to it: -2 log likelihood at its noise, up to a constant."""
     here = model.problem.linearise(model.state.x, model.state.beta, model.state.noise).objective
     return min(here, model.state.lowest)
 

@@ -26,7 +26,7 @@ a combination of its sizes: on one run a drift over the session and one within t
 WEAK = 0.05
 """A combination of sizes of which runs know less than this share of what the lender of their scatter does is not
 tested on them: over two runs a drift over the session and one within the run nearly agree, and their difference is
-rounding. (Measured: gain 118 from scores that were each about one standard deviation.)"""
+rounding."""
 PRIOR_RUNS = 8
 """Runs that the pooled scatter counts for beside a candidate's own."""
 
