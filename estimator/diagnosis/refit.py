@@ -136,7 +136,7 @@ def refit(split: RunSplit, start: Model, effects: Sequence[tuple[Effect, FloatAr
 
 
 def misfit(model: Model) -> float:
-    """Objective at the model's state, or the least on the way to it: -2 log likelihood at its noise, up to a constant."""
+    """Objective at the model's state, or the least on the way to it: -2 log likelihood at its noise and a constant."""
     here = model.problem.linearise(model.state.x, model.state.beta, model.state.noise).objective
     return min(here, model.state.lowest)
 
