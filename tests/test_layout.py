@@ -172,3 +172,12 @@ def test_a_circle_and_a_look_past_a_face_would_be_seen(monkeypatch: pytest.Monke
     assert list(past_faces("experiments.api")) == [
         "estimator.fitting.mle is inside estimator.fitting: take fit_mle from estimator.fitting"]
     assert not list(past_faces("estimator.fitting.fit"))
+
+
+def test_tests_take_nothing_from_each_other_but_by_support() -> None:
+    """And from what they test: the bench, the blind test, the studies."""
+    for path in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tests."):
+                names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
+                assert not any(part.startswith("test_") for name in names for part in name.split(".")), path
