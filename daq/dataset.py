@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,7 @@ class Dataset:
         starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
         return [slice(int(a), int(b)) for a, b in zip(starts, stops) if b - a >= min_samples]
 
-    def part(self, where: slice) -> Dataset:
+    def part(self, where: slice) -> Self:
         """The samples of `where` as a data set of their own."""
         columns = {name: values[where] for name, values in self.columns.items()}
-        return Dataset(self.name, self.rate_hz, self.time_s[where], columns, self.sources, self.clock_bound_s)
+        return replace(self, time_s=self.time_s[where], columns=columns)

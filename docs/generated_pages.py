@@ -9,7 +9,7 @@ FLOORS = {
     "drivers": "Floor 1: bytes to physical units, for one device each.",
     "daq": "Floor 2: one time line. Clocks, recorder, safety, run files, alignment; hands over a Dataset.",
     "estimator": "Floor 3: mathematics on arrays. No input or output, no clock, no printing.",
-    "experiments": "Floor 4: what a person runs. For scripts, :doc:`experiments.api </api>` is the door.",
+    "experiments": "Floor 4: what a person runs. For scripts, :doc:`legid </api>` is the door.",
 }
 ROOT = Path(__file__).parent.parent
 
@@ -76,7 +76,6 @@ def modules_page(floor: str, words: str) -> str:
     """All modules of a package with what their docstrings say."""
     files = sorted(p for p in (ROOT / floor).rglob("*.py") if "commands" not in p.parts)
     names = sorted(".".join(p.relative_to(ROOT).with_suffix("").parts) for p in files if p.name != "__init__.py")
-    names = [name for name in names if name != "experiments.api"]  # it has a page of its own
     parts = [f"{floor}\n{'=' * len(floor)}", words]
     for name in names:
         parts += [f"{name}\n{'-' * len(name)}", f".. automodule:: {name}"]

@@ -9,8 +9,8 @@ from tempfile import mkdtemp
 
 from msgspec import structs
 
-from experiments.api import diagnose, fit, load_rig, model, multisine, record, simulate
 from experiments.models.schema import EffectValue
+from legid import diagnose, fit, load_rig, model, multisine, record, simulate
 
 folder = Path(mkdtemp(prefix="legid-"))
 rig_file = folder / "rig.toml"

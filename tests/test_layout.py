@@ -10,7 +10,8 @@ import pytest
 from tests.support.paths import ROOT
 
 FLOORS = {"drivers": {"drivers"}, "daq": {"drivers", "daq"}, "estimator": {"estimator"},  # and OF_DAQ
-          "experiments": {"drivers", "daq", "estimator", "experiments"}}
+          "experiments": {"drivers", "daq", "estimator", "experiments"},
+          "legid": {"drivers", "daq", "estimator", "experiments", "legid"}}
 """Floor to the floors that it may import."""
 ROOMS = {
     "daq": [["errors", "dataset", "rig", "rig_text", "si_units"], ["runs"], ["timing"], ["recording"],
@@ -18,7 +19,8 @@ ROOMS = {
     "estimator": [["errors", "methods", "parallel"], ["numerics"], ["model"], ["options", "result"], ["signals"],
                   ["effects"], ["likelihood"], ["fitting"], ["diagnosis", "calibration"]],
     "experiments": [["console"], ["models"], ["rig", "excite", "emulation"], ["reports"],
-                    ["workflows", "doctor", "calibrate", "live"], ["api", "studies"], ["cli"]],
+                    ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
+    "legid": [["tables", "figures"], ["results"], ["api"]],
 }
 """The rooms of a floor from the ground up; those of one row may know each other as far as they make no circle."""
 LEVELS = 8
@@ -169,7 +171,7 @@ def test_a_circle_and_a_look_past_a_face_would_be_seen(monkeypatch: pytest.Monke
     with pytest.raises(AssertionError, match="a circle: a -> b -> a"):
         storeys({"a": {"b"}, "b": {"a"}})
     monkeypatch.setitem(globals(), "imports", lambda module: {("estimator.fitting.mle", "fit_mle")})
-    assert list(past_faces("experiments.api")) == [
+    assert list(past_faces("legid.api")) == [
         "estimator.fitting.mle is inside estimator.fitting: take fit_mle from estimator.fitting"]
     assert not list(past_faces("estimator.fitting.fit"))
 

@@ -31,8 +31,10 @@ from .fit_json import model_of as model_of
 from .fit_page import fit_sections as fit_sections
 from .fit_page import fit_summary as fit_summary
 from .fit_page import truth_section as truth_section
+from .fit_text import PARAMETER_HEADER as PARAMETER_HEADER
 from .fit_text import fit_text as fit_text
 from .fit_text import number as number
+from .fit_text import parameter_rows as parameter_rows
 from .html import Picture as Picture
 from .html import Section as Section
 from .html import Table as Table

@@ -24,8 +24,9 @@ LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
 def literals() -> Iterator[str]:
-    """Every string of the four packages, with a hole for each value put into it."""
-    for path in (p for floor in ("drivers", "daq", "estimator", "experiments") for p in (ROOT / floor).rglob("*.py")):
+    """Every string of the packages, with a hole for each value put into it."""
+    floors = ("drivers", "daq", "estimator", "experiments", "legid")
+    for path in (p for floor in floors for p in (ROOT / floor).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 yield node.value

@@ -76,10 +76,10 @@ def rewrite(page: str, said: list[str]) -> str:
 
 def draw(folder: Path, out: Path) -> None:
     """The page's figures, from the runs and models in `folder`."""
-    from experiments.api import diagnose, load, load_model, validate
     from experiments.reports.diagnosis_figures import error_bars
     from experiments.reports.figures import standalone
     from experiments.reports.validation_page import validation_picture
+    from legid import diagnose, load, load_model, validate
 
     rig = folder / "rig.toml"
     runs = load([folder / f"run{n}.mcap" for n in range(1, 7)], rig)

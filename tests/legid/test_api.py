@@ -4,6 +4,7 @@ import inspect
 import runpy
 import tempfile
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,9 @@ import numpy as np
 import pytest
 
 from estimator import Combination
-from experiments import api
 from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
 from experiments.emulation.plant import LegBody
+from legid import api
 from tests.support.paths import ROOT
 
 EXAMPLE = ROOT / "docs" / "example.py"
@@ -54,21 +55,42 @@ def test_the_examples_results_have_the_shapes_that_the_docstrings_give(example: 
 
 @pytest.mark.slow
 def test_load_gives_what_record_gave(example: dict[str, Any]) -> None:
-    (again,) = api.load(example["folder"] / "run1.mcap", example["rig_file"])
+    again = api.load(example["folder"] / "run1.mcap")
     first = example["runs"][0]
     assert again.columns.keys() == first.columns.keys()
     assert all(np.array_equal(again[name], first[name], equal_nan=True) for name in first.columns)
 
 
 @pytest.mark.slow
+def test_results_draw_themselves_and_remember_where_they_come_from(example: dict[str, Any]) -> None:
+    assert (example["folder"] / "diagnosis.png").stat().st_size > 10_000
+    found: api.Diagnosis = example["found"]
+    assert list(found.to_frame()["effect"]) == ["joint_stiffness", "joint_stiffness"]
+    assert len(found.to_frame("candidates")) == len(found.candidates) > 5
+    page = found._repr_html_()
+    assert found.sentence.split(".")[0] in unescape(page) and page.count("<table>") == 2
+    run, rig = example["runs"][0], api.load_rig(example["rig_file"])
+    alone = api.fit(run)
+    assert np.array_equal(alone.beta, api.fit([run], rig).beta) and alone.runs == (run,) and alone.rig == rig
+    assert list(alone.to_frame().index) == list(alone.mechanism.names)
+    assert len(alone.plot().axes) == len(alone.trajectories[0].predicted) + 2
+    seen = api.validate(example["nominal"], example["runs"][2:])
+    assert len(seen) == 2 and len(seen.plot().axes) == 4 and len(seen[0].plot().axes) == 2
+    assert seen.to_frame().loc["run4.mcap", "q2_rad"] == seen[1].rmse["q2_rad"]
+    assert seen[1].to_frame().shape == (len(seen[1].time_s), 4)
+
+
+@pytest.mark.slow
 def test_no_model_is_made_of_a_fit_that_is_not_sure(example: dict[str, Any]) -> None:
-    result, runs, rig = example["result"], example["runs"][:3], example["rig"]
+    result, runs, rig = example["result"], example["runs"][:3], example["rig_file"]
     with pytest.raises(api.WorkError, match="did not converge"):
         api.model(replace(result, converged=False), runs, rig)
     with pytest.raises(api.WorkError, match="does not determine beta8"):
         api.model(replace(result, undetermined=(Combination((("beta8", 1.0),)),)), runs, rig)
     with pytest.raises(api.WorkError, match="too short"):
         api.model(api.Diagnosis("fit_failed", "too short"), runs, rig)
+    with pytest.raises(api.WorkError, match="too short"):
+        api.Diagnosis("fit_failed", "too short").plot()
 
 
 def test_bad_input_is_an_input_error(tmp_path: Path) -> None:

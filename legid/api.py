@@ -1,0 +1,196 @@
+"""The commands' verbs as functions, for scripts and notebooks.
+
+    import legid
+
+    runs = legid.load(["run1.mcap", "run2.mcap"])
+    result = legid.fit(runs)
+    print(result.mechanism.names, result.beta, result.ci95())
+
+A `rig` is the path of a rig.toml or the `Rig` that `load_rig` makes of it; left out, it is the one that the runs were
+loaded with, and for a native run the one that is stored in its file. Runs are `Dataset` objects: columns of
+contract names in SI units on one uniform grid, NaN where a sample is missing. Wherever runs are taken, one may be
+given by itself. Nothing is printed but a progress bar where stderr is a terminal. What cannot be used raises
+`InputError`; what cannot be done on this data or device raises `WorkError`, `FitError` or a `DriverError`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import overload
+
+import numpy as np
+
+from daq import Dataset as PlainDataset
+from daq import InputError, Rig, WorkError, load_rig
+from daq.recording import Plan, RecordReport, read_plan, write_plan
+from daq.runs import read_run
+from daq.timing import recorded_rig
+from drivers import DriverError
+from estimator import FitError
+from estimator import FitResult as PlainFit
+from estimator.diagnosis import Diagnosis as PlainDiagnosis
+from experiments.excite import random_multisine
+from experiments.models import Model, load_model, save_model
+from experiments.reports import check_sound, diagnosed_model, model_of
+from experiments.rig import load_runs, setup_of
+from experiments.workflows import diagnose_setup, fit_setup, record_plan, reference_values, simulate_run, validate_runs
+from legid.results import Dataset, Diagnosis, FitResult, Validation, Validations, dressed
+
+__all__ = ["Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError", "Model", "Plan", "Recording",
+           "Rig", "Validation", "Validations", "WorkError", "diagnose", "fit", "load", "load_model", "load_rig",
+           "model", "multisine", "read_plan", "record", "save_model", "simulate", "validate", "write_plan"]
+
+RigLike = Rig | Path | str
+Runs = PlainDataset | Sequence[PlainDataset]
+multisine = random_multisine
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A finished recording."""
+
+    run: Dataset
+    """What was recorded, as `load` gives it."""
+    report: RecordReport
+    """Duration [s], commands sent and left out, IMU samples, bound of the controller's clock [s]."""
+    warnings: tuple[str, ...]
+    """What made the clock less certain than it could be, one line each."""
+
+
+@overload
+def load(runs: Path | str, rig: RigLike | None = None) -> Dataset: ...  # type: ignore[overload-overlap]
+@overload
+def load(runs: Sequence[Path | str], rig: RigLike | None = None) -> tuple[Dataset, ...]: ...
+def load(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None) -> Dataset | tuple[Dataset, ...]:
+    """A run file on the uniform grid of the rig's `[sampling] rate_hz`; of a list of files, a tuple in its order.
+
+    Columns (n,) in SI units, angles and IMU axes by the contract (README, "A run as CSV"). Without a `rig` the one
+    stored in the (first) native run is taken. Raises `InputError` naming file, line and column.
+    """
+    paths = [runs] if isinstance(runs, Path | str) else list(runs)
+    known = _stored_rig(paths) if rig is None else _rig(rig)
+    found = tuple(dressed(Dataset, data, rig=known) for data in load_runs(paths, known))
+    return found[0] if isinstance(runs, Path | str) else found
+
+
+def fit(runs: Runs, rig: RigLike | None = None, method: str = "mle", sensors: str | None = None,
+        fixed: Mapping[str, float] | None = None, latent: str = "trajectory") -> FitResult:
+    """Identify the parameters of the rig's mechanism from `runs`, all together.
+
+    `method`: mle (maximum likelihood along one motion, the default), wls (section III of Dolinsky and Celikovsky,
+    IEEE TCST 26(4), 2018), rls, hekf (its appendices). `sensors`: imu or encoder, what gives the pivot's angle; None
+    takes the IMU where all runs have it. `fixed`: parameters that are given, by name. `latent="free"`: the paper's own
+    maximum likelihood, section IV.
+
+    The result has `beta` (p,) in the order of `mechanism.parameters`, which hold the units (kg m^2, kg m, N m s/rad,
+    N m), `covariance` (p, p), `ci95()` (p, 2), `noise`, and the estimated motion; it shows itself in a notebook, as
+    `to_frame()` and by `plot()`. It may not have `converged`, or name what is `undetermined`: look, or let `model`
+    refuse it. Raises `InputError`, or `FitError` where the data cannot answer.
+    """
+    given, known = _given(runs, rig)
+    return dressed(FitResult, fit_setup(setup_of(given, known, sensors, fixed, latent), method), runs=given, rig=known)
+
+
+def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None) -> Validations:
+    """Free-run simulation of `model` against runs that it was not fitted to (Table V of the paper).
+
+    Each gap-free stretch is simulated from its first state under its measured torque alone. A list of one `Validation`
+    a stretch: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold effects. Raises
+    `InputError` for a model of another mechanism, `FitError` where a first state cannot be estimated.
+    """
+    given, known = _given(runs, rig)
+    found = validate_runs(model, setup_of(given, known, sensors, beta=np.array(model.beta)), "the model")
+    return Validations(dressed(Validation, one) for one in found)
+
+
+def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,
+             progress: Callable[[str, float], None] | None = None, workers: int = 1) -> Diagnosis:
+    """What the simulation of the rig's model gets wrong on `runs`, why, and what extending it gains.
+
+    Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good. Of four in turn two
+    are fitted, one helps to choose, one is opened once at the end. `seed` draws rehearsals and intervals; `reference`
+    is an earlier model whose parameters are compared; `progress` is called with (stage, fraction done). More `workers`
+    are processes forked from this one, so leave it at one in a program with threads.
+
+    The result's `verdict` is none, named, one_of, unexplained or fit_failed; `causes` have sizes with units and 95 %
+    intervals. Raises `InputError` for runs that do not belong together.
+    """
+    given, known = _given(runs, rig)
+    setup = setup_of(given, known)
+    values = None if reference is None else reference_values(reference, "reference", setup)
+    found = diagnose_setup(setup, known, seed, values, progress, workers)
+    return dressed(Diagnosis, found, fitted=given, rig=known)
+
+
+def model(found: PlainFit | PlainDiagnosis, runs: Runs | None = None, rig: RigLike | None = None
+          ) -> Model:
+    """A fit, or a diagnosis with its effects, as the model that `validate`, `simulate` and `save_model` take.
+
+    `runs` and `rig` are those it was made from; a result of `fit` or `diagnose` remembers them. Raises `WorkError` for
+    a fit that did not converge or left parameters undetermined, and for a diagnosis that failed.
+    """
+    if runs is None:
+        runs = found.fitted if isinstance(found, Diagnosis) else found.runs if isinstance(found, FitResult) else ()
+    given, known = _given(runs, rig or (found.rig if isinstance(found, Diagnosis | FitResult) else None))
+    setup = setup_of(given, known)
+    if isinstance(found, PlainDiagnosis):
+        if found.verdict == "fit_failed":
+            raise WorkError(found.sentence)
+        return diagnosed_model(found, setup, known.motor.gear_ratio)
+    check_sound(found, for_model=True)
+    return model_of(found, setup.settings, setup.options.hold, [run.name for run in given])
+
+
+def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = None, seed: int = 1,
+           progress: Callable[[float, float], None] | None = None) -> Recording:
+    """Run `plan` on the real leg under the rig's limits and record it into the new file `out` (.mcap).
+
+    `rig` is a path: a copy of that file goes into the run. `emulate` names an effect hidden in an emulated leg instead
+    ("none": nothing), whose noise is drawn from `seed`; no device is opened then. `progress` is called with (done,
+    total) in seconds. Ctrl-C stops the motor. Raises `InputError` for a plan beyond the limits, `WorkError` naming the
+    limit that ended the run (what was recorded is kept), a `DriverError` for a device.
+    """
+    report, warnings = record_plan(rig, plan, out, emulate, seed, progress)
+    return Recording(load(out, rig), report, tuple(warnings))
+
+
+def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequence[float] | None = None,
+             noise_seed: int | None = None) -> Dataset:
+    """The run that `model` would give under `plan`, from rest at the angles `start` (joints,) [rad], default zero.
+
+    Columns (n,) as a recorded run has them, at `rate_hz` (default: the plan's). `noise_seed` adds the model's own
+    noise levels. Raises `InputError` where the plan does not fit, `WorkError` where the motion runs away.
+    """
+    return dressed(Dataset, simulate_run(model, plan, "the model", rate_hz, start, noise_seed))
+
+
+def _rig(rig: RigLike) -> Rig:
+    return rig if isinstance(rig, Rig) else load_rig(rig)
+
+
+def _stored_rig(paths: Sequence[Path | str]) -> Rig:
+    """The rig inside the first native run."""
+    for path in paths:
+        if str(path).lower().endswith(".mcap"):
+            return recorded_rig(read_run(path))
+    raise InputError(str(paths[0]) if paths else "load", "holds no rig", "give the path of its rig.toml as rig")
+
+
+def _given(runs: Runs, rig: RigLike | None) -> tuple[tuple[PlainDataset, ...], Rig]:
+    """The runs as a tuple, and the rig given or else the one that they were loaded with."""
+    given = (runs,) if isinstance(runs, PlainDataset) else tuple(runs)
+    if not given:
+        raise InputError("runs", "is empty", "give a run, or a list of them")
+    if rig is not None:
+        return given, _rig(rig)
+    first = getattr(given[0], "rig", None)
+    for run in given:
+        own = getattr(run, "rig", None)
+        if own is None:
+            raise InputError(run.name, "was not loaded with a rig", "give the path of its rig.toml as rig")
+        if own != first:
+            raise InputError(run.name, f"was loaded with another rig than {given[0].name}", "give the rig to be used")
+    assert isinstance(first, Rig)
+    return given, first

@@ -1,0 +1,128 @@
+"""Figures of results, as matplotlib's own: to be shown in a notebook, changed, or saved with `savefig`."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from daq import Dataset, FloatArray
+from estimator import FitResult
+from estimator.diagnosis import Diagnosis, SensorGain, Signature
+from estimator.fitting import Validation
+from experiments.reports import BLUE, GREEN, GREY, ORANGE, window
+
+SECONDS = 12.0
+"""What a figure of a fit shows of a run: more becomes a smear."""
+MOST_STRETCHES = 4
+UNITS = {"radps": "rad/s", "mps2": "m/s²", "nm": "N m", "degc": "°C"}
+
+
+class NotebookFigure(Figure):
+    """A figure that a notebook shows although pyplot, which keeps every figure it ever made, does not know it."""
+
+    def _repr_png_(self) -> bytes:
+        out = io.BytesIO()
+        self.savefig(out, format="png")
+        return out.getvalue()
+
+
+def axis_label(column: str) -> str:
+    """`q2 [rad]` of `q2_rad`."""
+    name, _, unit = column.rpartition("_")
+    return f"{name} [{UNITS.get(unit, unit)}]" if name else column
+
+
+def _panels(rows: int, columns: int = 1) -> tuple[NotebookFigure, FloatArray]:
+    """A figure with (rows, columns) axes that share their time."""
+    figure = NotebookFigure(figsize=(7.2 * columns ** 0.5, 0.6 + 1.7 * rows), layout="constrained")
+    return figure, figure.subplots(rows, columns, sharex="col", squeeze=False)
+
+
+def dataset_figure(data: Dataset) -> Figure:
+    """Every column over time; NaN leaves a hole."""
+    figure, axes = _panels(len(data.columns))
+    for ax, (name, values) in zip(axes[:, 0], data.columns.items()):
+        ax.plot(data.time_s, values, color=BLUE, linewidth=0.9)
+        ax.set_ylabel(axis_label(name))
+    axes[0, 0].set_title(data.name)
+    axes[-1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def fit_figure(result: FitResult, seconds: float = SECONDS) -> Figure:
+    """The first seconds of the longest stretch: sensors measured and as estimated, torques measured and modelled.
+
+    Figs. 4 and 5 of Dolinsky and Celikovsky (IEEE TCST 26(4), 2018).
+    """
+    path = max(result.trajectories, key=lambda t: t.time_s.size)
+    part = window(path.time_s, seconds)
+    sensors = [name for name in path.measured if name in path.predicted]
+    figure, axes = _panels(len(sensors) + result.mechanism.n)
+    rows = [(axis_label(name), path.measured[name], path.predicted[name]) for name in sensors]
+    rows += [(f"torque {j + 1} [{result.mechanism.force_unit}]", path.tau_measured[:, j], path.tau[:, j])
+             for j in range(result.mechanism.n)]
+    for ax, (label, measured, modelled) in zip(axes[:, 0], rows):
+        ax.plot(path.time_s[part], measured[part], color=BLUE, linewidth=1.8, label="measured")
+        ax.plot(path.time_s[part], modelled[part], color=ORANGE, linewidth=0.9, label="model")
+        ax.set_ylabel(label)
+    axes[0, 0].legend(loc="upper right", ncols=2, frameon=False)
+    axes[0, 0].set_title(f"{path.run}, {result.method}")
+    axes[-1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def validation_figure(found: Sequence[Validation]) -> Figure:
+    """Joints down, the first stretches across: measured, and simulated from the first state and the torque alone."""
+    shown = found[:MOST_STRETCHES]
+    joints = shown[0].q.shape[1]
+    unit = "m" if "q1_m" in shown[0].rmse else "rad"
+    figure, axes = _panels(joints, len(shown))
+    for column, one in zip(axes.T, shown):
+        for j, ax in enumerate(column):
+            ax.plot(one.time_s, one.reference_q[:, j], color=BLUE, linewidth=1.8, label="measured")
+            ax.plot(one.time_s, one.q[:, j], color=ORANGE, linewidth=0.9, label="simulated")
+        column[0].set_title(one.run)
+        column[-1].set_xlabel("time [s]")
+    for j, ax in enumerate(axes[:, 0]):
+        ax.set_ylabel(f"q{j + 1} [{unit}]")
+    axes[0, 0].legend(loc="upper right", ncols=2, frameon=False)
+    return figure
+
+
+def diagnosis_figure(found: Diagnosis) -> Figure:
+    """Free-run errors before, after and by noise alone; below, what each cause leaves of its natural variable."""
+    rows = 1 + len(found.signatures)
+    figure = NotebookFigure(figsize=(7.2, 0.8 + 2.6 * rows), layout="constrained")
+    axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
+    _errors(axes[0], found.sensors)
+    axes[0].set_title(found.verdict)
+    for ax, signature in zip(axes[1:], found.signatures):
+        _signature(ax, signature)
+    return figure
+
+
+def _errors(ax: Axes, sensors: Mapping[str, SensorGain]) -> None:
+    names = list(sensors)
+    floor = np.array([max(sensors[name].floor, 1e-300) for name in names])
+    kinds = (("nominal", BLUE, "before"), ("extended", ORANGE, "after"), ("noise alone", GREY, "floor"))
+    for k, (label, colour, which) in enumerate(kinds):
+        share = np.array([getattr(sensors[name], which) for name in names]) / floor
+        ax.barh(np.arange(len(names)) + 0.27 * (k - 1), share, 0.25, color=colour, label=label)
+    ax.set_yticks(range(len(names)), names)
+    ax.invert_yaxis()
+    ax.set_xlabel("rms error, in multiples of what noise alone leaves")
+    ax.legend(frameon=False)
+
+
+def _signature(ax: Axes, s: Signature) -> None:
+    ax.errorbar(s.x, s.before, s.before_error, fmt="o", color=BLUE, markersize=4.0, label="nominal leaves")
+    ax.plot(s.x, s.curve, color=ORANGE, label="effect")
+    ax.plot(s.x, s.after, "s", color=GREEN, markersize=3.5, label="extended leaves")
+    ax.set_title(s.title)
+    ax.set_xlabel(s.x_label)
+    ax.set_ylabel(s.y_label)
+    ax.legend(frameon=False)

@@ -1,0 +1,204 @@
+"""What the functions of `legid` give back: the floors' own results, which here also show themselves.
+
+The estimator prints nothing, draws nothing and knows no file, and its results are arrays that any program may use.
+Showing them is work for whoever sits in a notebook. So each type here is the floor's type of the same name with three
+methods more (`_repr_html_`, `to_frame`, `plot`), and it remembers the rig and the runs that it came from; it goes
+wherever the floor's own is taken, and nothing below this package knows of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from daq import Dataset as PlainDataset
+from daq import Rig, WorkError
+from estimator import FitResult as PlainFit
+from estimator.diagnosis import Diagnosis as PlainDiagnosis
+from estimator.fitting import Validation as PlainValidation
+from experiments.reports import (
+    PARAMETER_HEADER,
+    error_rows,
+    gap_text,
+    parameter_rows,
+    size_rows,
+    validation_rows,
+)
+from legid.tables import frame, html_table, paragraphs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+T = TypeVar("T")
+
+
+def dressed(kind: type[T], plain: Any, **more: Any) -> T:
+    """The floor's result `plain` as the type `kind` that is derived from its own."""
+    given = {field.name: getattr(plain, field.name) for field in fields(plain) if field.name not in more}
+    return kind(**given, **more)
+
+
+@dataclass(frozen=True)
+class Dataset(PlainDataset):
+    """One run on a uniform grid: columns of contract names in SI units, NaN where a sample is missing."""
+
+    rig: Rig | None = None
+    """The rig that it was loaded with; None for a run that was simulated or made by hand."""
+
+    def to_frame(self) -> DataFrame:
+        """One row a sample, `time_s` [s] as index, one column a signal. Raises `WorkError` without pandas."""
+        return frame({"time_s": self.time_s, **self.columns}, "time_s")
+
+    def plot(self) -> Figure:
+        """Every column over time."""
+        from legid.figures import dataset_figure
+
+        return dataset_figure(self)
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name, values in self.columns.items():
+            seen = values[np.isfinite(values)]
+            cells = [f"{x:.4g}" for x in (seen.min(), seen.mean(), seen.max())] if seen.size else ["", "", ""]
+            rows.append([name, *cells, str(values.size - seen.size)])
+        seconds = len(self) / self.rate_hz
+        return (paragraphs([f"{self.name}: {len(self)} samples at {self.rate_hz:g} Hz, {seconds:.1f} s"])
+                + html_table(["column", "smallest", "mean", "largest", "missing"], rows))
+
+
+@dataclass(frozen=True)
+class FitResult(PlainFit):
+    """Identified parameters with their covariance, noise levels and the motion that they came with."""
+
+    runs: tuple[PlainDataset, ...] = ()
+    """What was fitted."""
+    rig: Rig | None = None
+
+    def to_frame(self) -> DataFrame:
+        """One row a parameter: value, std, low and high of its 95 % interval, unit, meaning, whether it was given.
+
+        What the data does not determine is NaN. Raises `WorkError` without pandas.
+        """
+        parameters = self.mechanism.parameters
+        open_ = np.array([p.name in self.open_parameters for p in parameters])
+        numbers = np.where(open_[:, None], np.nan, np.column_stack([self.beta, self.std, self.ci95()]))
+        return frame({"parameter": [p.name for p in parameters],
+                      **dict(zip(("value", "std", "low", "high"), numbers.T)),
+                      "unit": [p.unit for p in parameters], "meaning": [p.meaning for p in parameters],
+                      "fixed": [p.name in self.fixed for p in parameters]}, "parameter")
+
+    def plot(self) -> Figure:
+        """Sensors measured and as estimated, torques measured and modelled, over the first seconds.
+
+        Raises `WorkError` for a fit by a method that estimates no motion.
+        """
+        from legid.figures import fit_figure
+
+        if not self.trajectories:
+            raise WorkError(f"a fit by {self.method} has no motion to draw; use method=\"mle\"")
+        return fit_figure(self)
+
+    def _repr_html_(self) -> str:
+        state = "converged" if self.converged else "NOT CONVERGED: no number below may be used"
+        notes = [f"This data does not determine {name}." for name in self.undetermined]
+        notes += [f"Warning: {text}" for text in self.warnings]
+        return (paragraphs([f"{self.mechanism.name}, {self.method}, sensors {self.sensors}, {self.samples} samples: "
+                            f"{state}."])
+                + html_table(PARAMETER_HEADER, parameter_rows(self)) + paragraphs(notes))
+
+
+@dataclass(frozen=True)
+class Validation(PlainValidation):
+    """One gap-free stretch of one run: measured against simulated from its first state and torque alone."""
+
+    def to_frame(self) -> DataFrame:
+        """One row a sample, `time_s` [s] as index: angles simulated and measured. Raises `WorkError` without pandas."""
+        unit = "m" if "q1_m" in self.rmse else "rad"
+        columns = {f"q{j + 1}_{what}_{unit}": values[:, j] for j in range(self.q.shape[1])
+                   for what, values in (("simulated", self.q), ("measured", self.reference_q))}
+        return frame({"time_s": self.time_s, **columns}, "time_s")
+
+    def plot(self) -> Figure:
+        """Every joint over time, measured and simulated."""
+        from legid.figures import validation_figure
+
+        return validation_figure([self])
+
+    def _repr_html_(self) -> str:
+        return Validations([self])._repr_html_()
+
+
+class Validations(list[Validation]):
+    """A list of `Validation`, one a gap-free stretch, that shows itself as a table."""
+
+    def to_frame(self) -> DataFrame:
+        """One row a stretch: run, seconds, whether it ran away, rms error by signal.
+
+        Raises `WorkError` without pandas.
+        """
+        signals = list(self[0].rmse) if self else []
+        return frame({"run": [v.run for v in self], "seconds": [v.horizon_s for v in self],
+                      "diverged": [v.diverged for v in self],
+                      **{name: [v.rmse[name] for v in self] for name in signals}}, "run")
+
+    def plot(self) -> Figure:
+        """Joints down, the first stretches across. Raises `WorkError` where there is none."""
+        from legid.figures import validation_figure
+
+        if not self:
+            raise WorkError("no stretch of these runs is long enough to be simulated; record for longer")
+        return validation_figure(self)
+
+    def _repr_html_(self) -> str:
+        return html_table(*validation_rows(self)) if self else paragraphs(["no stretch was long enough"])
+
+
+@dataclass(frozen=True)
+class Diagnosis(PlainDiagnosis):
+    """What the simulation gets wrong, why, and what extending it gains."""
+
+    fitted: tuple[PlainDataset, ...] = ()
+    """The runs that it was made from, in their order."""
+    rig: Rig | None = None
+
+    def to_frame(self, what: str = "causes") -> DataFrame:
+        """`causes`: one row a size of a cause, with its 95 % interval; `candidates`: one row an effect that was scored.
+
+        Raises `ValueError` for any other `what`, `WorkError` without pandas.
+        """
+        if what == "candidates":
+            names = ("effect", "joint", "score", "p_value", "size", "smallest_detectable", "unit")
+            return frame({name: [getattr(c, name) for c in self.candidates] for name in names})
+        if what != "causes":
+            raise ValueError(f"{what!r} is neither 'causes' nor 'candidates'")
+        rows = [(c, s) for c in self.causes for s in c.size]
+        return frame({"effect": [c.effect for c, _ in rows], "joint": [c.joint for c, _ in rows],
+                      "size": [s.name for _, s in rows], "value": [s.value for _, s in rows],
+                      "low": [s.ci95[0] for _, s in rows], "high": [s.ci95[1] for _, s in rows],
+                      "unit": [s.unit for _, s in rows], "p_value": [c.p_value for c, _ in rows]})
+
+    def plot(self) -> Figure:
+        """Free-run errors before and after; below, the residual of each cause over its natural variable.
+
+        Raises `WorkError` for a diagnosis that failed.
+        """
+        from legid.figures import diagnosis_figure
+
+        if self.verdict == "fit_failed":
+            raise WorkError(self.sentence)
+        return diagnosis_figure(self)
+
+    def _repr_html_(self) -> str:
+        parts = [paragraphs([f"{self.verdict}: {self.sentence}"])]
+        if self.causes:
+            rows = [row for cause in self.causes for row in size_rows(cause)]
+            parts.append(html_table(["effect", "size", "value", "95 % interval", "unit"], rows))
+        if self.sensors:
+            parts.append(html_table(["free-run error (rms)", "nominal", "extended", "noise alone"],
+                                    error_rows(self.sensors)))
+        parts.append(paragraphs([text for text in (gap_text(self), *(f"Warning: {w}" for w in self.warnings),
+                                                   self.next_experiment) if text]))
+        return "".join(parts)

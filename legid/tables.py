@@ -1,0 +1,35 @@
+"""Tables of results: for a notebook as HTML, for calculations as pandas where it is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from daq import WorkError
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+def frame(columns: Mapping[str, Any], index: str | None = None) -> DataFrame:
+    """`columns` as a DataFrame, one of them as its index. Raises `WorkError` where pandas is not installed."""
+    try:
+        from pandas import DataFrame
+    except ImportError:
+        raise WorkError('to_frame() needs the package pandas; install it: pip install "legid[notebook]"') from None
+    table = DataFrame(dict(columns))
+    return table if index is None else table.set_index(index)
+
+
+def html_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A `<table>`; all text is escaped."""
+    def line(cells: Sequence[str], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+    return f"<table>{line(header, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
+
+
+def paragraphs(texts: Sequence[str]) -> str:
+    """Each text as a `<p>`, escaped."""
+    return "".join(f"<p>{escape(text)}</p>" for text in texts)

@@ -1,0 +1,80 @@
+"""Results that show themselves, without pandas too, and an import that costs nothing."""
+
+import subprocess
+import sys
+import time
+from html import unescape
+
+import numpy as np
+import pytest
+
+import legid
+from daq.rig import parse_rig
+from legid.results import dressed
+from tests.support.fits import synthetic_fit
+
+TOML = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
+RIG = parse_rig(TOML)
+
+
+def two_columns(name: str = "run1.csv") -> legid.Dataset:
+    t = np.arange(60) / 100.0
+    return legid.Dataset(name, 100.0, t, {"q2_rad": np.where(t < 0.095, np.nan, t), "tau2_nm": 0.0 * t}, rig=RIG)
+
+
+def test_import_is_quick() -> None:
+    """The best of three, so that a busy machine does not decide; nothing of numerics is loaded."""
+    code = "import legid, sys; assert 'numpy' not in sys.modules and 'daq' not in sys.modules"
+    spent = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        subprocess.run([sys.executable, "-c", code], check=True)
+        spent.append(time.perf_counter() - begin)
+    assert min(spent) < 0.3
+
+
+def test_every_name_that_is_offered_is_there() -> None:
+    assert {"fit", "load", "diagnose", "Dataset", "Rig", "InputError"} <= set(legid.__all__)
+    assert all(getattr(legid, name) is not None for name in legid.__all__)
+
+
+def test_a_fit_as_table_and_page() -> None:
+    found = dressed(legid.FitResult, synthetic_fit())
+    table = found.to_frame()
+    np.testing.assert_array_equal(table["value"], found.beta)
+    np.testing.assert_array_equal(table[["low", "high"]], found.ci95())
+    assert table.loc["beta1", "unit"] == "kg m^2"
+    unsure = dressed(legid.FitResult, synthetic_fit(), undetermined=("beta8 - beta9",), converged=False)
+    assert list(unsure.to_frame()["value"].isna()) == [False] * 7 + [True, True]
+    page = unescape(unsure._repr_html_())
+    assert "NOT CONVERGED" in page and "does not determine beta8 - beta9" in page and "m2*l1*lc2" in page
+
+
+def test_a_run_as_table_page_and_figure() -> None:
+    run = two_columns("a <b>.csv")
+    assert run.to_frame().shape == (60, 2) and run.to_frame()["q2_rad"].isna().sum() == 10
+    assert "a &lt;b&gt;.csv" in run._repr_html_() and "<td>10</td>" in run._repr_html_()
+    figure = run.plot()
+    assert [ax.get_ylabel() for ax in figure.axes] == ["q2 [rad]", "tau2 [N m]"]
+    assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
+    part = run.part(slice(20, 40))
+    assert isinstance(part, legid.Dataset) and part.rig == RIG and len(part) == 20
+
+
+def test_without_pandas_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(legid.WorkError, match=r'pip install "legid\[notebook\]"'):
+        two_columns().to_frame()
+
+
+def test_runs_without_a_rig_or_of_two_rigs_are_refused() -> None:
+    bare = legid.Dataset("bare", 100.0, np.arange(5.0), {})
+    other = dressed(legid.Dataset, two_columns("run2.csv"), rig=parse_rig(TOML.replace("2]", "1, 2]")))
+    with pytest.raises(legid.InputError, match="bare: was not loaded with a rig"):
+        legid.fit(bare)
+    with pytest.raises(legid.InputError, match=r"run2\.csv: was loaded with another rig than run1\.csv"):
+        legid.fit([two_columns(), other])
+    with pytest.raises(legid.InputError, match="is empty"):
+        legid.fit([])
+    with pytest.raises(legid.InputError, match="holds no rig"):
+        legid.load("run.csv")
