@@ -6,6 +6,7 @@ from .load import SUFFIXES as SUFFIXES
 from .load import load_run as load_run
 from .rig import JOINTS as JOINTS
 from .rig import Calibration as Calibration
+from .rig import Column as Column
 from .rig import ControllerDevice as ControllerDevice
 from .rig import Devices as Devices
 from .rig import ImuDevice as ImuDevice

@@ -133,6 +133,22 @@ class Calibration(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Scales and cross-talk of the accelerometer: calibrated = matrix @ (reading - bias), in the chip's frame."""
 
 
+class Column(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where files of other programs hold a column of the contract: value = sign * scale * unit * reading + offset."""
+
+    name: str
+    """As the file calls it."""
+    unit: str = ""
+    """Of the file; empty: the contract's own."""
+    scale: float = 1.0
+    """On top of the unit, a torque constant for one."""
+    sign: Literal[1, -1] = 1
+    offset: float = 0.0
+    """Added at the end, in the contract's unit."""
+    delay: float = 0.0
+    """How late the reading is stamped [s]."""
+
+
 class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One rig.toml."""
 
@@ -146,6 +162,8 @@ class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     devices: Devices = Devices()
     limits: Limits = Limits()
     calibration: Calibration = Calibration()
+    columns: dict[str, Column] = {}
+    """Column of the contract -> where files of other programs hold it."""
 
 
 JOINTS = {"leg2": 2, "biped3": 3, "joint1": 1}

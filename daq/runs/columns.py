@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from typing import NamedTuple
 
@@ -10,6 +11,17 @@ from daq.rig import Rig, joint_count
 IMU = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
 OPTIONAL = ("tau2_cmd_nm", "temperature_degc", "q2_motor_rad")
 """Columns with a meaning that no mechanism requires; their cells are checked like required ones."""
+
+
+_JOINT_COLUMN = re.compile(r"(q|tau)([1-9]|1[0-9]|20)_(rad|nm)")
+
+
+def is_contract_column(name: str) -> bool:
+    """The contract gives this column a meaning."""
+    match = _JOINT_COLUMN.fullmatch(name)
+    if match:
+        return (match[1] == "q") == (match[3] == "rad")
+    return name in ("time_s", "q1_m", "tau1_n", "duty", "volts", *IMU, *OPTIONAL)
 
 
 class Missing(NamedTuple):
@@ -38,10 +50,8 @@ def missing(rig: Rig, present: Collection[str]) -> Missing | None:
 def known(rig: Rig | None, present: Collection[str]) -> set[str]:
     """Columns of `present` that carry a meaning in the contract; the others are the user's own."""
     joints = 20 if rig is None else joint_count(rig.mechanism)
-    names = {"time_s", "q1_m", "tau1_n", "duty", "volts", *IMU, *OPTIONAL}
-    for joint in range(1, joints + 1):
-        names |= {f"q{joint}_rad", f"tau{joint}_nm"}
-    return names & set(present)
+    return {name for name in present if is_contract_column(name)
+            and not ((match := _JOINT_COLUMN.fullmatch(name)) and int(match[2]) > joints)}
 
 
 def _torque_joints(rig: Rig) -> list[int]:

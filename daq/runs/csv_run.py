@@ -21,6 +21,7 @@ from daq.rig import Rig
 from daq.runs.columns import known, missing
 
 MIN_SAMPLES = 50
+CLOCK_BOUND = "clock_bound_s"
 _GZIP_MAGIC = b"\x1f\x8b"
 
 
@@ -66,12 +67,17 @@ def write_csv(dataset: Dataset, path: Path | str) -> int:
     """Write `dataset` as `.csv` (or `.csv.gz`) by the contract; returns the number of rows.
 
     Rows with a gap in any column are left out, so that the hole shows in `time_s`; a column that has no
-    sample at all is left out whole. Values keep 12 significant digits, times a nanosecond.
+    sample at all is left out whole. Values keep 12 significant digits, times a nanosecond. What the recorder's
+    clocks leave open goes into a column of its own, `clock_bound_s`, which fits allow for.
     """
     path = Path(path)
     names = [name for name, values in dataset.columns.items() if np.isfinite(values).any()]
     rows = ~dataset.gap(names)
-    table = np.column_stack([dataset.time_s[rows], *(dataset[name][rows] for name in names)])
+    columns = [dataset.time_s[rows], *(dataset[name][rows] for name in names)]
+    if dataset.clock_bound_s > 0.0:
+        names.append(CLOCK_BOUND)
+        columns.append(np.full(columns[0].shape, dataset.clock_bound_s))
+    table = np.column_stack(columns)
     text = io.StringIO()
     np.savetxt(text, table, fmt=["%.9f"] + ["%.12g"] * len(names), delimiter=",",
                header=",".join(["time_s", *names]), comments="")

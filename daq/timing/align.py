@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -18,10 +18,22 @@ from daq.timing.clock import ImuClock, TickClock, fit_samples, fit_ticks
 from daq.timing.resample import Channel, align_channels
 
 
-def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
-    """Run on a grid of `rate_hz` (default: the rig's) with the columns of the CSV contract.
+class Decoded(NamedTuple):
+    """The samples of a native run in SI units, each at the time at which it was taken."""
 
-    `time_s` counts from the first message. `tau2_nm` is the mean current of a telemetry period and therefore
+    epoch_ns: int
+    """Host's monotonic clock at the time 0 of the channels [ns]."""
+    channels: list[Channel]
+    """At the controller's tick; the torque; with an IMU, last, its samples."""
+    bound_s: float
+    """How far the IMU's time line may be off the controller's [s]."""
+    sources: dict[str, str]
+
+
+def decode(raw: RawRun, rig: Rig) -> Decoded:
+    """Samples of the run with the columns of the CSV contract, at their own rates.
+
+    Times count from the first message. `tau2_nm` is the mean current of a telemetry period and therefore
     placed half a period before its tick. `q1_rad`, from the pivot's Hall sensor, is benchmark only. Columns
     that were never measured are absent. Raises `InputError` when the run is too short to be timed.
     """
@@ -43,10 +55,20 @@ def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
         sources["truncated"] = "the file ends before its footer; read as far as it is whole"
     if any(channel.time_s.size < 2 for channel in channels):
         raise _unusable(raw, "is too short for its clocks to be put together")
-    dataset = align_channels(raw.name, channels, rig.sampling.rate_hz if rate_hz is None else rate_hz, sources)
+    return Decoded(epoch_ns, channels, bound_s, sources)
+
+
+def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
+    """Run on a grid of `rate_hz` (default: the rig's), its columns and times those of `decode`.
+
+    Raises `InputError` when the run is too short to be timed.
+    """
+    found = decode(raw, rig)
+    rate = rig.sampling.rate_hz if rate_hz is None else rate_hz
+    dataset = align_channels(raw.name, found.channels, rate, found.sources)
     if len(dataset) < MIN_SAMPLES:
         raise _unusable(raw, f"gives {len(dataset)} samples on the grid, at least {MIN_SAMPLES} are needed")
-    return replace(dataset, clock_bound_s=bound_s)
+    return replace(dataset, clock_bound_s=found.bound_s)
 
 
 def recorded_rig(raw: RawRun) -> Rig:

@@ -14,6 +14,7 @@ A hole longer than 2.5 nominal sample periods stays NaN: nothing is invented acr
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
-from daq.runs import RawTable
+from daq.runs import CLOCK_BOUND, RawTable
 
 HOLE_PERIODS = 2.5
 OVERSAMPLED = 1.5
@@ -48,7 +49,10 @@ def align_table(table: RawTable, rate_hz: float) -> Dataset:
     Samples that lie on such a grid already (within 1 % of a step) are taken as they are.
     """
     time_s = snapped_times(table.time_s, rate_hz)
-    return align_channels(table.name, [Channel(time_s, table.columns)], rate_hz, table.sources)
+    columns = {name: values for name, values in table.columns.items() if name != CLOCK_BOUND}
+    run = align_channels(table.name, [Channel(time_s, columns)], rate_hz, table.sources)
+    bound = table.columns.get(CLOCK_BOUND)
+    return run if bound is None else replace(run, clock_bound_s=float(np.max(bound)))
 
 
 def align_channels(name: str, channels: list[Channel], rate_hz: float, sources: Mapping[str, str]) -> Dataset:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 from experiments.models.bodies import Body, bodies_of
-from experiments.models.schema import Model
+from experiments.models.schema import EffectValue, Model
 
 AXIS = "0 -1 0"
 SLIDE_AXIS = "1 0 0"
@@ -16,12 +17,63 @@ RADIUS_M = 0.01
 KINDS = ("mjcf", "urdf")
 
 
+@dataclass
+class Extras:
+    """What MJCF can hold of a model's effects, by joint from 1 where it is a joint's."""
+
+    springs: dict[int, tuple[float, float]] = field(default_factory=dict)
+    """Stiffness [N m/rad] and the angle at which it rests [rad]."""
+    drags: dict[int, float] = field(default_factory=dict)
+    """c of c v |v| [N m s^2/rad^2]."""
+    rotors: dict[int, float] = field(default_factory=dict)
+    """[kg m^2]"""
+    offset_nm: float = 0.0
+    """What every measured torque reads above the one that acts."""
+    excess_m: float = 0.0
+    """How much farther from the pivot the IMU sits."""
+    turn_rad: float = 0.0
+    """How far the IMU is turned in the sense of q1."""
+    left_out: list[str] = field(default_factory=list)
+
+
+def held_effects(model: Model) -> Extras:
+    """Effects that an MJCF file holds exactly; those that it cannot are `left_out`."""
+    found = Extras()
+    driven = model.mechanism.actuated
+    for effect in model.effects:
+        joint = effect.joint or (driven[0] if len(driven) == 1 else 0)
+        if not _hold(found, effect, joint):
+            found.left_out.append(effect.name)
+    return found
+
+
+def _hold(into: Extras, effect: EffectValue, joint: int) -> bool:
+    """Put the effect into what the file holds; whether that can be done."""
+    size = effect.sizes
+    if effect.name == "joint_stiffness" and size["stiffness"] > 0:
+        into.springs[joint] = size["stiffness"], size["preload"] / size["stiffness"]
+    elif effect.name == "quadratic_drag" and size["drag"] >= 0:
+        into.drags[joint] = size["drag"]
+    elif effect.name == "rotor_inertia" and joint and size["inertia"] >= 0:
+        into.rotors[joint] = size["inertia"]
+    elif effect.name == "torque_offset":
+        into.offset_nm += size["offset"]
+    elif effect.name == "imu_lever_arm":
+        into.excess_m += size["excess"]
+    elif effect.name == "imu_misalignment":
+        into.turn_rad += size["angle"]
+    else:
+        return False
+    return True
+
+
 def export_model(model: Model, kind: str, where: str) -> tuple[str, list[str]]:
     """(XML text, what of the model it does not hold or holds otherwise). Raises `InputError`."""
     bodies = bodies_of(model, where)
-    notes = _notes(model, bodies, kind)
-    bodies = [_passive(body) for body in bodies]
-    root = _mjcf(model, bodies) if kind == "mjcf" else _urdf(bodies)
+    extras = held_effects(model) if kind == "mjcf" else Extras(left_out=[effect.name for effect in model.effects])
+    notes = _notes(model, bodies, kind, extras)
+    bodies = [_extended(_passive(body), j, extras) for j, body in enumerate(bodies, 1)]
+    root = _mjcf(model, bodies, extras) if kind == "mjcf" else _urdf(bodies)
     words = ["Written by legid from an identified model. Base parameters kept exactly: "
              + ", ".join(f"{p.name} = {p.value:.9g} {p.unit}" for p in model.parameters) + ".",
              "Masses and centres are one choice of many that move alike about a fixed pivot (models/bodies.py).",
@@ -31,7 +83,7 @@ def export_model(model: Model, kind: str, where: str) -> tuple[str, list[str]]:
     return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n", notes
 
 
-def _notes(model: Model, bodies: Sequence[Body], kind: str) -> list[str]:
+def _notes(model: Model, bodies: Sequence[Body], kind: str, extras: Extras) -> list[str]:
     notes = []
     if any(b.coulomb for b in bodies):
         notes.append("Coulomb friction is frictionloss, which holds a resting joint fast; legid rounds its sign off "
@@ -45,9 +97,18 @@ def _notes(model: Model, bodies: Sequence[Body], kind: str) -> list[str]:
                   for b in bodies if b.rotor > 0]
         notes += [f"URDF has no torque offset: {b.offset:g} N m at {b.joint} is left out" for b in bodies if b.offset]
         notes.append(f"URDF has no gravity: set {model.mechanism.gravity_mps2:g} m/s2 along -z")
-    if model.effects:
-        notes.append("the model's effects are left out: " + ", ".join(effect.name for effect in model.effects))
+    if extras.left_out:
+        notes.append(f"{kind.upper()} cannot hold these effects of the model, they are left out: "
+                     + ", ".join(extras.left_out))
+    if extras.drags:
+        notes.append("quadratic drag is the second number of damping, which MuJoCo reads from version 3.6 on")
     return notes
+
+
+def _extended(body: Body, joint: int, extras: Extras) -> Body:
+    """With the effects that are more of what a body has anyway."""
+    return replace(body, rotor=body.rotor + extras.rotors.get(joint, 0.0),
+                   offset=body.offset + (extras.offset_nm if body.driven else 0.0))
 
 
 def _passive(body: Body) -> Body:
@@ -55,7 +116,7 @@ def _passive(body: Body) -> Body:
     return replace(body, viscous=max(body.viscous, 0.0), coulomb=max(body.coulomb, 0.0), rotor=max(body.rotor, 0.0))
 
 
-def _mjcf(model: Model, bodies: Sequence[Body]) -> ET.Element:
+def _mjcf(model: Model, bodies: Sequence[Body], extras: Extras) -> ET.Element:
     s = model.mechanism
     root = ET.Element("mujoco", model=s.model)
     ET.SubElement(root, "compiler", angle="radian")
@@ -63,11 +124,16 @@ def _mjcf(model: Model, bodies: Sequence[Body]) -> ET.Element:
     ET.SubElement(option, "flag", contact="disable")
     parent: ET.Element = ET.SubElement(root, "worldbody")
     place, first = "0 0 0", None
-    for body in bodies:
+    for j, body in enumerate(bodies, 1):
         parent = ET.SubElement(parent, "body", name=body.link, pos=place)
-        ET.SubElement(parent, "joint", name=body.joint, type="slide" if body.slides else "hinge",
-                      axis=SLIDE_AXIS if body.slides else AXIS, damping=repr(body.viscous),
-                      frictionloss=repr(body.coulomb), armature=repr(body.rotor))
+        drag = f" {extras.drags[j]!r}" if j in extras.drags else ""
+        joint = ET.SubElement(parent, "joint", name=body.joint, type="slide" if body.slides else "hinge",
+                              axis=SLIDE_AXIS if body.slides else AXIS, damping=f"{body.viscous!r}{drag}",
+                              frictionloss=repr(body.coulomb), armature=repr(body.rotor))
+        if j in extras.springs:
+            stiffness, rest = extras.springs[j]
+            joint.set("stiffness", repr(stiffness))
+            joint.set("springref", repr(rest))
         ET.SubElement(parent, "inertial", pos=f"0 0 {-body.centre!r}", mass=repr(body.mass),
                       diaginertia=" ".join([repr(body.inertia)] * 3))
         ET.SubElement(parent, "geom", type="capsule", fromto=f"0 0 0 0 0 {-body.length!r}", size=repr(RADIUS_M))
@@ -81,7 +147,9 @@ def _mjcf(model: Model, bodies: Sequence[Body]) -> ET.Element:
                 motor.set("biasprm", f"{-body.offset!r} 0 0")
     if s.model == "leg2" and first is not None:
         # x tangential, y outwards; a right-handed z then points against the axis about which q1 grows
-        ET.SubElement(first, "site", name="imu", pos=f"0 0 {-s.lever_arm_m!r}", xyaxes="1 0 0 0 0 -1")
+        c, sine = math.cos(extras.turn_rad), math.sin(extras.turn_rad)
+        ET.SubElement(first, "site", name="imu", pos=f"0 0 {-(s.lever_arm_m + extras.excess_m)!r}",
+                      xyaxes=f"{c!r} 0 {sine!r} {sine!r} 0 {-c!r}")
         sensor = ET.SubElement(root, "sensor")
         ET.SubElement(sensor, "accelerometer", name="accel", site="imu")
         ET.SubElement(sensor, "gyro", name="gyro", site="imu")

@@ -15,8 +15,6 @@ from .diagnosis_text import error_rows as error_rows
 from .diagnosis_text import gap_text as gap_text
 from .diagnosis_text import key_label as key_label
 from .diagnosis_text import size_rows as size_rows
-from .exports import export_run as export_run
-from .exports import load_any as load_any
 from .figures import BLUE as BLUE
 from .figures import GREEN as GREEN
 from .figures import GREY as GREY
@@ -39,6 +37,9 @@ from .html import Picture as Picture
 from .html import Section as Section
 from .html import Table as Table
 from .html import write_page as write_page
+from .import_picture import GUESS_HEADER as GUESS_HEADER
+from .import_picture import guess_rows as guess_rows
+from .import_picture import guess_section as guess_section
 from .markdown import write_markdown as write_markdown
 from .run_info import BOUND_S as BOUND_S
 from .run_info import GOOD_TIMER_MS as GOOD_TIMER_MS

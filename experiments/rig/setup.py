@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import Dataset, InputError, Rig, load_run
+from daq import Dataset, InputError, Rig
 from daq.runs import IMU
 from estimator import FitOptions
 from estimator.calibration import find_zeros, subtract, zeros_text
 from estimator.model import Mechanism
 from experiments.console import progress
+from experiments.exchange import load_any_run
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
 
 
@@ -39,7 +40,7 @@ def load_setup(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None
 
 def load_runs(paths: Sequence[Path | str], rig: Rig) -> tuple[Dataset, ...]:
     """Runs read, aligned, with the input that the mechanism is driven by. Raises `InputError`."""
-    return tuple(prepare(load_run(path, rig), rig) for path in progress(list(paths), "reading runs", unit="run"))
+    return tuple(prepare(load_any_run(path, rig), rig) for path in progress(list(paths), "reading runs", unit="run"))
 
 
 def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,

@@ -8,12 +8,14 @@ import argparse
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
     parser = subparsers.add_parser(
-        "export", help="convert a run to CSV, Parquet or MATLAB, a model to MJCF or URDF",
+        "export", help="convert a run to CSV, Parquet, MATLAB or ROS 2, a model to MJCF or URDF",
         description="Align a run to a uniform grid and write it in another format, one column a signal, SI units. "
-                    "A native run carries its rig; --rig overrides it. With --to mjcf or urdf a MODEL.json becomes a "
-                    "simulator's model.")
-    parser.add_argument("run_file", metavar="RUN", help="run file: .mcap, .csv or .csv.gz; or MODEL.json")
-    parser.add_argument("--to", required=True, choices=("csv", "parquet", "mat", "mjcf", "urdf"), help="the format")
+                    "A native run carries its rig; --rig overrides it. With --to ros2 it becomes an MCAP of "
+                    "sensor_msgs, every sample at its own wall-clock time; with --to mjcf or urdf a MODEL.json becomes "
+                    "a simulator's model.")
+    parser.add_argument("run_file", metavar="RUN", help="run file of any kind that is read; or MODEL.json")
+    parser.add_argument("--to", required=True, choices=("csv", "parquet", "mat", "ros2", "mjcf", "urdf"),
+                        help="the format")
     parser.add_argument("--out", metavar="FILE", required=True, help="the file to write")
     parser.add_argument("--rig", help="the rig's TOML file; default: the one inside the run")
     parser.add_argument("--rate", metavar="HZ", type=float, help="samples per second; default: the rig's")
@@ -24,11 +26,29 @@ def run(args: argparse.Namespace) -> int:
     """Read, align, write."""
     if args.to in ("mjcf", "urdf"):
         return _export_model(args)
-    from experiments.reports import export_run, load_any
+    from experiments.exchange import export_run, load_to_convert
 
-    data = load_any(args.run_file, args.rig, args.rate)
+    if args.to == "ros2":
+        return _export_ros2(args)
+    data = load_to_convert(args.run_file, args.rig, args.rate)
     rows = export_run(data, args.to, args.out)
     print(f"{args.out}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
+    return 0
+
+
+def _export_ros2(args: argparse.Namespace) -> int:
+    """Write the messages; what they do not hold goes to stderr."""
+    import sys
+
+    from daq import InputError
+    from experiments.exchange import export_ros2
+
+    if args.rate is not None:
+        raise InputError("--to ros2", "takes no --rate", "leave it out: every sample keeps its own time")
+    done = export_ros2(args.run_file, args.rig, args.out)
+    print(f"{args.out}: {done.messages} messages of {args.run_file}")
+    for note in done.notes:
+        print(f"note: {note}", file=sys.stderr)
     return 0
 
 

@@ -1,0 +1,15 @@
+from .column_map import TIME as TIME
+from .column_map import ColumnMap as ColumnMap
+from .column_map import apply_map as apply_map
+from .column_map import load_map as load_map
+from .column_map import map_text as map_text
+from .exports import export_run as export_run
+from .foreign import Foreign as Foreign
+from .guess import Guess as Guess
+from .guess import guess_map as guess_map
+from .reading import is_native as is_native
+from .reading import load_any_run as load_any_run
+from .reading import load_to_convert as load_to_convert
+from .reading import mapped as mapped
+from .reading import read_foreign as read_foreign
+from .ros2_export import export_ros2 as export_ros2

@@ -1,0 +1,166 @@
+"""COLUMNS.toml: which column of a file is which of the contract, and in what unit.
+
+The same table stands in a rig.toml as `[columns]`. value = sign * scale * unit * reading + offset, at the time of the
+reading less its delay.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections import defaultdict
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import Column, Dataset, FloatArray, InputError
+from daq.runs import MIN_SAMPLES, is_contract_column
+from daq.timing import Channel, align_channels
+from experiments.exchange.foreign import Foreign, Table
+from experiments.exchange.units import factor
+
+ColumnMap = Mapping[str, Column]
+TIME = "time_s"
+MOST_REPEATED = 0.01
+"""Share of rows whose time does not increase that is left out in silence."""
+Key = tuple[int, float]
+
+
+def load_map(path: Path | str) -> dict[str, Column]:
+    """The map in a COLUMNS.toml, or in the `[columns]` of a rig file. Raises `InputError` naming file and key."""
+    where = str(path)
+    try:
+        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return check_map(msgspec.convert(document.get("columns", {}), dict[str, Column]), where)
+    except OSError as error:
+        raise InputError(where, error.strerror or str(error), "give the map, or let --guess write it") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(where, f"not valid TOML: {error}", "mend the line named") from None
+    except msgspec.ValidationError as error:
+        raise InputError(where, str(error).replace("`$", "`columns"), "see docs/exchange.md") from None
+
+
+def check_map(columns: dict[str, Column], where: str) -> dict[str, Column]:
+    """`columns` as they are. Raises `InputError` for a column or a unit that the contract does not know."""
+    if not columns:
+        raise InputError(where, "has no [columns]", 'name one by [columns.q2_rad] and name = "..."')
+    for name, column in columns.items():
+        if not is_contract_column(name):
+            raise InputError(f"{where}, columns.{name}", "is no column of a run", "see README, A run as CSV")
+        factor(column.unit, name, f"{where}, columns.{name}")
+        if not (np.isfinite([column.scale, column.offset, column.delay]).all() and column.scale):
+            raise InputError(f"{where}, columns.{name}", "has a scale, offset or delay that is no finite number",
+                             "correct it; a scale is not 0")
+    return columns
+
+
+def map_text(columns: ColumnMap, notes: Mapping[str, str] | None = None) -> str:
+    """The file's text; `notes` are comments by column."""
+    blank = Column(name="")
+    parts = ["# Which column of a file is which of a run: value = sign * scale * unit * reading + offset, and a",
+             "# reading is stamped `delay` seconds late. For legid import --map, or in a rig.toml for all.", ""]
+    for name, column in columns.items():
+        parts += [f"# {line}" for line in (notes or {}).get(name, "").splitlines()]
+        parts.append(f"[columns.{name}]")
+        for key in column.__struct_fields__:
+            value = getattr(column, key)
+            if key == "name" or value != getattr(blank, key):
+                parts.append(f"{key} = {msgspec.json.encode(value).decode()}")
+        parts.append("")
+    return "\n".join(parts)
+
+
+def applies(foreign: Foreign, columns: ColumnMap) -> bool:
+    """The file has a column that the map names."""
+    return any(column.name in foreign.names for column in columns.values())
+
+
+def identity(foreign: Foreign) -> dict[str, Column]:
+    """The map of a file that has the contract's own names."""
+    return {name: Column(name=name) for name in foreign.names if is_contract_column(name)}
+
+
+def apply_map(foreign: Foreign, columns: ColumnMap, rate_hz: float | None = None) -> Dataset:
+    """The file as a run, on a grid of `rate_hz` (default: that of its slowest signal).
+
+    Columns that come at times of their own, or with delays of their own, are each put on the grid by the rule that
+    native runs are; a column of the contract's name that the map does not mention is taken as it is. Raises
+    `InputError` naming file and column.
+    """
+    whole = {**identity(foreign), **columns}
+    channels = _channels(foreign, whole)
+    if not channels:
+        raise InputError(foreign.name, "holds no column that the map names", "correct the map, or run --guess")
+    rates = [1.0 / float(np.median(np.diff(c.time_s))) for c in channels]
+    if rate_hz is None:
+        rate_hz = float(f"{min(rates):.3g}")
+    run = align_channels(foreign.name, channels, rate_hz, {"file": foreign.name})
+    if len(run) < MIN_SAMPLES:
+        raise InputError(foreign.name, f"gives {len(run)} samples, at least {MIN_SAMPLES} are needed",
+                         "record for longer, or check the unit of time_s")
+    return run
+
+
+def _channels(foreign: Foreign, columns: ColumnMap) -> list[Channel]:
+    """Columns in SI units, those of the same times together; times count from the first."""
+    groups: dict[Key, dict[str, FloatArray]] = defaultdict(dict)
+    clocks: dict[Key, FloatArray] = {}
+    for name, column in columns.items():
+        if name == TIME:
+            continue
+        table = foreign.table_of(column.name)
+        key = next(k for k, t in enumerate(foreign.tables) if t is table), column.delay
+        clocks[key] = _clock(foreign, table, columns) - column.delay
+        read = table.columns[column.name]
+        scale = column.sign * column.scale * factor(column.unit, name, foreign.name)
+        groups[key][name] = read if (scale, column.offset) == (1.0, 0.0) else scale * read + column.offset
+    out = []
+    for key, group in groups.items():
+        rows = _increasing(foreign.name, clocks[key])
+        for times, names in _sparse({name: values[rows] for name, values in group.items()}, clocks[key][rows]):
+            out.append(Channel(times, names))
+    return out
+
+
+def _clock(foreign: Foreign, table: Table, columns: ColumnMap) -> FloatArray:
+    """The table's times [s]."""
+    column = columns.get(TIME)
+    if column is None:
+        if table.time_s is None:
+            raise InputError(foreign.name, "has no times", 'name the column by [columns.time_s] and name = "..."')
+        return table.time_s
+    home = foreign.table_of(column.name)
+    read = home.columns[column.name]
+    if home is not table:
+        raise InputError(foreign.name, f"has {read.size} times in {column.name!r} and "
+                                       f"{next(iter(table.columns.values())).size} samples in other columns",
+                         "save them with one time for all")
+    time_s = column.scale * factor(column.unit, TIME, foreign.name) * read + column.offset
+    return np.asarray(time_s - time_s[0]) if (column.unit, column.scale) != ("", 1.0) else np.asarray(time_s)
+
+
+def _increasing(where: str, time_s: FloatArray) -> NDArray[np.intp]:
+    """Rows whose time is known and later than all before. Raises `InputError` where those are not nearly all."""
+    known = np.where(np.isfinite(time_s), time_s, -np.inf)
+    latest = np.maximum.accumulate(np.concatenate(([-np.inf], known[:-1])))
+    rows = np.flatnonzero(known > latest)
+    if rows.size < max((1.0 - MOST_REPEATED) * time_s.size, 2):
+        first = int(np.flatnonzero(known <= latest)[0])
+        raise InputError(where, f"time repeats or runs backwards in {time_s.size - rows.size} of {time_s.size} rows, "
+                                f"first in row {first + 1}", "sort the rows by time and keep one row a sample")
+    return rows
+
+
+def _sparse(columns: dict[str, FloatArray], time_s: FloatArray) -> list[tuple[FloatArray, dict[str, FloatArray]]]:
+    """Columns by the rows that they have: signals merged into one table leave blanks at each other's times."""
+    found: dict[bytes, tuple[FloatArray, dict[str, FloatArray]]] = {}
+    for name, values in columns.items():
+        present = np.isfinite(values)
+        if present.mean() > 0.9:  # a gap stays a gap
+            present = np.ones_like(present)
+        if present.sum() < 2:
+            continue
+        found.setdefault(present.tobytes(), (time_s[present], {}))[1][name] = values[present]
+    return list(found.values())

@@ -1,0 +1,153 @@
+"""Text tables of any dialect: separator, decimal comma, lines before the header, a line of units, blank cells.
+
+The dialect is the one under which most cells are numbers. That covers what spreadsheets, LabVIEW and PlotJuggler write
+(`__time`, then one column a signal, blank where a signal has no sample at that time).
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from daq import FloatArray, InputError
+from experiments.exchange.foreign import Foreign, Table
+from experiments.exchange.units import UNITS
+
+SEPARATORS = (",", ";", "\t", "|", " ")
+SNIFFED_LINES = 200
+BLANK = {"", "nan", "na", "n/a", "null", "none", "-"}
+_UNIT_WORDS = {unit for known in UNITS.values() for unit in known}
+
+
+class Dialect(NamedTuple):
+    separator: str
+    decimal: str
+    first: int
+    """Line of the first row of numbers, from 0."""
+    cells: int
+
+
+def read_delimited(path: Path) -> Foreign:
+    """The table in a text file; columns that hold anything but numbers are left out. Raises `InputError`."""
+    lines = _lines(path)
+    dialect = _sniff(lines)
+    if dialect is None:
+        raise InputError(str(path), "holds no table of numbers",
+                         "give a text file with a header line and one row a sample")
+    names = _names(lines, dialect)
+    columns: list[list[float]] = [[] for _ in names]
+    bad: set[int] = set()
+    for number, line in enumerate(lines[dialect.first:], dialect.first + 1):
+        if not line.strip():
+            continue
+        cells = _split(line, dialect.separator)
+        if len(cells) > len(names) and any(c.strip() for c in cells[len(names):]):
+            raise InputError(f"{path}, line {number}", f"has {len(cells)} cells, the lines before {len(names)}",
+                             "mend or cut the line")
+        for k in range(len(names)):
+            value = _number(cells[k], dialect.decimal) if k < len(cells) else math.nan
+            if value is None:
+                bad.add(k)
+                value = math.nan
+            columns[k].append(value)
+    kept: dict[str, FloatArray] = {name: np.array(columns[k]) for k, name in enumerate(names) if k not in bad}
+    return Foreign(path.name, (Table(kept),))
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        data = path.read_bytes()
+        if path.suffix == ".gz":
+            data = gzip.decompress(data)
+    except (OSError, EOFError) as error:
+        raise InputError(str(path), str(error), "give a readable file") from None
+    for encoding in ("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", "cp1252", "latin-1"):
+        try:
+            return data.decode(encoding).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        except UnicodeDecodeError:
+            continue
+    return []
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return line.split()
+    return next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+
+
+def _number(cell: str, decimal: str) -> float | None:
+    """The number, NaN for a blank, None for anything else."""
+    text = cell.strip()
+    if text.lower() in BLANK:
+        return math.nan
+    if decimal == ",":
+        if "." in text:
+            return None
+        text = text.replace(",", ".")
+    try:
+        value = float(text.replace("_", "x"))
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else math.nan
+
+
+def _sniff(lines: list[str]) -> Dialect | None:
+    """The dialect with most numbers in the first lines."""
+    best, most = None, 0
+    for separator in SEPARATORS:
+        for decimal in ".,":
+            if decimal == separator:
+                continue
+            found = _block(lines[:SNIFFED_LINES], separator, decimal)
+            if found is not None and found[1] > most:
+                best, most = found
+    return best
+
+
+def _block(lines: list[str], separator: str, decimal: str) -> tuple[Dialect, int] | None:
+    """Where rows of numbers begin that go on to the end, and how many numbers they hold."""
+    rows: list[tuple[int, list[float | None]]] = []
+    for k, line in enumerate(lines):
+        if line.strip():
+            try:
+                rows.append((k, [_number(cell, decimal) for cell in _split(line, separator)]))
+            except csv.Error:
+                return None
+    numbers = [sum(value is not None and math.isfinite(value) for value in row) for _, row in rows]
+    begin = len(rows)
+    cells = len(rows[-1][1]) if rows else 0
+    while begin > 0 and numbers[begin - 1] >= 1 and len(rows[begin - 1][1]) >= cells > 1 \
+            and sum(value is None for value in rows[begin - 1][1]) <= cells // 2:
+        begin -= 1
+    if len(rows) - begin < 2:
+        return None
+    return Dialect(separator, decimal, rows[begin][0], cells), sum(numbers[begin:])
+
+
+def _names(lines: list[str], dialect: Dialect) -> list[str]:
+    """Names of the columns: the last line with enough words before the numbers, a line of units put behind them."""
+    heads = []
+    for line in lines[: dialect.first]:
+        cells = [cell.strip() for cell in _split(line.lstrip("#% "), dialect.separator)]
+        if len(cells) >= dialect.cells:
+            heads.append(cells[: dialect.cells])
+    plain = [f"column {k + 1}" for k in range(dialect.cells)]
+    if not heads:
+        return plain
+    names = heads[-1]
+    if len(heads) > 1 and all(_bare(cell) in _UNIT_WORDS or not cell for cell in names):
+        names = [f"{name} [{_bare(unit)}]" if unit else name for name, unit in zip(heads[-2], names)]
+    out: list[str] = []
+    for name, number in zip(names, plain):
+        name = name or number
+        out.append(name if name not in out else f"{name} ({number})")
+    return out
+
+
+def _bare(cell: str) -> str:
+    return cell.strip("[](){} ").lower()

@@ -1,0 +1,46 @@
+"""A run as CSV, Parquet or a MATLAB file, each of which `legid` reads again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from daq import Dataset, InputError
+from daq.runs import write_csv
+
+
+def export_run(data: Dataset, kind: str, path: Path | str) -> int:
+    """Write `data`; returns the number of rows. Raises `InputError`.
+
+    CSV leaves out rows with a gap, as its contract asks; Parquet (null) and MATLAB (NaN) keep them, and every bit.
+    """
+    if kind == "csv":
+        return write_csv(data, path)
+    try:
+        if kind == "parquet":
+            _write_parquet(data, path)
+        else:
+            _write_mat(data, path)
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    return len(data)
+
+
+def _write_parquet(data: Dataset, path: Path | str) -> None:
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise InputError("--to parquet", "needs the package pyarrow",
+                         'install it: pip install "legid[parquet]"') from None
+    columns = {"time_s": data.time_s, **data.columns}
+    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+    facts = {"legid.run": data.name, "legid.rate_hz": repr(data.rate_hz),
+             "legid.clock_bound_s": repr(data.clock_bound_s), **data.sources}
+    parquet.write_table(table.replace_schema_metadata({str(k): str(v) for k, v in facts.items()}), path)
+
+
+def _write_mat(data: Dataset, path: Path | str) -> None:
+    from scipy.io import savemat
+
+    savemat(str(path), {"run": data.name, "rate_hz": data.rate_hz, "clock_bound_s": data.clock_bound_s,
+                        "time_s": data.time_s, **data.columns}, appendmat=False, oned_as="column")

@@ -1,0 +1,124 @@
+"""A file of any known kind to a run, by the rig: its own formats, and those of others by `[columns]`."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.records import Header
+from mcap.stream_reader import StreamReader
+
+from daq import SUFFIXES, Column, Dataset, InputError, Rig, load_rig, load_run
+from daq.runs import missing, read_csv, read_run
+from daq.timing import align, align_table, recorded_rig
+from experiments.exchange.binary import read_mat, read_parquet
+from experiments.exchange.column_map import ColumnMap, applies, apply_map, check_map, identity
+from experiments.exchange.delimited import read_delimited
+from experiments.exchange.foreign import Foreign
+from experiments.exchange.rosbag import read_bag
+
+NATIVE = "legid "
+"""How the library that an MCAP header names begins in a run of ours."""
+TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat", ".log")
+CLOCK_BOUND = "/imu/clock_bound/data"
+OWN_TOPICS = {
+    "q1_rad": Column(name="/joint_states/pivot/position"),
+    "q2_rad": Column(name="/joint_states/knee/position"),
+    "tau2_nm": Column(name="/joint_torques/knee/effort"),
+    "tau2_cmd_nm": Column(name="/joint_commands/knee/effort"),
+    "gyro_radps": Column(name="/imu/angular_velocity/z", sign=-1),
+    "accel_x_mps2": Column(name="/imu/linear_acceleration/x"),
+    "accel_y_mps2": Column(name="/imu/linear_acceleration/y"),
+}
+"""How the messages of `legid export --to ros2` are read back."""
+SOME_KINDS = ".mcap, .csv, .csv.gz, .txt, .tsv, .parquet, .mat, .db3, .bag or a bag's folder"
+
+
+def read_foreign(path: Path | str) -> Foreign:
+    """The samples of a file of any program, by its name's ending. Raises `InputError`."""
+    path, name = Path(path), str(path).lower()
+    if not path.exists():
+        raise InputError(str(path), "No such file or directory", "give a file that is there")
+    if path.is_dir() or name.endswith((".mcap", ".db3", ".bag")):
+        return read_bag(path)
+    if name.endswith(".mat"):
+        return read_mat(path)
+    if name.endswith(".parquet"):
+        return read_parquet(path)
+    if name.endswith(TEXT):
+        return read_delimited(path)
+    raise InputError(str(path), "is of no kind that is known", f"give {SOME_KINDS}")
+
+
+def is_native(path: Path | str) -> bool:
+    """A run that legid recorded, by the program that its MCAP header names; what is no whole MCAP counts as one too.
+
+    Its reader then says what is wrong with it.
+    """
+    if not str(path).lower().endswith(".mcap") or Path(path).is_dir():
+        return False
+    try:
+        with open(path, "rb") as file:
+            header = next(StreamReader(file).records)
+    except (OSError, McapError, StopIteration, struct.error):
+        return True
+    return not isinstance(header, Header) or header.library.startswith(NATIVE)
+
+
+def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Dataset:
+    """A run on the grid of `rate_hz` (default: the rig's) from a file of any kind.
+
+    Native runs and CSV by the contract are read as such; what `legid export` wrote comes back as it was; files of
+    other programs go through the rig's `[columns]`. Raises `InputError`.
+    """
+    rate = rig.sampling.rate_hz if rate_hz is None else rate_hz
+    if is_native(path) or (str(path).lower().endswith(SUFFIXES) and not rig.columns):
+        return load_run(path, rig, rate_hz)
+    foreign = read_foreign(path)
+    run = mapped(foreign, check_map(dict(rig.columns), "the rig file") if rig.columns else {}, rate)
+    lacking = missing(rig, ["time_s", *run.columns])
+    if lacking is not None:
+        raise InputError(str(path), f"gives no {lacking.column}",
+                         lacking.remedy if foreign.names == list(run.columns) else
+                         f"map a column to it by [columns.{lacking.column}] in the rig file, or by legid import")
+    return run
+
+
+def mapped(foreign: Foreign, columns: ColumnMap, rate_hz: float | None) -> Dataset:
+    """`foreign` as a run by a map, or as what `legid export` wrote where the map does not speak of its columns."""
+    if columns and applies(foreign, columns):
+        return apply_map(foreign, columns, rate_hz)
+    own = {name: column for name, column in OWN_TOPICS.items() if column.name in foreign.names}
+    run = own_export(foreign, rate_hz) or apply_map(foreign, own or identity(foreign), rate_hz)
+    if own and CLOCK_BOUND in foreign.names:
+        return replace(run, clock_bound_s=float(foreign.table_of(CLOCK_BOUND).columns[CLOCK_BOUND][0]))
+    return run
+
+
+def own_export(foreign: Foreign, rate_hz: float | None) -> Dataset | None:
+    """The run that `legid export` wrote, to the bit; None where the file is not one, or the grid another."""
+    written = float(foreign.facts.get("rate_hz", "nan"))
+    if not np.isfinite(written) or "time_s" not in foreign.names or (rate_hz or written) != written:
+        return None
+    columns = dict(foreign.table_of("time_s").columns)
+    time_s = columns.pop("time_s")
+    run = Dataset(foreign.facts.get("run", foreign.name), written, time_s, columns, {"file": foreign.name})
+    return replace(run, clock_bound_s=float(foreign.facts.get("clock_bound_s", "0")))
+
+
+def load_to_convert(path: Path | str, rig_path: Path | str | None, rate_hz: float | None) -> Dataset:
+    """A run with the rig given, the rig inside it, or none where the file needs none. Raises `InputError`."""
+    if rate_hz is not None and not 0.0 < rate_hz < 1e6:
+        raise InputError("--rate", f"{rate_hz:g} is not a rate in Hz", "give samples per second")
+    if rig_path is not None:
+        return load_any_run(path, load_rig(rig_path), rate_hz)
+    if is_native(path):
+        raw = read_run(path)
+        return align(raw, recorded_rig(raw), rate_hz)
+    if not str(path).lower().endswith(SUFFIXES):
+        return mapped(read_foreign(path), {}, rate_hz)
+    table = read_csv(path)
+    return align_table(table, rate_hz or 1.0 / float(np.median(np.diff(table.time_s))))

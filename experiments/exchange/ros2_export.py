@@ -1,0 +1,136 @@
+"""A run as ROS 2 messages in an MCAP file, every sample at its own time of the wall clock.
+
+| topic | type | holds |
+| --- | --- | --- |
+| /imu | sensor_msgs/msg/Imu | frame `imu_link`: x tangential, y outwards; right-handed, so z turns against q1 |
+| /joint_states | sensor_msgs/msg/JointState | positions of `pivot`, where it has a Hall sensor, and `knee` |
+| /joint_torques | sensor_msgs/msg/JointState | efforts of `knee`, each at the middle of the period it is the mean of |
+| /joint_commands | sensor_msgs/msg/JointState | efforts asked of `knee` |
+| /imu/clock_bound | std_msgs/msg/Float64 | how far the IMU's time line may be off the joints' [s]; once |
+
+What was not measured has a covariance that begins with -1 (orientation) or is 0 (the IMU's other axes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from daq import Dataset, FloatArray, InputError, Rig, load_rig
+from daq.runs import IMU, RawRun, read_run
+from daq.timing import Channel, decode, recorded_rig
+from experiments.exchange.reading import is_native, load_to_convert
+
+LIBRARY = "ros2 messages by legid"
+"""Not what a native run's begins with: the file is nobody's raw recording."""
+JOINTS = {"q1_rad": ("/joint_states", "pivot", "position"), "q2_rad": ("/joint_states", "knee", "position"),
+          "tau2_nm": ("/joint_torques", "knee", "effort"), "tau2_cmd_nm": ("/joint_commands", "knee", "effort")}
+Message = tuple[int, bytes]
+
+
+class Exported(NamedTuple):
+    messages: int
+    notes: list[str]
+    """What the file does not hold or cannot know."""
+
+
+def export_ros2(path: Path | str, rig_path: Path | str | None, out: Path | str) -> Exported:
+    """Write the run at `path`; a native one at its devices' own rates. Raises `InputError`."""
+    try:
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise InputError("--to ros2", "needs the package rosbags", 'install it: pip install "legid[ros]"') from None
+    channels, start_ns, bound_s, notes = _samples(path, rig_path)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    topics = _messages(channels, start_ns, store)
+    if bound_s > 0.0:
+        kind = "std_msgs/msg/Float64"
+        topics["/imu/clock_bound"] = kind, [(start_ns, bytes(store.serialize_cdr(store.types[kind](bound_s), kind)))]
+    held = {*JOINTS, *(IMU if "/imu" in topics else ())}
+    left = sorted({name for channel in channels for name in channel.columns} - held)
+    notes += [f"left out, no topic of these types holds them: {', '.join(left)}"] if left else []
+    return Exported(_write(Path(out), topics, store), notes)
+
+
+def _samples(path: Path | str, rig_path: Path | str | None) -> tuple[list[Channel], int, float, list[str]]:
+    """Channels in SI units, the wall clock at their time 0 [ns since 1970], the clocks' bound [s], what is unknown."""
+    if not is_native(path):
+        run: Dataset = load_to_convert(path, rig_path, None)
+        notes = ["the file has no wall clock: times count from 1970"]
+        return [Channel(run.time_s, run.columns)], 0, run.clock_bound_s, notes
+    raw = read_run(path)
+    rig: Rig = recorded_rig(raw) if rig_path is None else load_rig(rig_path)
+    found = decode(raw, rig)
+    start_ns, notes = _wall_clock_ns(raw, found.epoch_ns)
+    return found.channels, start_ns, found.bound_s, notes
+
+
+def _wall_clock_ns(raw: RawRun, epoch_ns: int) -> tuple[int, list[str]]:
+    facts = raw.facts
+    if "started_unix_ns" not in facts or "started_monotonic_ns" not in facts:
+        return 0, ["the run does not say when it was recorded: times count from 1970"]
+    return int(facts["started_unix_ns"]) - int(facts["started_monotonic_ns"]) + epoch_ns, []
+
+
+def _messages(channels: Sequence[Channel], start_ns: int, store: Any) -> dict[str, tuple[str, list[Message]]]:
+    """Topic -> its type and (time, CDR) of every message."""
+    types = store.types
+    time_type, header_type = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    imu_type, state_type = types["sensor_msgs/msg/Imu"], types["sensor_msgs/msg/JointState"]
+    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+    nothing, unknown = np.zeros(9), np.array([-1.0] + [0.0] * 8)
+    empty = np.zeros(0)
+    upright = quaternion(0.0, 0.0, 0.0, 1.0)
+
+    def stamped(channel: Channel, kind: str, frame: str, build: Callable[[Any, int], Any]) -> list[Message]:
+        out = []
+        for k, t in enumerate(np.rint(channel.time_s * 1e9).astype(np.int64)):
+            at = start_ns + int(t)
+            header = header_type(time_type(*divmod(at, 1_000_000_000)), frame)
+            out.append((at, bytes(store.serialize_cdr(build(header, k), kind))))
+        return out
+
+    topics: dict[str, tuple[str, list[Message]]] = {}
+    for channel in channels:
+        if all(name in channel.columns for name in IMU):
+            gyro, a_x, a_y = (channel.columns[name] for name in IMU)
+
+            def imu(header: Any, k: int, gyro: FloatArray = gyro, a_x: FloatArray = a_x, a_y: FloatArray = a_y) -> Any:
+                return imu_type(header, upright, unknown, vector(0.0, 0.0, -float(gyro[k])), nothing,
+                                vector(float(a_x[k]), float(a_y[k]), 0.0), nothing)
+
+            topics["/imu"] = "sensor_msgs/msg/Imu", stamped(channel, "sensor_msgs/msg/Imu", "imu_link", imu)
+        for topic in dict.fromkeys(topic for topic, _, _ in JOINTS.values()):
+            mine = {joint: channel.columns[name] for name, (where, joint, _) in JOINTS.items()
+                    if where == topic and name in channel.columns}
+            if mine:
+                effort = topic != "/joint_states"
+
+                def state(header: Any, k: int, mine: dict[str, FloatArray] = mine, effort: bool = effort) -> Any:
+                    numbers = np.array([values[k] for values in mine.values()])
+                    return state_type(header, list(mine), empty if effort else numbers, empty,
+                                      numbers if effort else empty)
+
+                topics[topic] = "sensor_msgs/msg/JointState", stamped(channel, "sensor_msgs/msg/JointState", "", state)
+    return topics
+
+
+def _write(out: Path, topics: dict[str, tuple[str, list[Message]]], store: Any) -> int:
+    try:
+        with open(out, "wb") as file:
+            writer = Writer(file, compression=CompressionType.LZ4)
+            writer.start("ros2", LIBRARY)
+            for topic, (kind, messages) in topics.items():
+                text, _ = store.generate_msgdef(kind, ros_version=2)
+                schema = writer.register_schema(kind, "ros2msg", text.encode())
+                channel = writer.register_channel(topic, "cdr", schema)
+                for at, data in messages:
+                    writer.add_message(channel, at, data, at)
+            writer.finish()  # type: ignore[no-untyped-call]
+    except OSError as error:
+        raise InputError(str(out), error.strerror or str(error), "give a place that can be written") from None
+    return sum(len(messages) for _, messages in topics.values())

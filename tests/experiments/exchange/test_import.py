@@ -1,0 +1,141 @@
+"""Files of other programs: guessed, imported and fitted; and what a map or a file may not say."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+
+from daq.dataset import Dataset
+from daq.errors import InputError
+from daq.rig import Column, load_rig
+from estimator.fitting.fit import fit
+from experiments.cli import main
+from experiments.exchange.column_map import apply_map, load_map, map_text
+from experiments.exchange.delimited import read_delimited
+from experiments.exchange.reading import load_any_run, read_foreign
+from experiments.rig.setup import setup_of
+from tests.support.foreign_files import matlab, plotjuggler, ros2_bag, spreadsheet
+from tests.support.mujoco_leg import Leg, record
+
+LEG = Leg(coulomb=(0.01, 0.02))
+RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
+Made = Callable[[Dataset, Path], Path]
+
+
+@pytest.fixture(scope="module")
+def run() -> Dataset:
+    return record(LEG, np.random.default_rng(7), seconds=15.0, amplitude=1.0, name="x")
+
+
+def fitted(run: Dataset, rig: Path) -> np.ndarray:
+    setup = setup_of([run], load_rig(rig))
+    return fit(setup.datasets, setup.mechanism, setup.options).beta
+
+
+@pytest.mark.parametrize(("file", "make", "close"), [
+    ("x.csv", spreadsheet, 1e-6), ("x.csv", plotjuggler, 1e-3), ("x.mat", matlab, 1e-6),
+    ("bag", lambda r, p: ros2_bag(r, p, StoragePlugin.MCAP), 1e-6),
+    ("bag", lambda r, p: ros2_bag(r, p, StoragePlugin.SQLITE3), 1e-6)],
+    ids=["spreadsheet", "plotjuggler", "matlab", "ros2-mcap", "ros2-sqlite"])
+def test_from_somebody_s_file_to_a_fit_in_three_commands(file: str, make: Made, close: float, run: Dataset,
+                                                         tmp_path: Path) -> None:
+    """Guess, import, fit: the parameters are those of the run before it was written in another's way."""
+    (tmp_path / "rig.toml").write_text(RIG)
+    theirs = make(run, tmp_path / file)
+    columns, out = tmp_path / "columns.toml", tmp_path / "runs"
+    assert main(["import", str(theirs), "--guess", "--map", str(columns)]) == 0
+    assert "<svg" in columns.with_suffix(".html").read_text()
+    if make is plotjuggler:  # no file says how late its stamps are; who knows adds it
+        columns.write_text(re.sub(r'(name = "/imu/.*")', r"\1\ndelay = 0.002", columns.read_text()))
+    assert main(["import", str(theirs), "--map", str(columns), "--out", str(out)]) == 0
+    (imported,) = out.iterdir()
+    assert main(["fit", str(imported), "--rig", str(tmp_path / "rig.toml"), "--json", str(tmp_path / "f.json")]) == 0
+    beta = np.array([p["value"] for p in json.loads((tmp_path / "f.json").read_text())["parameters"]])
+    expected = fitted(run, _rig_without_hall(tmp_path))
+    np.testing.assert_allclose(beta[:5], expected[:5], rtol=close)
+    np.testing.assert_allclose(beta[:5], LEG.beta()[:5], rtol=0.03)
+
+
+def _rig_without_hall(folder: Path) -> Path:
+    path = folder / "same.toml"
+    path.write_text(RIG)
+    return path
+
+
+def test_the_map_in_the_rig_file_does_the_same(run: Dataset, tmp_path: Path) -> None:
+    theirs = matlab(run, tmp_path / "x.mat")
+    assert main(["import", str(theirs), "--guess", "--map", str(tmp_path / "c.toml")]) == 0
+    (tmp_path / "rig.toml").write_text(RIG + (tmp_path / "c.toml").read_text())
+    read = load_any_run(theirs, load_rig(tmp_path / "rig.toml"))
+    mapped = apply_map(read_foreign(theirs), load_map(tmp_path / "c.toml"), 100.0)
+    for name in ("q2_rad", "tau2_nm", "gyro_radps"):
+        np.testing.assert_array_equal(read[name], mapped[name])
+    assert np.abs(np.abs(read["q2_rad"]) - np.abs(run["q2_rad"])).max() < 1e-12
+
+
+def test_scale_sign_offset_and_delay(tmp_path: Path) -> None:
+    t = np.arange(300) / 100.0
+    lines = ["t,i,w", *(f"{a:.3f},{2 * a:.9g},{np.sin(a - 0.02):.9g}" for a in t)]
+    (tmp_path / "x.csv").write_text("\n".join(lines))
+    run = apply_map(read_delimited(tmp_path / "x.csv"), {
+        "time_s": Column(name="t"), "tau2_nm": Column(name="i", unit="mA", scale=3.0, sign=-1, offset=0.5),
+        "q2_rad": Column(name="w", delay=0.02)})
+    np.testing.assert_allclose(run["tau2_nm"], 0.5 - 6e-3 * run.time_s, atol=1e-9)
+    np.testing.assert_allclose(run["q2_rad"], np.sin(run.time_s), atol=1e-6)
+
+
+@pytest.mark.parametrize("text", [
+    "a\tb\n1.5\t2\n3\t4\n", "a;b\n1,5;2\n3;4\n", "# made by hand\n# a b\n1.5 2\n3 4\n", "a|b\n1.5|2\n3|4",
+    "a,b,remark\r\n1.5,2,ok\r\n3,4,\r\n", 'title\n"a","b"\n"1.5","2"\n"3","4"\n'])
+def test_dialects(text: str, tmp_path: Path) -> None:
+    (tmp_path / "x.txt").write_bytes(text.encode())
+    (table,) = read_delimited(tmp_path / "x.txt").tables
+    assert {name: list(values) for name, values in table.columns.items() if name != "remark"} == {
+        "a": [1.5, 3.0], "b": [2.0, 4.0]}
+
+
+def test_a_map_reads_back_as_it_was_written(tmp_path: Path) -> None:
+    columns = {"time_s": Column(name='t "raw" [ms]', unit="ms"), "q2_rad": Column(name="k", sign=-1, delay=0.5)}
+    (tmp_path / "m.toml").write_text(map_text(columns, {"q2_rad": "one\ntwo"}))
+    assert load_map(tmp_path / "m.toml") == columns
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("", "has no [columns]"), ("[columns.knee]\nname = 'a'", "is no column of a run"),
+    ("[columns.q2_rad]\nname = 'a'\nunit = 'degs'", "did you mean 'deg'"),
+    ("[columns.q2_rad]\nunit = 'deg'", "name"), ("[columns.q2_rad]\nname = 'a'\nsign = 2", "sign"),
+    ("[columns.q2_rad]\nname = 'a'\nscale = 0.0", "a scale is not 0"), ("[columns", "not valid TOML")])
+def test_maps_that_cannot_be(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "m.toml").write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_map(tmp_path / "m.toml")
+    assert words in str(caught.value)
+
+
+def test_files_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "m.toml").write_text("[columns.time_s]\nname = 't'\n[columns.q2_rad]\nname = 'kne'\n")
+    rows = "".join(f"{k},{k}\n" for k in range(60))
+    files = {"a.csv": "t,knee\n" + rows, "b.csv": "", "c.mat": "no", "d.parquet": "no", "e.db3": "no",
+             "f.doc": "x", "g.csv": "t,kne\n" + rows + "3,3\n4,4\n"}
+    words = ["did you mean 'knee'", "no table of numbers", "cannot be read as a MATLAB file",
+             "cannot be read as Parquet", "cannot be read as a ROS bag", "of no kind that is known",
+             "runs backwards in 2 of 62 rows, first in row 61"]
+    for (name, text), expected in zip(files.items(), words):
+        (tmp_path / name).write_text(text)
+        assert main(["import", str(tmp_path / name), "--map", str(tmp_path / "m.toml"),
+                     "--out", str(tmp_path / "out")]) == 2
+        error = capsys.readouterr().err
+        assert expected in error and error.count("\n") == 1, error
+
+
+def test_nothing_is_written_over(run: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    theirs = spreadsheet(run, tmp_path / "x.csv")
+    assert main(["import", str(theirs), "--guess", "--map", str(tmp_path / "c.toml")]) == 0
+    assert main(["import", str(theirs), "--guess", "--map", str(tmp_path / "c.toml")]) == 2
+    assert main(["import", str(theirs), "--map", str(tmp_path / "c.toml"), "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("exists already") == 2
+    assert theirs.read_bytes().startswith(b"\xff\xfe")

@@ -1,0 +1,75 @@
+"""One MuJoCo run as other programs would have written it: other names, units, signs, clocks and formats."""
+
+from pathlib import Path
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.io import savemat
+
+from daq.dataset import Dataset
+
+DEGREE = np.pi / 180.0
+G = 9.80665
+NEVER = np.nan
+
+
+def spreadsheet(run: Dataset, path: Path) -> Path:
+    """Semicolons, decimal commas, lines before the header, a line of units, milliseconds, degrees, g, other axes."""
+    noise = 0.01 * np.random.default_rng(1).standard_normal(len(run))
+    table = [run.time_s * 1000.0 + 1e6, -run["q2_rad"] / DEGREE, -1000.0 * run["tau2_nm"], -run["gyro_radps"] / DEGREE,
+             -run["accel_y_mps2"] / G, run["accel_x_mps2"] / G, noise]
+    head = ["Logger v2", "recorded;2026-01-01", "", "Zeit;knee pos;torque;gyro_z;acc x;acc y;acc z",
+            "[ms];[deg];[mNm];[deg/s];[g];[g];[g]"]
+    rows = [";".join(f"{value:.9f}".replace(".", ",") for value in row) for row in zip(*table)]
+    path.write_bytes("\r\n".join([*head, *rows, ""]).encode("utf-16"))
+    return path
+
+
+def plotjuggler(run: Dataset, path: Path) -> Path:
+    """As its CSV export writes: names sorted, time with 6 decimals, values with 9, blank where a signal has no sample.
+
+    The IMU is stamped 2 ms late, so every row has blanks. Degrees; the knee's axis flipped.
+    """
+    joints = {"/joint_states/knee/effort": -run["tau2_nm"], "/joint_states/knee/position": -run["q2_rad"] / DEGREE}
+    imu = {"/imu/accel/x": run["accel_x_mps2"], "/imu/accel/y": run["accel_y_mps2"], "/imu/gyro/z": run["gyro_radps"]}
+    names = sorted([*joints, *imu])
+    lines = ["__time," + ",".join(names)]
+    for k, t in enumerate(run.time_s):
+        for late, group in ((0.0, joints), (0.002, imu)):
+            cells = [f"{group[name][k]:.9f}" if name in group else "" for name in names]
+            lines.append(f"{1.7e9 + t + late:.6f}," + ",".join(cells))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def matlab(run: Dataset, path: Path) -> Path:
+    """A struct with matrices; degrees; the IMU's x and the motor the other way round."""
+    rng = np.random.default_rng(2)
+    blind = np.zeros((len(run), 2)) + 0.01 * rng.standard_normal((len(run), 2))
+    gyro = np.column_stack([blind, run["gyro_radps"]])
+    accel = np.column_stack([-run["accel_x_mps2"], run["accel_y_mps2"], blind[:, 0]])
+    savemat(path, {"log": {"t": run.time_s, "knee_angle": run["q2_rad"] / DEGREE, "motor_torque": -run["tau2_nm"],
+                           "gyro": gyro, "accel": accel, "note": "by hand"}})
+    return path
+
+
+def ros2_bag(run: Dataset, folder: Path, plugin: StoragePlugin) -> Path:
+    """A bag by the library `rosbags`: sensor_msgs/Imu with z out of the plane the other way, and JointState."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    t = store.types
+    imu_type, joint_type, header = t["sensor_msgs/msg/Imu"], t["sensor_msgs/msg/JointState"], t["std_msgs/msg/Header"]
+    vector, turn, none = t["geometry_msgs/msg/Vector3"], t["geometry_msgs/msg/Quaternion"], np.zeros(9)
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        imu = writer.add_connection("/thigh/imu", imu_type.__msgtype__, typestore=store)
+        joints = writer.add_connection("/joint_states", joint_type.__msgtype__, typestore=store)
+        for k, time_s in enumerate(run.time_s):
+            at = 1_700_000_000_000_000_000 + round(time_s * 1e9)
+            head = header(t["builtin_interfaces/msg/Time"](*divmod(at, 1_000_000_000)), "imu")
+            message = imu_type(head, turn(0.0, 0.0, 0.0, 1.0), none, vector(0.0, 0.0, -run["gyro_radps"][k]), none,
+                               vector(run["accel_x_mps2"][k], run["accel_y_mps2"][k], 0.0), none)
+            writer.write(imu, at + 400_000, store.serialize_cdr(message, imu_type.__msgtype__))
+            state = joint_type(head, ["hip", "knee"], np.array([NEVER, run["q2_rad"][k]]), np.zeros(0),
+                               np.array([0.0, run["tau2_nm"][k]]))
+            writer.write(joints, at + 700_000, store.serialize_cdr(state, joint_type.__msgtype__))
+    return folder
