@@ -16,7 +16,7 @@ from drivers import DriverError
 from estimator import FitError
 
 COMMANDS = ("demo", "record", "calibrate", "info", "recover", "import_", "export", "fit", "validate", "diagnose",
-            "effects", "simulate", "casebook", "monte_carlo", "doctor",
+            "effects", "simulate", "gains", "casebook", "monte_carlo", "doctor",
             "runs", "init", "excite", "emulate", "live")
 """Module names, in the order in which `legid --help` lists them; further modules of the folder follow."""
 TRACEBACK = "LEGID_TRACEBACK"

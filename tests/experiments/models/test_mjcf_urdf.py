@@ -7,10 +7,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from msgspec import structs
 
 from daq.recording.plan import Plan, write_plan
 from daq.runs.csv_run import read_csv
 from experiments.cli import main
+from experiments.models.effect_library import known_effects
+from experiments.models.model_file import load_model, save_model
+from experiments.models.schema import EffectValue
 from tests.support.models import LEG, write_model
 from tests.support.mujoco_leg import Leg, random_leg
 
@@ -49,8 +53,9 @@ def drive(loaded: mujoco.MjModel, torque: np.ndarray, joint: int, q0: list[float
     return np.array(angles), np.array(readings)
 
 
-def simulate(folder: Path, model: Path, start: list[float], peak: float = 1.0) -> dict[str, np.ndarray]:
-    t = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
+def simulate(folder: Path, model: Path, start: list[float], peak: float = 1.0, seconds: float = SECONDS
+             ) -> dict[str, np.ndarray]:
+    t = np.arange(0.0, seconds, 1.0 / RATE_HZ)
     write_plan(Plan(t, peak * (np.sin(5 * t) + 0.5 * np.sin(11 * t + 1))), folder / "plan.csv")
     assert main(["simulate", str(model), "--plan", str(folder / "plan.csv"), "--out", str(folder / "sim.csv"),
                  "--start", ",".join(map(str, start)), "--rate", str(RATE_HZ)]) == 0
@@ -69,6 +74,57 @@ def test_mjcf_moves_as_the_simulation_does(seed: int, viscous: float, peak: floa
     imu = np.column_stack([own["accel_x_mps2"], own["accel_y_mps2"], own["gyro_radps"]])
     # IMU units are about a hundred times those of the angles in a motion this fast
     np.testing.assert_allclose(readings[:, [0, 1, 5]] * [1, 1, -1], imu, rtol=0, atol=1e-4)
+
+
+HELD: dict[str, tuple[dict[str, float], int | None]] = {
+    "joint_stiffness": ({"stiffness": 0.4, "preload": 0.1}, 1), "quadratic_drag": ({"drag": 0.004}, 2),
+    "rotor_inertia": ({"inertia": 0.004}, 2), "torque_offset": ({"offset": 0.05}, None),
+    "imu_lever_arm": ({"excess": 0.01}, None), "imu_misalignment": ({"angle": 0.05}, None)}
+
+
+def extend(path: Path, name: str, sizes: dict[str, float], joint: int | None) -> Path:
+    """The model in the file with one effect more."""
+    model = load_model(path)
+    k = len(model.parameters) + len(sizes)
+    joint = joint if known_effects()[name].per_joint else None
+    save_model(structs.replace(model, effects=(EffectValue(name=name, joint=joint, sizes=sizes),),
+                               reach=((-2.0, 2.0), (-2.0, 2.0)), covariance=((0.0,) * k,) * k), path)
+    return path
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_mjcf_holds_effects(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Five seconds under the torque as it was measured: angles, and the IMU's readings."""
+    model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(1))), LEG)
+    extend(model, name, *HELD[name])
+    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
+    assert "left out" not in capsys.readouterr().err
+    own = simulate(tmp_path, model, [0.4, -0.3], 0.4, 5.0)
+    angles, readings = drive(loaded, own["tau2_nm"], 1, [0.4, -0.3], by_ctrl=True)
+    np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-7)
+    imu = np.column_stack([own["accel_x_mps2"], own["accel_y_mps2"], own["gyro_radps"]])
+    np.testing.assert_allclose(readings[:, [0, 1, 5]] * [1, 1, -1], imu, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_mjcf_rubs_as_the_simulation_does(seed: int, tmp_path: Path) -> None:
+    """Dry friction: within a milliradian over five seconds, of motion over more than half a radian."""
+    model = write_model(tmp_path / "m.json", leg_beta(random_leg(np.random.default_rng(seed)), coulomb=1.0), LEG)
+    loaded = mujoco.MjModel.from_xml_path(str(export(tmp_path, "mjcf", model)))
+    own = simulate(tmp_path, model, [0.4, -0.3], 0.4, 5.0)
+    angles, _ = drive(loaded, own["tau2_cmd_nm"], 1, [0.4, -0.3], by_ctrl=True)
+    assert np.ptp(angles, axis=0).min() > 0.5
+    np.testing.assert_allclose(angles, np.column_stack([own["q1_rad"], own["q2_rad"]]), rtol=0, atol=1e-3)
+
+
+def test_effects_that_a_format_cannot_hold_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = write_model(tmp_path / "m.json", leg_beta(Leg()), LEG)
+    for name, sizes, joint, kind in (("gyro_bias", {"bias": 0.01}, None, "mjcf"),
+                                     ("joint_stiffness", {"stiffness": -0.1, "preload": 0.0}, 2, "mjcf"),
+                                     ("joint_stiffness", {"stiffness": 0.1, "preload": 0.0}, 2, "urdf")):
+        export(tmp_path, kind, extend(write_model(model, leg_beta(Leg()), LEG), name, sizes, joint))
+        assert f"{kind.upper()} cannot hold these effects of the model, they are left out: {name}" in \
+            capsys.readouterr().err
 
 
 @pytest.mark.parametrize("seed", [1, 2])
