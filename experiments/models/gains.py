@@ -126,7 +126,7 @@ def loop_margins(plant: Plant, kp: float, kd: float, delay_s: float) -> tuple[fl
     Raises `WorkError` where the loop is not stable as it is.
     """
     omega = np.union1d(GRID_RADPS, resonances(plant))
-    s = 1j * omega
+    s = np.asarray(1j * omega, dtype=np.complex128)
     loop = (kp + kd * s) * plant.response(s) * np.exp(-s * delay_s)
     if not is_stable(plant, omega, loop):
         raise WorkError(f"with {delay_s:g} s of delay these gains make the loop ring; tolerate more, or be faster")
