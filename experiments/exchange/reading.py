@@ -15,6 +15,8 @@ from daq import SUFFIXES, Column, Dataset, InputError, Rig, load_rig, load_run
 from daq.runs import missing, read_csv, read_run
 from daq.timing import align, align_table, recorded_rig
 from experiments.exchange.binary import read_mat, read_parquet
+from experiments.exchange.can_log import SUFFIXES as CAN_LOGS
+from experiments.exchange.can_log import is_candump, read_can_log
 from experiments.exchange.column_map import ColumnMap, applies, apply_map, check_map, identity
 from experiments.exchange.delimited import read_delimited
 from experiments.exchange.foreign import Foreign
@@ -34,7 +36,7 @@ OWN_TOPICS = {
     "accel_y_mps2": Column(name="/imu/linear_acceleration/y"),
 }
 """How the messages of `legid export --to ros2` are read back."""
-SOME_KINDS = ".mcap, .csv, .csv.gz, .txt, .tsv, .parquet, .mat, .db3, .bag or a bag's folder"
+SOME_KINDS = ".mcap, .csv, .csv.gz, .txt, .tsv, .parquet, .mat, .db3, a bag's folder, or a CAN log (.log, .asc, .blf)"
 
 
 def read_foreign(path: Path | str) -> Foreign:
@@ -48,6 +50,8 @@ def read_foreign(path: Path | str) -> Foreign:
         return read_mat(path)
     if name.endswith(".parquet"):
         return read_parquet(path)
+    if name.endswith(CAN_LOGS) or (name.endswith(".log") and is_candump(path)):
+        return read_can_log(path)
     if name.endswith(TEXT):
         return read_delimited(path)
     raise InputError(str(path), "is of no kind that is known", f"give {SOME_KINDS}")
