@@ -75,7 +75,7 @@ def streams_part() -> str:
 def modules_page(floor: str, words: str) -> str:
     """All modules of a package with what their docstrings say."""
     files = sorted(p for p in (ROOT / floor).rglob("*.py") if "commands" not in p.parts)
-    names = sorted(".".join(p.relative_to(ROOT).with_suffix("").parts) for p in files if p.name != "__init__.py")
+    names = sorted(".".join(p.relative_to(ROOT).with_suffix("").parts) for p in files if not p.name.startswith("__"))
     parts = [f"{floor}\n{'=' * len(floor)}", words]
     for name in names:
         parts += [f"{name}\n{'-' * len(name)}", f".. automodule:: {name}"]

@@ -79,10 +79,14 @@ def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Da
     other programs go through the rig's `[columns]`. Raises `InputError`.
     """
     rate = rig.sampling.rate_hz if rate_hz is None else rate_hz
-    if is_native(path) or (str(path).lower().endswith(SUFFIXES) and not rig.columns):
+    csv = str(path).lower().endswith(SUFFIXES)
+    if is_native(path) or (csv and not rig.columns):
         return load_run(path, rig, rate_hz)
     foreign = read_foreign(path)
-    run = mapped(foreign, check_map(dict(rig.columns), "the rig file") if rig.columns else {}, rate)
+    columns = check_map(dict(rig.columns), "the rig file") if rig.columns else {}
+    if csv and not applies(foreign, columns):
+        return load_run(path, rig, rate_hz)
+    run = mapped(foreign, columns, rate)
     lacking = missing(rig, ["time_s", *run.columns])
     if lacking is not None:
         raise InputError(str(path), f"gives no {lacking.column}",

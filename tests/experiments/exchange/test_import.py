@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 from daq.dataset import Dataset
 from daq.errors import InputError
 from daq.rig import Column, load_rig
+from daq.runs.csv_run import write_csv
 from estimator.fitting.fit import fit
 from experiments.cli import main
 from experiments.exchange.column_map import apply_map, load_map, map_text
@@ -75,6 +77,9 @@ def test_the_map_in_the_rig_file_does_the_same(run: Dataset, tmp_path: Path) -> 
     for name in ("q2_rad", "tau2_nm", "gyro_radps"):
         np.testing.assert_array_equal(read[name], mapped[name])
     assert np.abs(np.abs(read["q2_rad"]) - np.abs(run["q2_rad"])).max() < 1e-12
+    write_csv(replace(run, clock_bound_s=1e-4), tmp_path / "own.csv")  # which the map does not speak of
+    own = load_any_run(tmp_path / "own.csv", load_rig(tmp_path / "rig.toml"))
+    assert own.clock_bound_s == 1e-4 and set(own.columns) == set(run.columns)
 
 
 def test_scale_sign_offset_and_delay(tmp_path: Path) -> None:
