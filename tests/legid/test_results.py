@@ -10,6 +10,7 @@ import pytest
 
 import legid
 from daq.rig import parse_rig
+from estimator import Combination
 from legid.results import dressed
 from tests.support.fits import synthetic_fit
 
@@ -44,10 +45,11 @@ def test_a_fit_as_table_and_page() -> None:
     np.testing.assert_array_equal(table["value"], found.beta)
     np.testing.assert_array_equal(table[["low", "high"]], found.ci95())
     assert table.loc["beta1", "unit"] == "kg m^2"
-    unsure = dressed(legid.FitResult, synthetic_fit(), undetermined=("beta8 - beta9",), converged=False)
+    unsure = dressed(legid.FitResult, synthetic_fit(), converged=False,
+                     undetermined=(Combination((("beta8", 1.0), ("beta9", -1.0))),))
     assert list(unsure.to_frame()["value"].isna()) == [False] * 7 + [True, True]
     page = unescape(unsure._repr_html_())
-    assert "NOT CONVERGED" in page and "does not determine beta8 - beta9" in page and "m2*l1*lc2" in page
+    assert "NOT CONVERGED" in page and "does not determine beta8 -1*beta9" in page and "m2*l1*lc2" in page
 
 
 def test_a_run_as_table_page_and_figure() -> None:
