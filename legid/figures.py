@@ -42,6 +42,11 @@ def _panels(rows: int, columns: int = 1) -> tuple[NotebookFigure, FloatArray]:
     return figure, figure.subplots(rows, columns, sharex="col", squeeze=False)
 
 
+def _legend(ax: Axes) -> None:
+    """Above the axes, where no curve runs."""
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
+
+
 def dataset_figure(data: Dataset) -> Figure:
     """Every column over time; NaN leaves a hole."""
     figure, axes = _panels(len(data.columns))
@@ -69,8 +74,8 @@ def fit_figure(result: FitResult, seconds: float = SECONDS) -> Figure:
         ax.plot(path.time_s[part], measured[part], color=BLUE, linewidth=1.8, label="measured")
         ax.plot(path.time_s[part], modelled[part], color=ORANGE, linewidth=0.9, label="model")
         ax.set_ylabel(label)
-    axes[0, 0].legend(loc="upper right", ncols=2, frameon=False)
-    axes[0, 0].set_title(f"{path.run}, {result.method}")
+    _legend(axes[0, 0])
+    axes[0, 0].set_title(f"{path.run}, {result.method}", loc="left")
     axes[-1, 0].set_xlabel("time [s]")
     return figure
 
@@ -85,11 +90,11 @@ def validation_figure(found: Sequence[Validation]) -> Figure:
         for j, ax in enumerate(column):
             ax.plot(one.time_s, one.reference_q[:, j], color=BLUE, linewidth=1.8, label="measured")
             ax.plot(one.time_s, one.q[:, j], color=ORANGE, linewidth=0.9, label="simulated")
-        column[0].set_title(one.run)
+        column[0].set_title(one.run, loc="left")
         column[-1].set_xlabel("time [s]")
     for j, ax in enumerate(axes[:, 0]):
         ax.set_ylabel(f"q{j + 1} [{unit}]")
-    axes[0, 0].legend(loc="upper right", ncols=2, frameon=False)
+    _legend(axes[0, 0])
     return figure
 
 

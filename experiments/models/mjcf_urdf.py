@@ -105,7 +105,7 @@ def _notes(model: Model, bodies: Sequence[Body], kind: str, extras: Extras) -> l
         notes.append(f"{kind.upper()} cannot hold these effects of the model, they are left out: "
                      + ", ".join(extras.left_out))
     if extras.drags:
-        notes.append("quadratic drag is the second number of damping, which MuJoCo reads from version 3.6 on")
+        notes.append("quadratic drag is the second number of damping, which older MuJoCos do not read (4.0 does)")
     return notes
 
 
