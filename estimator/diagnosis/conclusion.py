@@ -15,8 +15,8 @@ from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.parametric_bootstrap import draw_replicate
 from estimator.diagnosis.refit import Model, smooth
 from estimator.diagnosis.residual_signature import signature
-from estimator.diagnosis.result import Cause, Diagnosis, SensorGain, ShortRuns, SizeEstimate, Trace
-from estimator.effects import Shape, Size
+from estimator.diagnosis.result import Cause, Diagnosis, Remainder, SensorGain, ShortRuns, SizeEstimate, Trace
+from estimator.effects import AnonymousReading, AnonymousTorque, Shape, Size
 from estimator.errors import FitError
 from estimator.likelihood import ExtendedProblem, FreeRun, State, free_run
 from estimator.parallel import parallel_map
@@ -220,14 +220,30 @@ def _closed(table: Mapping[str, FloatArray], which: NDArray[np.intp]) -> float |
     return float(np.clip((before - after) / gap, -1.0, 1.5)) if gap > 0 else None
 
 
-def nothing(found: Diagnosis, split: RunSplit, nominal: Model) -> Diagnosis:
-    """Verdict `none`."""
+def remainder_of(model: Model) -> Remainder | None:
+    """Where the first term without a name in `model` acts; None where it has none."""
+    for effect in model.effects:
+        if isinstance(effect, AnonymousTorque):
+            joint = (effect.joint or 0) + 1
+            return Remainder(joint, f"torque{joint}", effect.label)
+        if isinstance(effect, AnonymousReading):
+            return Remainder(None, effect.channel, effect.label)
+    return None
+
+
+def nothing(found: Diagnosis, split: RunSplit, nominal: Model, small: Explanation | None = None) -> Diagnosis:
+    """Verdict `none`; `small` holds what is there but hardly changes the simulation."""
     best = found.candidates[0] if found.candidates else None
     sentence = "Nothing beyond noise is detectable in these runs"
     if best is not None:
         sentence += (f"; the nearest, {label(best.effect, best.joint)}, has p = {best.p_value:.2g} over all that were "
                      f"tried")
-    return replace(found, verdict="none", sentence=sentence + ".",
+    immaterial = () if small is None else tuple(causes_of(small, 1.0, found))
+    if immaterial:
+        told = " with ".join(label(c.effect, c.joint) for c in immaterial)
+        sentence = (f"Nothing that matters beyond noise: {told} is there, but the rms error of free runs falls by less "
+                    f"than {100 * found.material:.0f} % with it")
+    return replace(found, verdict="none", sentence=sentence + ".", immaterial=immaterial,
                    next_experiment="None is called for. To look for smaller effects, record more runs like these: the "
                    "smallest detectable sizes fall with the square root of their number.")
 
@@ -248,8 +264,8 @@ def unexplained(found: Diagnosis, split: RunSplit, nominal: Model, best: Explana
 
 
 def finding(found: Diagnosis, split: RunSplit, nominal: Model, ties: Sequence[Explanation], p_value: float,
-            rng: np.random.Generator) -> Diagnosis:
-    """Verdict `named`, or `one_of` where several explanations fit alike."""
+            rng: np.random.Generator, partial: bool = False) -> Diagnosis:
+    """Verdict `named`, or `one_of` where several explanations fit alike; `partial` where what is left matters."""
     best = ties[0]
     found = with_gain(found, split, nominal, best, rng)
     causes = {c.effect + str(c.joint): c for t in ties for c in causes_of(t, p_value, found)}
@@ -258,7 +274,11 @@ def finding(found: Diagnosis, split: RunSplit, nominal: Model, ties: Sequence[Ex
         told = "; ".join(f"{c.sentence} ({label(c.effect, c.joint)}: {sizes_text(c)})" for c in rivals[0])
         sentence = f"{told[0].upper()}{told[1:]}."
         steps = "; ".join(sorted({e.experiment for e in best.model.named}))
-        return replace(found, verdict="named", sentence=sentence, causes=tuple(causes.values()),
+        if partial:
+            sentence += (" Beside it something is left that matters, and no listed effect accounts for it"
+                         f"{_where(found)}.")
+        return replace(found, verdict="partial" if partial else "named", sentence=sentence,
+                       causes=tuple(causes.values()),
                        next_experiment=f"To measure it better: {steps}.")
     told = " or ".join(" with ".join(f"{c.sentence} ({label(c.effect, c.joint)}: {sizes_text(c)})" for c in r)
                        for r in rivals)
@@ -266,6 +286,12 @@ def finding(found: Diagnosis, split: RunSplit, nominal: Model, ties: Sequence[Ex
                       f"{'; '.join(e.experiment for e in t.model.named)}" for t in ties)
     return replace(found, verdict="one_of", sentence=f"One of these, and these runs cannot say which: {told}.",
                    causes=tuple(causes.values()), next_experiment=f"To tell them apart: {steps}.")
+
+
+def _where(found: Diagnosis) -> str:
+    """Where the remainder lives, in words."""
+    left = found.remainder
+    return "" if left is None else f": it shows in {left.channel}, as a function of {left.depends_on}"
 
 
 def with_gain(found: Diagnosis, split: RunSplit, nominal: Model, best: Explanation,

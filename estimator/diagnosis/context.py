@@ -11,16 +11,15 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
+from estimator.diagnosis.decision_rule import ALPHA
 from estimator.diagnosis.noise_check import excess_noise, noise_dominated, ratios
 from estimator.diagnosis.refit import Model, begin_afresh
 from estimator.diagnosis.score_statistics import RunScore, Tests
 from estimator.effects import SensorTimeSkew
 from estimator.likelihood import Candidate
 
-ALPHA = 0.01
-"""p-value, over all candidates tried, below which something is there."""
-MATERIAL = 0.01
-"""Least gain of a material effect: this much of twice the log likelihood a sample. Smaller ones can be
+LEAST_GAIN = 0.01
+"""Least gain of an effect that is looked at: this much of twice the log likelihood a sample. Smaller ones can be
 significant in long records (microseconds of skew, a per mille of scale) and change no simulation."""
 CLEAR = 0.4
 """... or this share of it where an effect of the library does not act near rest. (On 100 legs with nothing hidden such
@@ -107,7 +106,7 @@ class DiagnosisContext:
 
     def material(self, which: Sequence[int]) -> float:
         """Least gain that counts on these runs."""
-        return MATERIAL * sum(len(s.time_s) for s in self.split.signals(which))
+        return LEAST_GAIN * sum(len(s.time_s) for s in self.split.signals(which))
 
 
 def least_gain(context: DiagnosisContext, i: int) -> float:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.context import ALPHA, DiagnosisContext, Explanation, best_shapes, p_of
+from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, p_of
+from estimator.diagnosis.decision_rule import ALPHA
 from estimator.diagnosis.refit import (
     Model,
     bootstrap_scores,

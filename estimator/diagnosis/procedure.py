@@ -16,22 +16,22 @@ from threadpoolctl import threadpool_limits
 
 from daq import Dataset, FloatArray
 from estimator.diagnosis import conclusion
-from estimator.diagnosis.context import ALPHA, DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of
+from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.model_search import Progress, drop_size_entries, explain, insert_size_entries
+from estimator.diagnosis.decision_rule import ALPHA, MATERIAL
+from estimator.diagnosis.error_budget import budget
+from estimator.diagnosis.model_search import Progress, explain
 from estimator.diagnosis.refit import (
     bootstrap_scores,
     fit_nominal,
-    pooled_bias,
     refit,
-    score_confirm,
     score_discover,
     tests_of,
 )
 from estimator.diagnosis.result import CandidateScore, Diagnosis
 from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
-from estimator.effects import AnonymousReading, AnonymousTorque, SensorTimeSkew, battery, library
+from estimator.diagnosis.verdict import NOMINAL, decide
+from estimator.effects import SensorTimeSkew, battery, library
 from estimator.errors import FitError
 from estimator.likelihood import Candidate
 from estimator.model import Mechanism
@@ -39,23 +39,14 @@ from estimator.numerics import jit
 from estimator.options import FitOptions
 from estimator.parallel import cores
 
-LEFT_OVER_CONFIRM = 0.3
-"""What a cause may leave for others on the confirm runs, where parameters are not re-fitted, as a share of its own
-gain; see explaining.LEFT_OVER."""
 ANOTHER = 0.25
 """Share, beside three standard deviations, by which a sharper rounding may move a size; more is another explanation."""
-NIL_SIZES = "a size that makes it what it is could as well be nil, or has a sign that it cannot have"
-LEAST_CLOSED = 0.0
-"""Share of the free-run gap on the confirm runs that the interval of a named share must reach, and that the share must
-exceed over whole runs or over pieces of a second. Torque noise adds up over a run, to more than the white noise of
-`noise alone`, and parameters can imitate most of a rotor: a right cause may close little. (Measured on tuning and spent
-seeds: asking for a tenth refused four right causes and a wrong one. Of nine whose share over whole runs held zero,
-seven right ones close 3 to 84 % over pieces, two wrong ones -9 and -30 %.)"""
 
 
 def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,
              seed: int = 0, progress: Progress | None = None,
-             reference: Mapping[str, tuple[float, float]] | None = None, workers: int | None = None) -> Diagnosis:
+             reference: Mapping[str, tuple[float, float]] | None = None, workers: int | None = None,
+             material: float = MATERIAL) -> Diagnosis:
     """Diagnose the runs of one rig, in the order of recording.
 
     `reference` is (value, std) by parameter of an earlier model: changed inertial parameters are reported as a
@@ -68,14 +59,14 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     try:
         with threadpool_limits(1):
             split = split_runs(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
-            found = _diagnose(split, np.random.default_rng(seed), say, reference)
+            found = _diagnose(split, np.random.default_rng(seed), say, reference, material)
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
     return replace(found, wall_s=time.perf_counter() - start)
 
 
 def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,
-              reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
+              reference: Mapping[str, tuple[float, float]] | None, material: float) -> Diagnosis:
     say("fitting the nominal model", 0.02)
     jit.expect()
     nominal = fit_nominal(split)
@@ -102,7 +93,7 @@ def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,
     say("re-fitting the best explanations", 0.4)
     options = explain(context, tests, say)
     say("opening the confirm runs", 0.85)
-    return conclude(context, base, options, rng)
+    return conclude(context, base, tests, options, rng, material)
 
 
 def rank(context: DiagnosisContext, tests: Tests) -> tuple[CandidateScore, ...]:
@@ -127,47 +118,31 @@ def separability(context: DiagnosisContext, tests: Tests) -> tuple[tuple[str, ..
     return tuple(context.candidates[i].effect.key for i in order), information / np.outer(scale, scale)
 
 
-def conclude(context: DiagnosisContext, base: Diagnosis, options: Sequence[Explanation], rng: np.random.Generator
-             ) -> Diagnosis:
-    """Verdict by closure on the confirm runs, gain and what a report draws."""
+def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: Sequence[Explanation],
+             rng: np.random.Generator, material: float = MATERIAL) -> Diagnosis:
+    """Verdict, gain and budget by the confirm runs, and what a report draws."""
     split = context.split
-    adequate = sorted((o for o in options if o.adequate), key=lambda o: (len(o.model.effects), -o.gain))
-    if not options:
-        why = context.excess_noise(context.nominal) or context.noise_dominated or "no effect of the library fits"
-        return conclusion.unexplained(base, split, context.nominal, None, why)
-    if not adequate:
-        best = max(options, key=lambda o: o.gain)
-        what = context.candidates[best.best_left].effect
-        label = what.key if not isinstance(what, AnonymousTorque | AnonymousReading) else "a term without a name"
-        left = f"beside it {label} is still detectable"
-        why = context.excess_noise(best.model) or (NIL_SIZES if best.no_residual_effect else left)
-        return conclusion.unexplained(base, split, context.nominal, best, why, rng)
-    fewest = len(adequate[0].model.effects)
-    ties = indistinguishable_set([o for o in adequate if len(o.model.effects) == fewest])
-    best = ties[0]
-    if not confirmed(context, best):
-        return conclusion.unexplained(base, split, context.nominal, best, "it does not hold on the confirm runs", rng)
+    decision = decide(context, tests, options, material, rng)
+    if decision is None:
+        why = context.excess_noise(context.nominal) or context.noise_dominated
+        return conclusion.unexplained(base, split, context.nominal, None, why) if why else \
+            conclusion.nothing(base, split, context.nominal)
+    base = replace(base, material=material, budget=budget(decision.table, decision.row, decision.without,
+                                                          decision.best[0].model if decision.best else None,
+                                                          decision.draws),
+                   error=(decision.table.error(NOMINAL), decision.table.error(decision.row)))
+    if decision.verdict in ("partial", "unexplained") and decision.terms is not None:
+        base = replace(base, remainder=conclusion.remainder_of(decision.terms))
+    best = decision.best[0] if decision.best else None
+    if decision.verdict == "none":
+        return conclusion.nothing(base, split, context.nominal, best)
+    if decision.verdict == "unexplained" or best is None:
+        return conclusion.unexplained(base, split, context.nominal, best, decision.why, rng)
     p = max(1e-12, min(1.0, _p_of_gain(best) * context.trials))
-    sharp = sharpened(context, best)
+    ties, sharp = list(decision.best), sharpened(context, best)
     if sharp is not best:  # else what was found under the search's rounding is measured under it, too
         split, ties = split.sharp(), [sharp, *ties[1:]]
-    found = conclusion.finding(base, split, context.nominal, ties, p, rng)
-    why = falls_short(found)
-    return conclusion.unexplained(base, split, context.nominal, best, why, rng) if why else found
-
-
-def falls_short(found: Diagnosis) -> str:
-    """Why the free runs of the confirm runs contradict a finding; empty where they do not."""
-    if not found.sensors:
-        return "its free run of the confirm runs diverges"
-    shares = {} if found.gap_closed is None else {"over whole runs": found.gap_closed}
-    if found.short is not None and found.short.closed is not None:
-        shares[f"over pieces of {found.short.horizon_s:g} s"] = found.short.closed
-    contradicted = found.gap_closed_ci95 is not None and found.gap_closed_ci95[1] < LEAST_CLOSED
-    if contradicted or (found.short is not None and shares and max(shares.values()) <= LEAST_CLOSED):
-        closes = " and ".join(f"{100 * share:.0f} % {which}" for which, share in shares.items())
-        return f"of the free-run gap on the confirm runs it closes {closes}"
-    return ""
+    return conclusion.finding(base, split, context.nominal, ties, p, rng, decision.verdict == "partial")
 
 
 def sharpened(context: DiagnosisContext, explanation: Explanation) -> Explanation:
@@ -204,20 +179,3 @@ def _p_of_gain(explanation: Explanation) -> float:
 
     k = sum(len(e.sizes) for e in explanation.model.effects)
     return float(fisher.sf(explanation.gain / k, k, explanation.left.freedom))
-
-
-def confirmed(context: DiagnosisContext, explanation: Explanation) -> bool:
-    """Closure on the confirm runs, opened here for the first and only time, and a gain there."""
-    split, model = context.split, explanation.model
-    scores, gain = score_confirm(split, context.nominal, model, context.candidates)
-    bias = [insert_size_entries(pooled_bias(explanation.bias, drop_size_entries(r, model)), model) for r in scores]
-    left = tests_of(split, model, scores, bias, explanation.left)
-    own = {e.key for e in model.effects}
-    share = len(split.confirm) / len(split.discover)
-    small = max(LEFT_OVER_CONFIRM * explanation.gain * share, context.material(split.confirm))
-    for i in range(context.trials):
-        if context.candidates[i].effect.key in own:
-            continue
-        if p_of(context, left, i) < ALPHA and context.gain(left, i) > small:
-            return False
-    return gain > 0.0

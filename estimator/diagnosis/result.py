@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from daq import FloatArray
+from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.effects import Effect
 
 
@@ -104,11 +105,36 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class BudgetRow:
+    """One part of the simulation's error on runs that chose nothing."""
+
+    what: str
+    """nominal | cause | remainder | noise"""
+    share: float
+    """Of the mean squared free-run error beyond noise alone, over all sensors and horizons."""
+    ci95: tuple[float, float]
+    """Over resampled pieces of those runs."""
+    effect: str | None = None
+    joint: int | None = None
+    """1-based"""
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """Where what is left over lives, by the term without a name that takes most of it away."""
+
+    joint: int | None
+    """1-based; None for a sensor of the whole rig"""
+    channel: str
+    depends_on: str
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The whole answer; see docs/formats.md, diagnosis JSON."""
 
     verdict: str
-    """none | named | one_of | unexplained | fit_failed"""
+    """none | named | partial | one_of | unexplained | fit_failed"""
     sentence: str
     """The verdict in one sentence for a person."""
     causes: tuple[Cause, ...] = ()
@@ -143,4 +169,12 @@ class Diagnosis:
     """(n, 2) range of each joint's angle over the runs that were fitted: what the effects' sizes refer to."""
     short: ShortRuns | None = None
     """Only where free runs over whole runs cannot show the gain."""
+    budget: tuple[BudgetRow, ...] = ()
+    error: tuple[float, float] | None = None
+    """rms free-run error before and after in units of what noise alone leaves, over all sensors and horizons."""
+    immaterial: tuple[Cause, ...] = ()
+    """Present, but the simulation's error hardly falls by them."""
+    remainder: Remainder | None = None
+    material: float = MATERIAL
+    """Share of the rms error by which a cause that matters must lower it."""
     wall_s: float = 0.0
