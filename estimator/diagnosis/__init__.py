@@ -1,6 +1,20 @@
-"""What the simulation gets wrong: score tests, re-fits, comparison, conclusion."""
+"""What the simulation gets wrong: score tests, re-fits, an error budget, a verdict."""
 
+from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.diagnosis.procedure import diagnose
-from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns, Signature, Trace
+from estimator.diagnosis.result import (
+    BudgetRow,
+    CandidateScore,
+    Cause,
+    Diagnosis,
+    Remainder,
+    SensorGain,
+    ShortRuns,
+    Signature,
+    Trace,
+)
 
-__all__ = ["CandidateScore", "Cause", "Diagnosis", "SensorGain", "ShortRuns", "Signature", "Trace", "diagnose"]
+__all__ = [
+    "MATERIAL", "BudgetRow", "CandidateScore", "Cause", "Diagnosis", "Remainder", "SensorGain", "ShortRuns",
+    "Signature", "Trace", "diagnose",
+]

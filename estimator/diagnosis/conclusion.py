@@ -243,6 +243,10 @@ def nothing(found: Diagnosis, split: RunSplit, nominal: Model, small: Explanatio
         told = " with ".join(label(c.effect, c.joint) for c in immaterial)
         sentence = (f"Nothing that matters beyond noise: {told} is there, but the rms error of free runs falls by less "
                     f"than {100 * found.material:.0f} % with it")
+    if found.error is not None and found.error[0] > 1.0 / (1.0 - found.material):
+        found = replace(found, warnings=(*found.warnings, (
+            f"free runs err {found.error[0]:.1f} times what white noise alone leaves, and nothing that was tried "
+            "lowers that: a disturbance with memory adds up so, or a cause that resembles none of the terms tried")))
     return replace(found, verdict="none", sentence=sentence + ".", immaterial=immaterial,
                    next_experiment="None is called for. To look for smaller effects, record more runs like these: the "
                    "smallest detectable sizes fall with the square root of their number.")

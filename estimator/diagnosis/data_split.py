@@ -21,13 +21,15 @@ ROUNDING = {"rad": 0.02, "m": 0.001}
 """Least velocity over which sign(qd) is rounded off in a diagnosis [rad/s, or m/s on a slide]. Sharper ones describe
 rest better, but the re-fits of friction laws then do not settle. A slide gets what a wheel of 0.05 m on such a joint
 would."""
+KEPT_BACK = (1, 2)
+"""Which of four neighbours in excitation is kept back, in turn: neither the strongest nor the weakest of all runs."""
 PARTS = 8
 """Stretches into which a single run is cut."""
 
 
 @dataclass(frozen=True)
 class RunSplit:
-    """Runs in the order of recording, each a list of gap-free stretches."""
+    """Runs by falling excitation, each a list of gap-free stretches: nothing hangs on the order in which they came."""
 
     mechanism: Mechanism
     options: FitOptions
@@ -106,7 +108,10 @@ class RunSplit:
 
 def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
                  gear_ratio: float = 1.0, workers: int = 1) -> RunSplit:
-    """Split runs: of four in turn two fit, one screens, one confirms. Raises `FitError` where there is too little."""
+    """Split runs given in the order of recording: of four neighbours in excitation two fit, one screens, one confirms.
+
+    Raises `FitError` where there is too little.
+    """
     known, options = options.noise, replace(options, noise={})
     own_scale = mechanism.velocity_scale
     mechanism = replace(mechanism, velocity_scale=max(own_scale, ROUNDING[mechanism.length_unit]))
@@ -124,13 +129,20 @@ def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
         raise FitError(f"{sum(lengths):.1f} s of data cannot support a diagnosis; record at least 8 s, better eight "
                        "runs of 20 s")
     starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
-    count = len(runs)
-    confirm = [i for i in range(count) if i % 4 == 3] or [count - 1]
-    screen = [i for i in range(count) if i % 4 == 1 and i not in confirm]
-    fit = [i for i in range(count) if i not in confirm and i not in screen]
-    return RunSplit(mechanism, options, tuple(d.name for d in datasets), tuple(runs), tuple(map(float, starts)),
+    order = by_excitation(runs)
+    confirm = [k for k in range(len(order)) if k % 4 == KEPT_BACK[k // 4 % 2]] or [len(order) - 1]
+    screen = [k for k in range(len(order)) if k % 4 == 3 - KEPT_BACK[k // 4 % 2] and k not in confirm]
+    fit = [k for k in range(len(order)) if k not in confirm and k not in screen]
+    return RunSplit(mechanism, options, tuple(datasets[i].name for i in order), tuple(runs[i] for i in order),
+                    tuple(float(starts[i]) for i in order),
                    tuple(fit), tuple(screen), tuple(confirm), gear_ratio, own_scale, single,
                    max(d.clock_bound_s for d in datasets), known, workers)
+
+
+def by_excitation(runs: Sequence[Sequence[SignalSet]]) -> list[int]:
+    """Numbers of the runs, from the largest rms torque to the least; runs alike in that by what they measured."""
+    torque = [np.concatenate([s.torque.ravel() for s in run]) for run in runs]
+    return sorted(range(len(runs)), key=lambda i: (-float(np.mean(torque[i] ** 2)), torque[i].tobytes()))
 
 
 def _parts(data: Dataset) -> list[Dataset]:

@@ -23,6 +23,7 @@ SHORTLIST = 6
 """Explanations whose free runs are measured, the likeliest of each number of effects first."""
 DRAWS = 400
 """Resamplings of the runs kept back."""
-EDGE = 1.5
-"""Error of the nominal free run, in units of what noise alone leaves, beyond which a detection that nothing accounts
-for is not put down to noise that is not white."""
+EDGE = 3.0
+"""Error of the nominal free run, in units of what white noise alone leaves, beyond which it is not put down to a
+disturbance with memory though no term that was tried lowers it: such a disturbance adds up over a free run. The verdict
+is then `unexplained`, below it `none` with a warning."""

@@ -18,8 +18,8 @@ from daq import Dataset, FloatArray
 from estimator.diagnosis import conclusion
 from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.decision_rule import ALPHA, MATERIAL
-from estimator.diagnosis.error_budget import budget
+from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL
+from estimator.diagnosis.error_budget import budget, measure_errors
 from estimator.diagnosis.model_search import Progress, explain
 from estimator.diagnosis.refit import (
     bootstrap_scores,
@@ -89,7 +89,8 @@ def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,
     if not detected(context, tests) and not context.excess_noise(nominal):
         if context.noise_dominated:
             raise FitError(context.noise_dominated)
-        return conclusion.nothing(base, context.split, nominal)
+        say("opening the confirm runs", 0.85)
+        return undetected(context, base, rng)
     say("re-fitting the best explanations", 0.4)
     options = explain(context, tests, say)
     say("opening the confirm runs", 0.85)
@@ -116,6 +117,21 @@ def separability(context: DiagnosisContext, tests: Tests) -> tuple[tuple[str, ..
     information = tests.information[np.ix_(first, first)]
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     return tuple(context.candidates[i].effect.key for i in order), information / np.outer(scale, scale)
+
+
+def undetected(context: DiagnosisContext, base: Diagnosis, rng: np.random.Generator) -> Diagnosis:
+    """The verdict where no term that was tried is there: `none`, unless the free runs err far beyond noise."""
+    split, nominal = context.split, context.nominal
+    try:
+        table = measure_errors(split, [nominal], nominal, rng.integers(2**63, size=len(split.confirm)))
+    except FitError:
+        return conclusion.nothing(base, split, nominal)
+    error = table.error(NOMINAL)
+    base = replace(base, error=(error, error))
+    if error <= EDGE:
+        return conclusion.nothing(base, split, nominal)
+    return conclusion.unexplained(base, split, nominal, None, f"free runs err {error:.1f} times what noise alone "
+                                  "leaves, and no term that was tried is detected")
 
 
 def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: Sequence[Explanation],

@@ -237,24 +237,6 @@ def score_discover(split: RunSplit, model: Model, candidates: Sequence[Candidate
     return parallel_map(scored, len(states), split.workers)
 
 
-def score_confirm(split: RunSplit, nominal: Model, model: Model, candidates: Sequence[Candidate]
-                  ) -> tuple[list[RunScore], float]:
-    """The same on the confirm runs, which the fit has not seen, nothing re-fitted; and the fall of -2 log likelihood
-    there from `nominal` to `model`, at the latter's noise."""
-    plain = replace(nominal, state=replace(nominal.state, noise=model.state.noise))
-
-    def confirmed(k: int) -> tuple[RunScore, float]:
-        i = split.confirm[k]
-        problem, state = smooth(split, model, i)
-        scored = split.problem([i], model.problem.stage.angle_range, model.effects, candidates)
-        before, plain_state = smooth(split, plain, i)
-        gain = misfit(Model((), plain_state, before)) - misfit(Model(model.effects, state, problem))
-        return score_run(scored, state), gain
-
-    scores, gains = zip(*parallel_map(confirmed, len(split.confirm), split.workers))
-    return list(scores), float(sum(gains))
-
-
 def bootstrap_scores(split: RunSplit, model: Model, candidates: Sequence[Candidate], scores: Sequence[RunScore],
                      rng: np.random.Generator) -> list[RunScore]:
     """Mean score of rehearsals of the model, one a discover run: the bias of `scores` when nothing is wrong.

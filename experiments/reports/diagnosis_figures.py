@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from daq import FloatArray
-from estimator.diagnosis import SensorGain, Signature, Trace
+from estimator.diagnosis import BudgetRow, SensorGain, Signature, Trace
 from experiments.reports.figures import (
     BLUE,
     GREEN,
@@ -62,6 +62,37 @@ def error_bars(sensors: Mapping[str, SensorGain]) -> str:
         finish(axes, len(kinds), "rms error, in multiples of what noise alone leaves", "")
 
     return draw("errors", 0.9 + 0.75 * len(names), paint)
+
+
+def waterfall(budget: Sequence[BudgetRow]) -> str:
+    """From the nominal model's error to what is left: each part where the one above it ends, with its interval."""
+    parts = [row for row in budget if row.what != "noise"]
+    noise = sum(row.share for row in budget if row.what == "noise")
+    names = {"nominal": "nominal model", "remainder": "left over"}
+    colours = {"nominal": BLUE, "cause": GREEN, "remainder": ORANGE}
+
+    def paint(axes: Axes) -> None:
+        top = 1.0
+        for k, row in enumerate(parts):
+            begin = 0.0 if row.what != "cause" else top - row.share
+            axes.barh(k, row.share, 0.6, left=begin, color=colours[row.what], zorder=2)
+            end = begin if row.what == "cause" else row.share
+            if row.what != "nominal":
+                low, high = (begin + row.share - c for c in row.ci95) if row.what == "cause" else row.ci95
+                axes.plot([low, high], [k, k], color=INK, linewidth=1.5, zorder=3)
+            axes.annotate(f"{100 * row.share:.1f} %", (max(end, 0.0), k), xytext=(4, 9), fontsize=9.0,
+                          textcoords="offset points")
+            top = begin if row.what == "cause" else top
+        axes.axvline(min(noise, 2.0), color=GREY, linestyle="--", zorder=1,
+                     label="noise alone" if noise < 2.0 else f"noise alone (at {noise:.1f}, not to scale)")
+        axes.set_yticks(range(len(parts)), [names.get(r.what) or (r.effect or "").replace("_", " ") +
+                                            (f" at joint {r.joint}" if r.joint else "") for r in parts])
+        axes.invert_yaxis()
+        axes.grid(visible=False, axis="y")
+        axes.set_xlim(left=0.0)
+        finish(axes, 1, "share of the mean squared error beyond noise alone", "")
+
+    return draw("budget", 0.9 + 0.5 * len(parts), paint)
 
 
 def signature_limits(signatures: Sequence[Signature]) -> dict[tuple[str, str], tuple[Limits, Limits]]:

@@ -33,6 +33,15 @@ def diagnosis_document(found: Diagnosis) -> dict[str, Any]:
             "gap_closed": found.gap_closed,
             "gap_closed_ci95": None if found.gap_closed_ci95 is None else list(found.gap_closed_ci95),
             **pieces(found.short)},
+        "material": found.material, "budget": [
+            {"what": row.what, "effect": row.effect,
+             "joint": None if row.effect is None else contract_joint(row.effect, row.joint), "share": row.share,
+             "ci95": list(row.ci95)} for row in found.budget],
+        "immaterial": [_cause(cause) for cause in found.immaterial],
+        "remainder": None if found.remainder is None else {
+            "joint": found.remainder.joint, "channel": found.remainder.channel,
+            "depends_on": found.remainder.depends_on},
+        "error": None if found.error is None else {"before": found.error[0], "after": found.error[1]},
         "parameters": {"nominal": dict(found.nominal), "extended": dict(found.extended)},
         "not_testable": [{"effect": effect, "joint": contract_joint(effect, joint), "why": why}
                          for effect, joint, why in untestable(found)],

@@ -14,10 +14,14 @@ from experiments.reports.diagnosis_figures import (
     signature_limits,
     signature_plot,
     trace_plot,
+    waterfall,
 )
 from experiments.reports.diagnosis_json import untestable
 from experiments.reports.diagnosis_text import (
+    BUDGET_HEADER,
     ERROR_HEADER,
+    budget_rows,
+    budget_words,
     causes_title,
     detectable_text,
     effect_label,
@@ -45,12 +49,13 @@ def write_diagnosis(path: Path | str, found: Diagnosis, model: str) -> None:
 def verdict_words(verdict: str) -> str:
     """The verdict for a heading."""
     return {"none": "nothing beyond noise", "named": "cause named", "one_of": "one of several causes",
+            "partial": "cause named, something is left",
             "unexplained": "something is wrong, cause unknown", "fit_failed": "not possible"}.get(verdict, verdict)
 
 
 def diagnosis_sections(found: Diagnosis) -> list[Section]:
     """All sections, in the order of the questions; those that have nothing to show are left out."""
-    sections = [_verdict(found), _errors(found), _candidates(found), _signatures(found), _traces(found),
+    sections = [_verdict(found), _budget(found), _errors(found), _candidates(found), _signatures(found), _traces(found),
                 _separability(found), _parameters(found), _next(found), _ruled_out(found), _untestable(found),
                 _runs(found)]
     return [s for s in sections if s.paragraphs or s.tables or s.pictures or s.notes]
@@ -62,6 +67,21 @@ def _verdict(found: Diagnosis) -> Section:
     notes = [_about(cause) for cause in found.causes] + [f"Warning: {text}" for text in found.warnings]
     return Section(causes_title(found), (), [Table(header, rows, right=frozenset({2, 3}))] if rows else (), (),
                    notes)
+
+
+def _budget(found: Diagnosis) -> Section:
+    if not found.budget:
+        return Section("What the error consists of")
+    small = [row for cause in found.immaterial for row in size_rows(cause)]
+    tables = [Table(BUDGET_HEADER, budget_rows(found), right=frozenset({1, 2}))]
+    if small:
+        tables.append(Table(["effect", "size", "value", "95 % interval", "unit"], small,
+                            "present, below what matters", frozenset({2, 3})))
+    left = found.remainder
+    where = [] if left is None else [f"What is left shows most in {left.channel}, as a function of {left.depends_on}."]
+    return Section("What the error consists of", [budget_words(found), *where], tables,
+                   [Picture(waterfall(found.budget), "Mean squared free-run error beyond noise alone, from the nominal "
+                            "model to the extended one: what each cause takes away, and what is left.")])
 
 
 def _about(cause: Cause) -> str:

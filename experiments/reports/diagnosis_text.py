@@ -82,6 +82,25 @@ def short_title(short: ShortRuns) -> str:
             "to less")
 
 
+BUDGET_HEADER = ["part of the simulation's error", "share", "95 % interval"]
+
+
+def budget_words(found: Diagnosis) -> str:
+    """What the budget's shares are of, and by how much the error fell."""
+    words = "Where the free runs' mean squared error beyond noise alone comes from, on runs that chose nothing"
+    if found.error is None:
+        return f"{words}:"
+    return (f"{words} (rms error {found.error[0]:.2f} times what noise alone leaves, {found.error[1]:.2f} with what "
+            "was found):")
+
+
+def budget_rows(found: Diagnosis) -> list[list[str]]:
+    """One row of BUDGET_HEADER a part; the nominal model's whole error is what the shares are of."""
+    names = {"remainder": "left over", "noise": "noise alone, for comparison"}
+    return [[names.get(row.what) or effect_label(row.effect or "", row.joint), f"{100 * row.share:.1f} %",
+             f"{100 * row.ci95[0]:.1f} to {100 * row.ci95[1]:.1f} %"] for row in found.budget if row.what != "nominal"]
+
+
 def causes_title(found: Diagnosis) -> str:
     """What the list of causes is; without any there are only warnings."""
     if not found.causes:
@@ -92,6 +111,12 @@ def causes_title(found: Diagnosis) -> str:
 def diagnosis_text(found: Diagnosis) -> str:
     """What a person reads after `legid diagnose`: the verdict first."""
     blocks = [found.sentence]
+    if found.budget:
+        blocks.append(f"{budget_words(found)}\n" + text_table(BUDGET_HEADER, budget_rows(found), {1, 2}))
+    if found.immaterial:
+        rows = [row for cause in found.immaterial for row in size_rows(cause)]
+        blocks.append("Present, below what matters:\n" + text_table(
+            ["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}))
     if found.causes:
         rows = [row for cause in found.causes for row in size_rows(cause)]
         blocks.append(f"{causes_title(found)}:\n" + text_table(

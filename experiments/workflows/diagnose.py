@@ -10,7 +10,7 @@ from daq import Dataset, InputError, Rig
 from daq.runs import IMU, read_run
 from daq.timing import recorded_rig
 from estimator.calibration import differing_text, find_differing
-from estimator.diagnosis import Diagnosis, diagnose
+from estimator.diagnosis import MATERIAL, Diagnosis, diagnose
 from experiments.models import Model, known_effects, values_of
 from experiments.rig import Setup
 
@@ -18,7 +18,8 @@ BENCHMARK = "q1_rad"
 
 
 def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str, tuple[float, float]] | None = None,
-                   progress: Callable[[str, float], None] | None = None, workers: int | None = None) -> Diagnosis:
+                   progress: Callable[[str, float], None] | None = None, workers: int | None = None,
+                   material: float = MATERIAL) -> Diagnosis:
     """Diagnose the runs of `setup`, in the order given, on `workers` processes (by default one a core).
 
     Raises `InputError` for runs that do not belong together.
@@ -27,7 +28,7 @@ def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str
     require_alike(setup.datasets)
     setup = without_benchmark(setup)
     found = diagnose(setup.datasets, setup.mechanism, setup.options, gear_ratio=rig.motor.gear_ratio, seed=seed,
-                     progress=progress, reference=reference, workers=workers)
+                     progress=progress, reference=reference, workers=workers, material=material)
     differing = None if rig.terms.encoder_zero else find_differing(setup.datasets, setup.mechanism, setup.options)
     told = () if differing is None else (differing_text(differing),)
     return replace(found, warnings=(*found.warnings, *setup.notes, *told))

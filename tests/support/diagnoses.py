@@ -2,7 +2,17 @@
 
 import numpy as np
 
-from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis, SensorGain, Signature, SizeEstimate, Trace
+from estimator.diagnosis.result import (
+    BudgetRow,
+    CandidateScore,
+    Cause,
+    Diagnosis,
+    Remainder,
+    SensorGain,
+    Signature,
+    SizeEstimate,
+    Trace,
+)
 
 NAMES = tuple(f"beta{k}" for k in range(1, 10))
 
@@ -40,4 +50,9 @@ def synthetic() -> Diagnosis:
         {"fit": ("r1.csv", "r3.csv"), "screen": ("r2.csv",), "confirm": ("r4.csv", "r8.csv")}, ("few runs",),
         "Slow reversals.", (keys, cosines), (signature("stribeck_friction@2", 0.05),
                                              signature("presliding_friction@2", 0.03)),
-        (Trace("r4.csv", t, measured, before, after),), wall_s=20.0)
+        (Trace("r4.csv", t, measured, before, after),), wall_s=20.0,
+        budget=(BudgetRow("nominal", 1.0, (1.0, 1.0)), BudgetRow("cause", 0.9, (0.8, 0.97), "stribeck_friction", 2),
+                BudgetRow("remainder", 0.1, (0.03, 0.2)), BudgetRow("noise", 0.125, (0.1, 0.2))),
+        error=(3.0, 1.2), remainder=Remainder(1, "torque1", "q v"),
+        immaterial=(Cause("sensor_time_skew", None, "the IMU is late against encoder and torque",
+                          (SizeEstimate("skew", "s", 1e-4, (8e-5, 1.2e-4)),), 1e-9, 40.0, ()),))

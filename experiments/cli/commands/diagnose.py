@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from experiments.cli.arguments import MOST_WORKERS, whole_number
+from experiments.cli.arguments import MOST_WORKERS, share, whole_number
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -24,6 +24,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                              "simulate")
     parser.add_argument("--seed", metavar="N", type=whole_number(0, 2**32 - 1), default=0,
                         help="rehearsals and intervals are drawn from it; default: 0")
+    parser.add_argument("--material", metavar="SHARE", type=share, default=0.1,
+                        help="a cause matters where the rms error of free runs falls by this share of it; default: 0.1")
     parser.add_argument("--workers", metavar="N", type=whole_number(1, MOST_WORKERS),
                         help="processes that share the work; default: one a core")
     parser.add_argument("--reference", metavar="MODEL.json",
@@ -46,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     setup = load_setup(args.runs, rig)
     reference = None if earlier is None else reference_values(earlier, args.reference, setup)
     with stages("diagnosing") as show:
-        found = diagnose_setup(setup, rig, args.seed, reference, show, args.workers)
+        found = diagnose_setup(setup, rig, args.seed, reference, show, args.workers, args.material)
     if args.json:
         write_json(args.json, diagnosis_document(found))
     if args.html:
