@@ -227,7 +227,7 @@ def remainder_of(model: Model) -> Remainder | None:
             joint = (effect.joint or 0) + 1
             return Remainder(joint, f"torque{joint}", effect.label)
         if isinstance(effect, AnonymousReading):
-            return Remainder(None, effect.channel, effect.label)
+            return Remainder(None, str(effect.channel), effect.label)
     return None
 
 

@@ -63,7 +63,8 @@ def test_joints_are_those_of_the_contract() -> None:
 
 def test_page_answers_in_the_order_of_the_questions(page: str) -> None:
     titles = re.findall(r"<h2>(.*?)</h2>", page)
-    assert titles == ["Causes", "What the error consists of", "How far the simulation is off", "Candidates", "Signature",
+    assert titles == ["Causes", "What the error consists of", "How far the simulation is off", "Candidates",
+                      "Signature",
                       "Simulation against measurement, before and after", "What can be told apart",
                       "What the extension does to the parameters", "Next experiment", "Ruled out",
                       "What cannot be tested here", "Runs"]
