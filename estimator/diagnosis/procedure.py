@@ -57,7 +57,7 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     start = time.perf_counter()
     say = progress or (lambda stage, fraction: None)
     try:
-        with threadpool_limits(1):
+        with threadpool_limits(1), np.errstate(all="ignore"):  # a search may run off; where it ends is checked
             split = split_runs(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
             found = _diagnose(split, np.random.default_rng(seed), say, reference, material)
     except FitError as error:
