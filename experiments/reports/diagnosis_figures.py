@@ -76,11 +76,12 @@ def waterfall(budget: Sequence[BudgetRow]) -> str:
         for k, row in enumerate(parts):
             begin = 0.0 if row.what != "cause" else top - row.share
             axes.barh(k, row.share, 0.6, left=begin, color=colours[row.what], zorder=2)
-            end = begin if row.what == "cause" else row.share
+            right = begin + row.share
             if row.what != "nominal":
-                low, high = (begin + row.share - c for c in row.ci95) if row.what == "cause" else row.ci95
+                low, high = (right - c for c in row.ci95) if row.what == "cause" else row.ci95
                 axes.plot([low, high], [k, k], color=INK, linewidth=1.5, zorder=3)
-            axes.annotate(f"{100 * row.share:.1f} %", (max(end, 0.0), k), xytext=(4, 9), fontsize=9.0,
+                right = max(right, low, high)
+            axes.annotate(f"{100 * row.share:.1f} %", (right, k), xytext=(5, 0), fontsize=9.0, va="center",
                           textcoords="offset points")
             top = begin if row.what == "cause" else top
         axes.axvline(min(noise, 2.0), color=GREY, linestyle="--", zorder=1,
@@ -89,6 +90,7 @@ def waterfall(budget: Sequence[BudgetRow]) -> str:
                                             (f" at joint {r.joint}" if r.joint else "") for r in parts])
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
+        axes.margins(x=0.14)
         axes.set_xlim(left=0.0)
         finish(axes, 1, "share of the mean squared error beyond noise alone", "")
 
