@@ -86,6 +86,8 @@ def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     case, gap = drawn("backlash"), 0.08
     data = record(case, {"shaft": 200.0, "shaft_damping": 0.12, "motor_inertia": MOTOR_INERTIA, "gap": gap})
     split = split_runs(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
+    new = split.names.index(data[-1].name)  # the others hold the strongest motion, in which play is seen best
+    split = replace(split, fit=tuple(i for i in range(len(data)) if i != new), screen=(), confirm=(new,))
     effect = Backlash(1)
     start = np.array([0.5 * gap, 0.0, 0.0, 0.0, 0.1])
     nominal = fit_nominal(split)
