@@ -30,6 +30,7 @@ from daq.timing import recorded_rig
 from drivers import DriverError
 from estimator import FitError
 from estimator import FitResult as PlainFit
+from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from experiments.excite import random_multisine
 from experiments.models import Model, load_model, save_model
@@ -106,21 +107,23 @@ def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str 
 
 
 def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,
-             progress: Callable[[str, float], None] | None = None, workers: int = 1) -> Diagnosis:
+             progress: Callable[[str, float], None] | None = None, workers: int = 1,
+             material: float = MATERIAL) -> Diagnosis:
     """What the simulation of the rig's model gets wrong on `runs`, why, and what extending it gains.
 
-    Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good. Of four in turn two
-    are fitted, one helps to choose, one is opened once at the end. `seed` draws rehearsals and intervals; `reference`
+    Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good. Of four alike in
+    excitation two are fitted, one helps to choose, one is opened once at the end. `material` is the share by which the
+    rms error of free runs must fall for a cause to matter. `seed` draws rehearsals and intervals; `reference`
     is an earlier model whose parameters are compared; `progress` is called with (stage, fraction done). More `workers`
     are processes forked from this one, so leave it at one in a program with threads.
 
-    The result's `verdict` is none, named, one_of, unexplained or fit_failed; `causes` have sizes with units and 95 %
-    intervals. Raises `InputError` for runs that do not belong together.
+    The result's `verdict` is none, named, partial, one_of, unexplained or fit_failed; `causes` have sizes with units and
+    95 % intervals. Raises `InputError` for runs that do not belong together.
     """
     given, known = _given(runs, rig)
     setup = setup_of(given, known)
     values = None if reference is None else reference_values(reference, "reference", setup)
-    found = diagnose_setup(setup, known, seed, values, progress, workers)
+    found = diagnose_setup(setup, known, seed, values, progress, workers, material)
     return dressed(Diagnosis, found, fitted=given, rig=known)
 
 
