@@ -51,7 +51,8 @@ def message(rng: np.random.Generator, k: int) -> Message:
     if kind == 1:
         return Pong(k % 65536, k, (k + 20) % 2**32)
     if kind == 2:
-        return FaultReport(k, int(rng.choice([f.value for f in Fault])), 1, angle)
+        fault = int(rng.choice([f.value for f in Fault]))
+        return FaultReport(k, fault, fault | 1, angle)
     return replace(TELEMETRY, seq=k % 65536, tick_us=k, knee_rad=angle, pivot_hall_rad=-angle, current_a=angle)
 
 
