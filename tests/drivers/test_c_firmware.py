@@ -216,7 +216,8 @@ def test_the_hardware_watchdog_is_restarted_only_while_everything_runs() -> None
     ("watchdog_ms 1001", 6), ("current_limit 0", 7), ("current_limit -2147483648", 7), ("temperature_limit 0", 8),
     ("temperature_limit 20001", 8), ("undervoltage 0", 9), ("undervoltage 30000", 9), ("overvoltage 65535", 9),
     ("speed_limit 0", 10), ("speed_derate 40000001", 10), ("position_min 6280000", 11),
-    ("position_min -2147483648", 11), ("position_derate -1", 11), ("position_derate 6280001", 11), ("reaction 3", 12), ("hold_torque 2000001", 12),
+    ("position_min -2147483648", 11), ("position_derate -1", 11), ("position_derate 6280001", 11),
+    ("reaction 3", 12), ("hold_torque 2000001", 12),
     ("hold_torque 0", 12), ("hold_ms 0", 12), ("hold_ms 500", 0), ("no_kick 0", 1), ("no_estop 0", 1)])
 def test_nonsense_is_refused_at_boot(what: str, refusal: int) -> None:
     said = subprocess.run([host_program(), "examine"], input=what, capture_output=True, text=True, check=True).stdout
@@ -228,7 +229,8 @@ def random_script(rng: np.random.Generator, seconds: float) -> list[Event]:
     script, t, seq = [], 0, int(rng.integers(65536))
     readings = {"angle": (0, 6_100_000, -6_200_000, 6_300_000), "estop": (0, 1), "reaction": (0, 1, 2),
                 "knee": (0, LOST), "bus_mv": (24_000, 9_000, 40_000, 65535),
-                "motor_cdegc": (2_500, -1_000, 9_900, -(2**15)), "current": (0, LOST), "knee_hall": (0, LOST), "pivot_hall": (0, LOST), "gate_driver": (0, 1),
+                "motor_cdegc": (2_500, -1_000, 9_900, -(2**15)), "current": (0, LOST),
+                "knee_hall": (0, LOST), "pivot_hall": (0, LOST), "gate_driver": (0, 1),
                 "knee_speed": (0, 35_000_000, -39_000_000, 41_000_000, LOST)}
     while t < seconds * 1e6:
         t += int(rng.choice([0, 137, 500, 2_000, 7_500]))

@@ -9,7 +9,7 @@
  * The first four belong to one context (or behind one lock). leg_torque_unm and leg_bridge_now may interrupt them: they
  * decide by the tick alone, so that torque is zero in time even where nobody calls leg_poll or leg_sample any more.
  *
- * What the board must have besides (port_stm32f405/ is an example):
+ * What the board must have besides (port_lm3s6965/ is an example):
  *   - a watchdog of the hardware with a clock of its own, that no software can stop once it runs, of at most 50 ms.
  *     Only leg_port.kick restarts it; the core calls that while leg_poll, leg_sample and leg_torque_unm all run.
  *   - a bridge that is off while the processor is in reset, so that the hardware watchdog's reset is torque zero.
