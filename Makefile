@@ -73,8 +73,8 @@ port: $(STAMP)
 		{ echo "make port needs the Debian packages gcc-arm-none-eabi and qemu-system-arm: apt-get install both"; exit 1; }
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -v tests/drivers/test_port.py
 
-# The firmware's core under broken input, with address and undefined behaviour sanitizers. 10^7 frames a codec take
-# half an hour.
+# The firmware's core under broken input, with address and undefined behaviour sanitizers. FRAMES are serial and CAN
+# together; 10^7 each take a minute.
 FRAMES ?= 1000000
 fuzz: $(STAMP)
 	$(BIN)/python -m tests.studies.fuzz_core --frames $(FRAMES)

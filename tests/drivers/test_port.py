@@ -158,7 +158,7 @@ def test_legid_record_over_its_uart(tmp_path: Path, capsys: pytest.CaptureFixtur
         with I2cServer(MockRig(StillPlant(), RealClock()).imu, tmp_path / "i2c") as imu:
             (tmp_path / "rig.toml").write_text(RIG.format(bus=imu.path, port=board.path))
             write_plan(random_multisine(1, 4.0, 0.7), tmp_path / "plan.csv")
-            for attempt in range(3):  # an emulator on a busy machine may be late once, which the board takes for a fault
+            for attempt in range(3):  # an emulator on a busy machine may be late: a fault to the board
                 run = tmp_path / f"run{attempt}.mcap"
                 status = cli.main(["record", "--rig", str(tmp_path / "rig.toml"), "--plan", str(tmp_path / "plan.csv"),
                                    "--out", str(run)])
