@@ -16,7 +16,8 @@ from pathlib import Path
 from tests.support.paths import ROOT
 
 CORE = ROOT / "drivers" / "mock" / "firmware"
-SOURCES = [ROOT / "tests" / "studies" / "fuzz_core.c", *(CORE / f"leg_{p}.c" for p in ("core", "config", "codec", "can"))]
+PARTS = ("core", "config", "codec", "can")
+SOURCES = [ROOT / "tests" / "studies" / "fuzz_core.c", *(CORE / f"leg_{part}.c" for part in PARTS)]
 STRICT = ["-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-fno-sanitize-recover=all"]
 
 
