@@ -32,6 +32,7 @@ def test_nothing_breaks_the_core(gcc: str, tmp_path: Path) -> None:
     assert min(counts) > 5000  # it was armed, driven, had faults, dropped frames, ignored late ones
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG)
 def test_a_core_that_errs_is_found_out(gcc: str, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     broken = shutil.copytree(CORE, tmp_path / "core")
