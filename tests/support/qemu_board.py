@@ -124,10 +124,12 @@ class Board:
         return int(said.split()[-1]) * 1e-6
 
     def zero_after_s(self, from_s: float, patience_s: float = 2.0) -> float:
-        """Time from then until the bridge has no torque [s]."""
+        """Time from then until the bridge was last asked and had a torque [s]; who asks may be late, not the board."""
+        last_s = asked_s = time.monotonic()
         while self.bridge_nm():
-            assert time.monotonic() < from_s + patience_s, "still driven"
-        return time.monotonic() - from_s
+            assert asked_s < from_s + patience_s, "still driven"
+            last_s, asked_s = asked_s, time.monotonic()
+        return last_s - from_s
 
     def patch(self, function: str, code: bytes) -> bytes:
         """Put other code where a function begins, as a debugger does; returns what stood there. Resets keep it."""
