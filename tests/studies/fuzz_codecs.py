@@ -18,8 +18,8 @@ from drivers.protocol import Decoder, Fault, FaultReport, Hello, Message, Pong, 
 
 TELEMETRY = Telemetry(0, 0, 1, 0, 0.0, 0.0, 0.0, 0.0, 24.0, 30.5, 0.125)
 CRC_ODDS = 2.0**-16
-ALIKE_ODDS = (8 + 3 / 2**8) / 2**11 / 9
-"""That noise on CAN, where nothing but CAN's own CRC keeps it out, has identifier and length of one of the eight
+ALIKE_ODDS = (10 + 3 / 2**8) / 2**11 / 9
+"""That noise on CAN, where nothing but CAN's own CRC keeps it out, has identifier and length of one of the ten
 messages of one frame, or those and the tag of a part that is awaited."""
 
 
