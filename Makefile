@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 OUT    ?= demo-out
 
-.PHONY: install demo test test-slow lint test-kernel soak live-soak bench blind tutorial docs clean
+.PHONY: install demo test test-slow lint test-kernel soak live-soak bench blind port fuzz tutorial docs clean
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed"; exit 1; }
@@ -66,6 +66,18 @@ soak: $(STAMP)
 # Half an hour; needs chromium and its chromedriver.
 live-soak: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.live_soak --out docs/live-$$(date -u +%F).md
+
+# The example board, cross-compiled and driven in an emulator.
+port: $(STAMP)
+	@{ command -v arm-none-eabi-gcc && command -v qemu-system-arm; } >/dev/null || \
+		{ echo "make port needs the Debian packages gcc-arm-none-eabi and qemu-system-arm: apt-get install both"; exit 1; }
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -v tests/drivers/test_port.py
+
+# The firmware's core under broken input, with address and undefined behaviour sanitizers. FRAMES are serial and CAN
+# together; 10^7 each take a minute.
+FRAMES ?= 1000000
+fuzz: $(STAMP)
+	$(BIN)/python -m tests.studies.fuzz_core --frames $(FRAMES)
 
 # After a change of what commands print: the tutorial's outputs and figures anew.
 tutorial: $(STAMP)

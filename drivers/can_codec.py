@@ -15,18 +15,23 @@ from typing import Any, NamedTuple
 import cantools.database
 
 from drivers.protocol import (
+    ESTOP_OPEN,
     Arm,
     ClearFaults,
+    DriveLimits,
+    Fault,
     FaultReport,
     Heartbeat,
     Hello,
     HelloRequest,
+    LimitsRequest,
     Message,
     Ping,
     Pong,
     SequenceCount,
     Stop,
     Telemetry,
+    TimedCommand,
     TorqueCommand,
 )
 
@@ -35,6 +40,8 @@ NODE_BITS = 5
 NODES = 2 ** (11 - NODE_BITS)
 ONE_MESSAGE = 2**NODE_BITS - 1
 INVALID = "invalid"
+LOW_FAULTS = 2**12 - 1
+"""The faults that stand in the field of that name; the others have bits of their own."""
 Values = dict[str, int]
 
 
@@ -51,8 +58,10 @@ PARTS: dict[type, tuple[str, ...]] = {
     Telemetry: ("Tick", "Knee", "Hall", "Drive"),
     Hello: ("Hello", "HelloRates", "HelloLimits"),
     FaultReport: ("FaultReport", "FaultValue"),
+    DriveLimits: ("DriveLimits", "DriveRange"),
     Pong: ("Pong",), Heartbeat: ("Heartbeat",),
-    **{kind: (kind.__name__,) for kind in (TorqueCommand, Arm, Stop, ClearFaults, HelloRequest, Ping)},
+    **{kind: (kind.__name__,) for kind in (TorqueCommand, TimedCommand, Arm, Stop, ClearFaults, HelloRequest, Ping,
+                                           LimitsRequest)},
 }
 """The frames of each message, by their names in leg.dbc, in the order in which they are sent."""
 _KIND = {part: kind for kind, parts in PARTS.items() for part in parts}
@@ -60,6 +69,7 @@ _TAG: dict[type, Callable[[Values], int]] = {
     Telemetry: lambda first: first["seq"],
     Hello: lambda first: first["boot_id"],
     FaultReport: lambda first: first["fault"] | first["tick_us"] << 4,
+    DriveLimits: lambda first: first["features"],
 }
 """From the values of a message's first frame to the tag of the others, of which as many low bits count as they hold."""
 
@@ -204,6 +214,11 @@ def _spread(message: Message) -> dict[str, Any]:
         values["turnaround_us"] = (values.pop("tx_tick_us") - message.rx_tick_us) % 2**32
     elif isinstance(message, FaultReport):
         values["fault"] = message.fault.bit_length() - 1
+        values["latched"] &= LOW_FAULTS
+    elif isinstance(message, Telemetry | Heartbeat):
+        values["position_limit"] = bool(message.faults & Fault.POSITION_LIMIT)
+        values["estop_open"] = bool(message.faults & ESTOP_OPEN)
+        values["faults"] &= LOW_FAULTS
     return values
 
 
@@ -214,6 +229,10 @@ def _gather(kind: type, values: dict[str, Any]) -> Message:
         values["tx_tick_us"] = (values["rx_tick_us"] + values.pop("turnaround_us")) % 2**32
     elif kind is FaultReport:
         values["fault"] = 1 << values["fault"]
+        values["latched"] |= values["fault"] & ~LOW_FAULTS
+    elif kind in (Telemetry, Heartbeat):
+        values["faults"] |= Fault.POSITION_LIMIT * values.pop("position_limit")
+        values["faults"] |= ESTOP_OPEN * values.pop("estop_open")
     message: Message = kind(**values)
     return message
 

@@ -25,14 +25,18 @@ from drivers.protocol import (
     ClearFaults,
     Decoder,
     Down,
+    DriveLimits,
+    Feature,
     Heartbeat,
     Hello,
     HelloRequest,
+    LimitsRequest,
     Message,
     Ping,
     State,
     Stop,
     Telemetry,
+    TimedCommand,
     TorqueCommand,
     describe_faults,
 )
@@ -72,6 +76,8 @@ class LegController:
         """What the firmware said of itself last."""
         self.telemetry: Telemetry | None = None
         """The newest telemetry seen."""
+        self.limits: DriveLimits | None = None
+        """What the drive checks by itself, asked for when arming; None where its firmware does not say."""
         self._link = link
         self._now_ns = now_ns
         self._codec: Codec[Any] = codec or Decoder()
@@ -114,8 +120,12 @@ class LegController:
             if isinstance(message, Telemetry):
                 self.telemetry = message
             elif isinstance(message, Hello):
-                self._reboots += self.hello is not None and message.boot_id != self.hello.boot_id
+                if self.hello is not None and message.boot_id != self.hello.boot_id:
+                    self._reboots += 1
+                    self.limits = None
                 self.hello = message
+            elif isinstance(message, DriveLimits):
+                self.limits = message
             elif isinstance(message, Heartbeat) and self.hello and message.boot_id != self.hello.boot_id:
                 self._send(HelloRequest())  # restarted, and its Hello did not come through
         return received
@@ -132,11 +142,13 @@ class LegController:
             self.stop()
             raise DeviceFault(f"leg controller has latched: {describe_faults(self.telemetry.faults)}; "
                               "remove the cause, then clear the faults")
+        self._send(LimitsRequest())
         self._send(Arm(watchdog_ms))
 
     def command(self, torque_nm: float) -> int:
         """Ask for a joint torque [N m] and feed the watchdog; returns the command's sequence number.
 
+        A drive that understands it is told which telemetry this answers, and ignores what answers an old one.
         A torque that is not a number or above the firmware's limit stops the motor and raises `DriverError`.
         """
         limit = self.hello.torque_limit_nm if self.hello else 0.0
@@ -146,7 +158,11 @@ class LegController:
                               f"{limit:g} N m; motor stopped")
         seq = self._command_seq
         self._command_seq = (seq + 1) % 65536
-        self._send(TorqueCommand(seq, torque_nm))
+        seen = self.telemetry
+        if seen is not None and self.limits is not None and self.limits.features & Feature.TIMED_COMMANDS:
+            self._send(TimedCommand(seq, torque_nm, seen.seq))
+        else:
+            self._send(TorqueCommand(seq, torque_nm))
         return seq
 
     def ping(self) -> tuple[int, int]:

@@ -44,12 +44,35 @@ class Fault(IntFlag):
     OVERSPEED = 1 << 8
     GATE_DRIVER = 1 << 9
     INTERNAL = 1 << 10
+    ESTOP = 1 << 11
+    POSITION_LIMIT = 1 << 12
+
+
+ESTOP_OPEN = 1 << 15
+"""In `faults` of a Telemetry frame, and no fault itself: the E-stop input is open now."""
+
+
+class Feature(IntFlag):
+    """`features` of DriveLimits."""
+
+    TIMED_COMMANDS = 1 << 0
+    ESTOP_INPUT = 1 << 1
+
+
+class Reaction(IntEnum):
+    """What the drive does at a fault of the host or of the motion: nothing, motor shorted, position held."""
+
+    LIMP = 0
+    BRAKE = 1
+    HOLD = 2
 
 
 def describe_faults(faults: int) -> str:
     """The faults' names for a person: `watchdog, overspeed`; bits of a newer firmware as `bit 14`."""
     names = [f.name.lower().replace("_", " ") for f in Fault if f.name and faults & f]
-    names += [f"bit {bit}" for bit in range(16) if faults >> bit & 1 and not any(f == 1 << bit for f in Fault)]
+    names += ["emergency stop is pressed"] if faults & ESTOP_OPEN else []
+    known = [ESTOP_OPEN, *Fault]
+    names += [f"bit {bit}" for bit in range(16) if faults >> bit & 1 and 1 << bit not in known]
     return ", ".join(names) or "none"
 
 
@@ -72,7 +95,12 @@ class Telemetry:
     bus_v: float
     motor_degc: float
     torque_cmd_nm: float
-    """Joint torque the current loop is asked for at the tick [N m]; zero unless ARMED."""
+    """Joint torque the current loop is asked for at the tick, after derating [N m]; zero unless ARMED or holding."""
+
+    @property
+    def estop_open(self) -> bool:
+        """The drive's E-stop input is open: pressed, or its wire broken."""
+        return bool(self.faults & ESTOP_OPEN)
 
 
 @dataclass(frozen=True)
@@ -112,6 +140,18 @@ class FaultReport:
 
 
 @dataclass(frozen=True)
+class DriveLimits:
+    """Up, answer to a LimitsRequest: what the drive checks by itself, and what it can do."""
+
+    features: int
+    reaction: int
+    speed_limit_radps: float
+    position_min_rad: float
+    """Of the knee encoder's angle, as `Telemetry.knee_rad` [rad]."""
+    position_max_rad: float
+
+
+@dataclass(frozen=True)
 class Heartbeat:
     """Up, on CAN only, ten times a second: who is there and in which state."""
 
@@ -126,6 +166,16 @@ class TorqueCommand:
 
     seq: int
     torque_nm: float
+
+
+@dataclass(frozen=True)
+class TimedCommand:
+    """Down: as TorqueCommand, and obeyed only while the telemetry that it answers is younger than the watchdog."""
+
+    seq: int
+    torque_nm: float
+    seen_seq: int
+    """`seq` of the newest Telemetry that the host knew."""
 
 
 @dataclass(frozen=True)
@@ -157,13 +207,19 @@ class Ping:
     ping_id: int
 
 
-Up = Telemetry | Hello | Pong | FaultReport | Heartbeat
-Down = TorqueCommand | Arm | Stop | ClearFaults | HelloRequest | Ping
+@dataclass(frozen=True)
+class LimitsRequest:
+    """Down: asks for DriveLimits; older firmware does not know it and does not answer."""
+
+
+Up = Telemetry | Hello | Pong | FaultReport | DriveLimits | Heartbeat
+Down = TorqueCommand | TimedCommand | Arm | Stop | ClearFaults | HelloRequest | Ping | LimitsRequest
 Message = Up | Down
 
 TYPES: dict[type, int] = {
     TorqueCommand: 0x01, Arm: 0x02, Stop: 0x03, ClearFaults: 0x04, HelloRequest: 0x05, Ping: 0x06,
-    Telemetry: 0x81, Hello: 0x82, Pong: 0x83, FaultReport: 0x84,
+    TimedCommand: 0x07, LimitsRequest: 0x08,
+    Telemetry: 0x81, Hello: 0x82, Pong: 0x83, FaultReport: 0x84, DriveLimits: 0x85,
 }
 _MICRO, _MILLI = 1e-6, 1e-3
 LAYOUT: dict[type, tuple[tuple[str, float | None], ...]] = {
@@ -173,15 +229,17 @@ LAYOUT: dict[type, tuple[tuple[str, float | None], ...]] = {
     Hello: (("H", None), ("I", None), ("H", None), ("I", _MILLI), ("I", _MICRO), ("H", None)),
     Pong: (("H", None), ("I", None), ("I", None)),
     FaultReport: (("I", None), ("H", None), ("H", None), ("i", _MICRO)),
+    DriveLimits: (("H", None), ("B", None), ("I", _MICRO), ("i", _MICRO), ("i", _MICRO)),
     TorqueCommand: (("H", None), ("i", _MICRO)),
+    TimedCommand: (("H", None), ("i", _MICRO), ("H", None)),
     Arm: (("H", None),),
-    Stop: (), ClearFaults: (), HelloRequest: (),
+    Stop: (), ClearFaults: (), HelloRequest: (), LimitsRequest: (),
     Ping: (("H", None),),
 }
 RANGE = {"B": (0, 255), "H": (0, 65535), "I": (0, 2**32 - 1), "h": (-(2**15), 2**15 - 1), "i": (-(2**31), 2**31 - 1)}
 SENTINEL = {"h": -(2**15), "i": -(2**31), "H": 65535, "I": 2**32 - 1}
 """Raw value of a scaled field that says 'not valid': the most negative, or all ones when unsigned."""
-NO_SENTINEL = {(TorqueCommand, 1), (Telemetry, 10)}
+NO_SENTINEL = {(TorqueCommand, 1), (TimedCommand, 1), (Telemetry, 10)}
 """Torque commands are always a number: NaN is refused, not sent."""
 _STRUCT = {kind: struct.Struct("<B" + "".join(code for code, _ in layout)) for kind, layout in LAYOUT.items()}
 _KIND = {number: kind for kind, number in TYPES.items()}

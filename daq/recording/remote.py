@@ -2,7 +2,8 @@
 
 The line is a pair of unix sockets that keep packets whole. What goes out never waits: a watcher that is slow misses
 some of it. What comes in has a thread of its own, which sends the motor's Stop itself, so that an emergency waits for
-nobody. A watcher that has gone, or is silent, is one whose emergency stop does not work: the run ends then.
+nobody. A watcher that has gone, or is silent, is one whose emergency stop does not work: the torque is off then, too,
+and the run ends.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from drivers import DeviceAbsent, DriverError, LinkLost
 
 ROW_EVERY_NS = 40_000_000
 STATUS_EVERY_NS = 200_000_000
-SILENCE_S = 3.0
-"""A watcher must send something at least this often [s]."""
+SILENCE_S = 0.15
+"""A watcher must send something at least this often [s]: one that hangs is found out, and the torque off, in 0.2 s."""
 LAST_WORD_S = 1.0
 ALIVE, STOP, EMERGENCY = b"alive", b"stop", b"emergency"
 """Packets of the watcher."""
@@ -95,6 +96,8 @@ class Remote:
         """Who wants the run to end; empty while nobody does."""
         self.emergency = False
         """The torque must be off at once, without a ramp."""
+        self.silent = False
+        """The torque is off because nobody watches."""
         self.kind: Ending | None = None
         """How the run ended, as far as the recorder knows."""
         self.motor = "never driven"
@@ -163,8 +166,10 @@ class Remote:
                 self._send(Heard())
             elif packet == STOP:
                 self.asked = self.asked or "the dashboard"
-            elif not packet:
-                self.asked = self.asked or "the silence of the dashboard: its emergency stop may not work"
+            elif not packet and not self.asked:
+                self.silent, self.asked = True, "the silence of the dashboard: its emergency stop may not work"
+                self.emergency = True  # no ramp: nobody could stop it
+                self._stop()
             if packet == b"":
                 return
 
@@ -186,6 +191,8 @@ def watched_by(descriptor: int | None) -> Iterator[Remote | None]:
             yield remote
         except BaseException as error:
             kind: Ending = remote.kind or ("lost" if isinstance(error, LOST) else "failed")
+            if remote.silent and kind == "emergency":
+                kind = "stopped"  # by nobody's hand
             remote.end(Ended(kind, str(error) or type(error).__name__, remote.motor))
             raise
         remote.end(Ended("done", "", remote.motor))

@@ -20,19 +20,25 @@ from drivers.mock.motor import Motor
 from drivers.mock.plant import Segment, Snapshot, StillState, snapshot
 from drivers.mock.settings import FirmwareSettings
 from drivers.protocol import (
+    ESTOP_OPEN,
     Arm,
     ClearFaults,
     Decoder,
+    DriveLimits,
     Fault,
     FaultReport,
+    Feature,
     Heartbeat,
     Hello,
     HelloRequest,
+    LimitsRequest,
     Message,
     Ping,
     Pong,
+    Reaction,
     Stop,
     Telemetry,
+    TimedCommand,
     TorqueCommand,
 )
 
@@ -56,7 +62,9 @@ class FirmwareEmulator:
         self.motor = Motor(self.settings.current_loop_s)
         self.knee_encoder_ok = self.pivot_hall_ok = self.knee_hall_ok = True
         """Set to False: the reading carries the invalid sentinel (and the knee's faults latch)."""
-        self.gate_driver_ok = True
+        self.gate_driver_ok = self.current_ok = True
+        self.estop_open = False
+        """The E-stop is pressed."""
         self.bus_v = self.settings.bus_v
         self.motor_degc = self.settings.ambient_degc
         self._rng = np.random.default_rng(seed)
@@ -71,7 +79,7 @@ class FirmwareEmulator:
     def _boot(self, t_ns: int) -> None:
         s = self.settings
         self.boot_id = int(self._rng.integers(1, 2**32))
-        self.drive = DriveState(s.torque_limit_nm, s.watchdog_limit_ms, self._report)
+        self.drive = DriveState(s, self._report)
         self.codec = self._new_codec()
         self._boot_ns = t_ns
         self._frames = 0
@@ -113,14 +121,21 @@ class FirmwareEmulator:
         self._now_ns = t_ns
         if isinstance(message, TorqueCommand):
             self.drive.command(message.seq, message.torque_nm, t_ns)
+        elif isinstance(message, TimedCommand):
+            age_us = (self._frames - 1 - message.seen_seq) % 65536 * self._period_us
+            self.drive.command(message.seq, message.torque_nm, t_ns, age_us * 1000)
         elif isinstance(message, Arm):
-            self.drive.arm(message.watchdog_ms, t_ns)
+            self.drive.arm(message.watchdog_ms, t_ns, self.estop_open)
         elif isinstance(message, Stop):
             self.drive.stop()
         elif isinstance(message, ClearFaults):
             self.drive.clear(self._present())
         elif isinstance(message, HelloRequest):
             self._send(self._hello())
+        elif isinstance(message, LimitsRequest):
+            s = self.settings
+            self._send(DriveLimits(int(Feature.TIMED_COMMANDS | Feature.ESTOP_INPUT), int(s.reaction),
+                                   s.speed_limit_radps, s.position_min_rad, s.position_max_rad))
         elif isinstance(message, Ping):
             rx = self.tick_us(t_ns)
             self._outbox.append((t_ns + TURNAROUND_US * 1000,
@@ -155,8 +170,10 @@ class FirmwareEmulator:
         self._t_ns = t0_ns
         self._take_in(t0_ns)
         self._now_ns = t0_ns
-        self.drive.check_watchdog(t0_ns)
-        return self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, self.drive.torque_nm)
+        self.drive.poll(t0_ns, self.estop_open)
+        shorted = self.drive.reaction == Reaction.BRAKE
+        torque_nm = -self.settings.brake_nms_per_rad * self._state.q2d if shorted else self.drive.torque_nm
+        return self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, torque_nm)
 
     def observe(self, segment: Segment) -> None:
         """Watch the limits and send the telemetry due within the segment; both run at the telemetry's rate."""
@@ -171,7 +188,10 @@ class FirmwareEmulator:
             self._send(self._hello())
         if self.codec.beats and self._local_us(segment.t1_ns) >= self._beat_us:
             self._beat_us += BEAT_EVERY_US
-            self._send(Heartbeat(self.boot_id, int(self.drive.state), int(self.drive.latched)))
+            self._send(Heartbeat(self.boot_id, int(self.drive.state), self._fault_bits()))
+
+    def _fault_bits(self) -> int:
+        return int(self.drive.latched) | (ESTOP_OPEN if self.estop_open else 0)
 
     def reboot(self) -> None:
         """As after a brown-out: new boot id, tick and sequence from the start, torque off, nothing latched."""
@@ -198,16 +218,22 @@ class FirmwareEmulator:
         return Telemetry(
             seq=self._frames % 65536,
             tick_us=(s.first_tick_us + (self._frames + 1) * self._period_us) % 2**32,
-            state=int(self.drive.state), faults=int(self.drive.latched),
-            knee_rad=_quantise(state.q2_motor + s.knee_zero_rad, 2 * math.pi / s.encoder_counts)
-            if self.knee_encoder_ok else math.nan,
+            state=int(self.drive.state), faults=self._fault_bits(),
+            knee_rad=self._knee_rad(state),
             pivot_hall_rad=_quantise(state.q1 + s.hall_noise_rad * noise[0], hall_step)
             if self.pivot_hall_ok else math.nan,
             knee_hall_rad=_quantise(state.q2_motor + s.hall_noise_rad * noise[1], hall_step)
             if self.knee_hall_ok else math.nan,
-            current_a=current + s.shunt_offset_a + s.current_noise_a * noise[2],
+            current_a=current + s.shunt_offset_a + s.current_noise_a * noise[2] if self.current_ok else math.nan,
             bus_v=self.bus_v - s.bus_resistance_ohm * abs(current), motor_degc=self.motor_degc,
             torque_cmd_nm=self.drive.torque_nm)
+
+    def _knee_rad(self, state: Snapshot) -> float:
+        """What the knee encoder reads; NaN when it is lost."""
+        s = self.settings
+        if not self.knee_encoder_ok:
+            return math.nan
+        return _quantise(state.q2_motor + s.knee_zero_rad, 2 * math.pi / s.encoder_counts)
 
     def _watch(self, state: Snapshot) -> None:
         """Warm the motor by one period and latch what is beyond its limit."""
@@ -216,26 +242,31 @@ class FirmwareEmulator:
         final = s.ambient_degc + s.heating_degc_per_a2 * current**2
         self.motor_degc += (final - self.motor_degc) * self._period_us * 1e-6 / s.heating_time_s
         self._state = state
+        self.drive.observe(self._knee_rad(state), state.q2d)
         for fault, value in self._causes():
-            self.drive.trip(fault, value)
+            self.drive.trip(fault, value, self._now_ns)
+        self.drive.apply()
 
     def _causes(self) -> list[tuple[Fault, float]]:
+        """What is beyond its limit; a reading that was not had is beyond every one."""
         s = self.settings
-        current = abs(self.motor.last_mean_nm) / s.torque_constant_nm_per_a
+        current = abs(self.motor.last_mean_nm) / s.torque_constant_nm_per_a if self.current_ok else math.nan
+        knee = self._knee_rad(self._state)
         checks = [
-            (current > s.current_limit_a, Fault.OVERCURRENT, current),
-            (self.motor_degc > s.temperature_limit_degc, Fault.OVERTEMPERATURE, self.motor_degc),
-            (self.bus_v < s.undervoltage_v, Fault.UNDERVOLTAGE, self.bus_v),
+            (not current <= s.current_limit_a, Fault.OVERCURRENT, current),
+            (not self.motor_degc <= s.temperature_limit_degc, Fault.OVERTEMPERATURE, self.motor_degc),
+            (not self.bus_v >= s.undervoltage_v, Fault.UNDERVOLTAGE, self.bus_v),
             (self.bus_v > s.overvoltage_v, Fault.OVERVOLTAGE, self.bus_v),
             (not self.knee_encoder_ok, Fault.KNEE_ENCODER, math.nan),
             (not self.knee_hall_ok, Fault.KNEE_HALL, math.nan),
-            (abs(self._state.q2d) > s.speed_limit_radps, Fault.OVERSPEED, self._state.q2d),
+            (not abs(self._state.q2d) <= s.speed_limit_radps, Fault.OVERSPEED, self._state.q2d),
             (not self.gate_driver_ok, Fault.GATE_DRIVER, math.nan),
+            (knee < s.position_min_rad or knee > s.position_max_rad, Fault.POSITION_LIMIT, knee),
         ]
         return [(fault, value) for wrong, fault, value in checks if wrong]
 
     def _present(self) -> Fault:
-        causes = Fault(0)
+        causes = Fault.ESTOP if self.estop_open else Fault(0)
         for fault, _ in self._causes():
             causes |= fault
         return causes

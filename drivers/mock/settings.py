@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from drivers.protocol import Reaction
+
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 
@@ -60,6 +62,21 @@ class FirmwareSettings:
     undervoltage_v: float = 18.0
     overvoltage_v: float = 30.0
     speed_limit_radps: float = 40.0
+    speed_derate_radps: float = 32.0
+    """From here on torque that speeds the knee up shrinks, to nothing at the limit."""
+    position_min_rad: float = -6.28
+    position_max_rad: float = 6.28
+    """Of what the knee encoder reads."""
+    position_derate_rad: float = 0.3
+    """So far before them torque towards them begins to shrink."""
+    reaction: Reaction = Reaction.LIMP
+    """To faults of the host or of the motion; to all others the drive goes limp."""
+    brake_nms_per_rad: float = 0.5
+    """Torque of the shorted motor per speed of the knee."""
+    hold_stiffness_nm_per_rad: float = 20.0
+    hold_damping_nms_per_rad: float = 2.0
+    hold_torque_nm: float = 1.5
+    hold_ms: int = 500
     clock_error_ppm: float = 40.0
     """The MCU's clock is fast by this."""
     first_tick_us: int = 0

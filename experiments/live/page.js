@@ -1,10 +1,30 @@
 // The emergency stop, the keyboard, the readings and the plots. Everything here works on elements that stay.
 (() => {
-  const WINDOW_S = 20, ACK_MS = 1000, STALE_MS = 2000;
+  const WINDOW_S = 20, ACK_MS = 1000, STALE_MS = 2000, HERE_MS = 250;
   const by = (id) => document.getElementById(id);
   let running = false, latched = false, run = -1, lastShown = 0, rows = [], due = false, pressed = 0;
 
   const put = (element, text) => { if (element && element.textContent !== text) element.textContent = text; };
+
+  // -- who this browser is: only who pressed the emergency stop releases it, unless at the machine
+  const who = (() => {
+    const fresh = () => Array.from(crypto.getRandomValues(new Uint8Array(16)), (b) => b.toString(16)).join("");
+    try { return localStorage.legidWho ??= fresh(); } catch { return fresh(); }
+  })();
+  const headers = { "X-Legid-Who": who };
+
+  async function release() {
+    try {
+      const answer = await fetch("/release", { method: "POST", headers, signal: AbortSignal.timeout(ACK_MS) });
+      if (answer.ok) return;
+      put(by("words"), "Only who pressed it, or somebody at the machine, can release it.");
+    } catch {
+      put(by("words"), "Not released: legid live does not answer.");
+    }
+  }
+
+  // -- a page in front of somebody says so: a run that nobody watches stops
+  setInterval(() => { if (!document.hidden) fetch("/here", { method: "POST" }).catch(() => {}); }, HERE_MS);
 
   // -- emergency stop: a plain request, independent of the page's socket and of the plots
   async function emergency() {
@@ -14,7 +34,7 @@
     by("estop-said").className = "said";
     put(by("estop-said"), "Sending …");
     try {
-      const answer = await fetch("/emergency", { method: "POST", keepalive: true, signal: AbortSignal.timeout(ACK_MS) });
+      const answer = await fetch("/emergency", { method: "POST", headers, keepalive: true, signal: AbortSignal.timeout(ACK_MS) });
       if (!answer.ok) throw new Error(answer.status);
       put(by("estop-said"), "Emergency stop sent.");
     } catch {
@@ -35,7 +55,10 @@
 
   document.addEventListener("keydown", keyed, true);
   document.addEventListener("pointerdown", (event) => { if (event.target.closest?.("#estop")) emergency(); }, true);
-  document.addEventListener("click", (event) => { if (event.target.closest?.("#estop")) emergency(); }, true);
+  document.addEventListener("click", (event) => {
+    if (event.target.closest?.("#estop")) emergency();
+    if (event.target.closest?.("#release")) release();
+  }, true);
 
   // -- readings
   function show(s) {

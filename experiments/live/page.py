@@ -69,8 +69,9 @@ class Page:
             self._plan.value = next(iter(self._plan.options), None)
             with ui.element("div").classes("live-buttons"):
                 self._start = _button("Start", self._on_start, "start", "go")
-                self._stop = _button("Stop", self._session.stop, "stop")
-                self._release = _button("Release the emergency stop", self._session.release, "release")
+                self._stop = _button("Stop", lambda: self._session.stop(), "stop")
+                self._release = _button("Release the emergency stop", None, "release")
+            self._unattended = ui.checkbox("Go on when no page is open: nobody watches the leg").props("for=unattended")
             _html('<progress id="progress" max="1" value="0" aria-label="share of the plan that is done"></progress>'
                   '<div class="soft">Time in the plan: <span id="time"></span></div><div id="silence"></div>')
 
@@ -119,7 +120,8 @@ class Page:
 
     async def _on_start(self) -> None:
         if self._plan.value is not None and not self._bench.why_not_record():
-            await self._session.start(Path(self._plan.value))
+            await self._session.start(Path(self._plan.value), bool(self._unattended.value))
+            self._unattended.value = False  # for this run, not for the next
 
     def _tick(self) -> None:
         session = self._session
@@ -247,7 +249,7 @@ def _card(title: str, place: str = "") -> ui.element:
     return card
 
 
-def _button(text: str, action: object, name: str, look: str = "") -> ui.button:
+def _button(text: str, action: object | None, name: str, look: str = "") -> ui.button:
     button = ui.button(text, on_click=action, color=None)  # type: ignore[arg-type]
     return button.props(f'id="{name}" unelevated no-caps').classes(f"live-button {look}")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import os
 import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
@@ -10,32 +11,45 @@ from pathlib import Path
 from types import FrameType
 
 import uvicorn
-from fastapi import FastAPI, HTTPException
+from fastapi import FastAPI, HTTPException, Request
 from fastapi.responses import FileResponse
 from nicegui import ui
 
 from daq import InputError, Rig
-from experiments.live.access import Access, is_loopback, new_token
+from experiments.live.access import SANDBOX, Access, is_loopback, new_token
 from experiments.live.bench import Bench
 from experiments.live.page import Page
 
 HISTORY = 100
 """Messages kept for a browser that comes back."""
 LEAVE_S = 2
+WHO = "x-legid-who"
+"""Header with the random name that a browser gave itself: another browser cannot release its emergency stop."""
 
 
-def serve(path: Path, rig: Rig, plans: Path, out: Path, host: str, port: int) -> None:
-    """Serve the dashboard of the rig at `path` until a signal. Raises `InputError` when the port cannot be had."""
+def serve(path: Path, rig: Rig, plans: Path, out: Path, host: str, port: int, with_token: bool = False) -> None:
+    """Serve the dashboard of the rig at `path` until a signal. Raises `InputError` when the port cannot be had.
+
+    A token is asked for on any host but this machine's own, and there with `with_token`.
+    """
     listener = listen(host, port)
     bound = listener.getsockname()[1]
-    token = None if is_loopback(host) else new_token()
+    token = new_token() if with_token or not is_loopback(host) else None
     bench = Bench(path, rig, plans, out)
     app = Access(build_app(bench), token, bound)
     config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=LEAVE_S, ws_ping_interval=5.0)
     where = _address(host) + f":{bound}/" + (f"?token={token}" if token else "")
     print(f"legid live: http://{where} (Ctrl-C ends it)", flush=True)
     with suppress(KeyboardInterrupt):  # uvicorn raises it again when all is closed
+        _hurry()
         _Server(config, bench).run(sockets=[listener])
+
+
+def _hurry() -> None:
+    """This thread ahead of ordinary programs where that is granted, but behind a recorder, which stops the motor when
+    it hears nothing from here; what is started from here is ordinary again."""
+    with suppress(OSError, AttributeError):  # AttributeError: a system without these calls
+        os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(1))
 
 
 def build_app(bench: Bench) -> FastAPI:
@@ -49,17 +63,30 @@ def build_app(bench: Bench) -> FastAPI:
     app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
 
     @app.post("/emergency")
-    async def emergency() -> dict[str, str]:
+    async def emergency(request: Request) -> dict[str, str]:
         """Does not wait for anything: the recorder is told before the answer is written."""
-        bench.session.emergency()
+        bench.session.emergency(request.headers.get(WHO, ""))
         return {"phase": bench.session.phase.value}
+
+    @app.post("/release")
+    async def release(request: Request) -> dict[str, str]:
+        """For who pressed the emergency stop, and for whoever sits at this machine."""
+        at_machine = request.client is not None and is_loopback(request.client.host)
+        if not bench.session.release(request.headers.get(WHO, ""), at_machine):
+            raise HTTPException(403, "only who pressed the emergency stop, or somebody at the machine, can release it")
+        return {"phase": bench.session.phase.value}
+
+    @app.post("/here", status_code=204)
+    async def here() -> None:
+        """A page that somebody can see says so, four times a second."""
+        bench.session.page_heard()
 
     @app.get("/report/{name}")
     async def report(name: str) -> FileResponse:
         found = bench.report(name)
         if found is None:
             raise HTTPException(404, "no such report")
-        return FileResponse(found, media_type="text/html")
+        return FileResponse(found, media_type="text/html", headers={"content-security-policy": SANDBOX})
 
     @ui.page("/")
     def index() -> None:

@@ -18,7 +18,10 @@ import msgspec
 from daq.recording import ALIVE, EMERGENCY, PACKET_BYTES, STOP, Ended, Heard, Row, Status
 from experiments.live import children
 
-BEAT_S = 0.5
+BEAT_S = 0.025
+PAGE_SILENT_S = 1.0
+"""A run that somebody started stops when no page has been heard for so long."""
+LOOK_S = 0.05
 WINDOW_ROWS = 500
 """20 s of plots."""
 KILL_AFTER_S = 1.0
@@ -58,8 +61,8 @@ class Session:
         """One line beside the phase."""
         self.motor = ""
         """What the recorder last knew of the motor; empty before any run."""
-        self.latched = False
-        """The emergency stop was pressed and not released."""
+        self.unattended = False
+        """The run goes on without a page: it was started so."""
         self.status: Status | None = None
         """The newest of the run that is on or was last."""
         self.heard_s = 0.0
@@ -72,6 +75,9 @@ class Session:
         self.run_path: Path | None = None
         self.finished: list[Path] = []
         """Run files of this session that were done to the end, oldest first."""
+        self._pressed_by: set[str] = set()
+        self._page_heard_s = 0.0
+        self._why = ""
         self._child: asyncio.subprocess.Process | None = None
         self._line: socket.socket | None = None
         self._ended: Ended | None = None
@@ -83,10 +89,24 @@ class Session:
         """A recorder process exists."""
         return self.phase in RUNNING
 
-    async def start(self, plan: Path) -> None:
-        """Start a recorder on `plan`; does nothing while one runs or the emergency stop is latched."""
+    @property
+    def latched(self) -> bool:
+        """The emergency stop was pressed and not released."""
+        return bool(self._pressed_by)
+
+    def page_heard(self) -> None:
+        """Somebody has a page open, in front of them."""
+        self._page_heard_s = time.monotonic()
+
+    async def start(self, plan: Path, unattended: bool = False) -> None:
+        """Start a recorder on `plan`; does nothing while one runs or the emergency stop is latched.
+
+        It stops when no page is heard any more, unless it is `unattended` on purpose.
+        """
         if self.running or self.latched:
             return
+        self.unattended, self._why = unattended, ""
+        self.page_heard()
         self.phase, self.words, self.motor = Phase.OPENING, f"Plan {plan.name}", ""
         self.status, self._ended, self._heard = None, None, False
         self.rows.clear()
@@ -112,16 +132,19 @@ class Session:
             self._keep(self._kill_late(self._child))
         self._keep(self._follow(self._child, ours, path))
         self._keep(self._beat(ours))
+        if not unattended:
+            self._keep(self._watch_pages(ours))
 
-    def stop(self) -> None:
-        """Ask for a controlled stop: the torque ramps down in a tenth of a second."""
+    def stop(self, why: str = "") -> None:
+        """Ask for a controlled stop: the torque ramps down in a tenth of a second. `why`: if nobody asked for it."""
         if self.running and self.phase is not Phase.STOPPING:
+            self._why = why
             self.phase, self.words = Phase.STOPPING, "The torque ramps down."
             self._send(STOP)
 
-    def emergency(self) -> None:
-        """Torque off at once; nothing starts until `release`."""
-        self.latched = True
+    def emergency(self, who: str = "") -> None:
+        """Torque off at once; nothing starts until `release` by whoever pressed, a random name or empty."""
+        self._pressed_by.add(who)
         if not self.running:
             self.phase, self.words = Phase.EMERGENCY, "No recording was running. Nothing starts until you release it."
             return
@@ -130,10 +153,24 @@ class Session:
         if self._child is not None:
             self._keep(self._kill_late(self._child))
 
-    def release(self) -> None:
-        """Allow starting again."""
-        if self.latched and not self.running:
-            self.latched, self.phase, self.words = False, Phase.IDLE, READY
+    def release(self, who: str, at_machine: bool = False) -> bool:
+        """Allow starting again; False where neither this one pressed nor the machine's own screen asks.
+
+        Where several have pressed, each has to release.
+        """
+        if not self.latched or self.running:
+            return True
+        if at_machine:
+            self._pressed_by.clear()
+        elif who and who in self._pressed_by:
+            self._pressed_by.remove(who)
+        else:
+            return False
+        if self.latched:
+            self.words = "Somebody else has pressed it, too."
+        else:
+            self.phase, self.words = Phase.IDLE, READY
+        return True
 
     async def close(self) -> None:
         """The dashboard ends: so does its recorder, in a controlled way first."""
@@ -191,6 +228,8 @@ class Session:
         if ended.kind == "done":
             self.finished.append(path)
             self.words = f"{path.name} is recorded to its end."
+        elif self._why and ended.why.startswith("stopped by the dashboard"):
+            self.words = self._why
         else:
             self.words = f"{ended.why[:1].upper()}{ended.why[1:]}.".replace(f"{self.out}/", "")
 
@@ -199,6 +238,14 @@ class Session:
         while self._line is line:
             self._send(ALIVE)
             await asyncio.sleep(BEAT_S)
+
+    async def _watch_pages(self, line: socket.socket) -> None:
+        """Stop the run when nobody looks at it any more."""
+        while self._line is line:
+            if time.monotonic() - self._page_heard_s > PAGE_SILENT_S:
+                self.stop(f"Stopped: no page was open in front of anybody for {PAGE_SILENT_S:g} s.")
+                return
+            await asyncio.sleep(LOOK_S)
 
     async def _kill_late(self, child: asyncio.subprocess.Process) -> None:
         await asyncio.sleep(KILL_AFTER_S)

@@ -10,13 +10,28 @@ from drivers.mock.link import EmulatorLink
 from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings
-from drivers.protocol import Hello, Pong, State, Telemetry
+from drivers.protocol import (
+    DriveLimits,
+    Fault,
+    Feature,
+    Hello,
+    Pong,
+    State,
+    Telemetry,
+    TimedCommand,
+    TorqueCommand,
+    encode,
+)
 from drivers.serial_link import SerialLink
 
 STOP = bytes.fromhex("00 04 03 93 D1 00")  # firmware_protocol.md, section 9, behind a delimiter
 ARM_100 = bytes.fromhex("03 02 64 03 12 65 00")
+LIMITS_REQUEST = bytes.fromhex("04 08 F8 60 00")
 HELLO_REQUEST = bytes.fromhex("04 05 55 B1 00")
 HELLO = bytes.fromhex("03 82 01 09 CD AB 34 12 F4 01 50 C3 01 04 80 84 1E 05 E8 03 79 48 00")
+
+
+TELEMETRY = Telemetry(77, 0, 1, 0, 0.0, 0.0, 0.0, 0.0, 24.0, 30.5, 0.0)
 
 
 class ScriptLink:
@@ -94,7 +109,7 @@ def test_bytes_of_arming_and_of_closing() -> None:
     controller.arm(100)
     controller.close()
     controller.close()
-    assert link.written[2:] == [ARM_100, STOP]
+    assert link.written[2:] == [LIMITS_REQUEST, ARM_100, STOP]
     assert link.closed == 1
 
 
@@ -165,6 +180,38 @@ def test_every_way_out_stops_the_motor(driven: Bench, leave) -> None:
     leave(driven)
     assert driven.acting_after(0.02).max() < 1e-6
     assert driven.rig.firmware.drive.state == State.DISARMED
+
+
+def test_commands_that_lay_in_a_buffer_move_nothing(driven: Bench) -> None:
+    """A hub that holds everything back for 5 s, then hands it over at once, in order."""
+    held: list[bytes] = []
+    write, driven.link.write = driven.link.write, held.append  # type: ignore[method-assign]
+    driven.run(0.03, 1.0)
+    driven.clock.sleep(5.0)
+    driven.rig.advance_to(driven.clock.now_ns())
+    assert driven.rig.firmware.drive.latched == Fault.WATCHDOG
+    driven.link.write = write  # type: ignore[method-assign]
+    driven.controller.clear_faults()
+    driven.run(0.01)
+    driven.controller.arm(100)  # before what was held back comes
+    for data in held:
+        driven.link.write(data)
+    driven.controller.telemetry = None
+    driven.run(0.05)
+    assert len(held) > 10 and driven.rig.firmware.drive.late >= len(held)
+    assert driven.controller.armed and driven.rig.firmware.drive.torque_nm == 0.0
+
+
+def test_firmware_that_does_not_know_timed_commands_gets_plain_ones() -> None:
+    link = ScriptLink(HELLO, encode(TELEMETRY))
+    controller = LegController(link, link.now_ns)
+    controller.open(1.0)
+    controller.poll()
+    controller.command(0.25)
+    link.answers.append(encode(DriveLimits(int(Feature.TIMED_COMMANDS), 0, 40.0, -1.0, 1.0)))
+    controller.poll()
+    controller.command(0.25)
+    assert link.written[2:] == [encode(TorqueCommand(0, 0.25)), encode(TimedCommand(1, 0.25, 77))]
 
 
 def test_unplugged_is_link_lost_and_the_watchdog_stops_the_motor(driven: Bench) -> None:

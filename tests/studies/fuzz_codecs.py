@@ -18,8 +18,8 @@ from drivers.protocol import Decoder, Fault, FaultReport, Hello, Message, Pong, 
 
 TELEMETRY = Telemetry(0, 0, 1, 0, 0.0, 0.0, 0.0, 0.0, 24.0, 30.5, 0.125)
 CRC_ODDS = 2.0**-16
-ALIKE_ODDS = (8 + 3 / 2**8) / 2**11 / 9
-"""That noise on CAN, where nothing but CAN's own CRC keeps it out, has identifier and length of one of the eight
+ALIKE_ODDS = (10 + 3 / 2**8) / 2**11 / 9
+"""That noise on CAN, where nothing but CAN's own CRC keeps it out, has identifier and length of one of the ten
 messages of one frame, or those and the tag of a part that is awaited."""
 
 
@@ -51,7 +51,8 @@ def message(rng: np.random.Generator, k: int) -> Message:
     if kind == 1:
         return Pong(k % 65536, k, (k + 20) % 2**32)
     if kind == 2:
-        return FaultReport(k, int(rng.choice([f.value for f in Fault])), 1, angle)
+        fault = int(rng.choice([f.value for f in Fault]))
+        return FaultReport(k, fault, fault | 1, angle)
     return replace(TELEMETRY, seq=k % 65536, tick_us=k, knee_rad=angle, pivot_hall_rad=-angle, current_a=angle)
 
 

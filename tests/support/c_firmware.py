@@ -1,12 +1,14 @@
 """The reference firmware core, compiled with the system's C compiler, and the same scripts for it and the emulator."""
 
 import functools
+import math
 import queue
 import shutil
 import subprocess
 import tempfile
 import threading
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,10 +16,10 @@ import pytest
 
 from drivers.can_codec import CanCodec, CanFrame, Frames
 from drivers.mock.clock import VirtualClock
-from drivers.mock.plant import StillPlant, StillState
+from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings
-from drivers.protocol import Decoder
+from drivers.protocol import Decoder, Reaction
 from tests.support.paths import ROOT
 
 SOURCES = ROOT / "drivers" / "mock" / "firmware"
@@ -100,13 +102,19 @@ class Answer(NamedTuple):
     state: int
     torque_unm: int
     dropped: tuple[int, int, int]
+    late: int = 0
+
+
+MICRO_COUNTS = round(2e6 * math.pi)
+"""Of an encoder that counts 1e-6 rad."""
 
 
 def emulate(script: Iterable[Event], end_us: int, node: int | None = None) -> tuple[Answer, list[int]]:
     """The Python emulator's answer, and the boot ids that it drew; on CAN with a node, a frame a line."""
     clock = VirtualClock(0)
     settings = FirmwareSettings(current_noise_a=0.0, hall_noise_rad=0.0, clock_error_ppm=0.0, current_loop_s=0.0,
-                                bus_resistance_ohm=0.0, heating_degc_per_a2=0.0, heating_time_s=1e15)
+                                bus_resistance_ohm=0.0, heating_degc_per_a2=0.0, heating_time_s=1e15,
+                                encoder_counts=MICRO_COUNTS, hall_counts=MICRO_COUNTS, brake_nms_per_rad=0.0)
     plant = StillPlant()
     rig = MockRig(plant, clock, firmware=settings, seed=3, codec=Decoder if node is None else lambda: CanCodec(node))
     firmware, boots, sent = rig.firmware, [rig.firmware.boot_id], b""
@@ -131,7 +139,7 @@ def emulate(script: Iterable[Event], end_us: int, node: int | None = None) -> tu
     run_to(end_us)
     drive, codec = firmware.drive, firmware.codec
     return Answer(sent, int(drive.state), round(drive.torque_nm * 1e6),
-                  (codec.bad_crc, codec.bad_length, codec.unknown)), boots
+                  (codec.bad_crc, codec.bad_length, codec.unknown), drive.late), boots
 
 
 def as_bytes(chunk: bytes | Frames) -> bytes:
@@ -142,16 +150,24 @@ def as_bytes(chunk: bytes | Frames) -> bytes:
 def change(plant: StillPlant, firmware, event: Event) -> None:
     """A reading of the emulator set by hand."""
     name, value = event.what, event.value
+    lost = value == -(2**31)
     if name == "knee_speed":
-        plant.state = StillState(q2d=value * 1e-6)
+        plant.state = replace(plant.state, q2d=math.nan if lost else value * 1e-6)
+    elif name == "angle":
+        plant.state = replace(plant.state, q2=value * 1e-6)
     elif name == "bus_mv":
-        firmware.bus_v = value * 1e-3
+        firmware.bus_v = math.nan if value == 65535 else value * 1e-3
     elif name == "motor_cdegc":
-        firmware.motor_degc = value * 1e-2
+        firmware.motor_degc = math.nan if value == -(2**15) else value * 1e-2
+    elif name == "current":
+        firmware.current_ok = not lost
+    elif name == "estop":
+        firmware.estop_open = bool(value)
+    elif name == "reaction":
+        firmware.settings = firmware.drive._settings = replace(firmware.settings, reaction=Reaction(value))
     elif name == "gate_driver":
         firmware.gate_driver_ok = not value
     else:
-        lost = value == -(2**31)
         setattr(firmware, {"knee": "knee_encoder_ok", "knee_hall": "knee_hall_ok",
                            "pivot_hall": "pivot_hall_ok"}[name], not lost)
 
@@ -163,13 +179,16 @@ def run_core(script: Iterable[Event], end_us: int, boots: list[int], node: int |
     for event in script:
         what = {"rx": event.what, "set": f"{event.what} {event.value}"}.get(event.verb)
         lines.append(f"{event.t_us} {event.verb} {what if what is not None else next(left)}")
-    lines.append(f"{end_us} end")
-    words = [str(host_program()), "script", *([] if node is None else [str(node)])]
-    done = subprocess.run(words, input="\n".join(lines) + "\n", capture_output=True, text=True,
-                          check=True)
-    *frames, counts, torque = done.stdout.splitlines()
+    frames, counts, (state, torque_unm, *_) = run_script([*lines, f"{end_us} end"], node)
     of_boot_1 = 1 if node is None else 3  # the Hello before the script's own boot
-    sent = b"".join(bytes.fromhex(line.split()[1]) for line in frames[of_boot_1:])
-    bad_crc, bad_length, unknown = map(int, counts.split()[1:])
-    state, torque_unm = map(int, torque.split()[1:])
-    return Answer(sent, state, torque_unm, (bad_crc, bad_length, unknown))
+    bad_crc, bad_length, unknown, late = counts
+    return Answer(b"".join(frames[of_boot_1:]), state, torque_unm, (bad_crc, bad_length, unknown), late)
+
+
+def run_script(lines: Iterable[str], node: int | None = None) -> tuple[list[bytes], list[int], list[int]]:
+    """leg_host's (frames sent, counts, [state, torque, bridge, kicks]) after a script."""
+    words = [str(host_program()), "script", *([] if node is None else [str(node)])]
+    done = subprocess.run(words, input="\n".join(lines) + "\n", capture_output=True, text=True, check=True)
+    *frames, counts, torque = done.stdout.splitlines()
+    return ([bytes.fromhex(line.split()[1]) for line in frames],
+            [int(word) for word in counts.split()[1:]], [int(word) for word in torque.split()[1:]])

@@ -5,11 +5,15 @@
  *                     With NODE on CAN: HEX is then one frame, its identifier in two bytes first
  *   leg_host pty [HZ] serves a pseudo-terminal in real time; prints its path, then a line whenever state or torque
  *                     changes: MONOTONIC_US STATE TORQUE_UNM FAULTS VALUE, the value being that of the last fault
+ *   leg_host examine  reads lines NAME VALUE, prints what leg_examine says of the configuration with that change
  *
  * A script's lines, times in us and not decreasing, multiples of 500 except for rx:
- *   T rx HEX          bytes come in          T set NAME VALUE   a reading changes
+ *   T rx HEX          bytes come in          T set NAME VALUE   a reading changes, see set()
  *   T reboot BOOT_ID  power cycle            T end              nothing after it
- * Output: T HEX for each frame; at the end "counts BAD_CRC BAD_LENGTH UNKNOWN" and "torque STATE TORQUE_UNM".
+ *   T stall poll 1    leg_poll is not called any more, or leg_sample, or leg_torque_unm
+ *   T jump T2         the clock is T2 at once; nothing was called meanwhile
+ * Output: T HEX for each frame; at the end "counts BAD_CRC BAD_LENGTH UNKNOWN LATE" and
+ * "torque STATE TORQUE_UNM BRIDGE KICKS".
  * POSIX; not part of the firmware. */
 #define _XOPEN_SOURCE 600
 #include <fcntl.h>
@@ -38,9 +42,15 @@ typedef struct {
     uint64_t boot_us, now_us; /* in the host's time */
     int terminal;
     int node; /* on CAN; -1 on a serial line */
+    int32_t angle_urad;
+    bool estop_open, knee_lost, hall_lost, current_lost, no_poll, no_sample, no_torque;
+    uint32_t kicks;
 } board;
 
-static const leg_config CONFIG = {500, 50000, 2000000, 1000, 30000000, 9000, 18000, 30000, 40000000};
+static const leg_config CONFIG = {
+    500, 50000, 2000000, 1000, 30000000, 9000, 18000, 30000, 40000000, 32000000, -6280000, 6280000, 300000,
+    LEG_LIMP, 20000, 2000, 1500000, 500
+};
 static const leg_sensors STILL = {0, 0, 0, 0, 24000, 2500, 0, false};
 
 static uint32_t tick(const board *b)
@@ -63,6 +73,16 @@ static uint32_t scripted_tick(void *user)
 static uint32_t real_tick(void *user)
 {
     return (uint32_t)(monotonic_us() - ((board *)user)->boot_us);
+}
+
+static bool estop_open(void *user)
+{
+    return ((board *)user)->estop_open;
+}
+
+static void kick(void *user)
+{
+    ((board *)user)->kicks++;
 }
 
 static void print_line(const board *b, const uint8_t *data, size_t size)
@@ -100,23 +120,29 @@ static void write_message(void *user, const uint8_t *message, size_t size)
 
 static void boot(board *b, uint32_t boot_id, void (*send_to)(void *, const uint8_t *, size_t))
 {
-    leg_port port = {b, send_to, b->terminal ? real_tick : scripted_tick};
+    leg_port port = {b, send_to, b->terminal ? real_tick : scripted_tick, estop_open, kick};
     b->boot_us = b->now_us;
     b->impulse = 0;
     b->steps = 0;
-    leg_init(&b->core, &b->config, &port, boot_id, tick(b));
+    if (leg_init(&b->core, &b->config, &port, boot_id, tick(b)) != LEG_ACCEPTED)
+        exit(2);
 }
 
 /* One step of the world: watchdog, torque, and at its end the sample that is due. Torque constant: 1 N m/A. */
 static void step(board *b)
 {
     uint32_t period_us = 1000000u / b->config.telemetry_hz;
-    leg_poll(&b->core, tick(b));
-    b->impulse += (int64_t)leg_torque_unm(&b->core) * STEP_US;
+    if (!b->no_poll)
+        leg_poll(&b->core, tick(b));
+    if (!b->no_torque)
+        b->impulse += (int64_t)leg_torque_unm(&b->core, tick(b)) * STEP_US;
     b->steps++;
     b->now_us += STEP_US;
-    if (tick(b) % period_us == 0) {
-        b->sensors.current_ua = (int32_t)(b->impulse / ((int64_t)b->steps * STEP_US));
+    if (tick(b) % period_us == 0 && !b->no_sample) {
+        int64_t mean_ua = b->impulse / ((int64_t)b->steps * STEP_US);
+        b->sensors.current_ua = b->current_lost ? LEG_INVALID32 : (int32_t)mean_ua;
+        b->sensors.knee_urad = b->knee_lost ? LEG_INVALID32 : b->angle_urad;
+        b->sensors.knee_hall_urad = b->hall_lost ? LEG_INVALID32 : b->angle_urad;
         leg_sample(&b->core, &b->sensors, tick(b));
         b->impulse = 0;
         b->steps = 0;
@@ -140,15 +166,70 @@ static void receive(board *b, const uint8_t *bytes, size_t size)
 
 static int set(board *b, const char *name, long value)
 {
-    if (!strcmp(name, "knee")) b->sensors.knee_urad = (int32_t)value;
+    if (!strcmp(name, "knee")) b->knee_lost = value == LEG_INVALID32;
+    else if (!strcmp(name, "knee_hall")) b->hall_lost = value == LEG_INVALID32;
+    else if (!strcmp(name, "angle")) b->angle_urad = (int32_t)value;
+    else if (!strcmp(name, "current")) b->current_lost = value == LEG_INVALID32;
+    else if (!strcmp(name, "estop")) b->estop_open = value != 0;
+    else if (!strcmp(name, "reaction")) b->config.reaction = b->core.config.reaction = (leg_reaction)value;
     else if (!strcmp(name, "pivot_hall")) b->sensors.pivot_hall_urad = (int32_t)value;
-    else if (!strcmp(name, "knee_hall")) b->sensors.knee_hall_urad = (int32_t)value;
     else if (!strcmp(name, "bus_mv")) b->sensors.bus_mv = (uint16_t)value;
     else if (!strcmp(name, "motor_cdegc")) b->sensors.motor_cdegc = (int16_t)value;
     else if (!strcmp(name, "knee_speed")) b->sensors.knee_speed_uradps = (int32_t)value;
     else if (!strcmp(name, "gate_driver")) b->sensors.gate_driver_fault = value != 0;
     else return 0;
     return 1;
+}
+
+static int stall(board *b, const char *what, long value)
+{
+    if (!strcmp(what, "poll")) b->no_poll = value != 0;
+    else if (!strcmp(what, "sample")) b->no_sample = value != 0;
+    else if (!strcmp(what, "torque")) b->no_torque = value != 0;
+    else return 0;
+    return 1;
+}
+
+/* One number of a configuration changed by name. */
+static int configure(leg_config *c, leg_port *port, const char *name, long value)
+{
+    if (!strcmp(name, "none")) return 1;
+    if (!strcmp(name, "telemetry_hz")) c->telemetry_hz = (uint16_t)value;
+    else if (!strcmp(name, "gear_ratio")) c->gear_ratio_milli = (uint32_t)value;
+    else if (!strcmp(name, "torque_limit")) c->torque_limit_unm = (int32_t)value;
+    else if (!strcmp(name, "watchdog_ms")) c->watchdog_limit_ms = (uint16_t)value;
+    else if (!strcmp(name, "current_limit")) c->current_limit_ua = (int32_t)value;
+    else if (!strcmp(name, "temperature_limit")) c->temperature_limit_cdegc = (int16_t)value;
+    else if (!strcmp(name, "undervoltage")) c->undervoltage_mv = (uint16_t)value;
+    else if (!strcmp(name, "overvoltage")) c->overvoltage_mv = (uint16_t)value;
+    else if (!strcmp(name, "speed_limit")) c->speed_limit_uradps = (int32_t)value;
+    else if (!strcmp(name, "speed_derate")) c->speed_derate_uradps = (int32_t)value;
+    else if (!strcmp(name, "position_min")) c->position_min_urad = (int32_t)value;
+    else if (!strcmp(name, "position_max")) c->position_max_urad = (int32_t)value;
+    else if (!strcmp(name, "position_derate")) c->position_derate_urad = (int32_t)value;
+    else if (!strcmp(name, "reaction")) c->reaction = (leg_reaction)value;
+    else if (!strcmp(name, "hold_torque")) c->reaction = LEG_HOLD, c->hold_torque_unm = (int32_t)value;
+    else if (!strcmp(name, "hold_ms")) c->reaction = LEG_HOLD, c->hold_ms = (uint16_t)value;
+    else if (!strcmp(name, "no_kick")) port->kick = NULL;
+    else if (!strcmp(name, "no_estop")) port->estop_open = NULL;
+    else return 0;
+    return 1;
+}
+
+static int run_examine(board *b)
+{
+    char name[32];
+    long value;
+    while (scanf("%31s %ld", name, &value) == 2) {
+        leg_config config = CONFIG;
+        leg_port port = {b, write_message, scripted_tick, estop_open, kick};
+        if (!configure(&config, &port, name, value))
+            return 2;
+        printf("%d\n", (int)leg_init(&b->core, &config, &port, 1, 0));
+        leg_poll(&b->core, 0); /* a refused core does nothing, and does no harm */
+        leg_sample(&b->core, &STILL, 0);
+    }
+    return 0;
 }
 
 static size_t unhex(const char *text, uint8_t *out)
@@ -182,6 +263,11 @@ static int run_script(board *b)
         } else if (!strcmp(verb, "set") && sscanf(line, "%*s %*s %31s %ld", name, &value) == 2) {
             if (!set(b, name, value))
                 return 2;
+        } else if (!strcmp(verb, "stall") && sscanf(line, "%*s %*s %31s %ld", name, &value) == 2) {
+            if (!stall(b, name, value))
+                return 2;
+        } else if (!strcmp(verb, "jump") && sscanf(line, "%*s %*s %" SCNu64, &b->now_us) == 1) {
+            continue;
         } else if (!strcmp(verb, "reboot") && sscanf(line, "%*s %*s %ld", &value) == 1) {
             boot(b, (uint32_t)value, print_message);
         } else if (!strcmp(verb, "end")) {
@@ -190,8 +276,10 @@ static int run_script(board *b)
             return 2;
         }
     }
-    printf("counts %" PRIu32 " %" PRIu32 " %" PRIu32 "\n", b->core.bad_crc, b->core.bad_length, b->core.unknown);
-    printf("torque %d %" PRId32 "\n", (int)b->core.state, leg_torque_unm(&b->core));
+    printf("counts %" PRIu32 " %" PRIu32 " %" PRIu32 " %" PRIu32 "\n", b->core.bad_crc, b->core.bad_length,
+           b->core.unknown, b->core.late);
+    printf("torque %d %" PRId32 " %d %" PRIu32 "\n", (int)b->core.state, leg_torque_unm(&b->core, tick(b)),
+           (int)leg_bridge_now(&b->core, tick(b)), b->kicks);
     return 0;
 }
 
@@ -230,11 +318,12 @@ static int serve(board *b)
         now_us = monotonic_us();
         while (b->now_us <= now_us)
             step(b);
-        if ((int)b->core.state != state || leg_torque_unm(&b->core) != torque) {
+        if ((int)b->core.state != state || leg_torque_unm(&b->core, tick(b)) != torque) {
             state = (int)b->core.state;
-            torque = leg_torque_unm(&b->core);
+            torque = leg_torque_unm(&b->core, tick(b));
             printf("%" PRIu64 " %d %" PRId32 " %u %" PRId32 "\n", monotonic_us(), state, torque,
-                   (unsigned)b->core.latched, b->core.latched_value[b->core.latched_count ? b->core.latched_count - 1 : 0]);
+                   (unsigned)b->core.latched,
+                   b->core.latched_value[b->core.latched_count ? b->core.latched_count - 1 : 0]);
         }
     }
 }
@@ -249,10 +338,12 @@ int main(int argc, char **argv)
         b.node = atoi(argv[2]);
     if (argc >= 2 && !strcmp(argv[1], "script"))
         return run_script(&b);
+    if (argc == 2 && !strcmp(argv[1], "examine"))
+        return run_examine(&b);
     if (argc == 3 && !strcmp(argv[1], "pty"))
         b.config.telemetry_hz = (uint16_t)atoi(argv[2]);
     if (argc >= 2 && !strcmp(argv[1], "pty") && b.config.telemetry_hz && 2000 % b.config.telemetry_hz == 0)
         return serve(&b);
-    fputs("usage: leg_host script [NODE] | pty [HZ, a divisor of 2000]\n", stderr);
+    fputs("usage: leg_host script [NODE] | examine | pty [HZ, a divisor of 2000]\n", stderr);
     return 2;
 }

@@ -21,6 +21,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--host", default="127.0.0.1",
                         help="address to listen on; any but this machine's own makes a token, printed with the "
                              "address; default: 127.0.0.1")
+    parser.add_argument("--token", action="store_true",
+                        help="ask for a token on this machine, too, where others have accounts")
     parser.add_argument("--port", type=_port, default=8080, help="default: 8080; 0 takes any that is free")
     parser.set_defaults(run=run)
 
@@ -49,5 +51,6 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         path = stack.enter_context(started_demo_rig(out / "rig")) if args.demo else Path(args.rig).absolute()
         rig = load_rig(path)
-        serve(path, rig, Path(args.plans).absolute() if args.plans else path.parent, out, args.host, args.port)
+        serve(path, rig, Path(args.plans).absolute() if args.plans else path.parent, out, args.host, args.port,
+              args.token)
     return 0

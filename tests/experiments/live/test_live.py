@@ -311,6 +311,18 @@ def test_without_a_token_only_this_machines_own_names_are_served(rig: Rig) -> No
         assert "connect-src 'self'" in answer.headers["content-security-policy"]
 
 
+def test_a_report_cannot_act_and_a_token_can_be_had_on_this_machine(rig: Rig) -> None:
+    (rig.out / "evil.html").write_text("<script>fetch('/release', {method: 'POST'})</script>")
+    with urllib.request.urlopen(f"{rig.live.url}report/evil.html", timeout=10) as answer:
+        policies = answer.headers.get_all("content-security-policy")
+    assert any(policy.startswith("sandbox;") and "allow" not in policy for policy in policies)
+    with rig.start("--token") as live:
+        parts = urlsplit(live.url)
+        assert parts.query.startswith("token=")
+        assert status(f"http://127.0.0.1:{parts.port}/") == 403
+        assert status(f"http://127.0.0.1:{parts.port}/here", b"") == 403
+
+
 def test_the_demo_brings_its_own_rig_and_takes_it_away(tmp_path: Path) -> None:
     with Live("--demo", "--out", str(tmp_path)) as live:
         assert status(live.url) == 200

@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -63,16 +64,25 @@ class Bench:
     def record(self, happens: Callable[[float, Remote], None] = lambda now_s, remote: None) -> None:
         """Under `watched_by`, as the command does it; `happens` is called before every command of the plan."""
         descriptor = self.line.detach()
+        self.beating = True
+        threading.Thread(target=self._beat, daemon=True).start()
         with watched_by(descriptor) as remote:
             assert remote is not None
 
             def progress(now_s: float, _: float) -> None:
-                with suppress(OSError):  # a test may have closed it
-                    self.watcher.send(ALIVE)  # by the machine's clock this may take long
                 happens(now_s, remote)
 
             record_run(self.path, parse_rig(RIG), RIG, self.plan, self.imu, self.controller, self.clock.now_ns,
                        threaded=False, progress=progress, remote=remote)
+
+    def _beat(self) -> None:
+        with suppress(OSError):  # a test may have closed it
+            while True:
+                if self.beating:
+                    with suppress(BlockingIOError):
+                        self.watcher.send(ALIVE)
+                self.beat_ns = time.monotonic_ns() if self.beating else self.beat_ns
+                time.sleep(0.02)
 
     def read(self) -> list[Status | Heard | Ended]:
         """Everything that the watcher was told."""
@@ -179,6 +189,26 @@ def test_a_watcher_that_has_gone_ends_the_run(tmp_path: Path) -> None:
     assert bench.mock.firmware.drive.torque_nm == 0.0
 
 
+def test_a_watcher_that_hangs_costs_the_torque_at_once(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    stopped_ns: list[int] = []
+    stop = bench.controller.stop
+    bench.controller.stop = lambda: (stopped_ns.append(time.monotonic_ns()), stop())[1]  # type: ignore[method-assign]
+
+    def happens(now_s: float, remote: Remote) -> None:
+        if now_s > 0.5 and not remote.asked:
+            bench.beating = False
+            until(lambda: remote.asked)
+
+    with pytest.raises(WorkError, match="silence of the dashboard"):
+        bench.record(happens)
+    assert (stopped_ns[0] - bench.beat_ns) * 1e-9 < 0.2
+    ended = bench.read()[-1]
+    assert isinstance(ended, Ended) and ended.kind == "stopped" and "torque off" in ended.motor
+    commanded = read_run(bench.path).streams["/leg/command"]["torque_nm"]
+    assert not ((commanded > 0) & (commanded < 0.4)).any()  # no ramp
+
+
 def test_a_limit_and_a_lost_device_are_told_apart(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
 
@@ -278,6 +308,20 @@ def test_a_fit_in_one_line() -> None:
     document = {"iterations": 8, "samples": 2000, "torque_residual_rms_nm": [0.01, 0.0203], "undetermined": ["beta4"]}
     assert fit_verdict(document) == ("Converged in 8 iterations on 2000 samples; not determined: beta4; torque "
                                      "residual by joint 0.01, 0.0203 N m rms.")
+
+
+def test_only_who_pressed_releases_or_somebody_at_the_machine(tmp_path: Path) -> None:
+    session = Session(tmp_path / "rig.toml", tmp_path)
+    session.emergency("a1")
+    assert session.latched and session.phase is Phase.EMERGENCY
+    assert not session.release("b2") and not session.release("") and session.latched
+    session.emergency("b2")
+    assert session.release("b2") and session.latched  # the other has pressed, too
+    assert session.release("a1") and not session.latched
+    assert session.phase is Phase.IDLE
+    session.emergency()
+    assert not session.release("") and session.latched
+    assert session.release("", at_machine=True) and not session.latched
 
 
 # -- who may look in -----------------------------------------------------------------------------------------------

@@ -1,0 +1,164 @@
+"""The example port, built by the cross compiler and run in QEMU: its UART, its button, its memory."""
+
+import functools
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pytest
+
+from daq.recording.workers import REAL_TIME_PRIORITY
+from tests.support.c_firmware import SOURCES
+
+CC, QEMU = "arm-none-eabi-gcc", "qemu-system-arm"
+PORT = SOURCES / "port_lm3s6965"
+CORE = [SOURCES / f"leg_{part}.c" for part in ("core", "config", "codec")]
+STRICT = ["-mthumb", "-std=c99", "-O2", "-ffreestanding", "-Wall", "-Wextra", "-Werror"]
+HANG, RETURN = b"\xfe\xe7", b"\x70\x47"
+"""Thumb: `b .`, `bx lr`."""
+PATIENCE_S = 20.0
+
+
+def needs(*programs: str) -> None:
+    """Skips the test where one of them is not installed."""
+    for program in programs:
+        if shutil.which(program) is None:
+            pytest.skip(f"no {program} here: Debian packages gcc-arm-none-eabi, qemu-system-arm")
+
+
+@functools.cache
+def elf() -> Path:
+    """The port, built once a process."""
+    needs(CC)
+    out = Path(tempfile.mkdtemp(prefix="leg_port_")) / "port.elf"
+    subprocess.run([CC, "-mcpu=cortex-m3", *STRICT, "-nostdlib", "-T", PORT / "lm3s6965.ld", "-o", out,
+                    *sorted(PORT.glob("*.c")), *CORE, "-lgcc"], check=True)
+    return out
+
+
+@functools.cache
+def symbols() -> dict[str, int]:
+    """Addresses by name."""
+    lines = subprocess.run(["arm-none-eabi-nm", elf()], capture_output=True, text=True, check=True).stdout.splitlines()
+    return {name: int(address, 16) & ~1 for address, _, name in (line.split() for line in lines)}
+
+
+@contextmanager
+def ahead_of_everything() -> Iterator[None]:
+    """What is started meanwhile has a processor whenever it wants one, as a board has; skips where that is refused."""
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(4 * REAL_TIME_PRIORITY))
+    except OSError:
+        pytest.skip("no right to real-time priority here: the board's own watchdog would bite")
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)
+
+
+class Board:
+    """One board, powered up; ahead of other programs where that is granted, for its watchdog knows no excuse."""
+
+    def __init__(self) -> None:
+        needs(CC, QEMU)
+        self._places = Path(tempfile.mkdtemp(prefix="leg_qemu_"))
+        words = [QEMU, "-M", "lm3s6965evb", "-kernel", elf(), "-display", "none", "-monitor", "none", "-serial", "pty",
+                 "-qmp", f"unix:{self._places}/qmp,server=on,wait=off",
+                 "-gdb", f"unix:{self._places}/gdb,server=on,wait=off"]
+        with ahead_of_everything():
+            self._child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        assert self._child.stdout is not None
+        said = re.search(r"/dev/\S+", self._child.stdout.readline())
+        assert said is not None
+        self.path = said[0]
+        """The UART's port."""
+        self.resets = 0
+        """Since power-up; only the hardware watchdog makes them."""
+        self._line = self._connect("qmp").makefile("rw")
+        self._line.readline()
+        self._do("qmp_capabilities")
+
+    def _connect(self, name: str) -> socket.socket:
+        line = socket.socket(socket.AF_UNIX)
+        self._until(lambda: (self._places / name).exists())
+        line.connect(str(self._places / name))
+        return line
+
+    @staticmethod
+    def _until(condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline
+            time.sleep(0.002)
+
+    def _do(self, what: str, **arguments: Any) -> Any:
+        self._line.write(json.dumps({"execute": what, "arguments": arguments}) + "\n")
+        self._line.flush()
+        while True:
+            answer = json.loads(self._line.readline())
+            self.resets += answer.get("event") == "RESET"
+            if "return" in answer:
+                return answer["return"]
+            assert "event" in answer, answer
+
+    def estop(self, pressed: bool) -> None:
+        """Press or release the button. After power-up the emulated pin is low, as if pressed, until a change."""
+        for down in ([True] if pressed else [True, False]):
+            key = {"type": "key", "data": {"down": down, "key": {"type": "qcode", "data": "ctrl"}}}
+            self._do("input-send-event", events=[key])
+
+    def bridge_nm(self) -> float:
+        """Torque that the bridge is given now, out of the board's memory [N m]."""
+        said = self._do("human-monitor-command", **{"command-line": f"xp /1wd {symbols()['bridge_torque_unm']:#x}"})
+        return int(said.split()[-1]) * 1e-6
+
+    def zero_after_s(self, from_s: float, patience_s: float = 2.0) -> float:
+        """Time from then until the bridge was last asked and had a torque [s]; who asks may be late, not the board."""
+        last_s = asked_s = time.monotonic()
+        while self.bridge_nm():
+            assert asked_s < from_s + patience_s, "still driven"
+            last_s, asked_s = asked_s, time.monotonic()
+        return last_s - from_s
+
+    def patch(self, function: str, code: bytes) -> bytes:
+        """Put other code where a function begins, as a debugger does; returns what stood there. Resets keep it."""
+        place = f"{symbols()[function]:x},{len(code):x}"
+        with self._connect("gdb") as line:  # which halts the board
+            before, _, _ = (self._debug(line, packet) for packet in (f"m{place}", f"M{place}:{code.hex()}", "D"))
+        return bytes.fromhex(before)
+
+    @staticmethod
+    def _debug(line: socket.socket, packet: str) -> str:
+        line.sendall(f"${packet}#{sum(packet.encode()) % 256:02x}".encode())
+        got = b""
+        while True:
+            got += line.recv(256)
+            replies = [part.partition(b"#")[0].decode() for part in got.split(b"$")[1:] if b"#" in part[:-2]]
+            wanted = [reply for reply in replies if not reply.startswith("T")]  # T: that it has halted
+            if wanted:
+                line.sendall(b"+" * len(replies))
+                return wanted[0]
+
+    def close(self) -> None:
+        """Power off."""
+        self._child.kill()
+        self._child.wait()
+        shutil.rmtree(self._places)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
