@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import threading
 import time
 from collections import defaultdict
@@ -15,6 +16,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
@@ -25,9 +28,14 @@ from daq.runs.streams import CDR_HEADER, NOTE_SCHEMA, NOTE_TEXT, NOTE_TOPICS, ST
 
 FLUSH_MESSAGES = 250
 SYNC_EVERY_S = 1.0
+WATCH_EVERY_S = 0.02
+"""How often the file is looked at while it is written: a run that is not in its place any more is no measurement."""
+CLOSE_S = 2.0
+"""Longest wait for another thread's write that hangs, at the end."""
 FACTS = "legid"
 """Name of the metadata record."""
 PROFILE = "ros2"
+_GONE = "is not in its place any more; leave the file alone while it is recorded"
 
 
 class RunWriter:
@@ -42,6 +50,11 @@ class RunWriter:
     def __init__(self, path: Path | str, files: Mapping[str, str], facts: Mapping[str, str] | None = None) -> None:
         self.path = Path(path)
         self.messages = 0
+        self.saved_ns = 0
+        """Host time of the newest message that is on the disk [ns], all before it too; 0 before the first."""
+        self._newest_ns = 0
+        self._handed_bytes = 0
+        self._watch_due = 0.0
         self._lock = threading.Lock()
         self._unflushed = 0
         self._synced_at = time.monotonic()
@@ -83,14 +96,33 @@ class RunWriter:
             try:
                 self._writer.add_message(self._channels[topic], host_ns, data, host_ns, sequence)
                 self.messages += 1
+                self._newest_ns = max(self._newest_ns, host_ns)
                 self._unflushed += 1
                 if flush or self._unflushed >= FLUSH_MESSAGES:
                     self._writer.flush()  # type: ignore[no-untyped-call]
                     self._unflushed = 0
+                    self._handed_bytes = self._file.tell()
             except OSError as error:
                 raise self._refused(error) from None
-            if time.monotonic() - self._synced_at >= SYNC_EVERY_S:
+            now = time.monotonic()
+            if now - self._synced_at >= SYNC_EVERY_S:
                 self._sync()
+            if now >= self._watch_due:
+                self._watch_due = now + WATCH_EVERY_S
+                self._watch()
+
+    def _watch(self) -> None:
+        """Raises `WorkError` when the file was removed, replaced or cut short by somebody else."""
+        ours = os.fstat(self._file.fileno())
+        try:
+            there = os.stat(self.path)
+        except OSError as error:
+            raise WorkError(f"{self.path}: {_GONE} ({error.strerror or error})") from None
+        if (there.st_ino, there.st_dev) != (ours.st_ino, ours.st_dev):
+            raise WorkError(f"{self.path}: {_GONE} (another file is in its place)")
+        if ours.st_size < self._handed_bytes:
+            raise WorkError(f"{self.path}: was cut short to {ours.st_size} of {self._handed_bytes} bytes while it was "
+                            "recorded; keep other programs away from it")
 
     def _sync(self) -> None:
         try:
@@ -99,14 +131,21 @@ class RunWriter:
         except OSError as error:
             raise self._refused(error) from None
         self._unflushed = 0
+        self._handed_bytes = self._file.tell()
+        self.saved_ns = self._newest_ns
         self._synced_at = time.monotonic()
 
     def _refused(self, error: OSError) -> WorkError:
         return WorkError(f"{self.path}: cannot be written ({error.strerror or error}); free space on the disk")
 
     def close(self) -> None:
-        """Finish the file: index, footer, disk. May be called twice."""
-        with self._lock:
+        """Finish the file: index, footer, disk; then see that it is there, whole. May be called twice.
+
+        Raises `WorkError` where the disk refuses, hangs in another thread, or holds something else.
+        """
+        if not self._lock.acquire(timeout=CLOSE_S):
+            raise WorkError(f"{self.path}: the disk does not answer; the file is not finished")
+        try:
             if self._closed:
                 return
             self._closed = True
@@ -114,11 +153,28 @@ class RunWriter:
                 self._writer.finish()  # type: ignore[no-untyped-call]
                 self._file.flush()
                 os.fdatasync(self._file.fileno())
+                self._handed_bytes = self._file.tell()
+                self._watch()
             except OSError as error:
                 raise self._refused(error) from None
             finally:
                 with suppress(OSError):  # said already, or nothing left to lose: the data is on the disk
                     self._file.close()
+            self._verify()
+        finally:
+            self._lock.release()
+
+    def _verify(self) -> None:
+        """Raises `WorkError` unless the file's own index counts all messages that were written."""
+        try:
+            with open(self.path, "rb") as file:
+                summary = make_reader(file).get_summary()
+            found = summary.statistics.message_count if summary and summary.statistics else None
+        except (OSError, McapError, ValueError, struct.error):
+            found = None
+        if found != self.messages:
+            raise WorkError(f"{self.path}: holds {found if found is not None else 'no index of'} {self.messages} "
+                            "messages after closing; check the disk, and see legid info for what is left")
 
 
 @dataclass(frozen=True)
