@@ -61,6 +61,8 @@ class Recorder:
     def __init__(self, rig: Rig, imu: Lsm9ds1 | None, controller: LegController, writer: RunWriter,
                  supervisor: Supervisor | None = None, now_ns: Callable[[], int] = time.monotonic_ns,
                  threaded: bool = True, progress: Progress | None = None, remote: Remote | None = None) -> None:
+        if controller.hello is None:
+            raise ValueError("open the leg controller before recording")
         self.supervisor = supervisor or Supervisor(rig.limits)
         self._rig, self._controller, self._writer = rig, controller, writer
         self._now_ns, self._threaded, self._progress, self._remote = now_ns, threaded, progress, remote

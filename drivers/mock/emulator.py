@@ -57,6 +57,8 @@ class FirmwareEmulator:
         self.knee_encoder_ok = self.pivot_hall_ok = self.knee_hall_ok = True
         """Set to False: the reading carries the invalid sentinel (and the knee's faults latch)."""
         self.gate_driver_ok = True
+        self.says: Callable[[Telemetry], Telemetry | None] = lambda truth: truth
+        """What the telemetry says instead of the truth, None: nothing. The drive itself is not changed."""
         self.bus_v = self.settings.bus_v
         self.motor_degc = self.settings.ambient_degc
         self._rng = np.random.default_rng(seed)
@@ -163,7 +165,9 @@ class FirmwareEmulator:
         self._t_ns = self._now_ns = segment.t1_ns
         while self._due_ns <= segment.t1_ns:
             self._watch(segment.after)
-            self._send(self._telemetry(segment, self._due_ns), round(self._due_ns))
+            said = self.says(self._telemetry(segment, self._due_ns))
+            if said is not None:
+                self._send(said, round(self._due_ns))
             self._frames += 1
             self._due_ns = self._host_ns((self._frames + 1) * self._period_us)
         if self._local_us(segment.t1_ns) >= self._hello_us:
