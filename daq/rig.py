@@ -82,20 +82,20 @@ class Filter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 class ImuDevice(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     bus: str = "/dev/i2c-1"
-    address: int = 0x6B
+    address: Annotated[int, Meta(ge=0x08, le=0x77)] = 0x6B
     rate_hz: float = 238.0
     accel_range_g: Literal[2, 4, 8, 16] = 4
     gyro_range_dps: Literal[245, 500, 2000] = 500
     bus_khz: Positive = 400.0
     slow_hz: NonNegative = 0.0
     """Temperature, and the field where there is a magnetometer, so many times a second; 0: not read."""
-    magnetometer: int | None = None
+    magnetometer: Annotated[int, Meta(ge=0x08, le=0x77)] | None = None
     """Its address: 0x1E or 0x1C."""
 
 
 class ControllerDevice(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     port: str = "/dev/ttyACM0"
-    baud: int = 1_000_000
+    baud: Annotated[int, Meta(ge=1200, le=12_000_000)] = 1_000_000
     can: dict[str, str | int | float | bool] | None = None
     """python-can's configuration (interface, channel, bitrate, ...); given, `port` and `baud` are not used."""
     node: Annotated[int, Meta(ge=0, le=63)] = 0
@@ -140,12 +140,12 @@ class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     # What the devices say must be possible: how long each check may fail, and its band. See daq/recording/plausibility.
     echo_s: Positive = 0.05
-    """The drive echoes a torque that it was not asked for within the last `staleness_s`."""
+    """The drive echoes a torque that it was not asked for within the last half of `staleness_s`."""
     torque_s: Positive = 0.05
     """Commanded and measured torque disagree by more than `torque_band_nm` and `torque_share` of the command (rms)."""
     torque_band_nm: Positive = 0.1
     """Five times the noise of a shunt of 0.02 N m, or its offset."""
-    torque_share: Annotated[float, Meta(gt=0, lt=1)] = 0.5
+    torque_share: Annotated[float, Meta(gt=0, lt=1)] = 0.35
     """A drive that saturates, or follows late, stays within; one that is dead (1) or reversed (2) does not."""
     encoder_s: Positive = 0.02
     """The knee's encoder and its Hall angle disagree by more than `encoder_band_rad` over 0.25 s."""
@@ -157,7 +157,7 @@ class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An axis of the IMU is at the end of its range. An impact is shorter."""
     pivot_s: Positive = 0.05
     """The gyro and the pivot's Hall angle disagree by more than `pivot_band_rad` over 0.25 s."""
-    pivot_band_rad: Positive = 0.15
+    pivot_band_rad: Positive = 0.1
     """A FIFO of 10 ms at 8.5 rad/s, and the Hall angle's own error."""
 
 
@@ -166,7 +166,7 @@ class Calibration(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     knee_zero_rad: float = 0.0
     shunt_offset_a: float = 0.0
-    torque_constant_nm_per_a: Positive = 1.0
+    torque_constant_nm_per_a: Annotated[float, Meta(gt=0, le=1000)] = 1.0
     """Joint torque per ampere of motor current, gear included."""
     imu_mount: Matrix3 = IDENTITY3
     """Rows: contract x, y, z axes expressed in the chip's frame."""
@@ -238,7 +238,7 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     except msgspec.ValidationError as error:
         message = str(error).replace("`$.", "`").replace("Object", "rig")
         raise InputError(where, message[0].lower() + message[1:], "see the rig.toml section of the README") from None
-    _check_limits(rig, where)
+    _check_finite(rig, where)
     _check_mount(rig, where)
     n = joint_count(rig.mechanism)
     named = [("mechanism.actuated", rig.mechanism.actuated), ("terms.rotor_inertia", rig.terms.rotor_inertia),
@@ -250,12 +250,14 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     return rig
 
 
-def _check_limits(rig: Rig, where: str) -> None:
-    """A limit that is infinite, or not a number, limits nothing."""
-    for name in rig.limits.__struct_fields__:
-        value = getattr(rig.limits, name)
-        if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(where, f"limits.{name} is {value:g}", "give what the leg can stand")
+def _check_finite(table: Struct, where: str, path: str = "") -> None:
+    """TOML writes inf and nan; a limit that is either limits nothing."""
+    for name in table.__struct_fields__:
+        value = getattr(table, name)
+        if isinstance(value, Struct):
+            _check_finite(value, where, f"{path}{name}.")
+        elif isinstance(value, float) and not math.isfinite(value):
+            raise InputError(where, f"{path}{name} is {value:g}", "give a number that the rig really has")
 
 
 def _check_mount(rig: Rig, where: str) -> None:

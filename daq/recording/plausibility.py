@@ -23,9 +23,13 @@ CLOCK_DRIFT = 0.02
 """How slow the controller's clock may run against the host's; an RC oscillator is within 0.01, a crystal 1e-4."""
 ECHO_NM = 1e-3
 """How far the echo of a command may be off it [N m]: both are whole counts of 1e-6 N m, on CAN of 1e-4 or less."""
+ECHO_SHARE = 0.5
+"""Of the staleness that is allowed a command and its echo together may take this share."""
 FAST_S, SLOW_S = 0.02, 0.25
 """Memory of the two comparisons of torque [s]: a wrong drive shows in the fast one, a dead shunt under a gentle plan in
 the slow one."""
+STUCK_SHARE = 0.5
+"""A reading of the shunt that stays the same to the digit while the command moves by so much of the band is stuck."""
 WINDOW_S = 0.25
 """Two sensors of one joint are compared by how far they say that it turned within this [s]: zeros cancel."""
 SCALE_ERROR = 0.05
@@ -135,7 +139,7 @@ class TorqueAgreement:
         self._asked2 = np.zeros(2)
         self._error2 = np.zeros(2)
         self._product = np.zeros(2)
-        self._before = 0.0
+        self._before = self._current = self._asked_then = 0.0
         self.wrong = Lasting()
 
     def see(self, frame: Telemetry, host_ns: int) -> None:
@@ -149,7 +153,10 @@ class TorqueAgreement:
         apart = math.sqrt(self._error2[0]) > self._band + self._share * math.sqrt(self._asked2[0])
         enough = self._asked2[1] > self._band**2
         gain = self._product[1] / self._asked2[1] if enough else 1.0
-        self.wrong.see(bool(apart or abs(gain - 1.0) > self._share), host_ns * 1e-9)
+        if frame.current_a != self._current:  # noise moves the last digit of a shunt that lives
+            self._current, self._asked_then = frame.current_a, asked
+        stuck = abs(asked - self._asked_then) > STUCK_SHARE * self._band
+        self.wrong.see(bool(apart or stuck or abs(gain - 1.0) > self._share), host_ns * 1e-9)
 
 
 class TwoAngles:
@@ -218,7 +225,7 @@ class Plausibility:
     def __init__(self, limits: Limits, calibration: Calibration, hello: Hello, imu_hz: float | None,
                  now_ns: int) -> None:
         self._progress = Progress(hello.telemetry_hz, now_ns)
-        self._echo = Echo(limits.staleness_s)
+        self._echo = Echo(ECHO_SHARE * limits.staleness_s)
         self._torque = TorqueAgreement(limits, calibration, hello.telemetry_hz)
         self._encoder = TwoAngles(limits.encoder_band_rad)
         self._imu = ImuHealth(imu_hz) if imu_hz else None

@@ -62,17 +62,19 @@ class Senses:
         q1, (q2, q2_speed) = self._pivot_rad(telemetry), knee
         found = found._replace(
             torque_nm=self._leg.torque_nm(), q2_speed_radps=q2_speed, q1_rad=q1, q2_rad=q2,
-            q1_ahead_rad=None if speed is None else ahead(q1, speed, limits.stop_radps2, REACT_S),
+            q1_ahead_rad=None if speed is None or q1 is None else ahead(q1, speed, limits.stop_radps2, REACT_S),
             q2_ahead_rad=None if q2_speed is None else ahead(q2, q2_speed, limits.stop_radps2, REACT_S),
             temperature_degc=telemetry.motor_degc, bus_v=telemetry.bus_v)
-        given_up = [name for name in limits.unchecked if math.isnan(getattr(found, name))]
+        given_up = [name for name in limits.unchecked if math.isnan(getattr(found, name) or 0.0)]
         return found._replace(**dict.fromkeys(given_up + ["q1_ahead_rad"] * ("q1_rad" in given_up)))
 
-    def _pivot_rad(self, telemetry: Telemetry) -> float:
+    def _pivot_rad(self, telemetry: Telemetry) -> float | None:
         """q1 [rad] by the Hall sensor where the rig has one, else by the IMU. NaN: it is lost, or neither is there."""
         hall = telemetry.pivot_hall_rad
         self._hall_seen = self._hall_seen or math.isfinite(hall)
-        return hall if self._hall_seen or self._imu is None else self._imu.pivot_rad
+        if self._hall_seen or self._imu is None:
+            return hall
+        return self._imu.pivot_rad if self._imu.samples else None  # without a sample the motor is not armed
 
 
 def check_imu(imu: ImuIntake, nominal_hz: float, gravity_mps2: float) -> None:

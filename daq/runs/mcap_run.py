@@ -173,8 +173,8 @@ class RunWriter:
         except (OSError, McapError, ValueError, struct.error):
             found = None
         if found != self.messages:
-            raise WorkError(f"{self.path}: holds {found if found is not None else 'no index of'} {self.messages} "
-                            "messages after closing; check the disk, and see legid info for what is left")
+            raise WorkError(f"{self.path}: holds {'none' if found is None else found} of {self.messages} messages "
+                            "after closing; check the disk, and see legid info for what is left")
 
 
 @dataclass(frozen=True)

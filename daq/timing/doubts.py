@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,7 +44,7 @@ def _rate(samples: NDArray[np.void], nominal_hz: float) -> list[str]:
     gaps = np.add.reduceat(samples["gap_before"].astype(int), drain)
     seconds = np.flatnonzero(np.diff(np.floor(time_s / WINDOW_S), prepend=-1.0) > 0)
     rates, lost = [], 0.0
-    for a, b in zip(seconds[:-1], seconds[1:]):
+    for a, b in pairwise(seconds):
         counted, span = int(behind[b] - behind[a]), float(time_s[b] - time_s[a])
         if gaps[a + 1:b + 1].any():
             lost += max(nominal_hz * span - counted, 0.0)
@@ -52,8 +54,8 @@ def _rate(samples: NDArray[np.void], nominal_hz: float) -> list[str]:
     wrong = [rate for rate, allowed in rates if abs(rate - nominal_hz) > allowed]
     if wrong:
         worst = max(wrong, key=lambda rate: abs(rate - nominal_hz))
-        found.append(f"the IMU gave {worst:.4g} samples a second in {len(wrong)} of {len(rates)} seconds, {nominal_hz:g} "
-                     "were set: another program may have read it")
+        found.append(f"the IMU gave {worst:.4g} samples a second in {len(wrong)} of {len(rates)} seconds, "
+                     f"{nominal_hz:g} were set: another program may have read it")
     if lost > MISSING_SHARE * samples.size:
         found.append(f"about {lost:.0f} of {samples.size + lost:.0f} IMU samples are missing in "
                      f"{int(samples['gap_before'].sum())} gaps")

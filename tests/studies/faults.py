@@ -33,8 +33,8 @@ def page(cells: dict[tuple[str, str], Outcome]) -> str:
     late = [key for key, cell in cells.items() if cell.zero_ms > TARGET_MS]
     lines = [
         f"# Faults while a leg is driven, {datetime.now(UTC):%Y-%m-%d}", "",
-        f"By `make faults`: {len(cells)} recordings of the emulated leg on virtual time, in each of which one thing goes "
-        f"wrong at one moment, under a torque of up to {PEAK_NM:g} N m, with a watchdog of 100 ms and default `[limits]`. "
+        f"By `make faults`: {len(cells)} recordings of the emulated leg on virtual time, in each of which one thing "
+        f"goes wrong at one moment, under a torque of up to {PEAK_NM:g} N m, a watchdog of 100 ms, default `[limits]`. "
         "Time to zero counts from the fault, or from the first torque where that came later (arming), to the last "
         "torque that the drive's current loop was asked for. The current itself follows within a millisecond.", "",
         f"- Median {np.median(zero):.0f} ms, worst {zero.max():.0f} ms; {len(cells) - len(late)} of {len(cells)} cells "

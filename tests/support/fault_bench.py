@@ -37,7 +37,7 @@ rate_hz = 238.0
 watchdog_ms = 100
 """
 RAMP_AT_S, DRIVING_AT_S, STOPPING_AFTER_S = 0.06, 0.85, 0.02
-SWING_HZ, PEAK_NM = 1.3, 0.7
+SWING_HZ, PEAK_NM = 1.3, 0.5
 AFTER_S = 0.3
 TIMES = np.arange(0.0, 1.5, 0.01)
 PLAN = Plan(TIMES, PEAK_NM * np.sin(2 * np.pi * SWING_HZ * TIMES))
