@@ -147,18 +147,18 @@ class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Five times the noise of a shunt of 0.02 N m, or its offset."""
     torque_share: Annotated[float, Meta(gt=0, lt=1)] = 0.35
     """A drive that saturates, or follows late, stays within; one that is dead (1) or reversed (2) does not."""
-    encoder_s: Positive = 0.02
+    encoder_s: Positive = 0.01
     """The knee's encoder and its Hall angle disagree by more than `encoder_band_rad` over 0.25 s."""
-    encoder_band_rad: Positive = 0.05
-    """Eight counts of a Hall angle of 1024 a turn."""
+    encoder_band_rad: Positive = 0.04
+    """Six counts of a Hall angle of 1024 a turn of the joint."""
     imu_stuck_s: Positive = 0.08
     """Gyro or accelerometer repeat one reading of three axes, noise and all; at least ten samples."""
     imu_rail_s: Positive = 0.05
     """An axis of the IMU is at the end of its range. An impact is shorter."""
-    pivot_s: Positive = 0.05
+    pivot_s: Positive = 0.03
     """The gyro and the pivot's Hall angle disagree by more than `pivot_band_rad` over 0.25 s."""
-    pivot_band_rad: Positive = 0.1
-    """A FIFO of 10 ms at 8.5 rad/s, and the Hall angle's own error."""
+    pivot_band_rad: Positive = 0.04
+    """The same; the speed times 15 ms comes on top, by which the two may be apart in time."""
 
 
 class Calibration(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

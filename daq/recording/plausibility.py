@@ -23,7 +23,7 @@ CLOCK_DRIFT = 0.02
 """How slow the controller's clock may run against the host's; an RC oscillator is within 0.01, a crystal 1e-4."""
 ECHO_NM = 1e-3
 """How far the echo of a command may be off it [N m]: both are whole counts of 1e-6 N m, on CAN of 1e-4 or less."""
-ECHO_SHARE = 0.5
+ECHO_SHARE = 0.4
 """Of the staleness that is allowed a command and its echo together may take this share."""
 FAST_S, SLOW_S = 0.02, 0.25
 """Memory of the two comparisons of torque [s]: a wrong drive shows in the fast one, a dead shunt under a gentle plan in
@@ -43,6 +43,8 @@ GYRO_BIAS, LEAST_BIAS_S = 0.6, 0.5
 from which it is told [s]."""
 NEAR_S = 0.02
 """Readings of two devices are compared when they are no further apart [s]."""
+APART_S = 0.015
+"""How far apart in time two readings that came together may have been taken [s]: a serial adapter's 16 ms."""
 RAIL = 32_700
 """Counts of 16 bits from which on a reading is at its rail."""
 
@@ -175,8 +177,8 @@ class TwoAngles:
         self._zero = None
         self.wrong.see(False, 0.0)
 
-    def see(self, time_s: float, first_rad: float, second_rad: float) -> None:
-        """Both angles at `time_s` [s]; one that is NaN says nothing."""
+    def see(self, time_s: float, first_rad: float, second_rad: float, slack_rad: float = 0.0) -> None:
+        """Both angles at `time_s` [s], which may differ by `slack_rad` more; one that is NaN says nothing."""
         if math.isnan(first_rad) or math.isnan(second_rad):
             return
         self._zero = second_rad - first_rad if self._zero is None else self._zero
@@ -185,7 +187,7 @@ class TwoAngles:
             self._seen.popleft()
         _, first, second = self._seen[0]
         turned, other = first_rad - first, second_rad - second
-        short = abs(turned - other) - SCALE_ERROR * max(abs(turned), abs(other)) > self._band
+        short = abs(turned - other) - SCALE_ERROR * max(abs(turned), abs(other)) > self._band + slack_rad
         far = abs(second_rad - first_rad - self._zero) > ZERO_BANDS * self._band + SCALE_ERROR * abs(first_rad)
         self.wrong.see(short or (far and not self._drifts), time_s)
 
@@ -233,6 +235,8 @@ class Plausibility:
         self._halls: deque[tuple[int, float]] = deque(maxlen=64)
         self._armed = False
         self._bias = 0.0
+        self._turned: tuple[int, float] | None = None
+        self._speeds: deque[tuple[float, float]] = deque()
         self._bias_from: tuple[float, float] | None = None
 
     def commanded(self, host_ns: int, torque_nm: float) -> None:
@@ -257,6 +261,10 @@ class Plausibility:
             self._pivot.forget()
         if not self._halls:
             return
+        if self._turned is not None and host_ns > self._turned[0]:
+            speed = abs(turned_rad - self._turned[1]) / (host_ns - self._turned[0]) * 1e9
+            self._speeds.append((host_ns * 1e-9, speed))
+        self._turned = host_ns, turned_rad
         near_ns, hall = min(self._halls, key=lambda seen: abs(seen[0] - host_ns))
         if math.isnan(hall) or abs(near_ns - host_ns) > NEAR_S * 1e9:
             return
@@ -267,7 +275,13 @@ class Plausibility:
             bias = (apart - then) / span_s if span_s > LEAST_BIAS_S else 0.0
             self._bias = max(-GYRO_BIAS, min(GYRO_BIAS, bias))
             return
-        self._pivot.see(time_s, turned_rad - self._bias * (time_s - since_s), hall)
+        self._pivot.see(time_s, turned_rad - self._bias * (time_s - since_s), hall, APART_S * self._fastest(time_s))
+
+    def _fastest(self, time_s: float) -> float:
+        """Highest speed of the pivot over the window, by the gyro [rad/s]."""
+        while self._speeds and self._speeds[0][0] < time_s - WINDOW_S:
+            self._speeds.popleft()
+        return max((speed for _, speed in self._speeds), default=0.0)
 
     def arm(self) -> None:
         """From now on the motor drives."""
