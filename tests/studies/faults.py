@@ -39,13 +39,14 @@ def page(cells: dict[tuple[str, str], Outcome]) -> str:
         "torque that the drive's current loop was asked for. The current itself follows within a millisecond.", "",
         f"- Median {np.median(zero):.0f} ms, worst {zero.max():.0f} ms; {len(cells) - len(late)} of {len(cells)} cells "
         f"within {TARGET_MS:g} ms.",
-        "- `arming`: when Arm goes out. `ramp`: 60 ms into the plan. `driving`: 0.85 s into it, the leg in full swing. "
+        "- `arming`: as Arm goes out. `ramp`: 60 ms into the plan. `driving`: 0.85 s into it, the leg in full swing. "
         "`stopping`: 20 ms after a SIGTERM, while the torque ramps down.",
         "- The run file is looked at every 20 ms on the real clock; here at every message. Disks that hang are another "
         "study: tests/daq/recording/test_disk.py, on the real clock.", ""]
     if late:
         lines += ["Beyond the target: " + "; ".join(f"{name} ({moment}, {cells[name, moment].zero_ms:.0f} ms)"
-                                                    for name, moment in late) + ".", ""]
+                                                    for name, moment in late) + ". A sensor of an angle that errs "
+                  "while its joint hardly turns shows when it has turned by its band; the pivot is the slower joint.", ""]
     lines += ["## Time to zero torque [ms]", "", "| fault | " + " | ".join(MOMENTS) + " |",
               "| --- |" + " ---: |" * len(MOMENTS)]
     lines += [f"| {name} | " + " | ".join(f"{cells[name, moment].zero_ms:.0f}" for moment in MOMENTS) + " |"

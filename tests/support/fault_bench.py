@@ -70,6 +70,7 @@ class FaultBench:
         self.imu.open()
         self.path = Path()
         self.disk: Any = None
+        self.plan = PLAN
         self.struck_ns = 0
         self._fault, self._moment, self._limits = fault, moment, limits
         self._due_ns: float = math.inf
@@ -80,10 +81,10 @@ class FaultBench:
         arm, read = self.controller.arm, self.link.read
 
         def on_arm(watchdog_ms: int) -> None:
+            arm(watchdog_ms)
             if self._moment == "arming":
                 self._due_ns = self.clock.now_ns()
                 self._strike()
-            arm(watchdog_ms)
 
         def on_read() -> Any:
             self._strike()
@@ -120,7 +121,7 @@ class FaultBench:
 
         mcap_run._create = on_this_disk
         try:
-            record_run(self.path, parse_rig(text), text, PLAN, self.imu, self.controller, self.clock.now_ns,
+            record_run(self.path, parse_rig(text), text, self.plan, self.imu, self.controller, self.clock.now_ns,
                        threaded=False, progress=self._progress)
         except (WorkError, DriverError, ZeroDivisionError) as error:
             said = str(error).split("; what was recorded")[0]

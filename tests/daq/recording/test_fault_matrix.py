@@ -4,12 +4,14 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from daq.recording.plan import Plan
 from drivers.protocol import Telemetry
 from tests.studies.fault_list import FAULTS
 from tests.studies.faults import TARGET_MS, strike
-from tests.support.fault_bench import MOMENTS, FaultBench, Outcome
+from tests.support.fault_bench import MOMENTS, TIMES, FaultBench, Outcome
 
 CELLS = [
     ("telemetry repeats one frame", "driving", "limit staleness_s tripped: silence of the leg controller"),
@@ -17,7 +19,7 @@ CELLS = [
     ("echo off by 1.5 N m", "driving", "limit echo_s tripped"),
     ("IMU constant", "driving", "limit imu_stuck_s tripped"),
     ("IMU at its rail", "ramp", "limit q1_speed_radps tripped"),
-    ("motor temperature invalid", "driving", "limit temperature_degc tripped: motor temperature in degC cannot be checked"),
+    ("motor temperature invalid", "driving", "limit temperature_degc tripped: motor temperature in degC cannot be"),
     ("supply voltage invalid", "stopping", "stopped by SIGTERM"),
     ("nothing goes down", "stopping", "stopped by SIGTERM"),
     ("pivot Hall angle invalid", "driving", "limit q1_rad tripped: .* cannot be checked"),
@@ -30,6 +32,21 @@ def test_torque_ends_in_time_and_the_fault_is_named(tmp_path: Path, fault: str, 
     assert outcome.zero_ms <= TARGET_MS, outcome
     assert re.match(said, outcome.said), outcome
     assert outcome.kept.startswith("whole")
+
+
+def test_an_angle_s_limit_is_passed_by_no_more_than_the_leg_coasts(tmp_path: Path) -> None:
+    bench = FaultBench(lambda bench: None, "never", "q2_rad = 2.6\nspeed_radps = 30.0\n")
+    bench.plan = Plan(TIMES, np.full(TIMES.size, 1.0))
+    step, angles = bench.mock._plant.step, []
+
+    def watched(dt_s: float, torque_nm: float):
+        state = step(dt_s, torque_nm)
+        angles.append(abs(state.q2))
+        return state
+
+    bench.mock._plant.step = watched
+    assert bench.run(tmp_path).said.startswith("limit q2_rad tripped: knee angle after stopping")
+    assert 2.5 < max(angles) < 2.7  # 2.8 where torque is cut at the limit itself, 4.0 where it begins to fall there
 
 
 def test_the_matrix_has_its_cells() -> None:
