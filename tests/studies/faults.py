@@ -4,6 +4,7 @@
 """
 
 import argparse
+import re
 import tempfile
 from datetime import UTC, datetime
 from pathlib import Path
@@ -46,7 +47,7 @@ def page(cells: dict[tuple[str, str], Outcome]) -> str:
     if late:
         lines += ["Beyond the target: " + "; ".join(f"{name} ({moment}, {cells[name, moment].zero_ms:.0f} ms)"
                                                     for name, moment in late) + ". A sensor of an angle that errs "
-                  "while its joint hardly turns shows when it has turned by its band; the pivot is the slower joint.", ""]
+                  "while its joint hardly turns shows when it has turned by its band; the pivot is the slower one.", ""]
     lines += ["## Time to zero torque [ms]", "", "| fault | " + " | ".join(MOMENTS) + " |",
               "| --- |" + " ---: |" * len(MOMENTS)]
     lines += [f"| {name} | " + " | ".join(f"{cells[name, moment].zero_ms:.0f}" for moment in MOMENTS) + " |"
@@ -55,7 +56,7 @@ def page(cells: dict[tuple[str, str], Outcome]) -> str:
               "| --- | --- | --- |"]
     for name in FAULTS:
         cell = cells[name, "driving"]
-        said = cell.said.replace(tempfile.gettempdir(), "").replace("|", "/")
+        said = re.sub(r"\S*/(\w+\.mcap)", r"\1", cell.said)
         lines.append(f"| {name} | {said} | {cell.kept} |")
     return "\n".join(lines) + "\n"
 
@@ -72,7 +73,7 @@ def main() -> None:
                 cells[name, moment] = strike(name, moment, Path(folder))
                 print(f"{name}, {moment}: {cells[name, moment]}", flush=True)
     if args.out:
-        args.out.write_text(page(cells).replace(f"{folder}/", ""))
+        args.out.write_text(page(cells))
 
 
 if __name__ == "__main__":
