@@ -129,8 +129,8 @@ class RunWriter:
         if (there.st_ino, there.st_dev) != (ours.st_ino, ours.st_dev):
             return f"{self.path}: {_GONE} (another file is in its place)"
         if ours.st_size < self._handed_bytes:
-            return (f"{self.path}: was cut short to {ours.st_size} of {self._handed_bytes} bytes while it was recorded; "
-                    "keep other programs away from it")
+            return (f"{self.path}: was cut short to {ours.st_size} of {self._handed_bytes} bytes while it was "
+                    "recorded; keep other programs away from it")
         return ""
 
     def _sync(self) -> None:
