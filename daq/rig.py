@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,6 +17,8 @@ NonNegative = Annotated[float, Meta(ge=0)]
 Joint = Annotated[int, Meta(ge=1)]
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
+MOUNT_SLACK = 0.05
+"""How far the products of a mount's rows may be off those of a rotation: rows are typed with few digits."""
 IDENTITY3: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -79,20 +82,20 @@ class Filter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 class ImuDevice(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     bus: str = "/dev/i2c-1"
-    address: int = 0x6B
+    address: Annotated[int, Meta(ge=0x08, le=0x77)] = 0x6B
     rate_hz: float = 238.0
     accel_range_g: Literal[2, 4, 8, 16] = 4
     gyro_range_dps: Literal[245, 500, 2000] = 500
     bus_khz: Positive = 400.0
     slow_hz: NonNegative = 0.0
     """Temperature, and the field where there is a magnetometer, so many times a second; 0: not read."""
-    magnetometer: int | None = None
+    magnetometer: Annotated[int, Meta(ge=0x08, le=0x77)] | None = None
     """Its address: 0x1E or 0x1C."""
 
 
 class ControllerDevice(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     port: str = "/dev/ttyACM0"
-    baud: int = 1_000_000
+    baud: Annotated[int, Meta(ge=1200, le=12_000_000)] = 1_000_000
     can: dict[str, str | int | float | bool] | None = None
     """python-can's configuration (interface, channel, bitrate, ...); given, `port` and `baud` are not used."""
     node: Annotated[int, Meta(ge=0, le=63)] = 0
@@ -114,8 +117,48 @@ class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     q1_rad: Positive = 1.6
     q2_rad: Positive = 2.6
     temperature_degc: Positive = 70.0
+    """Above zero only: cold is no danger."""
     staleness_s: Positive = 0.1
+    """Age of what is known of the leg [s]: since tick and sequence of the controller last advanced as its telemetry
+    period says, and since the last sample of the IMU."""
     clock_bound_s: Positive = 0.005
+    q1_speed_radps: Positive = 8.5
+    """Of the pivot, beside `speed_radps`; the gyro's range must show it (500 dps is 8.73 rad/s)."""
+    bus_v: Positive = 60.0
+    """Supply [V]; 60 V DC is where protection by extra-low voltage ends."""
+    stop_radps2: Positive = 100.0
+    """Deceleration that gravity and friction give a joint whose torque is cut [rad/s2]: how far ahead of an angle's
+    limit the torque goes. Lower it for a leg that coasts further."""
+    slew_nmps: Positive = 150.0
+    """Steepest change of a plan's torque [N m/s], over 10 ms."""
+    duration_s: Positive = 1800.0
+    """Longest plan [s]."""
+    unsaved_s: Positive = 2.0
+    """Age of what is not on the disk [s]: a motor does not outlive its measurement."""
+    unchecked: tuple[Literal["q1_rad", "temperature_degc", "bus_v"], ...] = ()
+    """Limits that nothing on this rig can check, given up on purpose; any other that cannot be checked trips."""
+
+    # What the devices say must be possible: how long each check may fail, and its band. See daq/recording/plausibility.
+    echo_s: Positive = 0.05
+    """The drive echoes a torque that it was not asked for within the last half of `staleness_s`."""
+    torque_s: Positive = 0.05
+    """Commanded and measured torque disagree by more than `torque_band_nm` and `torque_share` of the command (rms)."""
+    torque_band_nm: Positive = 0.1
+    """Five times the noise of a shunt of 0.02 N m, or its offset."""
+    torque_share: Annotated[float, Meta(gt=0, lt=1)] = 0.35
+    """A drive that saturates, or follows late, stays within; one that is dead (1) or reversed (2) does not."""
+    encoder_s: Positive = 0.01
+    """The knee's encoder and its Hall angle disagree by more than `encoder_band_rad` over 0.25 s."""
+    encoder_band_rad: Positive = 0.04
+    """Six counts of a Hall angle of 1024 a turn of the joint."""
+    imu_stuck_s: Positive = 0.08
+    """Gyro or accelerometer repeat one reading of three axes, noise and all; at least ten samples."""
+    imu_rail_s: Positive = 0.05
+    """An axis of the IMU is at the end of its range. An impact is shorter."""
+    pivot_s: Positive = 0.03
+    """The gyro and the pivot's Hall angle disagree by more than `pivot_band_rad` over 0.25 s."""
+    pivot_band_rad: Positive = 0.04
+    """The same; the speed times 15 ms comes on top, by which the two may be apart in time."""
 
 
 class Calibration(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -123,7 +166,7 @@ class Calibration(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     knee_zero_rad: float = 0.0
     shunt_offset_a: float = 0.0
-    torque_constant_nm_per_a: Positive = 1.0
+    torque_constant_nm_per_a: Annotated[float, Meta(gt=0, le=1000)] = 1.0
     """Joint torque per ampere of motor current, gear included."""
     imu_mount: Matrix3 = IDENTITY3
     """Rows: contract x, y, z axes expressed in the chip's frame."""
@@ -195,6 +238,8 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     except msgspec.ValidationError as error:
         message = str(error).replace("`$.", "`").replace("Object", "rig")
         raise InputError(where, message[0].lower() + message[1:], "see the rig.toml section of the README") from None
+    _check_finite(rig, where)
+    _check_mount(rig, where)
     n = joint_count(rig.mechanism)
     named = [("mechanism.actuated", rig.mechanism.actuated), ("terms.rotor_inertia", rig.terms.rotor_inertia),
              ("terms.torque_offset", rig.terms.torque_offset), ("terms.encoder_zero", rig.terms.encoder_zero)]
@@ -203,3 +248,27 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
         if bad:
             raise InputError(where, f"{key} names joint {bad[0]}, {rig.mechanism.model} has {n}", "correct the list")
     return rig
+
+
+def _check_finite(table: Struct, where: str, path: str = "") -> None:
+    """TOML writes inf and nan; a limit that is either limits nothing."""
+    for name in table.__struct_fields__:
+        value = getattr(table, name)
+        if isinstance(value, Struct):
+            _check_finite(value, where, f"{path}{name}.")
+        elif isinstance(value, float) and not math.isfinite(value):
+            raise InputError(where, f"{path}{name} is {value:g}", "give a number that the rig really has")
+
+
+def _check_mount(rig: Rig, where: str) -> None:
+    """Axes of length one at right angles: a mount without rank makes a sensor blind. Left-handed ones are a chip's own
+    (the LSM9DS1's frame is drawn so); `legid calibrate mount` finds the hand."""
+    m = rig.calibration.imu_mount
+    for i in range(3):
+        for j in range(i, 3):
+            product = sum(a * b for a, b in zip(m[i], m[j]))
+            if not abs(product - (i == j)) <= MOUNT_SLACK:
+                what = f"row {i + 1} has length {math.sqrt(product):.3g}" if i == j and product >= 0 else \
+                    f"rows {i + 1} and {j + 1} are not at right angles"
+                raise InputError(where, f"calibration.imu_mount is no rotation: {what}",
+                                 "give the link's axes in the chip's frame, or run legid calibrate mount")

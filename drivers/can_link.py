@@ -7,12 +7,14 @@ other that it knows. Time stamps of the bus are not used: the controller's tick 
 from __future__ import annotations
 
 import errno
+from contextlib import suppress
 from typing import Any
 
 import can
 
 from drivers.can_codec import NODE_BITS, NODES, ONE_MESSAGE, CanFrame, Frames
-from drivers.errors import DeviceAbsent, DriverError, LinkLost
+from drivers.errors import DeviceAbsent, DeviceBusy, DriverError, LinkLost
+from drivers.exclusive import lock_name
 
 SEND_TIMEOUT_S = 0.1
 FRAMES_AT_ONCE = 256
@@ -46,8 +48,13 @@ class CanLink:
         self._failure: LinkLost | None = None
         mask = {"can_id": node << NODE_BITS, "can_mask": 0x7FF & ~ONE_MESSAGE, "extended": False}
         try:
+            self._held = lock_name(f"can/{config.get('interface', '')}/{config.get('channel', '')}/{node}")
+        except OSError:
+            raise DeviceBusy(f"{self.where}: another program drives node {node}; close it") from None
+        try:
             self._bus = can.Bus(can_filters=[mask], **{**DEFAULTS.get(config.get("interface", ""), {}), **config})
         except (can.CanError, OSError, ImportError, ValueError, TypeError) as error:
+            self._let_go()
             raise self._absent(error) from error
 
     @property
@@ -84,10 +91,13 @@ class CanLink:
 
     def close(self) -> None:
         """Let go of the bus; may be called twice."""
-        try:
+        with suppress(can.CanError, OSError):  # the adapter went away before: nothing is left to let go of
             self._bus.shutdown()
-        except (can.CanError, OSError):
-            return  # the adapter went away before: nothing is left to let go of
+        self._let_go()
+
+    def _let_go(self) -> None:
+        if self._held is not None:
+            self._held.close()
 
     def _sort(self, message: can.Message, frames: list[CanFrame]) -> None:
         if message.is_error_frame:

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from smbus2 import SMBus, i2c_msg
 
 from drivers.errors import DeviceAbsent, DeviceBusy, DriverError
+from drivers.exclusive import lock_byte
 from drivers.i2c_socket import SocketBus
 
 
@@ -36,6 +37,7 @@ _MEANING: dict[int, tuple[type[DriverError], str]] = {
     errno.ECONNABORTED: (DeviceAbsent, "the bus adapter is gone; plug it in again"),
     errno.ENOTCONN: (DeviceAbsent, "the bus adapter is gone; plug it in again"),
     errno.EOPNOTSUPP: (DriverError, "this adapter makes no combined transfers (I2C_RDWR); use another bus"),
+    errno.EUSERS: (DeviceBusy, "another program reads the chip, legid record or calibrate perhaps; close it"),
     errno.EBUSY: (DeviceBusy, "a kernel driver holds the chip; unbind it or drop its device-tree overlay "
                               "(it is never taken by force)"),
 }
@@ -70,13 +72,17 @@ def open_bus(path: str) -> I2CBus:
 
 
 def claim(bus: I2CBus, address: int) -> None:
-    """Ask the kernel whether a driver of its own holds the chip: OSError EBUSY then. What is no device node passes.
+    """Take the chip for this bus handle alone, until it is closed: OSError EUSERS where another program has it, EBUSY
+    where a driver of the kernel's own does. A bus within this process passes.
 
     A combined transfer alone would not tell: the kernel lets it through to a chip that its driver is using.
     """
     handle = getattr(bus, "fd", None)
     if isinstance(handle, int):
         fcntl.ioctl(handle, I2C_SLAVE, address)
+        lock_byte(handle, address)
+    elif isinstance(bus, SocketBus):
+        bus.lock(address)
 
 
 def read_registers(bus: I2CBus, address: int, register: int, count: int) -> bytes:

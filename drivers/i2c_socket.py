@@ -14,6 +14,8 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
+from drivers.exclusive import lock_file
+
 MESSAGE = struct.Struct("<HBH")
 REPLY = struct.Struct("<H")
 PACKET_BYTES = 65536
@@ -28,6 +30,8 @@ class SocketBus:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(TIMEOUT_S)
         self._lock = threading.Lock()
+        self._path = path
+        self._held: dict[int, int] = {}
         try:
             self._socket.connect(path)
         except OSError:
@@ -56,9 +60,16 @@ class SocketBus:
                     message.buf[i] = reply[at + i:at + i + 1]
                 at += message.len
 
+    def lock(self, address: int) -> None:
+        """Take the chip at this address until `close`. Raises OSError EUSERS where another program has it."""
+        if address not in self._held:
+            self._held[address] = lock_file(f"{self._path}-{address:02x}.lock")
+
     def close(self) -> None:
         """Let go of the far end; may be called twice."""
         self._socket.close()
+        while self._held:
+            os.close(self._held.popitem()[1])
 
 
 def pack(messages: Any) -> bytes:

@@ -117,8 +117,8 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
     is an earlier model whose parameters are compared; `progress` is called with (stage, fraction done). More `workers`
     are processes forked from this one, so leave it at one in a program with threads.
 
-    The result's `verdict` is none, named, partial, one_of, unexplained or fit_failed; `causes` have sizes with units and
-    95 % intervals. Raises `InputError` for runs that do not belong together.
+    The result's `verdict` is none, named, partial, one_of, unexplained or fit_failed; `causes` have sizes with units
+    and 95 % intervals. Raises `InputError` for runs that do not belong together.
     """
     given, known = _given(runs, rig)
     setup = setup_of(given, known)

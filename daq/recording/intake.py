@@ -7,15 +7,46 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Protocol
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from daq.rig import Calibration
 from daq.si_units import imu_columns, joint_torque, knee_angle
-from drivers import DriverError, FaultReport, Hello, LegController, Lsm9ds1, Pong, Received, Telemetry, describe_faults
+from drivers import (
+    DriverError,
+    FaultReport,
+    Hello,
+    LegController,
+    Lsm9ds1,
+    Pong,
+    Received,
+    Telemetry,
+    describe_faults,
+    lsm9ds1_registers,
+)
 
 SPEED_WINDOW_US = 20_000
 TRIPS_KEPT_NS = 10_000_000_000
 _KEPT = 64
+FRESH = 2048
+"""More than two seconds of the fastest telemetry: who is that late has stopped long ago."""
+GRAVITY_PULL_S = 0.5
+"""Time in which gravity draws the angle that the gyro adds up."""
+NEAR_GRAVITY = 0.1
+"""Within this share of gravity the accelerometer shows which way is down."""
+
+
+class Batch(NamedTuple):
+    """IMU samples that nobody has looked through yet."""
+
+    raw: NDArray[np.int16]
+    """(n, 6) LSB"""
+    turned_rad: float
+    """What the gyro adds up to since the recording began."""
+    host_ns: int
+    gap: bool
 
 
 class Sink(Protocol):
@@ -38,6 +69,8 @@ class ControllerIntake:
         """Host time of the last telemetry. Heartbeats and answers do not count: they say nothing of the leg."""
         self.telemetry: Telemetry | None = None
         """The newest of this recording."""
+        self.fresh: deque[tuple[Telemetry, int]] = deque(maxlen=FRESH)
+        """Telemetry with its host time [ns] that nobody has looked through yet, oldest first."""
         self._controller, self._sink, self._calibration = controller, sink, calibration
         self._lock = threading.Lock()
         self._pings: dict[int, int] = {}
@@ -95,6 +128,7 @@ class ControllerIntake:
 
     def _on_telemetry(self, t: Telemetry, host_ns: int) -> None:
         self.telemetry = t
+        self.fresh.append((t, host_ns))
         with self._lock:
             self._knee.append((t.tick_us, knee_angle(t.knee_rad, self._calibration)))
         self._sink.add("/leg/telemetry", host_ns, host_ns, t.knee_rad, t.pivot_hall_rad, t.knee_hall_rad,
@@ -136,6 +170,16 @@ class ImuIntake:
         self.accel_mps2 = (math.nan, math.nan)
         """Newest acceleration of the IMU [m/s2], tangential and along the link; NaN before any sample."""
         self.samples = self.gaps = 0
+        self.fresh: deque[Batch] = deque(maxlen=FRESH)
+        self.turned_rad = 0.0
+        """What the gyro adds up to since the recording began [rad]."""
+        self.pivot_rad = math.nan
+        """q1 by gyro and gravity [rad]: good to some degrees, for a rig whose pivot has no sensor of its own."""
+        self.gravity_mps2 = 0.0
+        """Mean size of the acceleration so far [m/s2]."""
+        self.measured_hz = math.nan
+        """Samples a second since the recording began; NaN before two drains, or behind a gap."""
+        self._first_ns = self._before = 0
         self._imu, self._sink, self._calibration = imu, sink, calibration
         self._now_ns, self._slow_every_ns, self._slow_due_ns = now_ns, 1e9 / slow_hz if slow_hz else math.inf, 0
 
@@ -166,8 +210,35 @@ class ImuIntake:
             index = batch.first_index + i
             self._sink.add("/imu", batch.t_before_ns, batch.t_before_ns, batch.t_after_ns, index, *counts,
                            int(gap and i == 0), sequence=index % 2**32)
-        self.samples += len(batch.raw)
         self.heard_ns = batch.t_after_ns
-        newest = imu_columns(batch.raw[-1:], self._imu.scale, self._calibration)
-        self.gyro_radps = float(newest["gyro_radps"][0])
-        self.accel_mps2 = float(newest["accel_x_mps2"][0]), float(newest["accel_y_mps2"][0])
+        self._see(batch.raw, gap)
+        self.fresh.append(Batch(batch.raw, self.turned_rad, batch.t_after_ns, gap))
+
+    def _see(self, raw: NDArray[np.int16], gap: bool) -> None:
+        """Keep what the commanding thread asks for."""
+        if not self.samples:
+            self._first_ns = self.heard_ns
+            self._before = len(raw)
+        self.samples += len(raw)
+        counted, seconds = self.samples - self._before, (self.heard_ns - self._first_ns) * 1e-9
+        self.measured_hz = math.nan if self.gaps or not seconds else counted / seconds
+        columns = imu_columns(raw, self._imu.scale, self._calibration)
+        period_s = 1.0 / self._imu.config.rate_hz
+        for gyro, x, y in zip(*(columns[name].tolist() for name in ("gyro_radps", "accel_x_mps2", "accel_y_mps2"))):
+            self.turned_rad += gyro * period_s
+            self._lean(gyro, x, y, period_s)
+        self.gyro_radps, self.accel_mps2 = gyro, (x, y)
+        accel = raw[:, 3:] * self._imu.scale[1] - np.asarray(self._calibration.accel_bias_mps2)
+        size = float(np.linalg.norm(accel @ np.asarray(self._calibration.accel_matrix).T, axis=1).sum())
+        self.gravity_mps2 += (size - len(raw) * self.gravity_mps2) / self.samples
+
+    def _lean(self, gyro: float, x: float, y: float, period_s: float) -> None:
+        """Gravity's direction, a_x = g sin(q1), a_y = -g cos(q1), draws the gyro's angle where the leg is calm."""
+        down, calm = math.atan2(x, -y), abs(math.hypot(x, y) / lsm9ds1_registers.STANDARD_GRAVITY - 1.0) < NEAR_GRAVITY
+        if math.isnan(self.pivot_rad):
+            self.pivot_rad = down
+            return
+        self.pivot_rad += gyro * period_s
+        if calm:
+            away = math.remainder(down - self.pivot_rad, math.tau)
+            self.pivot_rad += away * period_s / GRAVITY_PULL_S

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,9 +13,11 @@ from daq.dataset import FloatArray
 from daq.errors import InputError
 from daq.rig import ControllerDevice, Rig
 from daq.runs import read_csv
-from drivers import LegController
+from drivers import LegController, Lsm9ds1
 
 COLUMN = "tau2_cmd_nm"
+SLEW_S = 0.01
+"""Time over which a plan's steepest change counts [s]: a leg feels a ramp that is shorter as a jump."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,16 @@ class Plan:
     def peak_nm(self) -> float:
         """Largest magnitude commanded [N m]."""
         return float(np.abs(self.torque_nm).max())
+
+    @property
+    def slew_nmps(self) -> float:
+        """Steepest change [N m/s] over 10 ms, from zero before the first command and to zero behind the last."""
+        torque = np.concatenate(([0.0], self.torque_nm, [0.0]))
+        times = np.concatenate(([self.time_s[0] - 1.0], self.time_s, [self.time_s[0] + self.duration_s]))
+        held = np.searchsorted(times, times - SLEW_S * (1 - 1e-6), side="right") - 1  # what was asked for 10 ms before
+        before = np.minimum(np.maximum(held, 0), np.maximum(np.arange(times.size) - 1, 0))
+        steps = np.maximum(np.abs(torque - torque[before]), np.abs(np.diff(torque, prepend=0.0)))
+        return float(steps.max()) / SLEW_S
 
     def text(self) -> str:
         """The plan as CSV with header `time_s,tau2_cmd_nm`."""
@@ -83,7 +96,24 @@ def check_plan(plan: Plan, rig: Rig, controller: LegController) -> None:
         if plan.peak_nm > bound:
             what = f"asks for {plan.peak_nm:g} N m, {name} is {bound:g} N m"
             raise InputError("plan", what, "scale the plan down")
+    for what, value, key in (("changes by", plan.slew_nmps, "slew_nmps"), ("lasts", plan.duration_s, "duration_s")):
+        bound = getattr(rig.limits, key)
+        if value > bound * (1 + 1e-9):
+            unit, remedy = ("N m/s", "make its steps smaller") if key == "slew_nmps" else ("s", "split the plan")
+            raise InputError("plan", f"{what} {value:g} {unit}, limits.{key} of the rig is {bound:g} {unit}",
+                             f"{remedy}, or raise the limit if the leg can stand it")
     watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms
     if watchdog_ms > hello.watchdog_ms:
         raise InputError("rig", f"devices.controller.watchdog_ms is {watchdog_ms}, the firmware allows "
                                 f"{hello.watchdog_ms}", "lower it")
+
+
+def check_gyro(rig: Rig, imu: Lsm9ds1 | None) -> None:
+    """Raises `InputError` when the gyro's range cannot show the limit of the pivot's speed."""
+    if imu is None:
+        return
+    reach = math.radians(imu.config.gyro_range_dps)
+    if rig.limits.q1_speed_radps > reach:
+        what = f"limits.q1_speed_radps is {rig.limits.q1_speed_radps:g} rad/s, a gyro of " \
+               f"{imu.config.gyro_range_dps} dps shows up to {reach:.3g}"
+        raise InputError("rig", what, "lower the limit, or set a larger devices.imu.gyro_range_dps")

@@ -2,35 +2,37 @@
 
 from __future__ import annotations
 
-import platform
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import msgspec
-import numpy as np
 
 from daq.errors import WorkError
+from daq.recording.facts import describe_devices, program_facts
 from daq.recording.intake import ControllerIntake, ImuIntake, Sink
-from daq.recording.plan import Plan, check_plan
+from daq.recording.plan import Plan, check_gyro, check_plan
 from daq.recording.remote import LOST, Ending, Remote, Status
-from daq.recording.supervisor import Sample, Supervisor
-from daq.recording.workers import QueuedSink, Workers, real_time
+from daq.recording.senses import Senses
+from daq.recording.supervisor import Sample, Supervisor, Trip, may_ramp
+from daq.recording.workers import QueuedSink, Workers, in_time, noted_signals, real_time
 from daq.rig import ControllerDevice, Rig
 from daq.runs import RunWriter
 from drivers import DriverError, LegController, Lsm9ds1, State, describe_faults
 
-LEAD_IN_S, LEAD_OUT_S, RAMP_S = 1.0, 0.3, 0.1
+LEAD_IN_S, LEAD_OUT_S, RAMP_S = 1.0, 0.3, 0.08
 ARM_TIMEOUT_S = 0.5
 CONFIRM_S = 0.2
 PING_EVERY_S = 0.25
 LEAD_PING_EVERY_S = 0.05
 """Probes come faster before the start: the clock must be known by then."""
+STOP_AGAIN_S = 0.02
+"""A Stop that was not heard is sent again after so long."""
+FINISH_S = 5.0
+"""Longest wait for the disk at the end: the motor is off, and who waits for a disk for ever learns nothing."""
 FIFO_DEPTH = 32
 DRAIN_EVERY_S = 0.010
 _TURN_S = 0.002
@@ -59,16 +61,21 @@ class Recorder:
     def __init__(self, rig: Rig, imu: Lsm9ds1 | None, controller: LegController, writer: RunWriter,
                  supervisor: Supervisor | None = None, now_ns: Callable[[], int] = time.monotonic_ns,
                  threaded: bool = True, progress: Progress | None = None, remote: Remote | None = None) -> None:
+        if controller.hello is None:
+            raise ValueError("open the leg controller before recording")
         self.supervisor = supervisor or Supervisor(rig.limits)
         self._rig, self._controller, self._writer = rig, controller, writer
         self._now_ns, self._threaded, self._progress, self._remote = now_ns, threaded, progress, remote
-        self._workers = Workers()
+        self._workers, self._disk = Workers(), Workers()
         self._queue = QueuedSink(writer)
         self._sink: Sink = self._queue if threaded else writer
         self._leg = ControllerIntake(controller, self._sink, rig.calibration, now_ns)
         slow_hz = rig.devices.imu.slow_hz if rig.devices.imu else 0.0
         self._imu = None if imu is None else ImuIntake(imu, self._sink, rig.calibration, now_ns, slow_hz)
         rate = imu.config.rate_hz if imu else 238.0
+        self._senses = Senses(rig, controller.hello, self._leg, self._imu, rate, now_ns())
+        if controller.hello is None:
+            raise ValueError("open the leg controller before recording")
         self._drain_every_s = min(DRAIN_EVERY_S, FIFO_DEPTH / rate / 3)
         self._watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms
         self._driving = False
@@ -79,7 +86,7 @@ class Recorder:
         self._commands = self._late = 0
         self._interrupt = ""
         self._start_ns, self._total_s = 0, 0.0
-        self._describe_devices(imu)
+        describe_devices(writer, controller, imu, now_ns())
         if remote is not None:
             remote.attach(controller.stop, self._status)
 
@@ -89,9 +96,15 @@ class Recorder:
         Raises `InputError` when the plan is beyond the limits, `WorkError` naming what ended the run early;
         what was recorded until then is in the file, closed and whole.
         """
-        check_plan(plan, self._rig, self._controller)
+        with noted_signals(self._note):  # to the very end: a second signal must not break off the finish
+            return self._record(plan)
+
+    def _note(self, name: str) -> None:
+        self._interrupt = name
+
+    def _record(self, plan: Plan) -> RecordReport:
         try:
-            with self._signals(), real_time() if self._threaded else nullcontext(False) as granted:
+            with real_time() if self._threaded else nullcontext(False) as granted:
                 if granted and self._remote is not None:
                     self._remote.hurry()
                 self._sink.config(self._now_ns(), "priority", msgspec.json.encode({"real_time": granted}).decode())
@@ -115,26 +128,23 @@ class Recorder:
     def _run(self, plan: Plan) -> None:
         try:
             self._keep(self._now_ns() + _ns(LEAD_IN_S))
-            self._check_heard()
+            self._senses.arm()
             self._ping_every_s = PING_EVERY_S
             self._arm()
             self._follow(plan)
             self._driving = False
             self._controller.stop()
+            self._senses.commanded(self._now_ns(), 0.0)
             self._sink.event(self._now_ns(), "stop", "plan done")
             self._keep(self._now_ns() + _ns(LEAD_OUT_S))
-        except (_Tripped, _Interrupted) as error:
+        except _Tripped as error:
+            if not self._emergency and may_ramp(error.trip, self._sample()):
+                self._ramp_down()
+            raise WorkError(str(error)) from None
+        except _Interrupted as error:
             if not self._emergency:
                 self._ramp_down()
             raise WorkError(str(error)) from None
-
-    def _check_heard(self) -> None:
-        if self._leg.telemetry is None:
-            raise WorkError("leg controller: shook hands but sends no telemetry; restart it")
-        if self._leg.clock_bound_s() is None:
-            raise WorkError("leg controller: answers no clock probe; restart it")
-        if self._imu is not None and not self._imu.samples:
-            raise WorkError("IMU: no sample within a second; power-cycle it")
 
     def _arm(self) -> None:
         if not self._emergency:
@@ -166,7 +176,7 @@ class Recorder:
         self._command(0.0)
 
     def _ramp_down(self) -> None:
-        """Torque to zero in a straight line: a step would shake the leg. Limits are past caring here."""
+        """Torque to zero in a straight line: a step would shake the leg. What forbids a ramp ends it."""
         self._supervising = False
         first_nm, start_ns = self._torque_nm, self._now_ns()
         while self._driving and self._armed() and first_nm:
@@ -175,6 +185,10 @@ class Recorder:
             if left <= 0:
                 break
             self._keep(self._now_ns() + _ns(_TURN_S))
+            sample = self._sample()
+            worse = Supervisor(self._rig.limits).check(sample)
+            if self._emergency or (worse is not None and not may_ramp(worse, sample)):
+                break
         self._driving = False
 
     def _finish(self, why: str) -> None:
@@ -186,18 +200,32 @@ class Recorder:
         except DriverError as error:
             stopped = f"stop not sent ({error}): the firmware's watchdog stops the motor"
         self._workers.stop()
+        confirmed = self._confirm_off()
         if self._remote is not None:
-            self._remote.motor = self._confirm_off() or f"{stopped.split(' (')[0]}, the firmware's watchdog stops it"
-        try:
-            self._queue.drain()
-        finally:
-            self._close(why, stopped)
+            self._remote.motor = confirmed or f"{stopped.split(' (')[0]}, the firmware's watchdog stops it"
+
+        def write_rest() -> None:
+            self._disk.stop()
+            try:
+                self._queue.drain()
+            finally:
+                self._close(why, stopped)
+
+        if not self._threaded:
+            write_rest()
+        elif not in_time(write_rest, FINISH_S):
+            first = f"{why}; " if why else ""
+            raise WorkError(f"{first}{self._writer.path}: the disk does not answer, the file is not finished; when it "
+                            "does again, legid recover mends it")
 
     def _confirm_off(self) -> str:
         """What the controller itself says of the torque after the Stop; empty when it says nothing in time."""
-        asked_ns = self._now_ns()
-        with suppress(DriverError):
+        asked_ns = again_ns = self._now_ns()
+        with suppress(Exception):  # whatever ended the run may strike again: the file is still to be closed
             while self._now_ns() < asked_ns + _ns(CONFIRM_S):
+                if self._now_ns() >= again_ns + _ns(STOP_AGAIN_S):
+                    again_ns = self._now_ns()
+                    self._controller.stop()
                 self._leg.poll()  # no thread does any more
                 if self._leg.telemetry is not None and self._leg.heard_ns > asked_ns and not self._armed():
                     return f"torque off, the controller says {State(self._leg.telemetry.state).name}"
@@ -235,6 +263,8 @@ class Recorder:
                 self._drain_due_ns = now + _ns(self._drain_every_s)
                 self._imu.drain()
         self._workers.check()
+        self._disk.check()
+        self._senses.attend()
         if now >= self._ping_due_ns:
             self._ping_due_ns = now + _ns(self._ping_every_s)
             self._leg.ping()
@@ -253,7 +283,7 @@ class Recorder:
         if self._remote is not None:
             self._show(self._remote, sample)
         if trip is not None:
-            raise _Tripped(str(trip))
+            raise _Tripped(trip)
         if self._leg.boot_id != self._leg.first_boot_id:
             raise WorkError("leg controller: restarted during the run; check its supply")
         telemetry = self._leg.telemetry
@@ -263,17 +293,8 @@ class Recorder:
             raise WorkError("leg controller: disarmed itself during the run")
 
     def _sample(self) -> Sample:
-        now = self._now_ns()
-        telemetry, knee = self._leg.telemetry, self._leg.knee()
-        return Sample(
-            torque_nm=self._leg.torque_nm(), torque_cmd_nm=self._torque_nm,
-            q1_speed_radps=self._imu.gyro_radps if self._imu and self._imu.samples else None,
-            q2_speed_radps=knee[1] if knee else None, q2_rad=knee[0] if knee else None,
-            q1_rad=_or_none(telemetry.pivot_hall_rad) if telemetry else None,
-            temperature_degc=_or_none(telemetry.motor_degc) if telemetry else None,
-            controller_age_s=(now - self._leg.heard_ns) * 1e-9,
-            imu_age_s=(now - self._imu.heard_ns) * 1e-9 if self._imu else None,
-            clock_bound_s=self._leg.clock_bound_s())
+        now, saved_ns = self._now_ns(), self._writer.saved_ns if self._threaded else 0
+        return self._senses.sample(now, self._torque_nm, (now - saved_ns) * 1e-9 if saved_ns else None)
 
     def _armed(self) -> bool:
         return self._leg.telemetry is not None and self._leg.telemetry.state == State.ARMED
@@ -289,6 +310,7 @@ class Recorder:
         seq = self._controller.command(torque_nm)
         self._torque_nm, self._commanded_ns = torque_nm, now
         self._commands += 1
+        self._senses.commanded(now, torque_nm)
         self._sink.add("/leg/command", now, now, torque_nm, seq, sequence=seq)
 
     def _show(self, remote: Remote, sample: Sample) -> None:
@@ -326,37 +348,7 @@ class Recorder:
         self._workers.start("leg", self._leg.poll)
         if self._imu is not None:
             self._workers.start("imu", self._imu.drain, self._drain_every_s)
-        self._workers.start("writer", self._queue.turn)
-
-    @contextmanager
-    def _signals(self) -> Iterator[None]:
-        """SIGINT, SIGTERM and SIGHUP become a controlled stop; signals belong to the main thread only."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-        names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "SIGHUP"}
-
-        def note(number: int, _frame: object) -> None:
-            self._interrupt = names[signal.Signals(number)]
-
-        before = {number: signal.signal(number, note) for number in names}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-    def _describe_devices(self, imu: Lsm9ds1 | None) -> None:
-        now = self._now_ns()
-        self._writer.config(now, "firmware", msgspec.json.encode(self._controller.hello).decode())
-        if self._controller.link_facts:
-            self._writer.config(now, "link", msgspec.json.encode(self._controller.link_facts).decode())
-        if imu is not None:
-            gyro, accel = imu.scale
-            facts = {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel, "rate_hz": imu.config.rate_hz,
-                     "accel_range_g": imu.config.accel_range_g, "gyro_range_dps": imu.config.gyro_range_dps,
-                     "field_t_per_lsb": imu.magnetometer.config.scale_t if imu.magnetometer else None}
-            self._writer.config(now, "imu", msgspec.json.encode(facts).decode())
+        self._disk.start("writer", self._queue.turn)
 
 
 def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9ds1 | None, controller: LegController,
@@ -367,22 +359,25 @@ def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9d
     `remark` is the file's first event: what whoever reads it should know of this recording. `remote` watches it and can
     stop it.
     """
-    facts = {"started_unix_ns": str(time.time_ns()), "started_monotonic_ns": str(now_ns()),
-             "calibration": msgspec.json.encode(rig.calibration).decode(), "python": platform.python_version(),
-             "numpy": np.__version__, "system": platform.platform()}
     check_plan(plan, rig, controller)
-    writer = RunWriter(path, {"rig.toml": rig_text, "plan.csv": plan.text()}, facts)
+    check_gyro(rig, imu)
+    writer = RunWriter(path, {"rig.toml": rig_text, "plan.csv": plan.text()}, program_facts(rig, now_ns()))
     try:
         if remark:
             writer.event(now_ns(), "remark", remark)
         recorder = Recorder(rig, imu, controller, writer, None, now_ns, threaded, progress, remote)
-        return recorder.record(plan)
-    finally:
+    except BaseException:
         writer.close()
+        raise
+    return recorder.record(plan)  # which closes the file, whatever happens
 
 
 class _Tripped(Exception):
     """A limit of the supervisor."""
+
+    def __init__(self, trip: Trip) -> None:
+        super().__init__(str(trip))
+        self.trip = trip
 
 
 class _Interrupted(Exception):
@@ -391,7 +386,3 @@ class _Interrupted(Exception):
 
 def _ns(seconds: float) -> int:
     return round(seconds * 1e9)
-
-
-def _or_none(value: float) -> float | None:
-    return None if np.isnan(value) else value

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -38,6 +39,39 @@ def hurry(thread: threading.Thread) -> None:
         return
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(thread.native_id, os.SCHED_RR, os.sched_param(REAL_TIME_PRIORITY))
+
+
+@contextmanager
+def noted_signals(note: Callable[[str], None]) -> Iterator[None]:
+    """SIGINT, SIGTERM and SIGHUP are noted by name, however often they come; they belong to the main thread only."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "SIGHUP"}
+    before = {number: signal.signal(number, lambda number, _: note(names[signal.Signals(number)])) for number in names}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def in_time(work: Callable[[], None], seconds: float) -> bool:
+    """Do `work` in a thread of its own; whether it ended in time. One that hangs is left behind. Raises its error."""
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            work()
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=run, name="finish", daemon=True)
+    thread.start()
+    thread.join(seconds)
+    if failed:
+        raise failed[0]
+    return not thread.is_alive()
 
 
 class Workers:

@@ -15,6 +15,7 @@ from daq.rig import Rig, parse_rig
 from daq.runs import MIN_SAMPLES, RawRun
 from daq.si_units import imu_columns, joint_torque, knee_angle
 from daq.timing.clock import ImuClock, TickClock, fit_samples, fit_ticks
+from daq.timing.doubts import doubts
 from daq.timing.resample import Channel, align_channels
 
 
@@ -50,6 +51,9 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
         clock = fit_samples(samples, epoch_ns)
         bound_s = clock.bound_s + max(other.bound_s for other in clocks)
         channels.append(_imu_channel(raw, samples, clock, rig))
+        doubtful = doubts(raw, rig, configured(raw, "imu"))
+        if doubtful:
+            sources["doubt"] = "; ".join(doubtful)
         sources["imu_clock"] = f"{clock.rate_hz:.3f} Hz, within {clock.bound_s * 1e6:.0f} us"
     if not raw.complete:
         sources["truncated"] = "the file ends before its footer; read as far as it is whole"

@@ -65,6 +65,8 @@ class FirmwareEmulator:
         self.gate_driver_ok = self.current_ok = True
         self.estop_open = False
         """The E-stop is pressed."""
+        self.says: Callable[[Telemetry], Telemetry | None] = lambda truth: truth
+        """What the telemetry says instead of the truth, None: nothing. The drive itself is not changed."""
         self.bus_v = self.settings.bus_v
         self.motor_degc = self.settings.ambient_degc
         self._rng = np.random.default_rng(seed)
@@ -180,7 +182,9 @@ class FirmwareEmulator:
         self._t_ns = self._now_ns = segment.t1_ns
         while self._due_ns <= segment.t1_ns:
             self._watch(segment.after)
-            self._send(self._telemetry(segment, self._due_ns), round(self._due_ns))
+            said = self.says(self._telemetry(segment, self._due_ns))
+            if said is not None:
+                self._send(said, round(self._due_ns))
             self._frames += 1
             self._due_ns = self._host_ns((self._frames + 1) * self._period_us)
         if self._local_us(segment.t1_ns) >= self._hello_us:

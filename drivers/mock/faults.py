@@ -161,6 +161,8 @@ class FaultyI2C:
     def __init__(self, chip: Any, schedule: dict[int, Callable[[], None]]) -> None:
         self._chip, self._schedule = chip, schedule
         self.transfers = 0
+        self.reads: int | None = None
+        """A byte that every read brings, whatever the chip says: lines that are held low (0) or not at all (255)."""
 
     def i2c_rdwr(self, *i2c_msgs: Any) -> None:
         """The chip's transfer, after what is scheduled for it."""
@@ -169,6 +171,9 @@ class FaultyI2C:
         if happens is not None:
             happens()
         self._chip.i2c_rdwr(*i2c_msgs)
+        for message in i2c_msgs if self.reads is not None else ():
+            for k in range(message.len if message.flags & 1 else 0):
+                message.buf[k] = bytes([self.reads or 0])
 
     def close(self) -> None:
         """Let go of the chip's bus."""

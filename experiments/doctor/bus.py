@@ -38,7 +38,7 @@ def examine_bus(device: ImuDevice) -> tuple[list[Check], bool]:
         checks.append(Check("chip identity", "ok", f"LSM9DS1 answers at 0x{device.address:02X}"))
         checks.append(_speed(bus, device))
     except OSError as error:
-        name = "kernel driver" if error.errno == errno.EBUSY else "chip identity"
+        name = "kernel driver" if error.errno in (errno.EBUSY, errno.EUSERS) else "chip identity"
         if name == "chip identity" and any(check.name == name for check in checks):
             name = "I2C speed"
         return [*checks, Check(name, "FAIL", f"{explain(error, where)}{_holder(device)}")], False

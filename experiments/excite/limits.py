@@ -18,17 +18,19 @@ LEAST = 1e-3
 NEIGHBOURS = 8
 
 
-def bounds(limits: Limits, margin: float, n: int) -> tuple[float, float, FloatArray]:
-    """The share of the limits that is used: torque [N m], speed [rad/s], angles (n,) [rad]."""
+def bounds(limits: Limits, margin: float, n: int) -> tuple[float, FloatArray, FloatArray]:
+    """The share of the limits that is used: torque [N m], speeds (n,) [rad/s], angles (n,) [rad]."""
     angles = np.array([limits.q1_rad, limits.q2_rad][:n])
-    return margin * limits.torque_nm, margin * limits.speed_radps, margin * angles
+    pivot = min(limits.speed_radps, limits.q1_speed_radps) if n > 1 else limits.speed_radps  # a single joint is driven
+    speeds = np.array([pivot, limits.speed_radps][:n])
+    return margin * limits.torque_nm, margin * speeds, margin * angles
 
 
 def keeps(moved: Moved, limits: Limits, margin: float) -> bool:
     """Whether torque, speeds and angles stay within this share of the limits."""
     torque, speed, angles = bounds(limits, margin, moved.q.shape[1])
     slack = 1.0 + 1e-9
-    return bool(np.abs(moved.torque).max() <= slack * torque and np.abs(moved.v).max() <= slack * speed
+    return bool(np.abs(moved.torque).max() <= slack * torque and (np.abs(moved.v) <= slack * speed).all()
                 and (np.abs(moved.q) <= slack * angles).all())
 
 

@@ -110,6 +110,8 @@ def _clocks(raw: RawRun) -> list[str]:
         return [f"clocks: {error}", *clock_warnings(0.0, configured(raw, "link"))]
     lines = [f"{label}: {facts[key]}" for key, label in
              [("controller_clock", "controller clock"), ("imu_clock", "IMU clock")] if key in facts]
+    if "doubt" in facts:
+        lines.append(f"warning: a fit of this run is to be doubted: {facts['doubt']}")
     if skew is not None:
         lines.append(f"IMU against encoders, by correlation of gyro and pivot: {skew.seconds * 1e3:+.2f} +- "
                      f"{skew.std_s * 1e3:.2f} ms (positive: the IMU is late)")

@@ -61,7 +61,8 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
             raise InputError("--fix", f"{settings.model} has no parameter {name}",
                              f"it has {', '.join(mechanism.names)}")
     options = fit_options(rig, choose_sensors(rig, datasets, sensors), fixed or {}, latent)
-    return zeroed(Setup(settings, mechanism, options, tuple(datasets)), rig, beta)
+    notes = tuple(f"{d.name} is to be doubted: {d.sources['doubt']}" for d in datasets if "doubt" in d.sources)
+    return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes), rig, beta)
 
 
 def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> Setup:

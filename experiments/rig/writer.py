@@ -69,6 +69,7 @@ def rig_toml(facts: RigFacts) -> str:
               "[limits]                          # beyond any of these the torque goes to zero and the run stops",
               line("torque_nm", _number(facts.torque_nm), "joint torque [N m]", "torque_nm"),
               line("speed_radps", _number(facts.speed_radps), "speed of either joint [rad/s]", "speed_radps"),
+              line("q1_speed_radps", _number(min(facts.speed_radps, 8.5)), "of the pivot: the gyro must show it"),
               line("q1_rad", _number(facts.q1_rad), "pivot, either side of hanging [rad]", "q1_rad"),
               line("q2_rad", _number(facts.q2_rad), "knee, either side of straight [rad]", "q2_rad"),
               line("temperature_degc", "70.0", "motor [degC]"),

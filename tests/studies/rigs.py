@@ -29,9 +29,14 @@ rate_hz = 1000.0
 [limits]
 staleness_s = 5.0
 clock_bound_s = 5.0
+q1_speed_radps = 8.7
+pivot_band_rad = 1000.0
+[calibration]
+accel_bias_mps2 = [0.0, 0.0, -9.81]
 """
 IMU_HZ = 952.0
-COUNTS = 30_000
+COUNTS = 28_000
+"""As a gyro's reading 8.6 rad/s: numbers must pass for a leg that swings."""
 
 
 class NumberedChip:

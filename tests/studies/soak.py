@@ -56,7 +56,7 @@ class Killed(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """Nothing older than 250 messages or 1 s is missing."""
+        """Nothing older than a flush or 1 s is missing."""
         missing = self.handed_over - self.recovered
         return self.whole and (missing <= FLUSH_MESSAGES or self.oldest_missing_s <= 1.0)
 
@@ -165,7 +165,7 @@ def _kills(kills: list[Killed]) -> str:
     oldest = max(k.oldest_missing_s for k in kills)
     return (f"{sum(k.whole for k in kills)} files recovered whole; messages missing at the end: at most "
             f"{max(missing)}, median {int(np.median(missing))}; the oldest of them had been handed over {oldest:.2f} s "
-            f"before the kill. Beyond 250 messages and 1 s: {sum(not k.good for k in kills)} files.")
+            f"before the kill. Beyond {FLUSH_MESSAGES} messages and 1 s: {sum(not k.good for k in kills)} files.")
 
 
 def _losses(found: dict[str, int]) -> str:

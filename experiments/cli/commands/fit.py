@@ -69,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     """Fit, print, write what was asked for. Raises `WorkError` where the fit is no use."""
     if args.each:
         return _run_each(args)
+    import sys
+
     from daq import load_rig
     from experiments.console import busy, write_json
     from experiments.reports import check_sound, fit_document, fit_text, model_of
@@ -79,6 +81,9 @@ def run(args: argparse.Namespace) -> int:
     with busy(f"fitting {len(setup.datasets)} runs by {args.method}"):
         result = fit_setup(setup, args.method)
     print(fit_text(result, setup.settings.model))
+    for dataset in setup.datasets:
+        if "doubt" in dataset.sources:
+            print(f"warning: {dataset.name} is to be doubted: {dataset.sources['doubt']}", file=sys.stderr)
     if args.json:
         write_json(args.json, fit_document(result, setup.settings))
     if args.html:

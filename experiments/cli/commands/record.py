@@ -35,6 +35,9 @@ def run(args: argparse.Namespace) -> int:
     from experiments.workflows import record_plan
 
     plan = read_plan(args.plan)
+    if args.emulate is None:
+        print("The leg will move: hardwired emergency stop at hand, nobody within its reach (docs/safety.md).",
+              flush=True)
     with watched_by(args.watched_by) as remote, progress_to("recording") as report:
         done, warnings = record_plan(args.rig, plan, args.out, args.emulate, args.seed, report, remote)
     print(f"{args.out}: {done.duration_s:.1f} s, {done.messages} messages, {done.imu_samples} IMU samples, "

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError
-from daq.recording.plan import Plan, read_plan, write_plan
+from daq.recording.plan import Plan, check_gyro, check_plan, read_plan, write_plan
+from daq.rig import parse_rig
+from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
+from drivers.protocol import Hello
 
 
 def test_a_plan_reads_back(tmp_path: Path) -> None:
@@ -44,3 +47,43 @@ def test_a_faulty_plan_is_refused_like_a_run(tmp_path: Path, text: str, said: st
 def test_a_plan_made_in_code_is_checked_too(time_s: list[float], torque: list[float]) -> None:
     with pytest.raises(ValueError):
         Plan(np.array(time_s, float), np.array(torque, float))
+
+
+RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[limits]\n'
+
+
+class Controller:
+    """As far as a plan's check looks."""
+
+    hello = Hello(1, 1, 500, 50.0, 2.0, 1000)
+
+
+@pytest.mark.parametrize(("time_s", "torque", "said"), [
+    (np.arange(0, 1, 0.01), np.where(np.arange(100) % 20 < 10, 2.0, -2.0), r"changes by 400 N m/s, limits\.slew_nmps"),
+    (np.arange(0, 1, 0.5), np.array([1.8, 0.0]), r"changes by 180 N m/s"),  # from zero at the start
+    (np.arange(0, 0.1, 0.001), np.minimum(0.4 * np.arange(100), 1.9), r"changes by 190 N m/s"),  # steep, in 1 ms steps
+    (np.array([0.0, 55 * 3600.0]), np.array([0.5, 0.5]), r"lasts 396000 s, limits\.duration_s of the rig is 1800 s")])
+def test_jumps_and_days_of_torque_are_refused(time_s: np.ndarray, torque: np.ndarray, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        check_plan(Plan(time_s, torque), parse_rig(RIG), Controller())
+    wide = RIG + "slew_nmps = 500.0\nduration_s = 1e6\n"
+    check_plan(Plan(time_s, torque), parse_rig(wide), Controller())
+
+
+def test_a_fast_smooth_plan_has_its_own_slope() -> None:
+    t = np.arange(0, 2, 0.001)
+    plan = Plan(t, 2.0 * np.sin(2 * np.pi * 10 * t))
+    assert plan.slew_nmps == pytest.approx(2.0 * 2 * np.pi * 10, rel=0.02)
+    check_plan(plan, parse_rig(RIG), Controller())
+
+
+def test_a_gyro_that_cannot_show_the_speed_limit_is_refused() -> None:
+    def imu(dps: int) -> Lsm9ds1:
+        return Lsm9ds1(None, config=ImuConfig(238.0, 4, dps))
+
+    fast = parse_rig(RIG + "q1_speed_radps = 15.0\n")
+    with pytest.raises(InputError, match=r"limits\.q1_speed_radps is 15 rad/s, a gyro of 500 dps shows up to 8\.73"):
+        check_gyro(fast, imu(500))
+    check_gyro(fast, imu(2000))
+    check_gyro(parse_rig(RIG), imu(500))
+    check_gyro(fast, None)

@@ -151,7 +151,7 @@ def test_slow_plans_keep_the_watchdog_fed(tmp_path: Path) -> None:
     (Drift(2.0, 8.0), "speed_radps = 5.0\n", "speed_radps", {}),
     (StillPlant(StillState(q1=1.0)), "q1_rad = 0.9\n", "q1_rad", {}),
     (StillPlant(), "temperature_degc = 40.0\n", "temperature_degc", {"ambient_degc": 45.0}),
-    (StillPlant(), "torque_nm = 0.6\n", "torque_nm", {"shunt_offset_a": 0.4}),
+    (StillPlant(), "torque_nm = 0.6\ntorque_band_nm = 1.0\n", "torque_nm", {"shunt_offset_a": 0.4}),
     (StillPlant(), "clock_bound_s = 1e-6\n", "clock_bound_s", {}),
 ])
 def test_a_limit_stops_the_run_and_is_named(tmp_path: Path, plant: Any, limits: str, named: str,
@@ -166,9 +166,10 @@ def test_a_limit_stops_the_run_and_is_named(tmp_path: Path, plant: Any, limits: 
 
 
 def test_after_a_trip_the_torque_goes_to_zero_in_a_ramp(tmp_path: Path) -> None:
-    b = bench(tmp_path / "r.mcap", Drift(2.0, 3.0))
-    line, raw = b.fails(Plan(np.arange(0, 3, 0.01), np.full(300, 0.4)), "q2_rad = 0.5\n")
-    assert "q2_rad" in line
+    b = bench(tmp_path / "r.mcap")
+    hot = at(0.5, lambda: setattr(b.mock.firmware, "motor_degc", 75.0))
+    line, raw = b.fails(Plan(np.arange(0, 3, 0.01), np.full(300, 0.4)), on_progress=hot)
+    assert "temperature_degc" in line
     commands = raw.streams["/leg/command"]["torque_nm"]
     falling = commands[np.flatnonzero(commands == 0.4)[-1]:]
     assert falling[-1] == 0.0
@@ -177,6 +178,19 @@ def test_after_a_trip_the_torque_goes_to_zero_in_a_ramp(tmp_path: Path) -> None:
     assert np.diff(falling).min() > -0.4 * 0.012 / RAMP_S  # no step larger than 12 ms of the ramp
     _, commanded, _ = b.mock.firmware.motor.record
     assert np.abs(np.diff(commanded)).max() < 0.41
+
+
+@pytest.mark.parametrize(("torque_nm", "at_once"), [(0.4, True), (-0.4, False)])
+def test_towards_the_limit_torque_is_cut_at_once_against_it_ramps(tmp_path: Path, torque_nm: float, at_once: bool
+                                                                  ) -> None:
+    b = bench(tmp_path / "r.mcap", Drift(2.0, 3.0))
+    line, raw = b.fails(Plan(np.arange(0, 3, 0.01), np.full(300, torque_nm)), "q2_rad = 0.5\n")
+    assert line.startswith("limit q2_rad tripped: knee angle after stopping")
+    tripped_rad = raw.streams["/leg/telemetry"]["knee_rad"][raw.streams["/leg/telemetry"]["state"] == State.ARMED][-1]
+    assert tripped_rad < 0.5 + 3.0 * (0.0 if at_once else RAMP_S) - 0.5 * 3.0**2 / 100.0
+    commands = raw.streams["/leg/command"]["torque_nm"]
+    after = commands.size - 1 - int(np.flatnonzero(commands == torque_nm)[-1])
+    assert (after == 0) is at_once
 
 
 def test_an_imu_that_falls_silent_trips_staleness(tmp_path: Path) -> None:

@@ -1,0 +1,33 @@
+"""What a run file says of the devices that it was recorded from."""
+
+from __future__ import annotations
+
+import platform
+import time
+
+import msgspec
+import numpy as np
+
+from daq.rig import Rig
+from daq.runs import RunWriter
+from drivers import LegController, Lsm9ds1
+
+
+def program_facts(rig: Rig, now_ns: int) -> dict[str, str]:
+    """When, with which calibration, and on what."""
+    return {"started_unix_ns": str(time.time_ns()), "started_monotonic_ns": str(now_ns),
+            "calibration": msgspec.json.encode(rig.calibration).decode(), "python": platform.python_version(),
+            "numpy": np.__version__, "system": platform.platform()}
+
+
+def describe_devices(writer: RunWriter, controller: LegController, imu: Lsm9ds1 | None, now_ns: int) -> None:
+    """Firmware, link and the IMU's scales, as configuration notes."""
+    writer.config(now_ns, "firmware", msgspec.json.encode(controller.hello).decode())
+    if controller.link_facts:
+        writer.config(now_ns, "link", msgspec.json.encode(controller.link_facts).decode())
+    if imu is not None:
+        gyro, accel = imu.scale
+        facts = {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel, "rate_hz": imu.config.rate_hz,
+                 "accel_range_g": imu.config.accel_range_g, "gyro_range_dps": imu.config.gyro_range_dps,
+                 "field_t_per_lsb": imu.magnetometer.config.scale_t if imu.magnetometer else None}
+        writer.config(now_ns, "imu", msgspec.json.encode(facts).decode())

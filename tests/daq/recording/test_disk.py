@@ -1,0 +1,122 @@
+"""The motor does not outlive its measurement: a disk that hangs, a run file that is taken away, signals at the end."""
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.errors import WorkError
+from daq.recording import recorder
+from daq.recording.plan import Plan
+from daq.recording.recorder import Recorder
+from daq.runs import mcap_run
+from daq.runs.mcap_run import RunWriter, read_run
+from drivers.leg_controller import LegController
+from drivers.mock.faults import FaultyDisk
+from drivers.mock.rig import MockRig
+from drivers.protocol import State
+from tests.support.recordings import sine, threaded
+
+LIMITS = "staleness_s = 2.0\nclock_bound_s = 1.0\nunsaved_s = 1.3\n"
+
+
+@pytest.fixture
+def mocks(monkeypatch: pytest.MonkeyPatch) -> list[MockRig]:
+    """The rigs that a test makes."""
+    made: list[MockRig] = []
+    original = MockRig.__init__
+    monkeypatch.setattr(MockRig, "__init__", lambda self, *a, **k: (made.append(self), original(self, *a, **k))[1])
+    return made
+
+
+def once(at_s: float, act: Callable[[], None]) -> Callable[[float, float], None]:
+    done: list[float] = []
+
+    def progress(now_s: float, total_s: float) -> None:
+        if now_s >= at_s and not done:
+            done.append(now_s)
+            act()
+    return progress
+
+
+def test_a_disk_that_hangs_stops_the_motor_and_not_the_program(tmp_path: Path, mocks: list[MockRig],
+                                                               monkeypatch: pytest.MonkeyPatch) -> None:
+    disks: list[FaultyDisk] = []
+    create = mcap_run._create
+    monkeypatch.setattr(mcap_run, "_create", lambda path: (disks.append(FaultyDisk(create(path))), disks[0])[1])
+    monkeypatch.setattr(recorder, "FINISH_S", 0.5)
+    hung: list[float] = []
+
+    def hang() -> None:
+        hung.append(time.monotonic())
+        disks[0]._delay_s = 8.0
+
+    with pytest.raises(WorkError, match=r"age of what is not on the disk.*the disk does not answer, the file is not"):
+        threaded(tmp_path / "r.mcap", sine(20.0), once(0.2, hang), LIMITS)
+    assert time.monotonic() - hung[0] < 6.0
+    t_ns, commanded, _ = mocks[0].firmware.motor.record
+    outlived_s = float(t_ns[commanded != 0][-1]) * 1e-9 - hung[0]
+    assert outlived_s < 1.3 + 0.3
+    assert mocks[0].firmware.drive.state != State.ARMED
+
+
+@pytest.mark.parametrize(("act", "said"), [
+    (lambda path: path.unlink(), "is not in its place any more"),
+    (lambda path: os.truncate(path, 100), "was cut short to 100 of"),
+    (lambda path: (path.with_suffix(".new").write_text("x"), os.replace(path.with_suffix(".new"), path)),
+     "another file is in its place")])
+def test_a_run_file_that_is_taken_away_stops_the_motor(tmp_path: Path, mocks: list[MockRig], act: Any, said: str
+                                                       ) -> None:
+    path, when = tmp_path / "r.mcap", []
+    with pytest.raises(WorkError, match=said):
+        threaded(path, Plan(np.arange(0, 9, 0.01), np.full(900, 0.3)),
+                 once(0.4, lambda: (when.append(time.monotonic_ns()), act(path))))
+    t_ns, commanded, _ = mocks[0].firmware.motor.record
+    assert (int(t_ns[commanded != 0][-1]) - when[0]) * 1e-6 < 200  # 20 ms of watching on a machine with nothing to do
+
+
+def test_a_file_that_lacks_messages_is_said_when_it_is_closed(tmp_path: Path) -> None:
+    writer = RunWriter(tmp_path / "r.mcap", {})
+    writer.event(1, "remark", "one")
+    writer.messages += 1
+    with pytest.raises(WorkError, match="holds 1 of 2 messages after closing"):
+        writer.close()
+    writer.close()  # said once
+
+
+def test_signals_while_the_file_is_finished_break_nothing_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    close = Recorder._close
+
+    def impatient(self: Recorder, why: str, stopped: str) -> None:
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            os.kill(os.getpid(), number)
+            time.sleep(0.05)
+        close(self, why, stopped)
+
+    monkeypatch.setattr(Recorder, "_close", impatient)
+    with pytest.raises(WorkError, match="stopped by SIGTERM"):
+        threaded(tmp_path / "r.mcap", sine(5.0), once(0.1, lambda: os.kill(os.getpid(), signal.SIGTERM)))
+    raw = read_run(tmp_path / "r.mcap")
+    assert raw.complete
+    assert raw.events[-1].text.startswith("stopped by SIGTERM")
+
+
+def test_a_stop_that_is_lost_is_sent_again(tmp_path: Path, mocks: list[MockRig], monkeypatch: pytest.MonkeyPatch
+                                           ) -> None:
+    stop, lost = LegController.stop, []
+
+    def deaf(self: LegController) -> None:
+        if self.armed and len(lost) < 2:
+            lost.append(1)
+        else:
+            stop(self)
+
+    monkeypatch.setattr(LegController, "stop", deaf)
+    threaded(tmp_path / "r.mcap", sine(0.5))
+    assert len(lost) == 2
+    assert mocks[0].firmware.drive.state == State.DISARMED  # and not left to the watchdog of a second

@@ -1,0 +1,85 @@
+"""A few cells of the fault matrix (`make faults` fills all of it), and rigs that lack a sensor on purpose."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.recording.plan import Plan
+from drivers.protocol import Telemetry
+from tests.studies.fault_list import FAULTS
+from tests.studies.faults import TARGET_MS, strike
+from tests.support.fault_bench import MOMENTS, TIMES, FaultBench, Outcome
+
+CELLS = [
+    ("telemetry repeats one frame", "driving", "limit staleness_s tripped: silence of the leg controller"),
+    ("knee encoder stuck", "driving", "limit encoder_s tripped"), ("shunt reversed", "ramp", "limit torque_s tripped"),
+    ("echo off by 1.5 N m", "driving", "limit echo_s tripped"),
+    ("IMU constant", "driving", "limit imu_stuck_s tripped"),
+    ("IMU at its rail", "ramp", "limit q1_speed_radps tripped"),
+    ("motor temperature invalid", "driving", "limit temperature_degc tripped: motor temperature in degC cannot be"),
+    ("supply voltage invalid", "stopping", "stopped by SIGTERM"),
+    ("nothing goes down", "stopping", "stopped by SIGTERM"),
+    ("pivot Hall angle invalid", "driving", "limit q1_rad tripped: .* cannot be checked"),
+]
+
+
+@pytest.mark.parametrize(("fault", "moment", "said"), CELLS)
+def test_torque_ends_in_time_and_the_fault_is_named(tmp_path: Path, fault: str, moment: str, said: str) -> None:
+    outcome = strike(fault, moment, tmp_path)
+    assert outcome.zero_ms <= TARGET_MS, outcome
+    assert re.match(said, outcome.said), outcome
+    assert outcome.kept.startswith("whole")
+
+
+def test_an_angle_s_limit_is_passed_by_no_more_than_the_leg_coasts(tmp_path: Path) -> None:
+    bench = FaultBench(lambda bench: None, "never", "q2_rad = 2.6\nspeed_radps = 30.0\n")
+    bench.plan = Plan(TIMES, np.full(TIMES.size, 1.0))
+    step, angles = bench.mock._plant.step, []
+
+    def watched(dt_s: float, torque_nm: float):
+        state = step(dt_s, torque_nm)
+        angles.append(abs(state.q2))
+        return state
+
+    bench.mock._plant.step = watched
+    assert bench.run(tmp_path).said.startswith("limit q2_rad tripped: knee angle after stopping")
+    assert 2.5 < max(angles) < 2.7  # 2.8 where torque is cut at the limit itself, 4.0 where it begins to fall there
+
+
+def test_the_matrix_has_its_cells() -> None:
+    assert len(FAULTS) * len(MOMENTS) >= 150
+
+
+def lacks(folder: Path, limits: str, **fields: float) -> Outcome:
+    """A healthy run on a rig whose telemetry never had these readings."""
+    def says(truth: Telemetry) -> Telemetry:
+        return replace(truth, **fields)
+
+    bench = FaultBench(lambda bench: None, "never", limits)
+    bench.firmware.says = says
+    bench.clock.sleep(0.02)
+    bench.controller.poll()  # what was under way before
+    return bench.run(folder)
+
+
+def test_a_healthy_swing_is_driven_to_its_end(tmp_path: Path) -> None:
+    assert lacks(tmp_path, "").said.startswith("nothing")
+
+
+def test_without_a_pivot_sensor_the_imu_keeps_the_limit(tmp_path: Path) -> None:
+    nan = float("nan")
+    assert lacks(tmp_path, "", pivot_hall_rad=nan).said.startswith("nothing")
+    found = lacks(tmp_path, "q1_rad = 0.1\n", pivot_hall_rad=nan)
+    assert found.said.startswith("limit q1_rad tripped: pivot angle")
+
+
+def test_a_sensor_that_the_rig_never_had_is_given_up_on_purpose_or_refused(tmp_path: Path) -> None:
+    nan = float("nan")
+    given_up = lacks(tmp_path, 'unchecked = ["temperature_degc", "bus_v"]\n', motor_degc=nan, bus_v=nan)
+    assert given_up.said.startswith("nothing")
+    refused = lacks(tmp_path, "", motor_degc=nan)
+    assert refused.said.startswith("limit temperature_degc tripped: motor temperature in degC cannot be checked")
+    assert refused.zero_ms == 0.0

@@ -1,0 +1,166 @@
+"""Each check of what devices say: silent while it is true, however dull, and in time when it cannot be."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.recording.plausibility import Doubts, Plausibility
+from daq.rig import Calibration, Limits
+from drivers.protocol import Hello, Telemetry
+
+HZ, IMU_HZ = 500, 238.0
+HELLO = Hello(1, 7, HZ, 50.0, 2.0, 1000)
+LIMITS = Limits()
+FRAME = Telemetry(0, 0, 1, 0, 0.2, 0.1, 0.2, 0.0, 24.0, 30.0, 0.0)
+
+
+def frames(seconds: float, torque=lambda t: 0.0, knee=lambda t: 0.2) -> Iterator[tuple[Telemetry, int]]:
+    """Telemetry of a true leg with noise, over wraps of sequence and tick."""
+    rng = np.random.default_rng(0)
+    for k in range(round(seconds * HZ)):
+        t = k / HZ
+        yield replace(FRAME, seq=(65_500 + k) % 65_536, tick_us=(2**32 - 90_000 + 2000 * k) % 2**32,
+                      knee_rad=knee(t), knee_hall_rad=knee(t) + 1.0 + 0.003 * rng.standard_normal(),
+                      current_a=torque(t - 0.002) + 0.02 * rng.standard_normal(),
+                      torque_cmd_nm=torque(t)), round(1e9 + t * 1e9 + 2e5 * rng.exponential())
+
+
+def doubted(seconds: float, lie=lambda t, frame: frame, torque=lambda t: 0.0, knee=lambda t: 0.2) -> tuple[str, float]:
+    """(first check beyond its time-out, when it was [s]), or ("", end)."""
+    checks = Plausibility(LIMITS, Calibration(), HELLO, None, 10**9)
+    bounds = {"controller_age_s": LIMITS.staleness_s, **{n: getattr(LIMITS, n) for n in ("echo_s", "torque_s",
+                                                                                         "encoder_s")}}
+    for frame, ns in frames(seconds, torque, knee):
+        t = (ns - 10**9) * 1e-9
+        checks.commanded(ns - 1_000_000, frame.torque_cmd_nm)
+        told = lie(t, frame)
+        if told is not None:
+            checks.frame(told, ns)
+        found = checks.doubts(ns)._asdict()
+        for name, bound in bounds.items():
+            if found[name] is not None and found[name] > bound:
+                return name, t
+    return "", seconds
+
+
+def swing(t: float) -> float:
+    return 0.6 * math.sin(8 * t)
+
+
+@pytest.mark.parametrize(("torque", "knee"), [
+    (lambda t: 0.0, lambda t: 0.2),  # zero plan, standing leg: nothing changes but noise
+    (lambda t: 0.05, lambda t: 0.2),  # a slow plan against friction
+    (swing, lambda t: 1.2 * math.sin(8 * t)), (lambda t: 1.5 if t % 1.0 > 0.5 else -1.5, lambda t: 0.5 * t)])
+def test_a_true_leg_is_believed(torque, knee) -> None:
+    assert doubted(4.0, torque=torque, knee=knee) == ("", 4.0)
+
+
+def test_losses_doubles_and_late_frames_are_believed() -> None:
+    kept: list[Telemetry] = []
+
+    def bad_wire(t: float, frame: Telemetry) -> Telemetry | None:
+        kept.append(frame)
+        return None if frame.seq % 7 == 0 else kept[-2] if frame.seq % 11 == 0 and len(kept) > 1 else frame
+
+    assert doubted(3.0, bad_wire, torque=swing, knee=swing) == ("", 3.0)
+
+
+STRUCK_S = 1.0
+LIES = [
+    ("controller_age_s", lambda f, then: then, 0.11),
+    ("controller_age_s", lambda f, then: replace(f, seq=then.seq), 0.11),
+    ("controller_age_s", lambda f, then: replace(f, tick_us=then.tick_us), 0.11),
+    ("echo_s", lambda f, then: replace(f, torque_cmd_nm=f.torque_cmd_nm + 1.5), 0.06),
+    ("torque_s", lambda f, then: replace(f, current_a=0.0), 0.11),
+    ("torque_s", lambda f, then: replace(f, current_a=-f.current_a), 0.11),
+    ("torque_s", lambda f, then: replace(f, current_a=then.current_a), 0.11),
+    ("torque_s", lambda f, then: replace(f, current_a=f.current_a + 1.0), 0.08),
+    ("encoder_s", lambda f, then: replace(f, knee_rad=then.knee_rad), 0.09),
+    ("encoder_s", lambda f, then: replace(f, knee_hall_rad=then.knee_hall_rad), 0.09),
+]
+
+
+@pytest.mark.parametrize(("check", "lie", "within_s"), LIES)
+def test_what_cannot_be_true_is_doubted_in_time(check: str, lie, within_s: float) -> None:
+    then: list[Telemetry] = []
+
+    def told(t: float, frame: Telemetry) -> Telemetry:
+        if t < STRUCK_S:
+            return frame
+        then.append(frame)
+        return lie(frame, then[0])
+
+    name, at_s = doubted(3.0, told, torque=swing, knee=swing)
+    assert name == check
+    assert at_s - STRUCK_S < within_s
+
+
+def test_a_dead_shunt_shows_under_a_gentle_plan_too() -> None:
+    name, at_s = doubted(3.0, lambda t, f: replace(f, current_a=0.0), torque=lambda t: 0.16 * math.sin(3 * t))
+    assert name == "torque_s"
+    assert at_s < 1.0
+
+
+def test_a_controller_whose_clock_runs_at_half_speed_falls_behind() -> None:
+    sent = iter(range(10**6))
+
+    def slow(t: float, frame: Telemetry) -> Telemetry | None:
+        if round(t * HZ) % 2:
+            return None
+        k = next(sent)
+        return replace(frame, seq=k, tick_us=2000 * k)
+
+    name, at_s = doubted(3.0, slow)
+    assert name == "controller_age_s"
+    assert at_s < 0.3
+
+
+def imu_doubts(rows: np.ndarray, turned=lambda t: 0.0, hall=lambda t: 0.1) -> Doubts:
+    """After all samples, in drains of five, beside telemetry with the pivot's Hall angle; armed at once."""
+    checks = Plausibility(LIMITS, Calibration(), HELLO, IMU_HZ, 0)
+    checks.arm()
+    for k in range(0, len(rows), 5):
+        t = k / IMU_HZ
+        ns = round(t * 1e9)
+        checks.frame(replace(FRAME, seq=k % 65536, tick_us=2000 * k, pivot_hall_rad=hall(t)), ns)
+        checks.batch(rows[k:k + 5].astype(np.int16), turned(t), ns, False)
+    return checks.doubts(ns)
+
+
+def noise(n: int = 200) -> np.ndarray:
+    return np.rint(np.random.default_rng(1).normal(0, 3, (n, 6)))
+
+
+def test_an_imu_at_rest_is_believed_by_its_noise_and_one_that_repeats_itself_is_not() -> None:
+    rest = noise()
+    assert imu_doubts(rest)[-3:] == (0.0, 0.0, 0.0)
+    for part in (slice(0, 6), slice(0, 3), slice(3, 6)):
+        stuck = rest.copy()
+        stuck[150:, part] = stuck[150, part]
+        assert imu_doubts(stuck).imu_stuck_s == pytest.approx(49 / IMU_HZ)
+    for word in (0, -1):
+        dead = rest.copy()
+        dead[100:] = word
+        assert imu_doubts(dead).imu_stuck_s > LIMITS.imu_stuck_s
+
+
+def test_rails_are_counted_and_an_impact_is_not_a_rail() -> None:
+    railed = noise()
+    railed[170:, 2] = 32767
+    assert imu_doubts(railed).imu_rail_s == pytest.approx(30 / IMU_HZ)
+    knocked = noise()
+    knocked[100:104, 4] = -32768
+    assert imu_doubts(knocked).imu_rail_s == 0.0
+
+
+def test_gyro_and_hall_of_the_pivot_must_turn_alike() -> None:
+    def q1(t: float) -> float:
+        return 0.5 * math.sin(5 * t)
+
+    assert imu_doubts(noise(), q1, q1).pivot_s == 0.0
+    assert imu_doubts(noise(), q1, lambda t: 0.1).pivot_s > 0.0
+    assert imu_doubts(noise(), lambda t: -q1(t), q1).pivot_s > 0.0
+    assert imu_doubts(noise(), q1, lambda t: math.nan).pivot_s == 0.0

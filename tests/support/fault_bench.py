@@ -1,0 +1,152 @@
+"""A leg on virtual time that is driven while something goes wrong, and how long its torque outlives that."""
+
+import math
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from daq.errors import InputError, WorkError
+from daq.recording.plan import Plan
+from daq.recording.recorder import record_run
+from daq.rig import parse_rig
+from daq.runs import mcap_run
+from daq.runs.mcap_run import read_run
+from drivers.errors import DriverError
+from drivers.leg_controller import LegController
+from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
+from drivers.mock.clock import VirtualClock
+from drivers.mock.faults import FaultyDisk, FaultyI2C, FaultyLink, FaultyWire, WireFaults
+from drivers.mock.link import EmulatorLink
+from drivers.mock.rig import MockRig
+from drivers.mock.settings import FirmwareSettings, ImuSettings
+from experiments.emulation.plant import LegPlant
+
+MOMENTS = ("arming", "ramp", "driving", "stopping")
+RIG = """[mechanism]
+model = "leg2"
+actuated = [2]
+[imu]
+lever_arm_m = 0.2
+[devices.imu]
+rate_hz = 238.0
+[devices.controller]
+watchdog_ms = 100
+"""
+RAMP_AT_S, DRIVING_AT_S, STOPPING_AFTER_S = 0.06, 0.85, 0.02
+SWING_HZ, PEAK_NM = 1.3, 0.5
+AFTER_S = 0.3
+TIMES = np.arange(0.0, 1.5, 0.01)
+PLAN = Plan(TIMES, PEAK_NM * np.sin(2 * np.pi * SWING_HZ * TIMES))
+
+
+class Outcome(NamedTuple):
+    """How one fault at one moment ended."""
+
+    zero_ms: float
+    """From the fault, or from the first torque where that came later, to the last that was asked of the current loop;
+    0 where none was any more."""
+    said: str
+    kept: str
+    """What is in the run file."""
+
+
+class FaultBench:
+    """One recording; `fault` strikes once, at `moment`."""
+
+    def __init__(self, fault: Callable[["FaultBench"], None], moment: str, limits: str = "") -> None:
+        self.clock = VirtualClock()
+        self.mock = MockRig(LegPlant(), self.clock, ImuSettings(), FirmwareSettings(), seed=4)
+        self.firmware, self.chip = self.mock.firmware, self.mock.imu
+        self.link = FaultyLink(EmulatorLink(self.firmware, self.clock), self.clock,
+                               FaultyWire(WireFaults(), np.random.default_rng(1)))
+        self.bus = FaultyI2C(self.chip, {})
+        self.controller = LegController(self.link, self.clock.now_ns)
+        self.controller.open()
+        self.imu = Lsm9ds1(self.bus, config=ImuConfig(238.0), now_ns=self.clock.now_ns, sleep=self.clock.sleep)
+        self.imu.open()
+        self.path = Path()
+        self.disk: Any = None
+        self.plan = PLAN
+        self.struck_ns = 0
+        self._fault, self._moment, self._limits = fault, moment, limits
+        self._due_ns: float = math.inf
+        self._wrap()
+
+    def _wrap(self) -> None:
+        """The clock of the fault runs wherever the recorder reads or sends."""
+        arm, read = self.controller.arm, self.link.read
+
+        def on_arm(watchdog_ms: int) -> None:
+            arm(watchdog_ms)
+            if self._moment == "arming":
+                self._due_ns = self.clock.now_ns()
+                self._strike()
+
+        def on_read() -> Any:
+            self._strike()
+            return read()
+
+        self.controller.arm = on_arm  # type: ignore[method-assign]
+        self.link.read = on_read  # type: ignore[method-assign]
+
+    def _strike(self) -> None:
+        if not self.struck_ns and self.clock.now_ns() >= self._due_ns:
+            self.struck_ns = self.clock.now_ns()
+            self._fault(self)
+
+    def _progress(self, now_s: float, total_s: float) -> None:
+        at_s = {"ramp": RAMP_AT_S, "driving": DRIVING_AT_S, "stopping": DRIVING_AT_S}.get(self._moment, math.inf)
+        if now_s >= at_s and self._due_ns == math.inf:
+            self._due_ns = self.clock.now_ns()
+            if self._moment == "stopping":
+                signal.raise_signal(signal.SIGTERM)
+                self._due_ns += STOPPING_AFTER_S * 1e9
+        self._strike()
+
+    def run(self, folder: Path) -> Outcome:
+        """Record, then let the rig run on alone for a while."""
+        self.path = folder / f"{self._moment}.mcap"
+        self.path.unlink(missing_ok=True)
+        text = RIG + "[limits]\n" + self._limits
+        said = "nothing: the plan was driven to its end"
+        create = mcap_run._create
+
+        def on_this_disk(path: Path) -> Any:
+            self.disk = FaultyDisk(create(path))
+            return self.disk
+
+        mcap_run._create = on_this_disk
+        try:
+            record_run(self.path, parse_rig(text), text, self.plan, self.imu, self.controller, self.clock.now_ns,
+                       threaded=False, progress=self._progress)
+        except (WorkError, DriverError, ZeroDivisionError) as error:
+            said = str(error).split("; what was recorded")[0]
+        finally:
+            mcap_run._create = create
+        with suppress(DriverError):
+            self.controller.close()
+        self.clock.sleep(AFTER_S)
+        self.firmware.transmit(self.clock.now_ns())
+        return Outcome(self._zero_ms(), said, self._kept())
+
+    def _zero_ms(self) -> float:
+        t_ns, commanded, _ = self.firmware.motor.record
+        on = t_ns[commanded != 0.0]
+        late = on[on >= self.struck_ns]
+        if not self.struck_ns or not late.size:
+            return 0.0
+        first = max(self.struck_ns, int(on[0]))
+        return float(late[-1] - first) * 1e-6 + 0.5
+
+    def _kept(self) -> str:
+        try:
+            raw = read_run(self.path)
+        except InputError:
+            return "no run any more"
+        last_ns = int(raw.streams["/leg/telemetry"]["host_ns"][-1]) if raw.streams["/leg/telemetry"].size else 0
+        after_ms = (last_ns - self.struck_ns) * 1e-6
+        return f"{'whole' if raw.complete else 'cut'}, telemetry to {after_ms:+.0f} ms of the fault"
