@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypeVar
 
-from daq import InputError
+from daq import InputError, write_file
 
 T = TypeVar("T")
 
@@ -24,11 +24,8 @@ def program_version() -> str:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write a text file. Raises `InputError` where that place cannot be written."""
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    """Write a text file as `daq.files` does: whole or not at all, never over a run. Raises `InputError`."""
+    write_file(path, text.encode())
 
 
 def write_json(path: Path | str, document: Any) -> None:

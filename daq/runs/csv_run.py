@@ -17,6 +17,7 @@ import numpy as np
 
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
+from daq.files import write_file
 from daq.rig import Rig
 from daq.runs.columns import known, missing
 
@@ -68,7 +69,8 @@ def write_csv(dataset: Dataset, path: Path | str) -> int:
 
     Rows with a gap in any column are left out, so that the hole shows in `time_s`; a column that has no
     sample at all is left out whole. Values keep 12 significant digits, times a nanosecond. What the recorder's
-    clocks leave open goes into a column of its own, `clock_bound_s`, which fits allow for.
+    clocks leave open goes into a column of its own, `clock_bound_s`, which fits allow for. Raises `InputError`,
+    for a run that is there already too.
     """
     path = Path(path)
     names = [name for name, values in dataset.columns.items() if np.isfinite(values).any()]
@@ -82,11 +84,8 @@ def write_csv(dataset: Dataset, path: Path | str) -> int:
     np.savetxt(text, table, fmt=["%.9f"] + ["%.12g"] * len(names), delimiter=",",
                header=",".join(["time_s", *names]), comments="")
     data = text.getvalue().encode()
-    try:
-        # A fixed mtime and no name: the same run gives the same bytes.
-        path.write_bytes(gzip.compress(data, 6, mtime=0) if path.suffix == ".gz" else data)
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    # A fixed mtime and no name: the same run gives the same bytes.
+    write_file(path, gzip.compress(data, 6, mtime=0) if path.suffix == ".gz" else data)
     return int(rows.sum())
 
 

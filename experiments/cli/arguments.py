@@ -6,6 +6,40 @@ import argparse
 from collections.abc import Callable
 
 MOST_WORKERS = 1024
+Kind = str | Callable[[argparse.Namespace], str] | None
+"""What a file will be, in the words of `daq.files`; None where only the writer knows."""
+
+
+def add_output(parser: argparse._ActionsContainer, flag: str, kind: Kind, metavar: str = "FILE",
+               **options: object) -> None:
+    """An argument that names a file to write, which `check_outputs` looks at before the command does its work."""
+    action = parser.add_argument(flag, metavar=metavar, **options)  # type: ignore[arg-type]
+    parser.set_defaults(outputs=(*(parser.get_default("outputs") or ()), (action.dest, kind)))
+
+
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """`--force`."""
+    parser.add_argument("--force", action="store_true",
+                        help="replace a file that is there even where it is of another kind; a run never")
+
+
+def check_outputs(args: argparse.Namespace) -> None:
+    """Raises `InputError` where a file to write may not go where it was asked to, or two are to go to one place."""
+    from pathlib import Path
+
+    from daq import InputError, check_place, kind_of
+
+    seen: dict[Path, str] = {}
+    for dest, kind in getattr(args, "outputs", ()):
+        path = getattr(args, dest)
+        if path is None:
+            continue
+        flag = f"--{dest.replace('_', '-')}"
+        other = seen.setdefault(Path(path).resolve(), flag)
+        if other != flag and not str(path).startswith("/dev/"):
+            raise InputError(flag, f"{path} is what {other} names too", "give two names")
+        wanted = kind(args) if callable(kind) else kind
+        check_place(path, wanted if wanted is not None else kind_of(path) or "")
 
 
 def whole_number(low: int, high: int) -> Callable[[str], int]:

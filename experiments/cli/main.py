@@ -11,9 +11,10 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import NoReturn
 
-from daq import InputError, WorkError
+from daq import InputError, WorkError, replacing_anything
 from drivers import DriverError
 from estimator import FitError
+from experiments.cli.arguments import check_outputs
 
 COMMANDS = ("demo", "record", "calibrate", "info", "recover", "import_", "export", "fit", "validate", "diagnose",
             "effects", "simulate", "gains", "casebook", "monte_carlo", "doctor",
@@ -74,7 +75,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = build_parser().parse_args(argv)
         name = f"legid {args.command}"
-        status = int(args.run(args))
+        with replacing_anything(getattr(args, "force", False)):
+            check_outputs(args)
+            status = int(args.run(args))
         sys.stdout.flush()
         return status
     except SystemExit as ending:

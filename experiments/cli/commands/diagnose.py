@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from experiments.cli.arguments import MOST_WORKERS, share, whole_number
+from experiments.cli.arguments import MOST_WORKERS, add_force, add_output, share, whole_number
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -17,11 +17,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "diagnosis is possible (JSON is written all the same).")
     parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
     parser.add_argument("--rig", required=True, help="the rig's TOML file")
-    parser.add_argument("--json", metavar="FILE", help="write the diagnosis as JSON (schema legid.diagnosis/1)")
-    parser.add_argument("--html", metavar="FILE", help="write a report page")
-    parser.add_argument("--model-out", metavar="MODEL.json",
-                        help="write the extended model (the nominal one where nothing was named) for validate and "
-                             "simulate")
+    add_output(parser, "--json", "legid.diagnosis/1", help="write the diagnosis as JSON (schema legid.diagnosis/1)")
+    add_output(parser, "--html", "page", help="write a report page")
+    add_output(parser, "--model-out", "legid.model/1", "MODEL.json",
+               help="write the extended model (the nominal one where nothing was named) for validate and simulate")
+    add_force(parser)
     parser.add_argument("--seed", metavar="N", type=whole_number(0, 2**32 - 1), default=0,
                         help="rehearsals and intervals are drawn from it; default: 0")
     parser.add_argument("--material", metavar="SHARE", type=share, default=0.1,

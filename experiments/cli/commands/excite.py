@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from experiments.cli.arguments import add_force, add_output
+
 if TYPE_CHECKING:
     from daq import Rig
     from daq.recording import Plan
@@ -30,8 +32,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--peak", metavar="NM", type=_Number(1e-6, 1e6),
                         help="without --model: largest torque; default: a tenth of the rig's limit")
     out = parser.add_mutually_exclusive_group(required=True)
-    out.add_argument("--out", metavar="PLAN", help="one torque plan to write (CSV)")
+    add_output(out, "--out", "plan", "PLAN", help="one torque plan to write (CSV)")
     out.add_argument("--session", metavar="DIR", help="folder for the plans of a session and their index")
+    add_force(parser)
     parser.add_argument("--next", metavar="DIAGNOSIS.json",
                         help="with --session: plans that show the causes of this diagnosis best")
     parser.add_argument("--runs", type=_Number(4, 64), default=16,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_force, add_output
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -16,7 +18,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("run_file", metavar="RUN", help="run file of any kind that is read; or MODEL.json")
     parser.add_argument("--to", required=True, choices=("csv", "parquet", "mat", "ros2", "mjcf", "urdf"),
                         help="the format")
-    parser.add_argument("--out", metavar="FILE", required=True, help="the file to write")
+    add_output(parser, "--out", None, required=True, help="the file to write; a run that is there is never overwritten")
+    add_force(parser)
     parser.add_argument("--rig", help="the rig's TOML file; default: the one inside the run")
     parser.add_argument("--rate", metavar="HZ", type=float, help="samples per second; default: the rig's")
     parser.set_defaults(run=run)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from estimator import METHODS
-from experiments.cli.arguments import MOST_WORKERS, whole_number
+from experiments.cli.arguments import MOST_WORKERS, add_force, add_output, whole_number
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -31,9 +31,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                        help="with --each: local processes; default: one a core")
     where.add_argument("--cluster", metavar="ADDRESS",
                        help="with --each: an existing Dask scheduler that sees the same files")
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON (schema legid.fit/1)")
-    parser.add_argument("--html", metavar="FILE", help="write a report page")
-    parser.add_argument("--model-out", metavar="MODEL.json", help="write the model for validate and simulate")
+    add_output(parser, "--json", lambda args: "legid.fits/1" if args.each else "legid.fit/1",
+               help="write the result as JSON (schema legid.fit/1)")
+    add_output(parser, "--html", "page", help="write a report page")
+    add_output(parser, "--model-out", "legid.model/1", "MODEL.json", help="write the model for validate and simulate")
+    add_force(parser)
     parser.set_defaults(run=run)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_output
 from experiments.cli.commands.demo import HIDEABLE, parse_seed
 
 
@@ -16,7 +17,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "is opened: the rig's IMU, controller and a leg are emulated, for practice.")
     parser.add_argument("--rig", required=True, help="the rig's TOML file, with [devices] and [limits]")
     parser.add_argument("--plan", required=True, help="torque plan: CSV with time_s,tau2_cmd_nm")
-    parser.add_argument("--out", metavar="RUN.mcap", required=True, help="the run file to write; never overwritten")
+    add_output(parser, "--out", "run", "RUN.mcap", required=True, help="the run file to write; never overwritten")
     parser.add_argument("--watched-by", metavar="FD", type=int, help=argparse.SUPPRESS)  # legid live: see daq.remote
     parser.add_argument("--emulate", metavar="NAME", nargs="?", const="none", choices=HIDEABLE,
                         help="record an emulated leg of the rig's kind instead, with this hidden in it: "

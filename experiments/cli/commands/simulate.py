@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_force, add_output
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -13,7 +15,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "and, for a leg with an IMU, what the IMU would read.")
     parser.add_argument("model", metavar="MODEL.json", help="a model written by legid fit --model-out")
     parser.add_argument("--plan", required=True, help="torque plan: CSV with time_s,tau2_cmd_nm")
-    parser.add_argument("--out", metavar="RUN.csv", required=True, help="the run to write (.csv or .csv.gz)")
+    add_output(parser, "--out", "run", "RUN.csv", required=True,
+               help="the run to write (.csv or .csv.gz); a run that is there is never overwritten")
+    add_force(parser)
     parser.add_argument("--rate", metavar="HZ", type=_positive, help="samples per second; default: the plan's own rate")
     parser.add_argument("--start", metavar="Q1,Q2", type=_angles, help="angles at the start [rad]; default: all zero")
     parser.add_argument("--noise-seed", metavar="N", type=int,

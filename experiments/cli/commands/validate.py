@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_force, add_output
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -16,8 +18,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--rig", required=True, help="the rig's TOML file")
     parser.add_argument("--sensors", choices=("imu", "encoder"),
                         help="what the pivot's angle is compared with; default: imu where all runs have its columns")
-    parser.add_argument("--json", metavar="FILE", help="write the errors as JSON (schema legid.validation/1)")
-    parser.add_argument("--html", metavar="FILE", help="write a report page")
+    add_output(parser, "--json", "legid.validation/1", help="write the errors as JSON (schema legid.validation/1)")
+    add_output(parser, "--html", "page", help="write a report page")
+    add_force(parser)
     parser.set_defaults(run=run)
 
 
