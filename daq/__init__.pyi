@@ -2,6 +2,7 @@ from .dataset import Dataset as Dataset
 from .dataset import FloatArray as FloatArray
 from .errors import InputError as InputError
 from .errors import WorkError as WorkError
+from .errors import did_you_mean as did_you_mean
 from .files import check_place as check_place
 from .files import kind_of as kind_of
 from .files import replacing_anything as replacing_anything

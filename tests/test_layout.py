@@ -18,7 +18,7 @@ ROOMS = {
             ["calibration"], ["load"]],
     "estimator": [["errors", "methods", "parallel"], ["numerics"], ["model"], ["options", "result"], ["signals"],
                   ["effects"], ["likelihood"], ["fitting"], ["diagnosis", "calibration"]],
-    "experiments": [["console"], ["models"], ["exchange"], ["rig", "excite", "emulation"], ["reports"],
+    "experiments": [["console", "provenance"], ["models"], ["exchange"], ["rig", "excite", "emulation"], ["reports"],
                     ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
     "legid": [["tables", "figures"], ["results"], ["api"]],
 }

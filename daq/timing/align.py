@@ -51,8 +51,8 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
         bound_s = clock.bound_s + max(other.bound_s for other in clocks)
         channels.append(_imu_channel(raw, samples, clock, rig))
         sources["imu_clock"] = f"{clock.rate_hz:.3f} Hz, within {clock.bound_s * 1e6:.0f} us"
-    if not raw.complete:
-        sources["truncated"] = "the file ends before its footer; read as far as it is whole"
+    if raw.damage:
+        sources["damaged"] = "; ".join(raw.damage)
     if any(channel.time_s.size < 2 for channel in channels):
         raise _unusable(raw, "is too short for its clocks to be put together")
     return Decoded(epoch_ns, channels, bound_s, sources)

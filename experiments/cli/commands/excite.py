@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from experiments.cli.arguments import add_force, add_output
+from experiments.cli.arguments import add_force, add_output, add_rig
 
 if TYPE_CHECKING:
     from daq import Rig
@@ -27,7 +27,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "realisations at two amplitudes, slow ramps with holds, free swings, or what the causes of a "
                     "diagnosis call for. Without a model, a plain multisine of --peak: what the motion will be is then "
                     "unknown, so begin gently.")
-    parser.add_argument("--rig", required=True, help="the rig's TOML file; its [limits] are kept")
+    add_rig(parser, runs=False)
     parser.add_argument("--model", metavar="MODEL.json", help="prior model, from an earlier fit")
     parser.add_argument("--peak", metavar="NM", type=_Number(1e-6, 1e6),
                         help="without --model: largest torque; default: a tenth of the rig's limit")
@@ -78,7 +78,9 @@ def run(args: argparse.Namespace) -> int:
     """Design, write, tell."""
     from daq import InputError, load_rig
     from daq.recording import write_plan
+    from experiments.rig import rig_path
 
+    args.rig = str(rig_path(args.rig))
     rig = load_rig(args.rig)
     if args.seed < 0:
         raise InputError("--seed", f"{args.seed} is negative", "give a number from 0 on")

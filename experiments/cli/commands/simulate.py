@@ -6,6 +6,8 @@ import argparse
 
 from experiments.cli.arguments import add_force, add_output
 
+WIDEST_RAD = 6.2832
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -37,9 +39,12 @@ def _positive(text: str) -> float:
 
 def _angles(text: str) -> list[float]:
     try:
-        return [float(part) for part in text.split(",")]
+        angles = [float(part) for part in text.split(",")]
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a list of angles like 0.1,0.2") from None
+    if not all(abs(angle) <= WIDEST_RAD for angle in angles):  # NaN too
+        raise argparse.ArgumentTypeError(f"{text!r} is more than a turn; angles are in rad, not in degrees")
+    return angles
 
 
 def run(args: argparse.Namespace) -> int:
