@@ -7,7 +7,7 @@ import difflib
 import gzip
 import io
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import isfinite, isinf
@@ -24,6 +24,8 @@ from daq.runs.columns import known, missing
 MIN_SAMPLES = 50
 CLOCK_BOUND = "clock_bound_s"
 _GZIP_MAGIC = b"\x1f\x8b"
+UNPACKED_BYTES, UNPACKED_RATIO = 16 << 20, 30
+"""A packed file may unpack to so much, and so many times its own size more: numbers pack to a third or a tenth."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,11 @@ def _split(path: Path) -> tuple[str, str]:
         raise InputError(where, "is empty", "give a file with a header line and samples")
     if path.suffix == ".gz" or data.startswith(_GZIP_MAGIC):
         try:
-            data = gzip.decompress(data)
+            most = UNPACKED_BYTES + UNPACKED_RATIO * len(data)
+            with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
+                data = file.read(most + 1)
+            if len(data) > most:
+                raise InputError(where, f"unpacks to more than {UNPACKED_RATIO} times its size", "unpack it first")
         except (OSError, EOFError, zlib.error) as error:
             raise InputError(where, f"cannot be unpacked as gzip ({error})", "copy or pack the file again") from None
     try:
@@ -117,8 +123,8 @@ def _split(path: Path) -> tuple[str, str]:
 
 
 def _header_names(path: Path, header: str) -> list[str]:
-    names = [cell.strip() for cell in next(csv.reader([header]))]
     where = f"{path}, line 1"
+    names = [cell.strip() for cell in _cells(where, header)]
     if len(names) == 1 and any(mark in header for mark in ";\t"):
         raise InputError(where, "is not comma separated", "write the file with commas between columns")
     for name in names:
@@ -165,7 +171,7 @@ def _numbers(body: str, columns: list[int] | None) -> FloatArray:
 def _find_fault(path: Path, names: list[str], body: str, checked: set[str]) -> set[str]:
     """Names of the user's own columns that hold no numbers; raises `InputError` at the first other fault."""
     unusable: set[str] = set()
-    for line, cells in _lines(body):
+    for line, cells in _lines(path, body):
         place = f"{path}, line {line}"
         if len(cells) != len(names):
             column = names[len(cells)] if len(cells) < len(names) else names[-1]
@@ -180,9 +186,17 @@ def _find_fault(path: Path, names: list[str], body: str, checked: set[str]) -> s
     return unusable
 
 
-def _lines(body: str) -> list[tuple[int, list[str]]]:
+def _lines(path: Path, body: str) -> Iterator[tuple[int, list[str]]]:
     """Line number in the file and cells of every line that is not blank."""
-    return [(number, next(csv.reader([line]))) for number, line in enumerate(body.split("\n"), 2) if line.strip()]
+    return ((number, _cells(f"{path}, line {number}", line))
+            for number, line in enumerate(io.StringIO(body), 2) if line.strip())
+
+
+def _cells(where: str, line: str) -> list[str]:
+    try:
+        return next(csv.reader([line.rstrip("\n")]))
+    except csv.Error as error:
+        raise InputError(where, f"cannot be read as CSV ({error})", "mend or cut the line") from None
 
 
 def _fault(cell: str) -> str:
@@ -203,7 +217,7 @@ def _check_time(path: Path, time_s: FloatArray, names: list[str], body: str) -> 
     if bad.size == 0:
         return
     column = names.index("time_s")
-    for (_, before), (line, cells) in pairwise(_lines(body)):
+    for (_, before), (line, cells) in pairwise(_lines(path, body)):
         t0, t1 = before[column].strip(), cells[column].strip()
         if float(t1) <= float(t0):
             fault = f"time repeats ({t1})" if float(t1) == float(t0) else f"time runs backwards ({t0} then {t1})"

@@ -81,7 +81,10 @@ def recorded_rig(raw: RawRun) -> Rig:
 def configured(raw: RawRun, kind: str) -> dict[str, Any]:
     """The last configuration note of this kind in the run (`imu`, `firmware`), empty when there is none."""
     texts = [note.text for note in raw.config if note.kind == kind]
-    return msgspec.json.decode(texts[-1], type=dict[str, Any]) if texts else {}
+    try:
+        return msgspec.json.decode(texts[-1], type=dict[str, Any]) if texts else {}
+    except (msgspec.DecodeError, RecursionError):
+        raise _unusable(raw, f"holds a configuration of the {kind} that cannot be read") from None
 
 
 def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int) -> tuple[FloatArray, list[TickClock]]:

@@ -134,7 +134,7 @@ def _verdicts(folder: Path) -> list[tuple[Path, _Diagnosis]]:
     for path in folder.rglob("*.json"):
         try:
             document = msgspec.json.decode(path.read_bytes(), type=_Diagnosis)
-        except (msgspec.DecodeError, UnicodeDecodeError, OSError):
+        except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError):
             continue
         if document.schema == SCHEMA:
             found.append((path.stat().st_mtime, path, document))
