@@ -5,11 +5,15 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+LONGEST = 600
+
 
 class InputError(Exception):
     """Bad input: one line naming the file, the place and the remedy. The command line exits with 2."""
 
     def __init__(self, where: str, what: str, remedy: str = "") -> None:
+        if len(what) > LONGEST:  # a file's own words may be of any length
+            what = f"{what[:LONGEST]} ..."
         self.where, self.what, self.remedy = where, what, remedy
         line = f"{where}: {what}" if where else what
         super().__init__(f"{line}; {remedy}" if remedy else line)

@@ -26,7 +26,7 @@ Joint = Annotated[int, Meta(ge=1, le=20)]
 Vector3 = tuple[Signed, Signed, Signed]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 SQUARE = 0.05
-"""How far the mount's rows may be from lengths of one and right angles: written with few digits, not of another kind."""
+"""How far the mount's rows may be from lengths of one and right angles: by few digits, no more."""
 LEAST_VOLUME = 0.05
 """Smallest determinant of a matrix that scales: below it one of the accelerometer's axes is lost."""
 IDENTITY3: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -23,6 +23,9 @@ from daq.runs.columns import known, missing
 
 MIN_SAMPLES = 50
 CLOCK_BOUND = "clock_bound_s"
+MOST, MOST_OF_OTHERS = 1e12, 1e100
+"""Largest magnitude of a reading, and of what stands in a column of the user's own (counts, times since 1970 in ns)."""
+LEAST_STEP_S = 1e-9
 _GZIP_MAGIC = b"\x1f\x8b"
 UNPACKED_BYTES, UNPACKED_RATIO = 16 << 20, 30
 """A packed file may unpack to so much, and so many times its own size more: numbers pack to a third or a tenth."""
@@ -155,7 +158,7 @@ def _parse(path: Path, names: list[str], body: str, rig: Rig | None) -> tuple[Fl
         return np.empty((0, len(names))), names
     try:
         table = _numbers(body, None)
-        if table.shape[1] == len(names) and np.isfinite(table).all():
+        if table.shape[1] == len(names) and (np.abs(table) <= MOST).all():  # NaN is not
             return table, names
     except ValueError:
         pass  # the slow path below says where
@@ -178,7 +181,7 @@ def _find_fault(path: Path, names: list[str], body: str, checked: set[str]) -> s
             raise InputError(f"{place}, column {column}",
                              f"the line has {len(cells)} cells, the header {len(names)}", "mend or cut the line")
         for name, cell in zip(names, cells):
-            fault = _fault(cell)
+            fault = _fault(cell, MOST if name in checked else MOST_OF_OTHERS)
             if fault and name in checked:
                 raise InputError(f"{place}, column {name}", fault, "give a number, or cut the line")
             if fault:
@@ -199,7 +202,7 @@ def _cells(where: str, line: str) -> list[str]:
         raise InputError(where, f"cannot be read as CSV ({error})", "mend or cut the line") from None
 
 
-def _fault(cell: str) -> str:
+def _fault(cell: str, most: float) -> str:
     text = cell.strip()
     if not text:
         return "the cell is empty"
@@ -207,19 +210,21 @@ def _fault(cell: str) -> str:
         value = float(text.replace("_", "x"))
     except ValueError:
         return f"{text[:24]!r} is not a number"
-    if isfinite(value):
+    if abs(value) <= most:
         return ""
+    if isfinite(value):
+        return f"{text[:24]} is larger than any reading"
     return "the value is infinite" if isinf(value) else "the value is NaN"
 
 
 def _check_time(path: Path, time_s: FloatArray, names: list[str], body: str) -> None:
-    bad = np.flatnonzero(np.diff(time_s) <= 0)
+    bad = np.flatnonzero(np.diff(time_s) < LEAST_STEP_S)
     if bad.size == 0:
         return
     column = names.index("time_s")
     for (_, before), (line, cells) in pairwise(_lines(path, body)):
         t0, t1 = before[column].strip(), cells[column].strip()
-        if float(t1) <= float(t0):
-            fault = f"time repeats ({t1})" if float(t1) == float(t0) else f"time runs backwards ({t0} then {t1})"
+        if float(t1) - float(t0) < LEAST_STEP_S:
+            fault = f"time repeats ({t1})" if float(t1) >= float(t0) else f"time runs backwards ({t0} then {t1})"
             raise InputError(f"{path}, line {line}, column time_s", fault,
                              "sort the rows by time and keep one row a sample")
