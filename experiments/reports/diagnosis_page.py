@@ -44,10 +44,12 @@ ALPHA = 0.01
 """p above which a candidate counts as ruled out at its smallest detectable size."""
 
 
-def write_diagnosis(path: Path | str, found: Diagnosis, model: str, origin: Origin, runs: Sequence[Dataset]) -> None:
-    """Write the page. Raises `InputError` where that place cannot be written."""
+def write_diagnosis(path: Path | str, found: Diagnosis, model: str, origin: Origin | None = None,
+                    runs: Sequence[Dataset] = ()) -> None:
+    """Write the page, with the files that it was made from where they are known. Raises `InputError` where that place
+    cannot be written."""
     write_page(path, f"Diagnosis of {model}: {verdict_words(found.verdict)}", found.sentence,
-               [*diagnosis_sections(found), origin_section(origin, runs)], origin)
+               [*diagnosis_sections(found), *([origin_section(origin, runs)] if origin else [])], origin)
 
 
 def verdict_words(verdict: str) -> str:
