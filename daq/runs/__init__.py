@@ -8,5 +8,6 @@ from daq.runs.streams import Note
 
 __all__ = [
     "BLOCKS", "CLOCK_BOUND", "IMU", "MIN_SAMPLES", "Mean", "Note", "RawRun", "RawTable", "RunWriter",
-    "attached_texts", "block_means", "is_contract_column", "mean_interval", "mean_of", "missing", "read_csv", "read_run", "recover", "write_csv"
+    "attached_texts", "block_means", "is_contract_column", "mean_interval", "mean_of", "missing", "read_csv",
+    "read_run", "recover", "write_csv"
 ]

@@ -7,8 +7,8 @@ import argparse
 from experiments.cli.arguments import add_force, add_output
 
 KINDS = ("csv", "parquet", "mat", "ros2", "mjcf", "urdf")
-ENDINGS = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mat": "mat", ".mcap": "ros2", ".xml": "mjcf", ".mjcf": "mjcf",
-           ".urdf": "urdf"}
+ENDINGS = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mat": "mat", ".mcap": "ros2",
+           ".xml": "mjcf", ".mjcf": "mjcf", ".urdf": "urdf"}
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -21,6 +21,7 @@ OUTPUTS = [
     ["export", "none.csv", "--to", "csv", "--out"], ["export", "none.csv", "--to", "mat", "--out"],
     ["export", "none.csv", "--to", "parquet", "--out"], ["export", "none.json", "--to", "mjcf", "--out"],
     ["export", "none.json", "--to", "urdf", "--out"], ["effects", "--json"], ["runs", ".", "--json"],
+    ["gains", "none.json", "--json"], ["export", "none.mcap", "--to", "ros2", "--out"],
     ["casebook", ".", "--json"], ["casebook", ".", "--html"],
     ["monte-carlo", "biped3", "--json"], ["monte-carlo", "biped3", "--markdown"],
     ["record", "--rig", "none.toml", "--plan", "none.csv", "--out"], ["recover", "none.mcap", "--out"],
