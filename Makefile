@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 OUT    ?= demo-out
 
-.PHONY: install demo test test-slow lint test-kernel soak live-soak faults bench blind port fuzz tutorial docs clean
+.PHONY: install demo test test-slow lint test-kernel soak live-soak faults mutate bench blind port fuzz tutorial docs clean
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed"; exit 1; }
@@ -66,6 +66,11 @@ soak: $(STAMP)
 # Every fault at every moment on virtual time, ten minutes: how long the torque outlives it.
 faults: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.faults --out docs/faults-$$(date -u +%F).md
+
+# An hour or two: 10^5 broken files of each of five formats through their readers.
+FILES ?= 100000
+mutate: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.mutate --files $(FILES)
 
 # Half an hour; needs chromium and its chromedriver.
 live-soak: $(STAMP)

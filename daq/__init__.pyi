@@ -2,6 +2,11 @@ from .dataset import Dataset as Dataset
 from .dataset import FloatArray as FloatArray
 from .errors import InputError as InputError
 from .errors import WorkError as WorkError
+from .errors import did_you_mean as did_you_mean
+from .files import check_place as check_place
+from .files import kind_of as kind_of
+from .files import replacing_anything as replacing_anything
+from .files import write_file as write_file
 from .load import SUFFIXES as SUFFIXES
 from .load import load_run as load_run
 from .rig import JOINTS as JOINTS

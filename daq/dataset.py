@@ -29,7 +29,8 @@ class Dataset:
     columns: Mapping[str, FloatArray]
     """Column name (`q2_rad`, `tau2_nm`, ...) to values, each (n,)."""
     sources: Mapping[str, str] = field(default_factory=dict)
-    """Provenance a report may print: file, recording date, firmware; free text."""
+    """Provenance a report may print: file, recording date, firmware; free text. `damaged`: what is missing of the
+    file, where something is."""
     clock_bound_s: float = 0.0
     """How far the IMU's time line may be off the controller's [s]; 0 where all share one clock."""
 

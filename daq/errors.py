@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
+LONGEST = 600
+
 
 class InputError(Exception):
     """Bad input: one line naming the file, the place and the remedy. The command line exits with 2."""
 
     def __init__(self, where: str, what: str, remedy: str = "") -> None:
+        where, what, remedy = (text if len(text) <= LONGEST else f"{text[:LONGEST]} ..." for text in
+                               (where, what, remedy))  # a file's own words may be of any length
         self.where, self.what, self.remedy = where, what, remedy
         line = f"{where}: {what}" if where else what
         super().__init__(f"{line}; {remedy}" if remedy else line)
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """"; did you mean ...?" for the known word that is spelt most like `word`; empty where none is."""
+    close = difflib.get_close_matches(word, list(known), 1, 0.6)
+    return f"; did you mean {close[0]}?" if close else ""
 
 
 class WorkError(Exception):

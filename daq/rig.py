@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 import msgspec
 from msgspec import Meta, Struct
 
-from daq.errors import InputError
+from daq.errors import InputError, did_you_mean
 
-Positive = Annotated[float, Meta(gt=0)]
-NonNegative = Annotated[float, Meta(ge=0)]
-Joint = Annotated[int, Meta(ge=1)]
-Vector3 = tuple[float, float, float]
+# Bounds keep out what no rig is: a slip of units or keys, infinity, NaN. They are far beyond what any leg has.
+Positive = Annotated[float, Meta(gt=0, le=1e5)]
+NonNegative = Annotated[float, Meta(ge=0, le=1e4)]
+Length = Annotated[float, Meta(ge=0, le=10.0)]
+Angle = Annotated[float, Meta(gt=0, le=12.6)]
+"""A limit of two turns [rad]: what is beyond it is given in degrees."""
+Seconds = Annotated[float, Meta(gt=0, le=10.0)]
+Signed = Annotated[float, Meta(ge=-1e3, le=1e3)]
+Address = Annotated[int, Meta(ge=0x08, le=0x77)]
+"""On an I2C bus, 7 bits, without the reserved ones."""
+Joint = Annotated[int, Meta(ge=1, le=20)]
+Vector3 = tuple[Signed, Signed, Signed]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 MOUNT_SLACK = 0.05
 """How far the products of a mount's rows may be off those of a rotation: rows are typed with few digits."""
+LEAST_VOLUME = 0.05
+"""Smallest determinant of a matrix that scales: below it one of the accelerometer's axes is lost."""
 IDENTITY3: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -31,7 +42,7 @@ class Mechanism(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     model: Literal["leg2", "biped3", "joint1", "chain"]
     actuated: tuple[Joint, ...]
-    gravity_mps2: NonNegative = 9.81
+    gravity_mps2: Annotated[float, Meta(ge=0, le=100.0)] = 9.81
     links: Annotated[int, Meta(ge=1, le=20)] = 2
     """Number of links; read for `chain` only."""
     input: Literal["torque", "voltage"] = "torque"
@@ -51,7 +62,7 @@ class Terms(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Imu(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    lever_arm_m: NonNegative = 0.0
+    lever_arm_m: Length = 0.0
 
 
 class Motor(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -82,14 +93,14 @@ class Filter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 class ImuDevice(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     bus: str = "/dev/i2c-1"
-    address: Annotated[int, Meta(ge=0x08, le=0x77)] = 0x6B
-    rate_hz: float = 238.0
+    address: Address = 0x6B
+    rate_hz: Positive = 238.0
     accel_range_g: Literal[2, 4, 8, 16] = 4
     gyro_range_dps: Literal[245, 500, 2000] = 500
     bus_khz: Positive = 400.0
     slow_hz: NonNegative = 0.0
     """Temperature, and the field where there is a magnetometer, so many times a second; 0: not read."""
-    magnetometer: Annotated[int, Meta(ge=0x08, le=0x77)] | None = None
+    magnetometer: Address | None = None
     """Its address: 0x1E or 0x1C."""
 
 
@@ -112,16 +123,16 @@ class Devices(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Beyond any of these the torque goes to zero and the run stops, naming the limit."""
 
-    torque_nm: Positive = 2.0
-    speed_radps: Positive = 15.0
-    q1_rad: Positive = 1.6
-    q2_rad: Positive = 2.6
-    temperature_degc: Positive = 70.0
+    torque_nm: Annotated[float, Meta(gt=0, le=1e3)] = 2.0
+    speed_radps: Annotated[float, Meta(gt=0, le=1e3)] = 15.0
+    q1_rad: Angle = 1.6
+    q2_rad: Angle = 2.6
+    temperature_degc: Annotated[float, Meta(gt=0, le=200.0)] = 70.0
     """Above zero only: cold is no danger."""
-    staleness_s: Positive = 0.1
+    staleness_s: Seconds = 0.1
     """Age of what is known of the leg [s]: since tick and sequence of the controller last advanced as its telemetry
     period says, and since the last sample of the IMU."""
-    clock_bound_s: Positive = 0.005
+    clock_bound_s: Seconds = 0.005
     q1_speed_radps: Positive = 8.5
     """Of the pivot, beside `speed_radps`; the gyro's range must show it (500 dps is 8.73 rad/s)."""
     bus_v: Positive = 60.0
@@ -139,23 +150,23 @@ class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Limits that nothing on this rig can check, given up on purpose; any other that cannot be checked trips."""
 
     # What the devices say must be possible: how long each check may fail, and its band. See daq/recording/plausibility.
-    echo_s: Positive = 0.05
+    echo_s: Seconds = 0.05
     """The drive echoes a torque that it was not asked for within the last half of `staleness_s`."""
-    torque_s: Positive = 0.05
+    torque_s: Seconds = 0.05
     """Commanded and measured torque disagree by more than `torque_band_nm` and `torque_share` of the command (rms)."""
     torque_band_nm: Positive = 0.1
     """Five times the noise of a shunt of 0.02 N m, or its offset."""
     torque_share: Annotated[float, Meta(gt=0, lt=1)] = 0.35
     """A drive that saturates, or follows late, stays within; one that is dead (1) or reversed (2) does not."""
-    encoder_s: Positive = 0.01
+    encoder_s: Seconds = 0.01
     """The knee's encoder and its Hall angle disagree by more than `encoder_band_rad` over 0.25 s."""
     encoder_band_rad: Positive = 0.04
     """Six counts of a Hall angle of 1024 a turn of the joint."""
-    imu_stuck_s: Positive = 0.08
+    imu_stuck_s: Seconds = 0.08
     """Gyro or accelerometer repeat one reading of three axes, noise and all; at least ten samples."""
-    imu_rail_s: Positive = 0.05
+    imu_rail_s: Seconds = 0.05
     """An axis of the IMU is at the end of its range. An impact is shorter."""
-    pivot_s: Positive = 0.03
+    pivot_s: Seconds = 0.03
     """The gyro and the pivot's Hall angle disagree by more than `pivot_band_rad` over 0.25 s."""
     pivot_band_rad: Positive = 0.04
     """The same; the speed times 15 ms comes on top, by which the two may be apart in time."""
@@ -164,9 +175,9 @@ class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Calibration(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Measured once on the rig; raw readings stay raw in the run file."""
 
-    knee_zero_rad: float = 0.0
-    shunt_offset_a: float = 0.0
-    torque_constant_nm_per_a: Annotated[float, Meta(gt=0, le=1000)] = 1.0
+    knee_zero_rad: Signed = 0.0
+    shunt_offset_a: Signed = 0.0
+    torque_constant_nm_per_a: Annotated[float, Meta(gt=0, le=1e3)] = 1.0
     """Joint torque per ampere of motor current, gear included."""
     imu_mount: Matrix3 = IDENTITY3
     """Rows: contract x, y, z axes expressed in the chip's frame."""
@@ -229,6 +240,16 @@ def load_rig(path: Path | str) -> Rig:
     return parse_rig(text, where)
 
 
+def _suggestion(message: str) -> str:
+    """For a key that there is not: the one of its table that is spelt most like it."""
+    unknown = re.search(r"unknown field `(.+?)`(?: - at `(?:\$\.)?([\w.]+)`)?", message)
+    table: Any = Rig
+    for name in (unknown[2] or "").split(".") if unknown else ():
+        kinds = [get_type_hints(table)[name]] if name in getattr(table, "__struct_fields__", ()) else []
+        table = next((k for kind in kinds for k in (kind, *get_args(kind)) if hasattr(k, "__struct_fields__")), table)
+    return did_you_mean(unknown[1], table.__struct_fields__) if unknown else ""
+
+
 def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     """Rig from the text of a rig.toml; `where` names it in errors."""
     try:
@@ -237,9 +258,14 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
         raise InputError(where, f"not valid TOML: {error}", "mend the line named") from None
     except msgspec.ValidationError as error:
         message = str(error).replace("`$.", "`").replace("Object", "rig")
-        raise InputError(where, message[0].lower() + message[1:], "see the rig.toml section of the README") from None
+        hint = _suggestion(message)
+        raise InputError(where, message[0].lower() + message[1:] + hint,
+                         "see the rig.toml section of the README") from None
+    except RecursionError:
+        raise InputError(where, "is nested too deep", "a rig file has tables of lists, no more") from None
     _check_finite(rig, where)
     _check_mount(rig, where)
+    _check_accelerometer(rig.calibration, where)
     n = joint_count(rig.mechanism)
     named = [("mechanism.actuated", rig.mechanism.actuated), ("terms.rotor_inertia", rig.terms.rotor_inertia),
              ("terms.torque_offset", rig.terms.torque_offset), ("terms.encoder_zero", rig.terms.encoder_zero)]
@@ -247,6 +273,8 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
         bad = [j for j in joints if j > n]
         if bad:
             raise InputError(where, f"{key} names joint {bad[0]}, {rig.mechanism.model} has {n}", "correct the list")
+        if len(set(joints)) < len(joints):
+            raise InputError(where, f"{key} names a joint twice", "correct the list")
     return rig
 
 
@@ -272,3 +300,10 @@ def _check_mount(rig: Rig, where: str) -> None:
                     f"rows {i + 1} and {j + 1} are not at right angles"
                 raise InputError(where, f"calibration.imu_mount is no rotation: {what}",
                                  "give the link's axes in the chip's frame, or run legid calibrate mount")
+
+
+def _check_accelerometer(calibration: Calibration, where: str) -> None:
+    (a, b, d), (e, f, g), (h, i, j) = calibration.accel_matrix
+    if abs(a * (f * j - g * i) - b * (e * j - g * h) + d * (e * i - f * h)) < LEAST_VOLUME:
+        raise InputError(where, "calibration.accel_matrix maps several readings to one",
+                         "it is near the identity; legid calibrate imu --six-positions finds it")

@@ -4,31 +4,91 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, version
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
 
-from daq import InputError
+from daq import InputError, write_file
 
 T = TypeVar("T")
+QUIET, USUAL, VERBOSE = -1, 0, 1
+FIRST_LINE_S, LINE_EVERY_S = 5.0, 10.0
+"""Where stderr is no terminal, a long work says after so long what it is at, and then again after so long."""
+_loudness: ContextVar[int] = ContextVar("loudness", default=USUAL)
 
 
-def program_version() -> str:
-    """The installed version, or `unknown` where the package is not installed."""
+@contextmanager
+def loudness(level: int) -> Iterator[None]:
+    """Within it notes and progress are left out (`QUIET`), or details told (`VERBOSE`)."""
+    token = _loudness.set(level)
     try:
-        return version("legid")
-    except PackageNotFoundError:
-        return "unknown"
+        yield
+    finally:
+        _loudness.reset(token)
+
+
+def warn(text: str) -> None:
+    """A line that a person must see, on stderr."""
+    print(f"warning: {printable(text)}", file=sys.stderr)
+
+
+def note(text: str) -> None:
+    """A line on stderr that --quiet leaves out."""
+    if _loudness.get() > QUIET:
+        print(printable(text), file=sys.stderr)
+
+
+def detail(text: str) -> None:
+    """A line on stderr for --verbose."""
+    if _loudness.get() >= VERBOSE:
+        note(text)
+
+
+def printable(text: str) -> str:
+    """`text` on one line, without characters that steer a terminal: names in files are anybody's."""
+    return "".join(c if c.isprintable() else " " if c.isspace() else f"\\x{ord(c):02x}" for c in text)
+
+
+class PlainOutput:
+    """A stream for people, whatever was read from a file: control characters but line ends are spelt out."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """As the stream does."""
+        self._stream.write(text if text.isascii() and text.isprintable() else
+                           "\n".join("\t".join(map(printable, line.split("\t"))) for line in text.split("\n")))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+class _Lines:
+    """Progress where there is no terminal: a line when the work has lasted for a while, and now and then."""
+
+    def __init__(self, label: str) -> None:
+        self._label, self._due = label, time.monotonic() + FIRST_LINE_S
+        self._muted = sys.stderr.isatty() or _loudness.get() == QUIET
+
+    def say(self, what: str) -> None:
+        if not self._muted and time.monotonic() >= self._due:
+            self._due = time.monotonic() + LINE_EVERY_S
+            print(f"{self._label}: {what}", file=sys.stderr, flush=True)
+
+
+def _hidden() -> bool | None:
+    """For tqdm's `disable`: None lets it look for a terminal."""
+    return True if _loudness.get() == QUIET else None
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write a text file. Raises `InputError` where that place cannot be written."""
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    """Write a text file as `daq.files` does: whole or not at all, never over a run. Raises `InputError`."""
+    write_file(path, text.encode())
 
 
 def write_json(path: Path | str, document: Any) -> None:
@@ -46,37 +106,45 @@ def make_directory(path: Path) -> None:
         raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
 
 
-def progress(items: Iterable[T], label: str, total: int | None = None, unit: str = "it") -> Iterable[T]:
-    """`items` behind a progress bar on a terminal; nothing is shown when stderr is a file or a pipe."""
+def progress(items: Iterable[T], label: str, total: int | None = None, unit: str = "it") -> Iterator[T]:
+    """`items` behind a progress bar on a terminal, else with a line now and then on stderr."""
     from tqdm import tqdm
 
-    return tqdm(items, desc=label, total=total, unit=unit, leave=False, disable=None)
+    lines, total = _Lines(label), len(items) if total is None and isinstance(items, Sized) else total
+    for k, item in enumerate(tqdm(items, desc=label, total=total, unit=unit, leave=False, disable=_hidden())):
+        lines.say(f"{k} of {total} {unit}s" if total else f"{k} {unit}s")
+        yield item
 
 
 @contextmanager
 def progress_to(label: str) -> Iterator[Callable[[float, float], None]]:
-    """A function (done, total), both in seconds, that moves a progress bar on a terminal."""
+    """A function (done, total), both in seconds, that moves a progress bar on a terminal, else a line now and then."""
     from tqdm import tqdm
 
-    with tqdm(desc=label, total=1.0, leave=False, disable=None,
+    lines = _Lines(label)
+    with tqdm(desc=label, total=1.0, leave=False, disable=_hidden(),
               bar_format="{desc} {percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} s") as bar:
         def show(done: float, total: float) -> None:
             bar.total = total
             bar.update(done - bar.n)
+            lines.say(f"{done:.0f} of {total:.0f} s")
 
         yield show
 
 
 @contextmanager
 def stages(label: str) -> Iterator[Callable[[str, float], None]]:
-    """A function (stage, fraction done) that names the stage and moves a progress bar on a terminal."""
+    """A function (stage, fraction done) that names the stage and moves a progress bar on a terminal, else a line now
+    and then."""
     from tqdm import tqdm
 
-    with tqdm(desc=label, total=1.0, leave=False, disable=None,
+    lines = _Lines(label)
+    with tqdm(desc=label, total=1.0, leave=False, disable=_hidden(),
               bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}") as bar:
         def show(stage: str, fraction: float) -> None:
             bar.set_description_str(f"{label}: {stage}")
             bar.update(fraction - bar.n)
+            lines.say(f"{stage}, {100 * fraction:.0f} %")
 
         yield show
 
@@ -85,43 +153,35 @@ def stages(label: str) -> Iterator[Callable[[str, float], None]]:
 def work_bar(label: str, total: int, unit: str) -> Iterator[Callable[[int, str], None]]:
     """A function (pieces done, what they were) that moves a bar with the time left.
 
-    On a terminal a bar; otherwise a line on stderr at most every ten seconds, for logs of long studies.
+    On a terminal a bar; otherwise a line on stderr now and then, for logs of long studies.
     """
-    import time
-
     from tqdm import tqdm
 
-    terminal = sys.stderr.isatty()
-    started = last = time.monotonic()
+    lines, started = _Lines(label), time.monotonic()
     finished = 0
-    with tqdm(desc=label, total=total, unit=unit, leave=False, disable=not terminal, smoothing=0.05) as bar:
+    with tqdm(desc=label, total=total, unit=unit, leave=False, disable=_hidden(), smoothing=0.05) as bar:
         def show(count: int, what: str) -> None:
-            nonlocal finished, last
+            nonlocal finished
             finished += count
             bar.set_postfix_str(what, refresh=False)
             bar.update(count)
-            now = time.monotonic()
-            if not terminal and now - last >= 10.0:
-                last = now
-                left = (now - started) / finished * (total - finished)
-                print(f"{label}: {finished} of {total} {unit}s, about {left:.0f} s left ({what})", file=sys.stderr)
+            left = (time.monotonic() - started) / max(finished, 1) * (total - finished)
+            lines.say(f"{finished} of {total} {unit}s, about {left:.0f} s left ({what})")
 
         yield show
 
 
 @contextmanager
 def busy(label: str) -> Iterator[None]:
-    """`label` with the seconds counting up on a terminal, for work that cannot tell how far it is."""
-    if not sys.stderr.isatty():
-        yield
-        return
+    """`label` with the seconds counting up, for work that cannot tell how far it is."""
     from tqdm import tqdm
 
-    done = threading.Event()
-    with tqdm(desc=label, bar_format="{desc} ... {elapsed}", leave=False) as bar:
+    done, lines, started = threading.Event(), _Lines(label), time.monotonic()
+    with tqdm(desc=label, bar_format="{desc} ... {elapsed}", leave=False, disable=_hidden()) as bar:
         def tick() -> None:
             while not done.wait(0.5):
                 bar.refresh()
+                lines.say(f"{time.monotonic() - started:.0f} s so far")
 
         ticker = threading.Thread(target=tick, name="progress", daemon=True)
         ticker.start()

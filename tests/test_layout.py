@@ -14,11 +14,11 @@ FLOORS = {"drivers": {"drivers"}, "daq": {"drivers", "daq"}, "estimator": {"esti
           "legid": {"drivers", "daq", "estimator", "experiments", "legid"}}
 """Floor to the floors that it may import."""
 ROOMS = {
-    "daq": [["errors", "dataset", "rig", "rig_text", "si_units"], ["runs"], ["timing"], ["recording"],
+    "daq": [["errors", "files", "dataset", "rig", "rig_text", "si_units"], ["runs"], ["timing"], ["recording"],
             ["calibration"], ["load"]],
     "estimator": [["errors", "methods", "parallel"], ["numerics"], ["model"], ["options", "result"], ["signals"],
                   ["effects"], ["likelihood"], ["fitting"], ["diagnosis", "calibration"]],
-    "experiments": [["console"], ["models"], ["exchange"], ["rig", "excite", "emulation"], ["reports"],
+    "experiments": [["console", "provenance"], ["models"], ["exchange"], ["rig", "excite", "emulation"], ["reports"],
                     ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
     "legid": [["tables", "figures"], ["results"], ["api"]],
 }

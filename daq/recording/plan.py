@@ -11,6 +11,7 @@ import numpy as np
 
 from daq.dataset import FloatArray
 from daq.errors import InputError
+from daq.files import write_file
 from daq.rig import ControllerDevice, Rig
 from daq.runs import read_csv
 from drivers import LegController, Lsm9ds1
@@ -80,10 +81,7 @@ def read_plan(path: Path | str) -> Plan:
 
 def write_plan(plan: Plan, path: Path | str) -> None:
     """Write `plan` as CSV. Raises `InputError` where the place cannot be written."""
-    try:
-        Path(path).write_text(plan.text())
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    write_file(path, plan.text().encode())
 
 
 def check_plan(plan: Plan, rig: Rig, controller: LegController) -> None:

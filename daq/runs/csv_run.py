@@ -7,7 +7,7 @@ import difflib
 import gzip
 import io
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import isfinite, isinf
@@ -17,12 +17,18 @@ import numpy as np
 
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
+from daq.files import write_file
 from daq.rig import Rig
 from daq.runs.columns import known, missing
 
 MIN_SAMPLES = 50
 CLOCK_BOUND = "clock_bound_s"
+MOST, MOST_OF_OTHERS = 1e12, 1e100
+"""Largest magnitude of a reading, and of what stands in a column of the user's own (counts, times since 1970 in ns)."""
+LEAST_STEP_S = 1e-9
 _GZIP_MAGIC = b"\x1f\x8b"
+UNPACKED_BYTES, UNPACKED_RATIO = 16 << 20, 30
+"""A packed file may unpack to so much, and so many times its own size more: numbers pack to a third or a tenth."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +74,8 @@ def write_csv(dataset: Dataset, path: Path | str) -> int:
 
     Rows with a gap in any column are left out, so that the hole shows in `time_s`; a column that has no
     sample at all is left out whole. Values keep 12 significant digits, times a nanosecond. What the recorder's
-    clocks leave open goes into a column of its own, `clock_bound_s`, which fits allow for.
+    clocks leave open goes into a column of its own, `clock_bound_s`, which fits allow for. Raises `InputError`,
+    for a run that is there already too.
     """
     path = Path(path)
     names = [name for name, values in dataset.columns.items() if np.isfinite(values).any()]
@@ -82,11 +89,8 @@ def write_csv(dataset: Dataset, path: Path | str) -> int:
     np.savetxt(text, table, fmt=["%.9f"] + ["%.12g"] * len(names), delimiter=",",
                header=",".join(["time_s", *names]), comments="")
     data = text.getvalue().encode()
-    try:
-        # A fixed mtime and no name: the same run gives the same bytes.
-        path.write_bytes(gzip.compress(data, 6, mtime=0) if path.suffix == ".gz" else data)
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    # A fixed mtime and no name: the same run gives the same bytes.
+    write_file(path, gzip.compress(data, 6, mtime=0) if path.suffix == ".gz" else data)
     return int(rows.sum())
 
 
@@ -101,7 +105,11 @@ def _split(path: Path) -> tuple[str, str]:
         raise InputError(where, "is empty", "give a file with a header line and samples")
     if path.suffix == ".gz" or data.startswith(_GZIP_MAGIC):
         try:
-            data = gzip.decompress(data)
+            most = UNPACKED_BYTES + UNPACKED_RATIO * len(data)
+            with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
+                data = file.read(most + 1)
+            if len(data) > most:
+                raise InputError(where, f"unpacks to more than {UNPACKED_RATIO} times its size", "unpack it first")
         except (OSError, EOFError, zlib.error) as error:
             raise InputError(where, f"cannot be unpacked as gzip ({error})", "copy or pack the file again") from None
     try:
@@ -118,8 +126,8 @@ def _split(path: Path) -> tuple[str, str]:
 
 
 def _header_names(path: Path, header: str) -> list[str]:
-    names = [cell.strip() for cell in next(csv.reader([header]))]
     where = f"{path}, line 1"
+    names = [cell.strip() for cell in _cells(where, header)]
     if len(names) == 1 and any(mark in header for mark in ";\t"):
         raise InputError(where, "is not comma separated", "write the file with commas between columns")
     for name in names:
@@ -150,7 +158,7 @@ def _parse(path: Path, names: list[str], body: str, rig: Rig | None) -> tuple[Fl
         return np.empty((0, len(names))), names
     try:
         table = _numbers(body, None)
-        if table.shape[1] == len(names) and np.isfinite(table).all():
+        if table.shape[1] == len(names) and (np.abs(table) <= MOST).all():  # NaN is not
             return table, names
     except ValueError:
         pass  # the slow path below says where
@@ -166,14 +174,14 @@ def _numbers(body: str, columns: list[int] | None) -> FloatArray:
 def _find_fault(path: Path, names: list[str], body: str, checked: set[str]) -> set[str]:
     """Names of the user's own columns that hold no numbers; raises `InputError` at the first other fault."""
     unusable: set[str] = set()
-    for line, cells in _lines(body):
+    for line, cells in _lines(path, body):
         place = f"{path}, line {line}"
         if len(cells) != len(names):
             column = names[len(cells)] if len(cells) < len(names) else names[-1]
             raise InputError(f"{place}, column {column}",
                              f"the line has {len(cells)} cells, the header {len(names)}", "mend or cut the line")
         for name, cell in zip(names, cells):
-            fault = _fault(cell)
+            fault = _fault(cell, MOST if name in checked else MOST_OF_OTHERS)
             if fault and name in checked:
                 raise InputError(f"{place}, column {name}", fault, "give a number, or cut the line")
             if fault:
@@ -181,12 +189,20 @@ def _find_fault(path: Path, names: list[str], body: str, checked: set[str]) -> s
     return unusable
 
 
-def _lines(body: str) -> list[tuple[int, list[str]]]:
+def _lines(path: Path, body: str) -> Iterator[tuple[int, list[str]]]:
     """Line number in the file and cells of every line that is not blank."""
-    return [(number, next(csv.reader([line]))) for number, line in enumerate(body.split("\n"), 2) if line.strip()]
+    return ((number, _cells(f"{path}, line {number}", line))
+            for number, line in enumerate(io.StringIO(body), 2) if line.strip())
 
 
-def _fault(cell: str) -> str:
+def _cells(where: str, line: str) -> list[str]:
+    try:
+        return next(csv.reader([line.rstrip("\n")]))
+    except csv.Error as error:
+        raise InputError(where, f"cannot be read as CSV ({error})", "mend or cut the line") from None
+
+
+def _fault(cell: str, most: float) -> str:
     text = cell.strip()
     if not text:
         return "the cell is empty"
@@ -194,19 +210,21 @@ def _fault(cell: str) -> str:
         value = float(text.replace("_", "x"))
     except ValueError:
         return f"{text[:24]!r} is not a number"
-    if isfinite(value):
+    if abs(value) <= most:
         return ""
+    if isfinite(value):
+        return f"{text[:24]} is larger than any reading"
     return "the value is infinite" if isinf(value) else "the value is NaN"
 
 
 def _check_time(path: Path, time_s: FloatArray, names: list[str], body: str) -> None:
-    bad = np.flatnonzero(np.diff(time_s) <= 0)
+    bad = np.flatnonzero(np.diff(time_s) < LEAST_STEP_S)
     if bad.size == 0:
         return
     column = names.index("time_s")
-    for (_, before), (line, cells) in pairwise(_lines(body)):
+    for (_, before), (line, cells) in pairwise(_lines(path, body)):
         t0, t1 = before[column].strip(), cells[column].strip()
-        if float(t1) <= float(t0):
-            fault = f"time repeats ({t1})" if float(t1) == float(t0) else f"time runs backwards ({t0} then {t1})"
+        if float(t1) - float(t0) < LEAST_STEP_S:
+            fault = f"time repeats ({t1})" if float(t1) >= float(t0) else f"time runs backwards ({t0} then {t1})"
             raise InputError(f"{path}, line {line}, column time_s", fault,
                              "sort the rows by time and keep one row a sample")

@@ -23,8 +23,9 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from daq.errors import InputError, WorkError
+from daq.runs.damage import damage_of, hole_texts
 from daq.runs.mcap_scan import Scan
-from daq.runs.streams import CDR_HEADER, NOTE_SCHEMA, NOTE_TEXT, NOTE_TOPICS, STREAMS, Note, pack_note, unpack_note
+from daq.runs.streams import CDR_HEADER, NOTE_SCHEMA, NOTE_TEXT, NOTE_TOPICS, STREAMS, Note, pack_note, read_notes
 
 FLUSH_MESSAGES = 75
 """A tenth of a second of a leg at 500 Hz with its IMU: so long a disk that is full goes unnoticed."""
@@ -35,6 +36,8 @@ CLOSE_S = 2.0
 """Longest wait for another thread's write that hangs, at the end."""
 FACTS = "legid"
 """Name of the metadata record."""
+RECOVERED = "legid.recovered"
+"""Of the one with what was missing within a run before `recover` made a clean file of it."""
 PROFILE = "ros2"
 _GONE = "is not in its place any more; leave the file alone while it is recorded"
 
@@ -207,6 +210,8 @@ class RawRun:
     """False when the file ends before its footer (a crash, a full disk)."""
     damaged_chunks: int = 0
     """Chunks whose check sum was wrong; their messages are left out."""
+    damage: tuple[str, ...] = ()
+    """Everything by which the file is not what was recorded, a sentence each; see `daq.runs.damage`."""
 
     @property
     def messages(self) -> int:
@@ -224,18 +229,39 @@ def read_run(path: Path | str) -> RawRun:
     payloads: dict[str, list[bytes]] = defaultdict(list)
     facts: dict[str, str] = {}
     files: dict[str, str] = {}
+    lost: list[str] = []
+    wanted, seen = {*STREAMS, *NOTE_TOPICS}, 0
     for record in scan:
         if isinstance(record, Message):
-            payloads[topics.get(record.channel_id, "")].append(record.data)
+            seen += 1
+            topic = topics.get(record.channel_id, "")
+            if topic in wanted:
+                payloads[topic].append(record.data)
         elif isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Metadata) and record.name == FACTS:
             facts.update(record.metadata)
+        elif isinstance(record, Metadata) and record.name == RECOVERED:
+            lost += record.metadata.values()
         elif isinstance(record, Attachment):
             files[record.name] = record.data.decode("utf-8", "replace")
     streams = {topic: stream.unpack(payloads[topic]) for topic, stream in STREAMS.items()}
-    events, config = ([unpack_note(p) for p in payloads[topic]] for topic in NOTE_TOPICS)
-    return RawRun(path.name, facts, files, streams, events, config, scan.complete, scan.damaged_chunks)
+    events, config = (read_notes(payloads[topic]) for topic in NOTE_TOPICS)
+    read = sum(stream.size for stream in streams.values()) + len(events) + len(config)
+    damage = (*(f"before it was recovered: {text}" for text in lost),
+              *damage_of(scan, seen, sum(map(len, payloads.values())) - read, streams["/imu"]))
+    return RawRun(path.name, facts, files, streams, events, config, scan.complete, scan.damaged_chunks, damage)
+
+
+def attached_texts(path: Path | str) -> dict[str, str]:
+    """`RawRun.files` alone, of a file whose messages follow them, as ours do. Raises `InputError` like `read_run`."""
+    files: dict[str, str] = {}
+    for record in Scan(Path(path)):
+        if isinstance(record, Message):
+            break
+        if isinstance(record, Attachment):
+            files[record.name] = record.data.decode("utf-8", "replace")
+    return files
 
 
 @dataclass(frozen=True)
@@ -251,6 +277,7 @@ class RecoverReport:
 def recover(path: Path | str, out: Path | str) -> RecoverReport:
     """Write everything that is whole in `path` to a clean, indexed file `out`, which must not exist.
 
+    A run whose end was cut off is then whole, only shorter. What is missing within it stays known of the new file.
     Raises `InputError` when `path` is no MCAP file or `out` cannot be written.
     """
     scan = Scan(Path(path))
@@ -275,6 +302,9 @@ def recover(path: Path | str, out: Path | str) -> RecoverReport:
                 writer.add_metadata(record.name, record.metadata)
             elif isinstance(record, Attachment):
                 writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+        holes = hole_texts(scan, messages)
+        if holes:
+            writer.add_metadata(RECOVERED, {str(k): text for k, text in enumerate(holes)})
         writer.finish()  # type: ignore[no-untyped-call]
     return RecoverReport(messages, scan.damaged_chunks, scan.complete)
 

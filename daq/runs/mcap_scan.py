@@ -8,24 +8,30 @@ from __future__ import annotations
 
 import os
 import struct
+import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import lz4.frame
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
+from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from daq.errors import InputError
 
+WINDOW_BYTES = 1 << 27
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _KINDS: dict[int, Any] = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Channel, int(Opcode.ATTACHMENT): Attachment,
                           int(Opcode.METADATA): Metadata}
+UNPACKED_BYTES, UNPACKED_RATIO = 64 << 20, 20
+"""A file's compressed chunks may unpack to so much, and so many times the file's own size more: readings of sensors
+pack to a half or a tenth, and what packs to a thousandth is made to fill the memory."""
 
 
 class Scan:
@@ -41,11 +47,17 @@ class Scan:
         """The file ends with its footer."""
         self.damaged_chunks = 0
         """Chunks left out because their check sum was wrong."""
+        self.damaged_files: list[str] = []
+        """Names of attachments whose check sum is wrong."""
+        self.written: int | None = None
+        """Messages in the file by its own count; None where it has none, as in a file that was cut."""
+        self._room = 0
 
     def __iter__(self) -> Iterator[McapRecord]:
         try:
             with open(self.path, "rb") as file:
                 size = os.fstat(file.fileno()).st_size
+                self._room = UNPACKED_BYTES + UNPACKED_RATIO * size
                 if size == 0:
                     raise InputError(str(self.path), "is empty", "nothing was recorded; record again")
                 if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
@@ -66,26 +78,57 @@ class Scan:
                 elif opcode == Opcode.FOOTER:
                     self.complete = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
                     return
+                elif opcode == Opcode.STATISTICS:
+                    self.written = Statistics.read(ReadDataStream(BytesIO(content))).message_count
                 else:
-                    yield from _parsed(opcode, content)
-            except (McapError, struct.error, UnicodeDecodeError):
+                    for record in _parsed(opcode, content):
+                        if isinstance(record, Attachment) and not _is_sound(content):
+                            self.damaged_files.append(record.name)
+                        yield record
+            except (McapError, struct.error, ValueError, OverflowError):
                 return  # bytes that are no record: what came before is whole
 
-    def _chunk(self, content: bytes) -> list[McapRecord]:
-        try:
-            stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(content))), validate_crc=True)
-            data = stream.read(length)
-        except (CRCValidationError, RuntimeError):  # RuntimeError: lz4's own, in files of other writers
+    def _chunk(self, content: bytes) -> Iterator[McapRecord]:
+        chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+        data = self._unpacked(chunk)
+        if data is None or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
             self.damaged_chunks += 1
-            return []
-        records: list[McapRecord] = []
+            return
         at = 0
         while at < len(data):
             opcode, length = _RECORD.unpack_from(data, at)
             at += _RECORD.size
-            records += _parsed(opcode, data[at: at + length])
+            yield from _parsed(opcode, data[at: at + length])
             at += length
-        return records
+
+    def _unpacked(self, chunk: Chunk) -> bytes | None:
+        """The chunk's records; None where it does not unpack. Raises `InputError` for more than a run could hold."""
+        if not chunk.compression:
+            return chunk.data
+        size = chunk.uncompressed_size
+        self._room -= size
+        if self._room < 0:
+            raise InputError(str(self.path), f"unpacks to more than {UNPACKED_RATIO} times its size",
+                             "no record of sensors does; give a run file")
+        try:
+            data = _unpack(chunk.compression, chunk.data, size + 1)
+        except (zstandard.ZstdError, RuntimeError, EOFError):  # RuntimeError: lz4's own
+            return None
+        return data if len(data) == size else None
+
+
+def _unpack(compression: str, data: bytes, most: int) -> bytes:
+    """At most `most` bytes of it, whatever the packed data says of its own size."""
+    if compression == "zstd":
+        return bytes(zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES).stream_reader(data).read(most))
+    if compression == "lz4":
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most))
+    raise RuntimeError(f"compression {compression!r} is not known")
+
+
+def _is_sound(attachment: bytes) -> bool:
+    (crc,) = struct.unpack("<I", attachment[-4:])
+    return crc in (0, zlib.crc32(attachment[:-4]))
 
 
 def _parsed(opcode: int, content: bytes) -> tuple[McapRecord, ...]:

@@ -7,6 +7,7 @@ is ever needed: the payload is the packed struct behind the four encapsulation b
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -128,3 +129,12 @@ def unpack_note(payload: bytes) -> Note:
         texts.append(payload[at + 4: at + 3 + length].decode())
         at += 4 + length
     return Note(host_ns, texts[0], texts[1])
+
+
+def read_notes(payloads: list[bytes]) -> list[Note]:
+    """All of them that are notes."""
+    notes = []
+    for payload in payloads:
+        with suppress(struct.error, ValueError):
+            notes.append(unpack_note(payload))
+    return notes

@@ -18,6 +18,9 @@ from daq.timing.clock import ImuClock, TickClock, fit_samples, fit_ticks
 from daq.timing.doubts import doubts
 from daq.timing.resample import Channel, align_channels
 
+MOST = 1e9
+"""Largest magnitude of a reading [rad, N m, A, degC]; beyond it is a broken record."""
+
 
 class Decoded(NamedTuple):
     """The samples of a native run in SI units, each at the time at which it was taken."""
@@ -55,8 +58,8 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
         if doubtful:
             sources["doubt"] = "; ".join(doubtful)
         sources["imu_clock"] = f"{clock.rate_hz:.3f} Hz, within {clock.bound_s * 1e6:.0f} us"
-    if not raw.complete:
-        sources["truncated"] = "the file ends before its footer; read as far as it is whole"
+    if raw.damage:
+        sources["damaged"] = "; ".join(raw.damage)
     if any(channel.time_s.size < 2 for channel in channels):
         raise _unusable(raw, "is too short for its clocks to be put together")
     return Decoded(epoch_ns, channels, bound_s, sources)
@@ -85,7 +88,10 @@ def recorded_rig(raw: RawRun) -> Rig:
 def configured(raw: RawRun, kind: str) -> dict[str, Any]:
     """The last configuration note of this kind in the run (`imu`, `firmware`), empty when there is none."""
     texts = [note.text for note in raw.config if note.kind == kind]
-    return msgspec.json.decode(texts[-1], type=dict[str, Any]) if texts else {}
+    try:
+        return msgspec.json.decode(texts[-1], type=dict[str, Any]) if texts else {}
+    except (msgspec.DecodeError, RecursionError):
+        raise _unusable(raw, f"holds a configuration of the {kind} that cannot be read") from None
 
 
 def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int) -> tuple[FloatArray, list[TickClock]]:
@@ -117,19 +123,24 @@ def _leg_channels(raw: RawRun, telemetry: NDArray[np.void], time_ns: FloatArray,
                "q1_rad": telemetry["pivot_hall_rad"].astype(float),
                "tau2_cmd_nm": telemetry["torque_cmd_nm"].astype(float),
                "temperature_degc": telemetry["motor_degc"].astype(float)}
+    at_tick = {name: np.where(np.abs(values) <= MOST, values, np.nan) for name, values in at_tick.items()}
     measured = {name: values for name, values in at_tick.items() if np.isfinite(values).any()}
     period = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
-    torque = {"tau2_nm": joint_torque(telemetry["current_a"], rig.calibration)}
+    current: FloatArray = np.where(np.abs(telemetry["current_a"]) <= MOST, telemetry["current_a"], np.nan)
+    torque = {"tau2_nm": joint_torque(current, rig.calibration)}
     return [Channel(time_s, measured), Channel(time_s - 0.5 * period, torque)]
 
 
 def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: Rig) -> Channel:
     facts = configured(raw, "imu")
-    if not facts:
-        raise _unusable(raw, "holds IMU samples without their scale")
+    try:
+        scale = (float(facts["gyro_radps_per_lsb"]), float(facts["accel_mps2_per_lsb"]))
+    except (KeyError, TypeError, ValueError):
+        raise _unusable(raw, "holds IMU samples without their scale") from None
+    if not all(0.0 < value < 1.0 for value in scale):
+        raise _unusable(raw, f"gives its IMU the scale {scale[0]:g}, {scale[1]:g}, which no chip has")
     rows = _increasing(clock.time_ns)
     counts = np.column_stack([samples[f"{kind}_{axis}"][rows] for kind in ("gyro", "accel") for axis in "xyz"])
-    scale = (float(facts["gyro_radps_per_lsb"]), float(facts["accel_mps2_per_lsb"]))
     return Channel(clock.time_ns[rows] * 1e-9, imu_columns(counts, scale, rig.calibration))
 
 

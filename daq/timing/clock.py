@@ -182,6 +182,10 @@ def _curve(index: FloatArray, time_ns: FloatArray, period: float) -> tuple[Curve
         return Polynomial([float(np.mean(time_ns - period * index)), period]), 1
     if span < _SPLINE_FROM_NS:
         return Polynomial.fit(index, time_ns, 1), 2
-    inner = np.linspace(index[0], index[-1], int(span / _KNOT_EVERY_NS) + 1)[1:-1]
+    pieces = min(int(span / _KNOT_EVERY_NS) + 1, index.size // 4)  # times that are wrong may span years
+    inner = np.linspace(index[0], index[-1], pieces)[1:-1]
     knots = np.concatenate((np.repeat(index[0], 4), inner, np.repeat(index[-1], 4)))
-    return make_lsq_spline(index, time_ns, knots), knots.size - 4
+    try:
+        return make_lsq_spline(index, time_ns, knots), knots.size - 4
+    except ValueError:  # knots without a drain between them
+        return Polynomial.fit(index, time_ns, 1), 2

@@ -59,7 +59,12 @@ def read_records(paths: Sequence[str]) -> list[RawRun]:
         if Path(path).suffix.lower() != ".mcap":
             raise InputError(path, "is not a native run file", "give .mcap files: rig.toml's [calibration] applies to "
                              "raw readings, a CSV holds calibrated ones")
-    return [read_run(path) for path in paths]
+    records = [read_run(path) for path in paths]
+    for record in records:
+        if record.damage:
+            raise InputError(record.name, f"is damaged: {'; '.join(record.damage)}",
+                             "record again, or calibrate by what legid recover saves")
+    return records
 
 
 def answer(question: str, ask: Ask | None = None) -> str:

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from daq import set_values
-from experiments.console import write_text
+from daq import set_values, write_file
 from experiments.models import Model, values_of
 
 DIGITS = 6
@@ -37,7 +36,7 @@ def store(outcome: Outcome, rig_path: str, dry_run: bool) -> str:
         return "\n".join([f"{rig_path} left as it is; it would say:",
                           *[f"  {table} {key} = {value}" for table, key, value in named]])
     text = Path(rig_path).read_text(encoding="utf-8")
-    write_text(rig_path, set_values(text, outcome.values, rig_path))
+    write_file(rig_path, set_values(text, outcome.values, rig_path).encode(), changed=True)
     return f"{rig_path}: {', '.join(f'{table} {key}' for table, key, _ in named)} written"
 
 

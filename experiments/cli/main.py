@@ -5,19 +5,23 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from daq import InputError, WorkError
+from daq import InputError, WorkError, did_you_mean, replacing_anything
 from drivers import DriverError
 from estimator import FitError
+from experiments.cli.arguments import add_loudness, check_outputs
+from experiments.console import USUAL, PlainOutput, detail, loudness, printable
 
 COMMANDS = ("demo", "record", "calibrate", "info", "recover", "import_", "export", "fit", "validate", "diagnose",
             "effects", "simulate", "gains", "casebook", "monte_carlo", "doctor",
-            "runs", "init", "excite", "emulate", "live")
+            "runs", "init", "excite", "emulate", "live", "verify", "completion")
 """Module names, in the order in which `legid --help` lists them; further modules of the folder follow."""
 TRACEBACK = "LEGID_TRACEBACK"
 """Set in the environment, an error that nobody foresaw is raised as it is: for whoever mends it."""
@@ -36,7 +40,26 @@ exit status: 0 done, 1 could not be done on this data, 2 bad arguments or bad in
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse, with errors of one line."""
+    """argparse, with errors of one line that name what was probably meant."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As argparse does, with a suggestion for an option that there is not."""
+        found, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            command = self._commands().get(getattr(found, "command", ""), self)
+            known = [option for option in command._option_string_actions if option.startswith("--")]
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{did_you_mean(unknown[0].split('=')[0], known)}")
+        return found
+
+    def _commands(self) -> dict[str, Any]:
+        return next((dict(a.choices) for a in self._actions if isinstance(a, argparse._SubParsersAction)), {})
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            names = [str(choice) for choice in action.choices]
+            hint = did_you_mean(str(value), names)
+            raise argparse.ArgumentError(action, f"invalid choice: {value!r}" + (
+                hint or f" (choose from {', '.join(map(repr, names))})"))
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
@@ -52,6 +75,8 @@ def build_parser() -> Parser:
     further = [info.name for info in iter_modules([str(folder)]) if info.name not in COMMANDS]
     for name in (*COMMANDS, *further):
         import_module(f"experiments.cli.commands.{name}").add_parser(subparsers)
+    for command in subparsers.choices.values():
+        add_loudness(command)
     return parser
 
 
@@ -62,7 +87,7 @@ class _Version(argparse.Action):
         super().__init__(option_strings, dest, nargs=0, help="print the version and exit")
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        from experiments.console import program_version
+        from experiments.provenance import program_version
 
         print(f"legid {program_version()}")
         parser.exit(0)
@@ -72,9 +97,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 1 not possible on this data, 2 bad input."""
     name = "legid"
     try:
-        args = build_parser().parse_args(argv)
+        parser = build_parser()
+        if "_ARGCOMPLETE" in os.environ:
+            import argcomplete
+
+            argcomplete.autocomplete(parser)
+        args = parser.parse_args(argv)
         name = f"legid {args.command}"
-        status = int(args.run(args))
+        with replacing_anything(getattr(args, "force", False)), loudness(getattr(args, "loudness", USUAL)):
+            started = time.monotonic()
+            check_outputs(args)
+            with redirect_stdout(PlainOutput(sys.stdout)):
+                status = int(args.run(args))
+            detail(f"{name}: {time.monotonic() - started:.1f} s")
         sys.stdout.flush()
         return status
     except SystemExit as ending:
@@ -97,7 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _fail(name: str, error: object, status: int) -> int:
-    print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+    print(f"{name}: {printable(' '.join(str(error).split()))}", file=sys.stderr)
     return status
 
 

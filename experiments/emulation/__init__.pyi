@@ -1,3 +1,4 @@
+from .emulated_rig import REMARK as REMARK
 from .emulated_rig import record_emulated as record_emulated
 from .hidden_effects import DEFAULT as DEFAULT
 from .hidden_effects import EFFECTS as EFFECTS

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 
-from daq import Dataset, InputError
+from daq import Dataset, InputError, write_file
 from daq.runs import write_csv
 
 
@@ -15,17 +16,11 @@ def export_run(data: Dataset, kind: str, path: Path | str) -> int:
     """
     if kind == "csv":
         return write_csv(data, path)
-    try:
-        if kind == "parquet":
-            _write_parquet(data, path)
-        else:
-            _write_mat(data, path)
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    write_file(path, _parquet(data) if kind == "parquet" else _mat(data))
     return len(data)
 
 
-def _write_parquet(data: Dataset, path: Path | str) -> None:
+def _parquet(data: Dataset) -> bytes:
     try:
         import pyarrow as pa
         from pyarrow import parquet
@@ -36,11 +31,16 @@ def _write_parquet(data: Dataset, path: Path | str) -> None:
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
     facts = {"legid.run": data.name, "legid.rate_hz": repr(data.rate_hz),
              "legid.clock_bound_s": repr(data.clock_bound_s), **data.sources}
-    parquet.write_table(table.replace_schema_metadata({str(k): str(v) for k, v in facts.items()}), path)
+    out = BytesIO()
+    parquet.write_table(table.replace_schema_metadata({str(k): str(v) for k, v in facts.items()}), out)
+    return out.getvalue()
 
 
-def _write_mat(data: Dataset, path: Path | str) -> None:
+def _mat(data: Dataset) -> bytes:
     from scipy.io import savemat
 
-    savemat(str(path), {"run": data.name, "rate_hz": data.rate_hz, "clock_bound_s": data.clock_bound_s,
-                        "time_s": data.time_s, **data.columns}, appendmat=False, oned_as="column")
+    out = BytesIO()
+    columns = {"run": data.name, "rate_hz": data.rate_hz, "clock_bound_s": data.clock_bound_s, "time_s": data.time_s,
+               **data.columns}
+    savemat(out, columns, appendmat=False, oned_as="column")  # type: ignore[arg-type]  # its stubs know paths only
+    return out.getvalue()

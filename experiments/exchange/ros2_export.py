@@ -14,13 +14,14 @@ What was not measured has a covariance that begins with -1 (orientation) or is 0
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from daq import Dataset, FloatArray, InputError, Rig, load_rig
+from daq import Dataset, FloatArray, InputError, Rig, load_rig, write_file
 from daq.runs import IMU, RawRun, read_run
 from daq.timing import Channel, decode, recorded_rig
 from experiments.exchange.reading import is_native, load_to_convert
@@ -120,17 +121,15 @@ def _messages(channels: Sequence[Channel], start_ns: int, store: Any) -> dict[st
 
 
 def _write(out: Path, topics: dict[str, tuple[str, list[Message]]], store: Any) -> int:
-    try:
-        with open(out, "wb") as file:
-            writer = Writer(file, compression=CompressionType.LZ4)
-            writer.start("ros2", LIBRARY)
-            for topic, (kind, messages) in topics.items():
-                text, _ = store.generate_msgdef(kind, ros_version=2)
-                schema = writer.register_schema(kind, "ros2msg", text.encode())
-                channel = writer.register_channel(topic, "cdr", schema)
-                for at, data in messages:
-                    writer.add_message(channel, at, data, at)
-            writer.finish()  # type: ignore[no-untyped-call]
-    except OSError as error:
-        raise InputError(str(out), error.strerror or str(error), "give a place that can be written") from None
+    file = BytesIO()
+    writer = Writer(file, compression=CompressionType.LZ4)
+    writer.start("ros2", LIBRARY)
+    for topic, (kind, messages) in topics.items():
+        text, _ = store.generate_msgdef(kind, ros_version=2)
+        schema = writer.register_schema(kind, "ros2msg", text.encode())
+        channel = writer.register_channel(topic, "cdr", schema)
+        for at, data in messages:
+            writer.add_message(channel, at, data, at)
+    writer.finish()  # type: ignore[no-untyped-call]
+    write_file(out, file.getvalue())
     return sum(len(messages) for _, messages in topics.values())

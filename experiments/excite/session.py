@@ -87,7 +87,7 @@ def next_choice(path: Path | str) -> Choice:
         found = msgspec.json.decode(Path(path).read_bytes())
     except OSError as error:
         raise InputError(where, error.strerror or str(error), "give the JSON of legid diagnose") from None
-    except (msgspec.DecodeError, UnicodeDecodeError):
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         raise InputError(where, "is not JSON", "give the JSON of legid diagnose") from None
     if not isinstance(found, dict) or found.get("schema") != "legid.diagnosis/1":
         raise InputError(where, "is no legid.diagnosis/1", "give the JSON of legid diagnose --json")

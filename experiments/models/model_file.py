@@ -41,6 +41,8 @@ def load_model(path: Path | str) -> Model:
                          f"give a model of schema {SCHEMA}") from None
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(where, f"is not JSON: {_lower(str(error))}", "give a model written by legid fit") from None
+    except RecursionError:
+        raise InputError(where, "is nested too deep", "give a model written by legid fit") from None
     fault = _fault(model)
     if fault:
         raise InputError(where, fault, "give a model written by legid fit")

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from estimator.model import VELOCITY_SCALE
+from experiments.provenance import Origin
 
 SCHEMA = "legid.model/1"
 NonNegative = Annotated[float, Meta(ge=0)]
@@ -64,6 +65,10 @@ class Provenance(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """UTC, ISO 8601."""
     version: str
     """Of this program."""
+    origin: Origin | None = None
+    """The files behind them with their hashes; None in models of earlier versions."""
+    damaged: tuple[str, ...] = ()
+    """Runs that were damaged, with what is missing of them."""
 
 
 class Model(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):

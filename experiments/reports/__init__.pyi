@@ -41,6 +41,9 @@ from .import_picture import GUESS_HEADER as GUESS_HEADER
 from .import_picture import guess_rows as guess_rows
 from .import_picture import guess_section as guess_section
 from .markdown import write_markdown as write_markdown
+from .origin import model_with_origin as model_with_origin
+from .origin import origin_section as origin_section
+from .origin import with_origin as with_origin
 from .run_info import BOUND_S as BOUND_S
 from .run_info import GOOD_TIMER_MS as GOOD_TIMER_MS
 from .run_info import clock_bound_s as clock_bound_s

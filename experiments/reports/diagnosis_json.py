@@ -10,8 +10,8 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
-from experiments.console import program_version
 from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, build_mechanism, effect_value
+from experiments.provenance import program_version
 from experiments.rig import Setup
 
 SCHEMA = "legid.diagnosis/1"

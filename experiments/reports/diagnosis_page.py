@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from daq import Dataset
 from estimator.diagnosis import Cause, Diagnosis, ShortRuns
+from experiments.provenance import Origin
 from experiments.reports.diagnosis_figures import (
     TRACE_SECONDS,
     error_bars,
@@ -36,14 +38,18 @@ from experiments.reports.diagnosis_text import (
 )
 from experiments.reports.fit_text import number
 from experiments.reports.html import Picture, Section, Table, write_page
+from experiments.reports.origin import origin_section
 
 ALPHA = 0.01
 """p above which a candidate counts as ruled out at its smallest detectable size."""
 
 
-def write_diagnosis(path: Path | str, found: Diagnosis, model: str) -> None:
-    """Write the page. Raises `InputError` where that place cannot be written."""
-    write_page(path, f"Diagnosis of {model}: {verdict_words(found.verdict)}", found.sentence, diagnosis_sections(found))
+def write_diagnosis(path: Path | str, found: Diagnosis, model: str, origin: Origin | None = None,
+                    runs: Sequence[Dataset] = ()) -> None:
+    """Write the page, with the files that it was made from where they are known. Raises `InputError` where that place
+    cannot be written."""
+    write_page(path, f"Diagnosis of {model}: {verdict_words(found.verdict)}", found.sentence,
+               [*diagnosis_sections(found), *([origin_section(origin, runs)] if origin else [])], origin)
 
 
 def verdict_words(verdict: str) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 
 from daq import WorkError
 from estimator import FitResult
-from experiments.console import program_version
 from experiments.models import MechanismSettings, Model, ParameterValue, Provenance
+from experiments.provenance import program_version
 
 FIT_SCHEMA = "legid.fit/1"
 

@@ -9,12 +9,15 @@ from experiments.console import make_directory, write_text
 from experiments.reports.figures import standalone
 from experiments.reports.html import Section, Table
 
+MARK = "<!-- written by legid -->"
+"""By which `daq.files` knows the page again."""
+
 
 def write_markdown(path: Path | str, title: str, summary: str, sections: Sequence[Section]) -> None:
     """Page at `path`, pictures at `<its stem>-1.svg` and so on. Raises `InputError` where that cannot be written."""
     page = Path(path)
     make_directory(page.parent)
-    blocks, pictures = [f"# {title}", summary], 0
+    blocks, pictures = [f"# {title}", MARK, summary], 0
     for section in sections:
         blocks += [f"## {section.title}", *section.paragraphs, *map(markdown_table, section.tables)]
         for picture in section.pictures:

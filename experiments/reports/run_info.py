@@ -58,9 +58,7 @@ def _recorded(raw: RawRun) -> str:
 
 
 def _wholeness(raw: RawRun) -> str:
-    damaged = f"; {raw.damaged_chunks} damaged chunks left out" if raw.damaged_chunks else ""
-    return ("the file is whole" if raw.complete else
-            "the file was cut off (crash, power or full disk); all that is whole was read") + damaged
+    return "the file is whole" if not raw.damage else "\n".join(f"DAMAGED: {text}" for text in raw.damage)
 
 
 def _start_ns(raw: RawRun) -> int:

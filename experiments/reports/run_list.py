@@ -46,7 +46,7 @@ class RunLine:
     frames_lost: int = 0
     imu_gaps: int = 0
     ended: str = ""
-    """Why the run ended early; empty when it did not, or nobody knows."""
+    """Why the run ended early, or what is missing of its file; empty when nothing is, or nobody knows."""
     verdict: str | None = None
     causes: tuple[str, ...] = ()
     """`effect@joint` of that verdict."""
@@ -123,7 +123,9 @@ def _ended(raw: RawRun) -> str:
              if note.kind == "abort" or note.kind.startswith("limit ")]
     if early:
         return early[-1].split(";")[0]
-    return "" if raw.complete else "file cut off"
+    if not raw.complete:
+        return "file cut off"
+    return f"damaged: {'; '.join(raw.damage)}" if raw.damage else ""
 
 
 def _verdicts(folder: Path) -> list[tuple[Path, _Diagnosis]]:
@@ -132,7 +134,7 @@ def _verdicts(folder: Path) -> list[tuple[Path, _Diagnosis]]:
     for path in folder.rglob("*.json"):
         try:
             document = msgspec.json.decode(path.read_bytes(), type=_Diagnosis)
-        except (msgspec.DecodeError, UnicodeDecodeError, OSError):
+        except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError):
             continue
         if document.schema == SCHEMA:
             found.append((path.stat().st_mtime, path, document))

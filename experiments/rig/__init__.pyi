@@ -1,11 +1,16 @@
 from . import devices as devices
+from .choice import ChosenRig as ChosenRig
+from .choice import choose_rig as choose_rig
+from .choice import rig_path as rig_path
 from .devices import open_devices as open_devices
 from .devices import open_imu as open_imu
 from .discovery import probe as probe
 from .questions import ask_facts as ask_facts
 from .setup import Setup as Setup
+from .setup import damaged_runs as damaged_runs
 from .setup import load_runs as load_runs
 from .setup import load_setup as load_setup
+from .setup import require_whole as require_whole
 from .setup import setup_of as setup_of
 from .writer import RigFacts as RigFacts
 from .writer import already_there as already_there

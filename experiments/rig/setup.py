@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from daq.runs import IMU
 from estimator import FitOptions
 from estimator.calibration import find_zeros, subtract, zeros_text
 from estimator.model import Mechanism
-from experiments.console import progress
+from experiments.console import detail, progress
 from experiments.exchange import load_any_run
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
 
@@ -33,14 +34,38 @@ class Setup:
 
 def load_setup(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
                fixed: Mapping[str, float] | None = None, latent: str = "trajectory",
-               beta: NDArray[np.float64] | None = None) -> Setup:
+               beta: NDArray[np.float64] | None = None, damaged: bool = False) -> Setup:
     """Runs read and aligned; the rest as `setup_of`. Raises `InputError`, and `FitError` as that does."""
-    return setup_of(load_runs(paths, rig), rig, sensors, fixed, latent, beta)
+    return setup_of(load_runs(paths, rig, damaged), rig, sensors, fixed, latent, beta)
 
 
-def load_runs(paths: Sequence[Path | str], rig: Rig) -> tuple[Dataset, ...]:
-    """Runs read, aligned, with the input that the mechanism is driven by. Raises `InputError`."""
-    return tuple(prepare(load_any_run(path, rig), rig) for path in progress(list(paths), "reading runs", unit="run"))
+def load_runs(paths: Sequence[Path | str], rig: Rig, damaged: bool = False) -> tuple[Dataset, ...]:
+    """Runs read, aligned, with the input that the mechanism is driven by.
+
+    Raises `InputError`, for a run of whose file something is missing too, unless `damaged` ones are wanted.
+    """
+    return tuple(prepare(require_whole(_loaded(path, rig), damaged), rig)
+                 for path in progress(list(paths), "reading runs", unit="run"))
+
+
+def _loaded(path: Path | str, rig: Rig) -> Dataset:
+    started = time.monotonic()
+    data = load_any_run(path, rig)
+    detail(f"{path}: {len(data)} samples at {data.rate_hz:g} Hz, read in {time.monotonic() - started:.2f} s")
+    return data
+
+
+def require_whole(data: Dataset, damaged: bool = False) -> Dataset:
+    """`data` itself. Raises `InputError` where something is missing of its file, unless `damaged` ones are wanted."""
+    if "damaged" in data.sources and not damaged:
+        raise InputError(data.name, f"is damaged: {data.sources['damaged']}",
+                         "save what is whole with legid recover, or use it as it is with --damaged")
+    return data
+
+
+def damaged_runs(datasets: Sequence[Dataset]) -> list[dict[str, str]]:
+    """Runs of whose files something is missing, and what: `damaged` of every document."""
+    return [{"run": d.name, "what": d.sources["damaged"]} for d in datasets if "damaged" in d.sources]
 
 
 def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq import ASSUMED, JOINTS, InputError, parse_rig
+from daq import ASSUMED, JOINTS, InputError, parse_rig, write_file
 
 Line = Callable[..., str]
 
@@ -121,13 +121,9 @@ def write_rig(path: Path, facts: RigFacts) -> str:
     """Write the file, which must not exist; returns its text. Raises `InputError`."""
     text = rig_toml(facts)
     parse_rig(text, str(path))
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise already_there(path) from None
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    if path.exists():
+        raise already_there(path)
+    write_file(path, text.encode())
     return text
 
 

@@ -8,12 +8,13 @@ from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
-from daq import Rig, WorkError, parse_rig
+from daq import InputError, Rig, WorkError, parse_rig
 from daq.recording import write_plan
+from daq.runs import read_run
 from estimator import cores
 from estimator.fitting import fit
 from experiments.console import busy, make_directory, progress, stages, write_text
-from experiments.emulation import DEFAULT, EFFECTS, NOTHING, Hidden, LegBody, record_emulated
+from experiments.emulation import DEFAULT, EFFECTS, NOTHING, REMARK, Hidden, LegBody, record_emulated
 from experiments.excite import random_multisine
 from experiments.reports import diagnosed_model
 from experiments.rig import load_setup
@@ -41,6 +42,7 @@ def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = D
     make_directory(out)
     rig_text = (files(__package__) / RIG_FILE).read_text(encoding="utf-8")
     rig = parse_rig(rig_text, RIG_FILE)
+    remove_earlier_runs(out)
     write_text(out / "rig.toml", rig_text)
     body = body or LegBody(gravity=rig.mechanism.gravity_mps2)
     hidden = EFFECTS.get(effect, NOTHING)
@@ -68,6 +70,17 @@ def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = D
     return replace(demo, wall_s=time.monotonic() - started)
 
 
+def remove_earlier_runs(out: Path) -> None:
+    """Runs of an earlier demo. Raises `InputError` for one that does not say of itself that it is emulated."""
+    earlier = sorted(out.glob("demo-run*.mcap"))
+    for path in earlier:
+        if not any(note.kind == "remark" and note.text == REMARK for note in read_run(path).events):
+            raise InputError(str(path), "is not of an earlier demo, and a run is never overwritten",
+                             "give another folder with --out")
+    for path in earlier:
+        path.unlink()
+
+
 def record_runs(out: Path, rig: Rig, rig_text: str, runs: int, seconds: float, seed: int, body: LegBody,
                 hidden: Hidden) -> list[Path]:
     """All runs, on as many cores as there are, up to `WORKERS`. Returns the run files in order."""
@@ -83,7 +96,6 @@ def record_demo_run(out: Path, rig: Rig, rig_text: str, number: int, seconds: fl
                     effect: str) -> Path:
     """Run number `number` (from 0), with random phases of its own. Returns the run file."""
     path = out / f"demo-run{number + 1}.mcap"
-    path.unlink(missing_ok=True)
     plan = random_multisine(1000 * seed + number, seconds, PEAK_NM)
     write_plan(plan, out / f"demo-plan{number + 1}.csv")
     record_emulated(path, rig, rig_text, plan, 1000 * seed + number, body, EFFECTS.get(effect, NOTHING))

@@ -7,6 +7,7 @@ from pathlib import Path
 from estimator import FitResult
 from experiments.console import write_json, write_text
 from experiments.models import save_model
+from experiments.provenance import origin_of, source_of
 from experiments.reports import (
     Section,
     diagnosis_document,
@@ -15,12 +16,15 @@ from experiments.reports import (
     fit_sections,
     fit_summary,
     model_of,
+    model_with_origin,
+    origin_section,
     standalone,
     truth_section,
     validation_document,
     validation_picture,
     validation_section,
     verdict_words,
+    with_origin,
     write_page,
 )
 from experiments.workflows.demo_result import Demo
@@ -29,26 +33,28 @@ from experiments.workflows.demo_result import Demo
 def write_results(out: Path, demo: Demo, benchmark: FitResult) -> dict[str, Path]:
     """Models, documents and both reports; returns what -> path."""
     result, setup = demo.result, demo.setup
+    runs = [out / name for names in demo.diagnosis.runs.values() for name in names]
+    origin = origin_of(sorted(runs), source_of(out / "rig.toml"))
     written = {"model": out / "model.json", "extended model": out / "extended.json", "fit": out / "fit.json",
                "diagnosis": out / "diagnosis.json", "validation": out / "validation.json",
                "picture": out / "picture.svg", "fit report": out / "fit.html", "report": out / "report.html"}
-    save_model(model_of(result, setup.settings, setup.options.hold, [d.name for d in setup.datasets]),
-               written["model"])
-    save_model(demo.model, written["extended model"])
-    write_json(written["fit"], fit_document(result, setup.settings))
-    write_json(written["diagnosis"], diagnosis_document(demo.diagnosis))
-    write_json(written["validation"], validation_document(demo.after, setup.options.sensors))
+    model = model_of(result, setup.settings, setup.options.hold, [d.name for d in setup.datasets])
+    save_model(model_with_origin(model, origin), written["model"])
+    save_model(model_with_origin(demo.model, origin), written["extended model"])
+    write_json(written["fit"], with_origin(fit_document(result, setup.settings), origin))
+    write_json(written["diagnosis"], with_origin(diagnosis_document(demo.diagnosis), origin))
+    write_json(written["validation"], with_origin(validation_document(demo.after, setup.options.sensors), origin))
     write_text(written["picture"], standalone(validation_picture(demo.after[0])))
     sections = fit_sections(result, benchmark)
     nominal = {name: (float(v), float(s)) for name, v, s in zip(demo.truth, result.beta, result.std)}
     sections[1:1] = [truth_section(result.mechanism, nominal, demo.truth)]
     sections[-2:-2] = [validation_section(demo.before)]
     write_page(written["fit report"], "The emulated leg: the nominal fit", fit_summary(result, setup.settings.model),
-               sections)
+               [*sections, origin_section(origin)], origin)
     told = diagnosis_sections(demo.diagnosis)
     told[1:1] = [Section("What was hidden", [f"The leg was emulated, and beside what its rig file says it had "
                                              f"{demo.hidden.words}."]),
                  truth_section(setup.mechanism, demo.estimates(), demo.truth)]
     write_page(written["report"], f"The emulated leg: {verdict_words(demo.diagnosis.verdict)}",
-               demo.diagnosis.sentence, told)
+               demo.diagnosis.sentence, [*told, origin_section(origin)], origin)
     return written

@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from daq import InputError, WorkError
+from daq import InputError, Rig, WorkError
 from experiments.console import text_table
+from experiments.provenance import Origin
 from experiments.reports import number
 from experiments.workflows.executor import Executor
 
@@ -19,27 +20,30 @@ class Refit:
     """One run file and how it is fitted; what a worker is handed."""
 
     run: str
-    rig: str
+    rig: Rig
     method: str
     sensors: str | None
     latent: str
     fixed: Mapping[str, float]
+    damaged: bool
+    """Whether a damaged run is wanted."""
+    origin: Origin
 
 
 def refit(piece: Refit) -> dict[str, Any]:
     """The run's fit JSON with its name, or `error` where the run cannot be read or fitted."""
-    from daq import load_rig
     from estimator import FitError
     from estimator.fitting import fit
-    from experiments.reports import fit_document
+    from experiments.reports import fit_document, with_origin
     from experiments.rig import load_setup
 
     try:
-        setup = load_setup([piece.run], load_rig(piece.rig), piece.sensors, dict(piece.fixed), piece.latent)
+        setup = load_setup([piece.run], piece.rig, piece.sensors, dict(piece.fixed), piece.latent,
+                           damaged=piece.damaged)
         result = fit(setup.datasets, setup.mechanism, setup.options, piece.method)
     except (FitError, InputError, WorkError) as error:
         return {"run": piece.run, "error": " ".join(str(error).split()), "input": isinstance(error, InputError)}
-    return {"run": piece.run, **fit_document(result, setup.settings)}
+    return {"run": piece.run, **with_origin(fit_document(result, setup.settings), piece.origin, setup.datasets)}
 
 
 def refit_all(pieces: Sequence[Refit], executor: Executor, done: Callable[[int, str], None]) -> list[dict[str, Any]]:

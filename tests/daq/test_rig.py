@@ -34,7 +34,7 @@ def test_what_is_absent_is_unknown_or_default() -> None:
     (LEG + '[sampling]\nhold = "cubic"\n', "sampling.hold"),
     (LEG + "[limits]\ntorque = 1\n", "torque"),
     (LEG.replace("[2]", "[3]"), "joint 3"),
-    (LEG + "[limits]\ntorque_nm = inf\n", "limits.torque_nm is inf"),
+    (LEG + "[limits]\ntorque_nm = inf\n", "`limits.torque_nm`"),
     (LEG + "[limits]\nq2_rad = nan\n", "limits.q2_rad"),
     (LEG + "[limits]\nunchecked = ['q2_rad']\n", "limits.unchecked"),
     (LEG + "[calibration]\ntorque_constant_nm_per_a = 1e9\n", "calibration.torque_constant_nm_per_a"),
@@ -67,3 +67,28 @@ def test_joints_of_each_mechanism() -> None:
     for model, n in counts.items():
         assert joint_count(parse_rig(f'[mechanism]\nmodel = "{model}"\nactuated = [1]\n').mechanism) == n
     assert joint_count(parse_rig('[mechanism]\nmodel = "chain"\nactuated = [1]\nlinks = 7\n').mechanism) == 7
+
+
+MOUNT = "[calibration]\nimu_mount = "
+
+
+@pytest.mark.parametrize("text, named", [
+    ("[limits]\ntorque_nm = inf", "limits.torque_nm"), ("[limits]\nspeed_radps = nan", "limits.speed_radps"),
+    ("[limits]\nq2_rad = 90", "limits.q2_rad"), ("[limits]\nstaleness_s = 1e9", "limits.staleness_s"),
+    ("[calibration]\ntorque_constant_nm_per_a = 1e9", "torque_constant_nm_per_a"),
+    ("[calibration]\nknee_zero_rad = -inf", "knee_zero_rad"), ("[calibration]\nknee_zero_rad = nan", "knee_zero_rad"),
+    ("[calibration]\ngyro_bias_radps = [nan, 0, 0]", "gyro_bias_radps"),
+    ("[devices.controller]\nbaud = -1", "baud"), ("[devices.imu]\naddress = 99999", "address"),
+    ("[devices.imu]\nrate_hz = -1", "rate_hz"), ("[sampling]\nrate_hz = inf", "sampling.rate_hz"),
+    ("[imu]\nlever_arm_m = nan", "lever_arm_m"), ("[noise]\ngyro_radps = inf", "gyro_radps"),
+    (MOUNT + "[[0, 0, 0], [0, 0, 0], [0, 0, 0]]", "imu_mount"),
+    (MOUNT + "[[1, 0, 0], [1, 0, 0], [0, 0, 1]]", "imu_mount"),
+    (MOUNT + "[[2, 0, 0], [0, 2, 0], [0, 0, 2]]", "imu_mount"),
+    ("[calibration]\naccel_matrix = [[1, 0, 0], [1, 0, 0], [0, 0, 1]]", "accel_matrix"),
+    ("[terms]\nrotor_inertia = [2, 2]", "twice"), ("x = " + "[" * 100_000, "nested"),
+    ("x = " + "{a=" * 100_000, "nested"),
+])
+def test_nonsense_is_refused_in_one_line_that_names_it(text: str, named: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_rig(LEG + text)
+    assert named in str(caught.value) and len(str(caught.value)) < 300

@@ -53,7 +53,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "all", help="walk through imu, mount, encoder and shunt on a terminal",
         description="One step after another, each with what to do with the leg before it; a step can be skipped or "
                     "taken again. Readings come from the devices of the rig file, the motor stays off.")
-    everything.add_argument("--rig", required=True, help="the rig's TOML file; each step writes what it finds into it")
+    everything.add_argument("--rig", default="rig.toml",
+                            help="the rig's TOML file, into which each step writes what it finds; default: ./rig.toml")
     everything.add_argument("--seconds", type=float, help="length of each record (default: each step's own)")
     everything.add_argument("--straight", action="store_true", help="the knee's zero from a leg held straight")
     everything.add_argument("--six-positions", action="store_true",
@@ -67,7 +68,8 @@ def _step(steps: argparse._SubParsersAction[argparse.ArgumentParser], name: str,
           seconds: float) -> argparse.ArgumentParser:
     step = steps.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}. {more}")
     step.add_argument("runs", metavar="RUN", nargs="*", help=runs)
-    step.add_argument("--rig", required=True, help="the rig's TOML file; what is found is written into it")
+    step.add_argument("--rig", default="rig.toml",
+                      help="the rig's TOML file, into which what is found is written; default: ./rig.toml")
     step.add_argument("--seconds", type=float, default=seconds,
                       help=f"length of each record from the devices (default {seconds:g})")
     step.add_argument("--dry-run", action="store_true", help="print only, leave the rig file as it is")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_force, add_output
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -12,8 +14,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="For each known folder of public records under DIR: fit, validate and diagnose with the rig file "
                     "shipped for it, and put what is published beside what is found, on one page.")
     parser.add_argument("folder", metavar="DIR", help="the directory that holds the folders")
-    parser.add_argument("--html", metavar="FILE", help="write the page")
-    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON (schema legid.casebook/1)")
+    add_output(parser, "--html", "page", help="write the page")
+    add_output(parser, "--json", "legid.casebook/1", help="write the figures as JSON (schema legid.casebook/1)")
+    add_force(parser)
     parser.add_argument("--only", metavar="FOLDER", action="append", default=[],
                         help="this folder alone; may be repeated")
     parser.set_defaults(run=run)

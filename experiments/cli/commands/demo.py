@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from experiments.cli.arguments import whole_number
+from experiments.cli.arguments import add_force, whole_number
 
 HIDEABLE = ("none", "stribeck_friction", "asymmetric_friction", "rotor_inertia", "joint_stiffness", "quadratic_drag",
             "torque_offset", "gyro_bias", "sensor_time_skew")
@@ -17,13 +17,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Emulate a leg with its IMU and motor controller, byte for byte, with an effect hidden in it that "
                     "the model does not know; excite it, record it, identify it, find out what the model gets wrong, "
                     "extend it, and write reports. Takes two minutes or three.")
-    parser.add_argument("--out", metavar="DIR", default="demo-out", help="where the files go; default: demo-out")
+    parser.add_argument("--out", metavar="DIR", default="demo-out",
+                        help="where the files go, over those of an earlier demo; default: demo-out")
     parser.add_argument("--effect", metavar="NAME", choices=HIDEABLE, default="joint_stiffness",
                         help=f"what is hidden in the leg: {', '.join(HIDEABLE)}; default: joint_stiffness")
     parser.add_argument("--runs", metavar="N", type=_runs, default=8, help="number of runs; default: 8")
     parser.add_argument("--seconds", metavar="S", type=_seconds, default=10.0, help="length of each run; default: 10")
     parser.add_argument("--seed", metavar="N", type=parse_seed, default=1,
                         help="noise and excitation are drawn from it; default: 1")
+    add_force(parser)
     parser.set_defaults(run=run)
 
 

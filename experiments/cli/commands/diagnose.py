@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from experiments.cli.arguments import MOST_WORKERS, share, whole_number
+from experiments.cli.arguments import MOST_WORKERS, add_force, add_output, add_rig, chosen_rig, share, whole_number
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -16,12 +16,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "(eight of 20 s are good) in the order in which they were recorded. Exit status 1 when no "
                     "diagnosis is possible (JSON is written all the same).")
     parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
-    parser.add_argument("--rig", required=True, help="the rig's TOML file")
-    parser.add_argument("--json", metavar="FILE", help="write the diagnosis as JSON (schema legid.diagnosis/1)")
-    parser.add_argument("--html", metavar="FILE", help="write a report page")
-    parser.add_argument("--model-out", metavar="MODEL.json",
-                        help="write the extended model (the nominal one where nothing was named) for validate and "
-                             "simulate")
+    add_rig(parser)
+    add_output(parser, "--json", "legid.diagnosis/1", help="write the diagnosis as JSON (schema legid.diagnosis/1)")
+    add_output(parser, "--html", "page", help="write a report page")
+    add_output(parser, "--model-out", "legid.model/1", "MODEL.json",
+               help="write the extended model (the nominal one where nothing was named) for validate and simulate")
+    add_force(parser)
     parser.add_argument("--seed", metavar="N", type=whole_number(0, 2**32 - 1), default=0,
                         help="rehearsals and intervals are drawn from it; default: 0")
     parser.add_argument("--material", metavar="SHARE", type=share, default=0.1,
@@ -35,29 +35,39 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write what was asked for. Raises `WorkError` with the verdict fit_failed."""
-    from daq import WorkError, load_rig
+    from daq import WorkError
     from experiments.console import stages, write_json
     from experiments.models import load_model, save_model
-    from experiments.reports import diagnosed_model, diagnosis_document, diagnosis_text
+    from experiments.provenance import origin_of
+    from experiments.reports import (
+        diagnosed_model,
+        diagnosis_document,
+        diagnosis_text,
+        model_with_origin,
+        with_origin,
+    )
     from experiments.rig import load_setup
     from experiments.workflows import diagnose_setup, reference_values, require_one_rig
 
-    rig = load_rig(args.rig)
+    chosen = chosen_rig(args, args.runs)
+    rig = chosen.rig
+    origin = origin_of(args.runs, chosen.source, args.reference)
     earlier = load_model(args.reference) if args.reference else None
     require_one_rig(args.runs)
-    setup = load_setup(args.runs, rig)
+    setup = load_setup(args.runs, rig, damaged=args.damaged)
     reference = None if earlier is None else reference_values(earlier, args.reference, setup)
     with stages("diagnosing") as show:
         found = diagnose_setup(setup, rig, args.seed, reference, show, args.workers, args.material)
     if args.json:
-        write_json(args.json, diagnosis_document(found))
+        write_json(args.json, with_origin(diagnosis_document(found), origin, setup.datasets))
     if args.html:
         from experiments.reports import write_diagnosis
 
-        write_diagnosis(args.html, found, setup.settings.model)
+        write_diagnosis(args.html, found, setup.settings.model, origin, setup.datasets)
     if found.verdict == "fit_failed":
         raise WorkError(found.sentence)
     print(diagnosis_text(found))
     if args.model_out:
-        save_model(diagnosed_model(found, setup, rig.motor.gear_ratio), args.model_out)
+        model = diagnosed_model(found, setup, rig.motor.gear_ratio)
+        save_model(model_with_origin(model, origin, setup.datasets), args.model_out)
     return 0

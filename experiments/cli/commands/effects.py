@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_force, add_output
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -12,7 +14,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Every effect in the library with its meaning, the units of its sizes, where its form comes from "
                     "and the experiment that shows it best; effects of installed packages (entry point group "
                     "legid.effects) with them; and what cannot be tested, with the reason.")
-    parser.add_argument("--json", metavar="FILE", help="write the list as JSON (schema legid.effects/1)")
+    add_output(parser, "--json", "legid.effects/1", help="write the list as JSON (schema legid.effects/1)")
+    add_force(parser)
     parser.set_defaults(run=run)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_force
 from experiments.cli.commands.demo import HIDEABLE
 
 
@@ -18,6 +19,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                                                                              "default: emulated-rig")
     parser.add_argument("--effect", metavar="NAME", choices=HIDEABLE, default="none",
                         help="what is hidden in the leg, as for legid demo; default: none")
+    add_force(parser)
     parser.add_argument("--until-eof", action="store_true", help=argparse.SUPPRESS)  # ends with whoever started it
     parser.set_defaults(run=run)
 

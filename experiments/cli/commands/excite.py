@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from experiments.cli.arguments import add_force, add_output, add_rig
+
 if TYPE_CHECKING:
     from daq import Rig
     from daq.recording import Plan
@@ -25,13 +27,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "realisations at two amplitudes, slow ramps with holds, free swings, or what the causes of a "
                     "diagnosis call for. Without a model, a plain multisine of --peak: what the motion will be is then "
                     "unknown, so begin gently.")
-    parser.add_argument("--rig", required=True, help="the rig's TOML file; its [limits] are kept")
+    add_rig(parser, runs=False)
     parser.add_argument("--model", metavar="MODEL.json", help="prior model, from an earlier fit")
     parser.add_argument("--peak", metavar="NM", type=_Number(1e-6, 1e6),
                         help="without --model: largest torque; default: a tenth of the rig's limit")
     out = parser.add_mutually_exclusive_group(required=True)
-    out.add_argument("--out", metavar="PLAN", help="one torque plan to write (CSV)")
+    add_output(out, "--out", "plan", "PLAN", help="one torque plan to write (CSV)")
     out.add_argument("--session", metavar="DIR", help="folder for the plans of a session and their index")
+    add_force(parser)
     parser.add_argument("--next", metavar="DIAGNOSIS.json",
                         help="with --session: plans that show the causes of this diagnosis best")
     parser.add_argument("--runs", type=_Number(4, 64), default=16,
@@ -75,7 +78,9 @@ def run(args: argparse.Namespace) -> int:
     """Design, write, tell."""
     from daq import InputError, load_rig
     from daq.recording import write_plan
+    from experiments.rig import rig_path
 
+    args.rig = str(rig_path(args.rig))
     rig = load_rig(args.rig)
     if args.seed < 0:
         raise InputError("--seed", f"{args.seed} is negative", "give a number from 0 on")

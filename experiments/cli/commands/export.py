@@ -4,6 +4,12 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_force, add_output
+
+KINDS = ("csv", "parquet", "mat", "ros2", "mjcf", "urdf")
+ENDINGS = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mat": "mat", ".mcap": "ros2",
+           ".xml": "mjcf", ".mjcf": "mjcf", ".urdf": "urdf"}
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -14,23 +20,34 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "sensor_msgs, every sample at its own wall-clock time; with --to mjcf or urdf a MODEL.json becomes "
                     "a simulator's model.")
     parser.add_argument("run_file", metavar="RUN", help="run file of any kind that is read; or MODEL.json")
-    parser.add_argument("--to", required=True, choices=("csv", "parquet", "mat", "ros2", "mjcf", "urdf"),
-                        help="the format")
-    parser.add_argument("--out", metavar="FILE", required=True, help="the file to write")
+    parser.add_argument("--to", choices=KINDS, help="the format; default: by the ending of FILE")
+    add_output(parser, "--out", None, required=True, help="the file to write; a run that is there is never overwritten")
+    add_force(parser)
     parser.add_argument("--rig", help="the rig's TOML file; default: the one inside the run")
+    parser.add_argument("--damaged", action="store_true", help="export a run of whose file something is missing, too")
     parser.add_argument("--rate", metavar="HZ", type=float, help="samples per second; default: the rig's")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Read, align, write."""
+    from daq import InputError
+
+    if args.to is None:
+        args.to = next((kind for ending, kind in ENDINGS.items() if args.out.lower().endswith(ending)), None)
+    if args.to is None:
+        raise InputError(args.out, "has no ending that tells a format", f"give --to {'|'.join(KINDS)}")
     if args.to in ("mjcf", "urdf"):
         return _export_model(args)
+    from experiments.console import warn
     from experiments.exchange import export_run, load_to_convert
+    from experiments.rig import require_whole
 
     if args.to == "ros2":
         return _export_ros2(args)
-    data = load_to_convert(args.run_file, args.rig, args.rate)
+    data = require_whole(load_to_convert(args.run_file, args.rig, args.rate), args.damaged)
+    if "damaged" in data.sources:
+        warn(f"{data.name} is damaged: {data.sources['damaged']}")
     rows = export_run(data, args.to, args.out)
     print(f"{args.out}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from estimator import METHODS
-from experiments.cli.arguments import MOST_WORKERS, whole_number
+from experiments.cli.arguments import MOST_WORKERS, add_force, add_output, add_rig, chosen_rig, whole_number
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -15,7 +15,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Identify the parameters of the rig's mechanism from one or more runs and print them with "
                     "their 95 % intervals. Exit status 1 when the fit did not converge (JSON is written all the same).")
     parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
-    parser.add_argument("--rig", required=True, help="the rig's TOML file")
+    add_rig(parser)
     parser.add_argument("--method", choices=METHODS, default="mle",
                         help="mle: maximum likelihood (default); wls: weighted least squares; rls, hekf: recursive")
     parser.add_argument("--sensors", choices=("imu", "encoder"),
@@ -31,9 +31,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                        help="with --each: local processes; default: one a core")
     where.add_argument("--cluster", metavar="ADDRESS",
                        help="with --each: an existing Dask scheduler that sees the same files")
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON (schema legid.fit/1)")
-    parser.add_argument("--html", metavar="FILE", help="write a report page")
-    parser.add_argument("--model-out", metavar="MODEL.json", help="write the model for validate and simulate")
+    add_output(parser, "--json", lambda args: "legid.fits/1" if args.each else "legid.fit/1",
+               help="write the result as JSON (schema legid.fit/1)")
+    add_output(parser, "--html", "page", help="write a report page")
+    add_output(parser, "--model-out", "legid.model/1", "MODEL.json", help="write the model for validate and simulate")
+    add_force(parser)
     parser.set_defaults(run=run)
 
 
@@ -51,12 +53,14 @@ def _run_each(args: argparse.Namespace) -> int:
 
     from daq import InputError
     from experiments.console import work_bar, write_json
+    from experiments.provenance import origin_of
     from experiments.workflows import Refit, choose_executor, refit_all, refits_document, refits_text, verdict
 
     if args.html or args.model_out:
         raise InputError("--each", "makes no report and no model", "leave out --html and --model-out")
-    pieces = [Refit(str(Path(run).resolve()), str(Path(args.rig).resolve()), args.method, args.sensors, args.latent,
-                    dict(args.fix)) for run in args.runs]
+    rigs = [chosen_rig(args, [run]) for run in args.runs]
+    pieces = [Refit(str(Path(run).resolve()), rig.rig, args.method, args.sensors, args.latent, dict(args.fix),
+                    args.damaged, origin_of([run], rig.source)) for run, rig in zip(args.runs, rigs)]
     with work_bar("fitting", len(pieces), "run") as done:
         fits = refit_all(pieces, choose_executor(args.workers, args.cluster), done)
     print(refits_text(fits))
@@ -71,13 +75,15 @@ def run(args: argparse.Namespace) -> int:
         return _run_each(args)
     import sys
 
-    from daq import load_rig
     from experiments.console import busy, write_json
-    from experiments.reports import check_sound, fit_document, fit_text, model_of
+    from experiments.provenance import origin_of
+    from experiments.reports import check_sound, fit_document, fit_text, model_of, with_origin
     from experiments.rig import load_setup
     from experiments.workflows import fit_setup
 
-    setup = load_setup(args.runs, load_rig(args.rig), args.sensors, dict(args.fix), args.latent)
+    rig = chosen_rig(args, args.runs)
+    origin = origin_of(args.runs, rig.source)
+    setup = load_setup(args.runs, rig.rig, args.sensors, dict(args.fix), args.latent, damaged=args.damaged)
     with busy(f"fitting {len(setup.datasets)} runs by {args.method}"):
         result = fit_setup(setup, args.method)
     print(fit_text(result, setup.settings.model))
@@ -85,16 +91,18 @@ def run(args: argparse.Namespace) -> int:
         if "doubt" in dataset.sources:
             print(f"warning: {dataset.name} is to be doubted: {dataset.sources['doubt']}", file=sys.stderr)
     if args.json:
-        write_json(args.json, fit_document(result, setup.settings))
+        write_json(args.json, with_origin(fit_document(result, setup.settings), origin, setup.datasets))
     if args.html:
-        from experiments.reports import fit_sections, fit_summary, write_page
+        from experiments.reports import fit_sections, fit_summary, origin_section, write_page
 
         title = f"Fit of {setup.settings.model}: {', '.join(d.name for d in setup.datasets)}"
-        write_page(args.html, title, fit_summary(result, setup.settings.model), fit_sections(result))
+        write_page(args.html, title, fit_summary(result, setup.settings.model),
+                   [*fit_sections(result), origin_section(origin, setup.datasets)], origin)
     check_sound(result, bool(args.model_out))
     if args.model_out:
         from experiments.models import save_model
+        from experiments.reports import model_with_origin
 
-        save_model(model_of(result, setup.settings, setup.options.hold, [d.name for d in setup.datasets]),
-                   args.model_out)
+        model = model_of(result, setup.settings, setup.options.hold, [d.name for d in setup.datasets])
+        save_model(model_with_origin(model, origin, setup.datasets), args.model_out)
     return 0

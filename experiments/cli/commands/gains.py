@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_force, add_output
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -18,7 +20,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--torque", metavar="N_M", type=float, default=1.0, help="torque to be spent on them (1)")
     parser.add_argument("--delay", metavar="S", type=float, default=0.002,
                         help="everything that is late in the loop (0.002)")
-    parser.add_argument("--json", metavar="FILE", help="write the gains as JSON (schema legid.gains/1)")
+    add_output(parser, "--json", "legid.gains/1", help="write the gains as JSON (schema legid.gains/1)")
+    add_force(parser)
     parser.set_defaults(run=run)
 
 

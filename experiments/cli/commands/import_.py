@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_force
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -18,6 +20,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--map", metavar="COLUMNS.toml", required=True, help="the map of columns")
     parser.add_argument("--guess", action="store_true", help="write the map, from the first file, and a page beside it")
     parser.add_argument("--out", metavar="DIR", default=".", help="where the runs go; default: here")
+    add_force(parser)
     parser.add_argument("--rate", metavar="HZ", type=float, help="samples per second; default: the slowest signal's")
     parser.set_defaults(run=run)
 

@@ -8,22 +8,34 @@ import argparse
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
     parser = subparsers.add_parser(
-        "info", help="look into a run file",
+        "info", help="look into run files",
         description="Streams with their rates, gaps and drops, clocks with their bounds, events, and the rig.")
-    parser.add_argument("run_file", metavar="RUN", help="run file: .mcap, .csv or .csv.gz")
+    parser.add_argument("run_files", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what is in the file."""
+    """Print what is in the files, those that cannot be read last."""
+    from daq import InputError
+    from experiments.console import warn
+
+    faults = []
+    for k, path in enumerate(args.run_files):
+        try:
+            text = _described(path)
+        except InputError as error:
+            faults.append(error)
+            continue
+        print(("\n" if k else "") + text)
+    for fault in faults[1:]:
+        warn(str(fault))
+    if faults:
+        raise faults[0]
+    return 0
+
+
+def _described(path: str) -> str:
+    from daq.runs import read_csv, read_run
     from experiments.reports import describe_csv, describe_mcap
 
-    if args.run_file.lower().endswith(".mcap"):
-        from daq.runs import read_run
-
-        print(describe_mcap(read_run(args.run_file)))
-    else:
-        from daq.runs import read_csv
-
-        print(describe_csv(read_csv(args.run_file)))
-    return 0
+    return describe_mcap(read_run(path)) if path.lower().endswith(".mcap") else describe_csv(read_csv(path))

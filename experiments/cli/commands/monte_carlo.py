@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from estimator import METHODS
-from experiments.cli.arguments import whole_number
+from experiments.cli.arguments import add_force, add_output, whole_number
 
 CHOICES = (*METHODS, "mle-free")
 MOST_RUNS = 1_000_000
@@ -34,8 +34,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--out", metavar="DIR", default="monte-carlo-out",
                         help="where finished work is kept, with runs.parquet and report.html; "
                              "default: monte-carlo-out")
-    parser.add_argument("--json", metavar="FILE", help="write the table as JSON (schema legid.monte-carlo/1)")
-    parser.add_argument("--markdown", metavar="FILE", help="write the page as Markdown too, its pictures beside it")
+    add_output(parser, "--json", "legid.monte-carlo/1", help="write the table as JSON (schema legid.monte-carlo/1)")
+    add_output(parser, "--markdown", "text page", help="write the page as Markdown too, its pictures beside it")
+    add_force(parser)
     parser.add_argument("--note", default="", metavar="TEXT", help="a sentence for the end of the page")
     parser.set_defaults(run=run)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_output, add_rig
 from experiments.cli.commands.demo import HIDEABLE, parse_seed
 
 
@@ -14,9 +15,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Open the devices of the rig file, run the plan under the rig's limits and record everything. "
                     "Ctrl-C stops the motor at once; what was recorded until then is kept. With --emulate no device "
                     "is opened: the rig's IMU, controller and a leg are emulated, for practice.")
-    parser.add_argument("--rig", required=True, help="the rig's TOML file, with [devices] and [limits]")
+    add_rig(parser, runs=False)
     parser.add_argument("--plan", required=True, help="torque plan: CSV with time_s,tau2_cmd_nm")
-    parser.add_argument("--out", metavar="RUN.mcap", required=True, help="the run file to write; never overwritten")
+    add_output(parser, "--out", "run", "RUN.mcap", required=True, help="the run file to write; never overwritten")
     parser.add_argument("--watched-by", metavar="FD", type=int, help=argparse.SUPPRESS)  # legid live: see daq.remote
     parser.add_argument("--emulate", metavar="NAME", nargs="?", const="none", choices=HIDEABLE,
                         help="record an emulated leg of the rig's kind instead, with this hidden in it: "
@@ -32,6 +33,7 @@ def run(args: argparse.Namespace) -> int:
 
     from daq.recording import read_plan, watched_by
     from experiments.console import progress_to
+    from experiments.rig import rig_path
     from experiments.workflows import record_plan
 
     plan = read_plan(args.plan)
@@ -39,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         print("The leg will move: hardwired emergency stop at hand, nobody within its reach (docs/safety.md).",
               flush=True)
     with watched_by(args.watched_by) as remote, progress_to("recording") as report:
-        done, warnings = record_plan(args.rig, plan, args.out, args.emulate, args.seed, report, remote)
+        done, warnings = record_plan(rig_path(args.rig), plan, args.out, args.emulate, args.seed, report, remote)
     print(f"{args.out}: {done.duration_s:.1f} s, {done.messages} messages, {done.imu_samples} IMU samples, "
           f"{done.commands} torque commands ({done.late_commands} left out as late), "
           f"controller clock known to {done.clock_bound_s * 1e6:.0f} us")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_output
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -12,7 +14,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Write everything that is whole in RUN to a clean, indexed file. RUN itself is left as it is. "
                     "Other commands read a cut file as well, as far as it is whole.")
     parser.add_argument("run_file", metavar="RUN", help="a .mcap run file")
-    parser.add_argument("--out", metavar="FILE", help="the file to write; default: RUN with .recovered before .mcap")
+    add_output(parser, "--out", "run", help="the file to write; default: RUN with .recovered before .mcap")
     parser.set_defaults(run=run)
 
 

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_force, add_output
+
+WIDEST_RAD = 6.2832
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -13,7 +17,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "and, for a leg with an IMU, what the IMU would read.")
     parser.add_argument("model", metavar="MODEL.json", help="a model written by legid fit --model-out")
     parser.add_argument("--plan", required=True, help="torque plan: CSV with time_s,tau2_cmd_nm")
-    parser.add_argument("--out", metavar="RUN.csv", required=True, help="the run to write (.csv or .csv.gz)")
+    add_output(parser, "--out", "run", "RUN.csv", required=True,
+               help="the run to write (.csv or .csv.gz); a run that is there is never overwritten")
+    add_force(parser)
     parser.add_argument("--rate", metavar="HZ", type=_positive, help="samples per second; default: the plan's own rate")
     parser.add_argument("--start", metavar="Q1,Q2", type=_angles, help="angles at the start [rad]; default: all zero")
     parser.add_argument("--noise-seed", metavar="N", type=int,
@@ -33,9 +39,12 @@ def _positive(text: str) -> float:
 
 def _angles(text: str) -> list[float]:
     try:
-        return [float(part) for part in text.split(",")]
+        angles = [float(part) for part in text.split(",")]
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a list of angles like 0.1,0.2") from None
+    if not all(abs(angle) <= WIDEST_RAD for angle in angles):  # NaN too
+        raise argparse.ArgumentTypeError(f"{text!r} is more than a turn; angles are in rad, not in degrees")
+    return angles
 
 
 def run(args: argparse.Namespace) -> int:

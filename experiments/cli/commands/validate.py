@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from experiments.cli.arguments import add_force, add_output, add_rig, chosen_rig
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -13,11 +15,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "with what was measured. Use runs that the fit has not seen.")
     parser.add_argument("model", metavar="MODEL.json", help="a model written by legid fit --model-out")
     parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
-    parser.add_argument("--rig", required=True, help="the rig's TOML file")
+    add_rig(parser)
     parser.add_argument("--sensors", choices=("imu", "encoder"),
                         help="what the pivot's angle is compared with; default: imu where all runs have its columns")
-    parser.add_argument("--json", metavar="FILE", help="write the errors as JSON (schema legid.validation/1)")
-    parser.add_argument("--html", metavar="FILE", help="write a report page")
+    add_output(parser, "--json", "legid.validation/1", help="write the errors as JSON (schema legid.validation/1)")
+    add_output(parser, "--html", "page", help="write a report page")
+    add_force(parser)
     parser.set_defaults(run=run)
 
 
@@ -25,24 +28,27 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, compare, print, write what was asked for."""
     import numpy as np
 
-    from daq import load_rig
     from experiments.console import write_json
     from experiments.models import load_model
-    from experiments.reports import validation_document, validation_section, validation_text
+    from experiments.provenance import origin_of
+    from experiments.reports import validation_document, validation_section, validation_text, with_origin
     from experiments.rig import load_setup
     from experiments.workflows import validate_runs
 
     model = load_model(args.model)
-    setup = load_setup(args.runs, load_rig(args.rig), args.sensors, beta=np.array(model.beta))
+    rig = chosen_rig(args, args.runs)
+    origin = origin_of(args.runs, rig.source, args.model)
+    setup = load_setup(args.runs, rig.rig, args.sensors, beta=np.array(model.beta), damaged=args.damaged)
     validations = validate_runs(model, setup, args.model)
     print(validation_text(validations))
     if args.json:
-        write_json(args.json, validation_document(validations, setup.options.sensors))
+        document = validation_document(validations, setup.options.sensors)
+        write_json(args.json, with_origin(document, origin, setup.datasets))
     if args.html:
-        from experiments.reports import write_page
+        from experiments.reports import origin_section, write_page
 
         write_page(args.html, f"Validation of {args.model}",
                    f"{model.mechanism.model}, fitted by {model.provenance.method} to "
                    f"{', '.join(model.provenance.runs)}, simulated against {len(validations)} runs.",
-                   [validation_section(validations)])
+                   [validation_section(validations), origin_section(origin, setup.datasets)], origin)
     return 0

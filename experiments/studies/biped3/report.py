@@ -7,7 +7,8 @@ from datetime import UTC, datetime
 import numpy as np
 
 from estimator import METHODS
-from experiments.console import program_version, text_table
+from experiments.console import text_table
+from experiments.provenance import program_version
 from experiments.reports import BLUE, GREEN, GREY, ORANGE, Line, Picture, Section, plot_lines
 from experiments.reports import Table as PageTable
 from experiments.studies.biped3.claims import claims

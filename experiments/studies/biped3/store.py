@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from importlib.resources import files
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
-from daq import InputError
+from daq import InputError, write_file
 from experiments.console import make_directory
 from experiments.studies.biped3.study import Block, BlockResult, run_block
 from experiments.workflows import Executor
@@ -32,10 +32,9 @@ def program() -> str:
 def save_block(folder: Path, block: Block, result: BlockResult) -> None:
     """Write whole or not at all."""
     path = folder / f"{block.name}.npz"
-    part = path.with_suffix(f".{os.getpid()}.part")
-    with part.open("wb") as file:
-        np.savez(file, program=program(), seconds=result.seconds, **{name: getattr(result, name) for name in FIELDS})
-    part.replace(path)
+    out = BytesIO()
+    np.savez(out, program=program(), seconds=result.seconds, **{name: getattr(result, name) for name in FIELDS})
+    write_file(path, out.getvalue(), changed=True)
 
 
 def load_block(folder: Path, block: Block) -> BlockResult | None:
@@ -69,10 +68,7 @@ def run_study(work: Sequence[Block], folder: Path, executor: Executor,
             done(block, block.count)
     for index, result in executor.run(run_block, missing):
         block = missing[index]
-        try:
-            save_block(folder, block, result)
-        except OSError as error:
-            raise InputError(str(folder), error.strerror or str(error), "give a place that can be written") from None
+        save_block(folder, block, result)
         results[block] = result
         done(block, block.count)
     return results
@@ -107,7 +103,6 @@ def write_parquet(path: Path, results: dict[Block, BlockResult], names: Sequence
     columns["converged"] = np.concatenate([r.converged for _, r in ordered])
     columns["failed"] = np.concatenate([r.failed for _, r in ordered])
     columns["likelihood_ratio"] = np.concatenate([r.likelihood_ratio for _, r in ordered])
-    try:
-        parquet.write_table(pa.table(columns), path, compression="zstd")
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+    out = BytesIO()
+    parquet.write_table(pa.table(columns), out, compression="zstd")
+    write_file(path, out.getvalue())

@@ -2,6 +2,7 @@
 
 import gzip
 import time
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -232,3 +233,20 @@ def test_runs_without_torque_are_refused(folder: str, file: str) -> None:
     from daq.rig import load_rig
     with pytest.raises(InputError, match="column tau1_nm is missing"):
         load_run(REAL / folder / file, load_rig(REAL / folder / "rig.toml"))
+
+
+def test_a_small_file_that_unpacks_to_a_gigabyte_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.csv.gz"
+    piece = zlib.compressobj(9, wbits=31)
+    data = piece.compress(b"time_s,q\n") + b"".join(piece.compress(b"0,0\n" * (1 << 18)) for _ in range(60))
+    path.write_bytes(data + piece.flush())
+    assert path.stat().st_size < 100_000
+    with pytest.raises(InputError, match="unpacks to more than"):
+        read_csv(path)
+
+
+@pytest.mark.parametrize("text", ["time_s," + "x" * 140_000 + "\n1,2\n", "time_s,q\n1," + "2" * 140_000 + "\n2,x\n"])
+def test_a_cell_beyond_all_measure_is_named(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError, match=r"line [12]"):
+        read_csv(tmp_path / "a.csv")

@@ -244,7 +244,7 @@ def test_a_cut_run_still_aligns_and_says_so(recorded: tuple[Path, MockRig, int],
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
     run = load_run(tmp_path / "cut.mcap", parse_rig(RIG))
     assert len(run) > 150
-    assert "truncated" in run.sources
+    assert "its end is missing" in run.sources["damaged"]
 
 
 def test_runs_that_cannot_be_timed_are_refused(tmp_path: Path) -> None:

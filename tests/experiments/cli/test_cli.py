@@ -89,10 +89,12 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("args", [
-    [], ["nonsense"], ["fit"], ["fit", "a.csv"], ["fit", "a.csv", "--rig", "r", "--method", "guess"],
+    [], ["nonsense"], ["fit"], ["fit", "a.csv", "--rig", "r", "--method", "guess"],
     ["fit", "a.csv", "--rig", "r", "--fix", "beta1"], ["fit", "a.csv", "--rig", "r", "--sensors", "eyes"],
-    ["info"], ["export", "a.csv", "--to", "xls", "--out", "b"], ["demo", "--seconds", "0"], ["demo", "--seed", "-1"],
-    ["demo", "--effect", "magic"], ["demo", "--runs", "1"], ["diagnose", "a.csv"],
+    ["info"], ["export", "a.csv", "--to", "xls", "--out", "b"], ["info", "a.csv", "--quiet", "--verbose"],
+    ["demo", "--seconds", "0"], ["demo", "--seed", "-1"],
+    ["demo", "--effect", "magic"], ["demo", "--runs", "1"], ["diagnose"],
+    ["simulate", "m.json", "--plan", "p.csv", "--out", "o.csv", "--start", "500,0"],
     ["simulate", "m.json", "--plan", "p.csv", "--out", "o.csv", "--rate", "0"],
     ["simulate", "m.json", "--plan", "p.csv", "--out", "o.csv", "--start", "up"], ["record", "--rig", "r"],
 ])

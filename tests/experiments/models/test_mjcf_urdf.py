@@ -57,6 +57,7 @@ def simulate(folder: Path, model: Path, start: list[float], peak: float = 1.0, s
              ) -> dict[str, np.ndarray]:
     t = np.arange(0.0, seconds, 1.0 / RATE_HZ)
     write_plan(Plan(t, peak * (np.sin(5 * t) + 0.5 * np.sin(11 * t + 1))), folder / "plan.csv")
+    (folder / "sim.csv").unlink(missing_ok=True)  # a run is never overwritten
     assert main(["simulate", str(model), "--plan", str(folder / "plan.csv"), "--out", str(folder / "sim.csv"),
                  "--start", ",".join(map(str, start)), "--rate", str(RATE_HZ)]) == 0
     return {name: np.asarray(values) for name, values in read_csv(folder / "sim.csv").columns.items()}

@@ -47,6 +47,7 @@ def run_of(model: Model, folder: Path, *more: str, seconds: float = 8.0) -> Mapp
     save_model(model, folder / "m.json")
     if not (folder / "plan.csv").exists():
         write_plan(random_multisine(5, seconds, 0.6, rate_hz=200.0), folder / "plan.csv")
+    (folder / "run.csv").unlink(missing_ok=True)  # a run is never overwritten
     assert cli.main(["simulate", str(folder / "m.json"), "--plan", str(folder / "plan.csv"), "--out",
                      str(folder / "run.csv"), *more]) == 0
     return read_csv(folder / "run.csv", load_rig(RIG)).columns

@@ -1,0 +1,42 @@
+"""`legid verify`: are the files behind a result still what they were?"""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "verify", help="check the files that a JSON, model or report was made from",
+        description="Read the SHA-256 of runs, rig file and model that FILE carries, look for these files beside it "
+                    "and in the folders given, and compare. Exit status 1 where one has changed or is missing.")
+    parser.add_argument("file", metavar="FILE", help="a JSON, a MODEL.json or a report page of legid")
+    parser.add_argument("folders", metavar="DIR", nargs="*",
+                        help="where to look, folders below included; default: FILE's own and the current folder")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare, one line a file."""
+    from pathlib import Path
+
+    from daq import InputError, WorkError
+    from experiments.console import text_table
+    from experiments.provenance import read_origin, verify
+
+    origin = read_origin(args.file)
+    folders = [Path(folder) for folder in args.folders] or [Path(args.file).parent, Path()]
+    for folder in folders:
+        if not folder.is_dir():
+            raise InputError(str(folder), "is no folder", "name one that holds the runs")
+    checked = verify(origin, folders)
+    print(f"{args.file}: made by legid {origin.version}, commit {origin.commit}")
+    rows = [[c.state, c.source.file + (f" in {c.source.inside}" if c.source.inside else ""), c.source.sha256[:16],
+             c.where or "-"] for c in checked]
+    print(text_table(["state", "file", "SHA-256", "found"], rows, set()))
+    bad = [c for c in checked if c.state != "same"]
+    if bad:
+        raise WorkError(f"{len(bad)} of {len(checked)} files are not what {args.file} was made from: "
+                        + ", ".join(f"{c.source.file} ({c.state})" for c in bad))
+    return 0

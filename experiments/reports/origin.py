@@ -1,0 +1,38 @@
+"""What a document, a model and a page say of the files that they were made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from daq import Dataset
+from experiments.models import Model
+from experiments.provenance import Origin
+from experiments.reports.html import Section, Table
+from experiments.rig import damaged_runs
+
+
+def with_origin(document: Mapping[str, Any], origin: Origin, runs: Sequence[Dataset] = ()) -> dict[str, Any]:
+    """`document` with `damaged` and `provenance` added."""
+    return {**document, "damaged": damaged_runs(runs), "provenance": origin}
+
+
+def model_with_origin(model: Model, origin: Origin, runs: Sequence[Dataset] = ()) -> Model:
+    """`model` with the same in its own provenance; of files, those of the runs that it names, and the rig."""
+    named = tuple(source for source in origin.runs if source.file in model.provenance.runs)
+    told = msgspec.structs.replace(
+        model.provenance, origin=msgspec.structs.replace(origin, runs=named, model=None),
+        damaged=tuple(f"{d['run']}: {d['what']}" for d in damaged_runs(runs)))
+    return msgspec.structs.replace(model, provenance=told)
+
+
+def origin_section(origin: Origin, runs: Sequence[Dataset] = ()) -> Section:
+    """The last section of a page."""
+    rows = [[source.file + (f" in {source.inside}" if source.inside else ""), source.sha256]
+            for source in origin.sources]
+    return Section("Where this comes from",
+                   [f"legid {origin.version}, commit {origin.commit}. legid verify checks these files against this "
+                    "page."], [Table(["file", "SHA-256"], rows)],
+                   notes=[f"{d['run']} is damaged: {d['what']}" for d in damaged_runs(runs)])

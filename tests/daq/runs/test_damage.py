@@ -1,0 +1,119 @@
+"""A run file that is not what was recorded says so, and says what is missing."""
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType, Writer
+
+from daq.errors import InputError
+from daq.runs.mcap_run import FLUSH_MESSAGES, RunWriter, read_run, recover
+
+CHUNKS, EACH = 4, FLUSH_MESSAGES
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Four chunks of IMU samples."""
+    path = tmp_path_factory.mktemp("run") / "r.mcap"
+    writer = RunWriter(path, {"rig.toml": "lever_arm_m = 0.2"}, {"a": "b"})
+    for i in range(CHUNKS * EACH):
+        writer.add("/imu", i, i, i + 9, i, 1, 2, 3, 4, 5, 6, 0)
+    writer.close()
+    return path.read_bytes()
+
+
+def records(data: bytes) -> list[tuple[int, int, int]]:
+    """(opcode, start, end) of every record in the file."""
+    found, at = [], 8
+    while at < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        found.append((opcode, at, at + 9 + length))
+        at += 9 + length
+    return found
+
+
+def chunk(data: bytes, number: int) -> tuple[int, int]:
+    return [(a, b) for opcode, a, b in records(data) if opcode == Opcode.CHUNK][number]
+
+
+def without_second(data: bytes) -> bytes:
+    a, b = chunk(data, 1)
+    return data[:a] + data[b:]
+
+
+def second_twice(data: bytes) -> bytes:
+    a, b = chunk(data, 1)
+    return data[:b] + data[a:]
+
+
+def second_broken(data: bytes) -> bytes:
+    _, b = chunk(data, 1)
+    return data[: b - 40] + bytes([data[b - 40] ^ 1]) + data[b - 39:]
+
+
+def cut_within_third(data: bytes) -> bytes:
+    a, b = chunk(data, 2)
+    return data[: (a + b) // 2]
+
+
+def rig_broken(data: bytes) -> bytes:
+    return data.replace(b"lever_arm_m = 0.2", b"lever_arm_m = 0.3")
+
+
+CASES: dict[str, tuple[Callable[[bytes], bytes], int, str, bool]] = {
+    "removed": (without_second, 3 * EACH, f"{EACH} of {4 * EACH} messages are missing", True),
+    "doubled": (second_twice, 5 * EACH, f"{EACH} IMU samples are there twice", True),
+    "broken": (second_broken, 3 * EACH, "1 damaged chunks left out", True),
+    "cut": (cut_within_third, 2 * EACH, "its end is missing", False),
+    "attachment": (rig_broken, 4 * EACH, "check sum of rig.toml inside it is wrong", True),
+    "cut and removed": (lambda d: without_second(cut_within_third(d)), EACH, "its end is missing", False),
+}
+
+
+@pytest.mark.parametrize("broken, left, says, stays", CASES.values(), ids=CASES)
+def test_what_is_missing_is_said_and_a_hole_stays_one(broken: Callable[[bytes], bytes], left: int, says: str,
+                                                      stays: bool, whole: bytes, tmp_path: Path) -> None:
+    path, mended = tmp_path / "r.mcap", tmp_path / "mended.mcap"
+    path.write_bytes(whole)
+    assert read_run(path).damage == ()
+    path.write_bytes(broken(whole))
+    raw = read_run(path)
+    assert raw.streams["/imu"].size == left
+    assert any(says in text for text in raw.damage), raw.damage
+    recover(path, mended)
+    after = read_run(mended)
+    assert after.complete and after.streams["/imu"].size == left
+    assert any(says in text for text in after.damage) == stays  # a run cut short is a shorter run
+
+
+def test_a_hole_before_a_lost_end_is_seen_by_the_samples_own_count(whole: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "r.mcap"
+    a, b = chunk(whole, 1)
+    path.write_bytes(whole[:a] + whole[b: chunk(whole, 3)[0]])
+    assert any(f"{EACH} IMU samples are missing" in text for text in read_run(path).damage)
+    recover(path, tmp_path / "mended.mcap")
+    assert any(f"{EACH} IMU samples are missing" in text for text in read_run(tmp_path / "mended.mcap").damage)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_small_file_that_unpacks_to_a_gigabyte_is_refused(compression: CompressionType, tmp_path: Path) -> None:
+    path = tmp_path / "bomb.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression, chunk_size=1 << 30)
+        writer.start()
+        channel = writer.register_channel("/imu", "cdr", writer.register_schema("x", "ros2msg", b""))
+        for k in range(90):
+            writer.add_message(channel, k, bytes(1 << 20), k)
+        writer.finish()
+    data = path.read_bytes()
+    if compression is CompressionType.ZSTD:
+        assert len(data) < 20_000
+        with pytest.raises(InputError, match="unpacks to more than"):
+            read_run(path)
+    a, _ = chunk(data, 0)
+    at = a + 9 + 16  # behind the chunk's times stands the size that it claims
+    path.write_bytes(data[:at] + struct.pack("<Q", 1000) + data[at + 8:])
+    assert read_run(path).damaged_chunks == 1  # it claims less than it holds, and no more is unpacked

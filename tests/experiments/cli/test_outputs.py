@@ -1,0 +1,85 @@
+"""Every command that writes a file: not over a run, not unasked over what is none of its own."""
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from experiments import cli
+from experiments.cli.main import build_parser
+
+RUN = b"time_s,q2_rad,tau2_nm\n0.0,0.1,0.2\n0.01,0.1,0.2\n"
+NOTES = b"what I measured today\n"
+FIT = ["fit", "none.csv", "--rig", "none.toml"]
+DIAGNOSE = ["diagnose", "none.csv", "--rig", "none.toml"]
+VALIDATE = ["validate", "none.json", "none.csv", "--rig", "none.toml"]
+OUTPUTS = [
+    [*FIT, "--json"], [*FIT, "--html"], [*FIT, "--model-out"], [*FIT, "--each", "--json"],
+    [*VALIDATE, "--json"], [*VALIDATE, "--html"],
+    [*DIAGNOSE, "--json"], [*DIAGNOSE, "--html"], [*DIAGNOSE, "--model-out"],
+    ["simulate", "none.json", "--plan", "none.csv", "--out"], ["excite", "--rig", "none.toml", "--out"],
+    ["export", "none.csv", "--to", "csv", "--out"], ["export", "none.csv", "--to", "mat", "--out"],
+    ["export", "none.csv", "--to", "parquet", "--out"], ["export", "none.json", "--to", "mjcf", "--out"],
+    ["export", "none.json", "--to", "urdf", "--out"], ["effects", "--json"], ["runs", ".", "--json"],
+    ["gains", "none.json", "--json"], ["export", "none.mcap", "--to", "ros2", "--out"],
+    ["casebook", ".", "--json"], ["casebook", ".", "--html"],
+    ["monte-carlo", "biped3", "--json"], ["monte-carlo", "biped3", "--markdown"],
+    ["record", "--rig", "none.toml", "--plan", "none.csv", "--out"], ["recover", "none.mcap", "--out"],
+]
+
+
+def said(capsys: pytest.CaptureFixture[str], *args: str) -> str:
+    capsys.readouterr()
+    assert cli.main(args) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    return line
+
+
+@pytest.mark.parametrize("command", OUTPUTS, ids=lambda c: f"{c[0]} {c[-1]}")
+def test_no_command_destroys_a_run_or_unasked_another_file(
+        command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    target = Path("target")
+    forced = ["--force"] if command[0] not in ("record", "recover") else []
+    target.write_bytes(RUN)
+    assert "never overwritten" in said(capsys, *command, "target", *forced)
+    assert target.read_bytes() == RUN
+    target.write_bytes(NOTES)
+    assert "--force" in said(capsys, *command, "target") or not forced
+    assert target.read_bytes() == NOTES and [p.name for p in Path().iterdir()] == ["target"]
+
+
+def test_every_argument_that_names_a_file_to_write_is_checked() -> None:
+    (commands,) = (a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
+    covered = {(c[0], c[-1]) for c in OUTPUTS}
+    for name, parser in commands.choices.items():
+        checked = {dest for dest, _ in parser.get_default("outputs") or ()}
+        for action in parser._actions:
+            if action.dest in ("json", "html", "model_out", "markdown", "out") and action.metavar != "DIR":
+                assert action.dest in checked, f"{name} {action.option_strings}"
+                assert (name, action.option_strings[-1]) in covered
+
+
+def test_two_outputs_in_one_place_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--json names too" in said(capsys, *FIT, "--json", "x.json", "--model-out", "x.json")
+
+
+def test_an_output_of_the_same_kind_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "effects.json"
+    assert cli.main(["effects", "--json", str(path)]) == 0
+    path.write_text(path.read_text()[:60] + "...")
+    assert cli.main(["effects", "--json", str(path)]) == 0
+    assert path.read_text().endswith("}\n")
+    path.write_bytes(NOTES)
+    assert cli.main(["effects", "--json", str(path), "--force"]) == 0
+
+
+def test_a_demo_replaces_no_run_but_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from daq.runs.mcap_run import RunWriter
+
+    with_own = tmp_path / "demo-run1.mcap"
+    RunWriter(with_own, {}).close()
+    assert "not of an earlier demo" in said(capsys, "demo", "--out", str(tmp_path))
+    assert with_own.exists()

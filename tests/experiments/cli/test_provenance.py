@@ -1,0 +1,93 @@
+"""Results name the files behind them and what was missing of those; the rig comes from where it is known."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from daq.rig import load_rig
+from experiments import cli
+from experiments.emulation.emulated_rig import record_emulated
+from experiments.excite.multisine import random_multisine
+from experiments.provenance import commit, read_origin, source_of
+from tests.support.paths import DEMO_RIG as RIG
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of five seconds with everything that a fit writes of it, its rig taken from the run."""
+    folder = tmp_path_factory.mktemp("fit")
+    record_emulated(folder / "run.mcap", load_rig(RIG), RIG.read_text(), random_multisine(1, 5.0, 0.5), 1)
+    cli.main(["fit", str(folder / "run.mcap"), "--method", "wls", "--json", str(folder / "fit.json"),
+              "--html", str(folder / "fit.html"), "--model-out", str(folder / "model.json")])
+    return folder
+
+
+def legid(*args: object) -> int:
+    return cli.main([str(a) for a in args])
+
+
+@pytest.mark.parametrize("name", ["fit.json", "fit.html", "model.json"])
+def test_every_result_names_its_files_and_verify_finds_them_changed(name: str, folder: Path, tmp_path: Path,
+                                                                    capsys: pytest.CaptureFixture[str]) -> None:
+    origin = read_origin(folder / name)
+    assert origin.commit == commit() and origin.version
+    assert origin.runs == (source_of(folder / "run.mcap"),)
+    assert origin.rig is not None and (origin.rig.file, origin.rig.inside) == ("rig.toml", "run.mcap")
+    assert legid("verify", folder / name) == 0
+    said = capsys.readouterr().out
+    assert said.count("same") == 2 and "CHANGED" not in said
+    data = (folder / "run.mcap").read_bytes()
+    (tmp_path / "run.mcap").write_bytes(data[:-9] + bytes(9))
+    assert legid("verify", folder / name, tmp_path) == 1
+    assert "run.mcap (CHANGED)" in capsys.readouterr().err
+    (tmp_path / "run.mcap").unlink()
+    assert legid("verify", folder / name, tmp_path) == 1
+    assert "run.mcap (missing)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["words", "{}", "[1]", '{"provenance": {"runs": "x"}}', "[" * 100_000])
+def test_a_file_without_provenance_is_no_crash(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.json").write_text(text)
+    assert legid("verify", tmp_path / "x.json") == 2
+    assert "says nothing of the files" in capsys.readouterr().err
+
+
+def test_a_damaged_run_is_used_only_when_asked_for_and_the_documents_say_so(
+        folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((folder / "run.mcap").read_bytes()[:-3000])
+    commands = [["fit", cut, "--method", "wls"], ["diagnose", cut], ["validate", folder / "model.json", cut],
+                ["export", cut, "--out", tmp_path / "cut.csv"]]
+    for command in commands:
+        assert legid(*command) == 2
+        error = capsys.readouterr().err.splitlines()[-1]
+        assert "its end is missing" in error and "--damaged" in error
+    assert not (tmp_path / "cut.csv").exists()
+    assert legid("info", cut) == 0
+    assert "DAMAGED: its end is missing" in capsys.readouterr().out
+    out = tmp_path / "fit.json", tmp_path / "model.json"
+    legid("fit", cut, "--method", "wls", "--damaged", "--json", out[0], "--model-out", out[1], "--fix", "beta8=0")
+    assert [d["run"] for d in json.loads(out[0].read_text())["damaged"]] == ["cut.mcap"]
+    assert json.loads((folder / "fit.json").read_text())["damaged"] == []
+    assert legid("recover", cut) == 0
+    assert legid("export", tmp_path / "cut.recovered.mcap", "--out", tmp_path / "saved.csv") == 0
+
+
+def test_the_rig_of_the_run_is_compared_with_the_one_given(
+        folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    other = tmp_path / "rig.toml"
+    other.write_text(RIG.read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.1"))
+    assert legid("fit", folder / "run.mcap", "--method", "wls", "--rig", other) == 0
+    error = capsys.readouterr().err
+    assert "run.mcap was recorded with imu.lever_arm_m = 0.2" in error and "says 0.1" in error
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(folder / "run.mcap", tmp_path / "run.mcap")
+    assert legid("fit", "run.mcap", "--method", "wls") == 0
+    assert "rig: the one that run.mcap holds" in capsys.readouterr().err
+    assert legid("validate", folder / "model.json", "none.csv", "--quiet") == 2
+    assert "none.csv" in capsys.readouterr().err  # ./rig.toml was taken, the run is what is missing
+    other.unlink()
+    assert legid("fit", "none.csv") == 2
+    assert "--rig: is not given" in capsys.readouterr().err

@@ -1,0 +1,95 @@
+"""What the command line says: suggestions, how much of it, nothing that steers a terminal."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiments import cli, console
+from tests.support.paths import DEMO_RIG, ROOT
+
+
+def said(capsys: pytest.CaptureFixture[str], status: int, *args: object) -> str:
+    capsys.readouterr()
+    assert cli.main([str(a) for a in args]) == status
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize("args, meant", [
+    (["diagnos", "a.csv"], "diagnose"), (["fit", "a.csv", "--jsn", "x"], "--json"),
+    (["demo", "--effect", "stribek_friction"], "stribeck_friction"), (["fit", "a.csv", "--method", "mlle"], "mle"),
+])
+def test_a_misspelt_word_gets_a_suggestion(args: list[str], meant: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert f"did you mean {meant}?" in said(capsys, 2, *args)
+
+
+def test_a_misspelt_key_gets_a_suggestion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "rig.toml").write_text(DEMO_RIG.read_text().replace("lever_arm_m", "lever_arm"))
+    assert "did you mean lever_arm_m?" in said(capsys, 2, "fit", "a.csv", "--rig", tmp_path / "rig.toml")
+    (tmp_path / "rig.toml").write_text(DEMO_RIG.read_text().replace("[limits]", "[limit]"))
+    assert "did you mean limits?" in said(capsys, 2, "fit", "a.csv", "--rig", tmp_path / "rig.toml")
+
+
+def test_names_from_files_cannot_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time_s,\x1b]0;owned\x07q\x9b2J\n" + "".join(f"{k},{k}\n" for k in range(60)))
+    assert cli.main(["info", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "owned" in out and not any(c in out for c in "\x1b\x07\x9b") and "\n" in out
+    path.write_text("time_s,a\x1b[2J,a\x1b[2J\n1,2,3\n")
+    assert "\x1b" not in said(capsys, 2, "info", path)
+
+
+def test_progress_is_told_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str],
+                                                     monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(console, "FIRST_LINE_S", 0.0)
+    for level, lines in ((console.USUAL, 1), (console.QUIET, 0)):
+        capsys.readouterr()
+        with console.loudness(level), console.stages("diagnosing") as show:
+            show("fitting", 0.25)
+            show("scoring", 0.5)
+        assert capsys.readouterr().err == "diagnosing: fitting, 25 %\n" * lines
+        with console.loudness(level):
+            assert list(console.progress([1, 2, 3], "reading", unit="run")) == [1, 2, 3]
+        assert capsys.readouterr().err == "reading: 0 of 3 runs\n" * lines
+
+
+def test_quiet_and_verbose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "legid effects:" in said(capsys, 0, "effects", "--verbose")
+    assert said(capsys, 0, "effects", "--quiet") == ""
+
+
+def test_info_tells_of_all_files_that_can_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    for path in good:
+        path.write_text("time_s,q\n" + "".join(f"{k},{k}\n" for k in range(60)))
+    assert cli.main(["info", str(good[0]), str(tmp_path / "none.csv"), str(good[1])]) == 2
+    out, err = capsys.readouterr()
+    assert "a.csv: 60 samples" in out and "b.csv: 60 samples" in out and "none.csv" in err
+
+
+def test_the_ending_tells_the_format_of_an_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.csv").write_text("time_s,q\n" + "".join(f"{k / 100},{k}\n" for k in range(60)))
+    assert cli.main(["export", str(tmp_path / "a.csv"), "--out", str(tmp_path / "b.mat")]) == 0
+    assert (tmp_path / "b.mat").read_bytes().startswith(b"MATLAB 5.0")
+    assert "give --to" in said(capsys, 2, "export", tmp_path / "a.csv", "--out", tmp_path / "b.xyz")
+
+
+@pytest.mark.parametrize("line, found", [("legid diag", "diagnose"), ("legid fit --meth", "--method"),
+                                         ("legid fit --method h", "hekf")])
+def test_a_shell_completes(line: str, found: str) -> None:
+    pytest.importorskip("argcomplete")
+    done = subprocess.run([sys.executable, "-m", "experiments.cli"], cwd=ROOT, capture_output=True, check=False,
+                          env=os.environ | {
+                              "_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "COMP_TYPE": "9",
+                              "_ARGCOMPLETE_STDOUT_FILENAME": "/dev/stdout", "_ARGCOMPLETE_IFS": " "})
+    assert found in done.stdout.decode()
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_gets_its_script(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("argcomplete")
+    assert cli.main(["completion", shell]) == 0
+    assert "legid" in capsys.readouterr().out

@@ -1,0 +1,13 @@
+"""A short run of the study of broken files."""
+
+import subprocess
+import sys
+
+from tests.support.paths import ROOT
+
+
+def test_broken_files_are_read_or_refused_within_their_bounds() -> None:
+    done = subprocess.run([sys.executable, "-m", "tests.studies.mutate", "--files", "60"], cwd=ROOT, text=True,
+                          capture_output=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("60 files") == 5 and done.stdout.count(" 0 faults") == 5
