@@ -33,6 +33,7 @@ from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
 from estimator.diagnosis.verdict import NOMINAL, decide
 from estimator.effects import SensorTimeSkew, battery, library
 from estimator.errors import FitError
+from estimator.fitting import likely_hold
 from estimator.likelihood import Candidate
 from estimator.model import Mechanism
 from estimator.numerics import jit
@@ -58,11 +59,12 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     say = progress or (lambda stage, fraction: None)
     try:
         with threadpool_limits(1), np.errstate(all="ignore"):  # a search may run off; where it ends is checked
+            options = replace(options, hold=likely_hold(datasets, mechanism, options))
             split = split_runs(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
             found = _diagnose(split, np.random.default_rng(seed), say, reference, material)
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
-    return replace(found, wall_s=time.perf_counter() - start)
+    return replace(found, hold=options.hold, wall_s=time.perf_counter() - start)
 
 
 def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,
