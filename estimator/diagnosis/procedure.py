@@ -57,14 +57,17 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     """
     start = time.perf_counter()
     say = progress or (lambda stage, fraction: None)
+    hold = options.hold
     try:
         with threadpool_limits(1), np.errstate(all="ignore"):  # a search may run off; where it ends is checked
-            options = replace(options, hold=likely_hold(datasets, mechanism, options))
             split = split_runs(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
+            kept_back = {split.names[i] for i in split.confirm}  # they choose nothing
+            hold = likely_hold([d for d in datasets if d.name not in kept_back], mechanism, options)
+            split = replace(split, options=replace(split.options, hold=hold))
             found = _diagnose(split, np.random.default_rng(seed), say, reference, material)
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
-    return replace(found, hold=options.hold, wall_s=time.perf_counter() - start)
+    return replace(found, hold=hold, wall_s=time.perf_counter() - start)
 
 
 def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,

@@ -26,10 +26,11 @@ from estimator.signals import SignalSet
 
 FIRST = "smooth"
 """The hold of the fit at whose noise levels the others are compared."""
-PRIOR = 15.0
+PRIOR = 5.0
 """Log-likelihood by which another hold must beat FIRST: a torque with a corner at every sample of the grid is made by a
-plant on that grid, seldom by a rig's controller. (Measured on the encoder path under an open-loop torque: the
-likelihood prefers `linear` by 9, though with it all inertias are 1.4 standard deviations low, with `smooth` 0.4.)"""
+plant on that grid, seldom by a rig's controller. A marginal likelihood in Laplace's form is no better than that. (Measured on
+the encoder path under an open-loop torque: it prefers `linear` by 9, though with it all inertias are 1.4 standard
+deviations low, with `smooth` 0.4: so the choice is asked for by hold = "auto", and is not the default.)"""
 STEPS = 2
 """Gauss-Newton steps from one hold's optimum to another's: their difference is small, and nearly linear."""
 
