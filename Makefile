@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 OUT    ?= demo-out
 
-.PHONY: install demo test test-slow lint test-kernel soak live-soak faults mutate bench blind port fuzz tutorial docs clean
+.PHONY: install demo test test-slow lint test-kernel soak live-soak faults mutate coverage bench blind port fuzz tutorial docs clean
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed"; exit 1; }
@@ -71,6 +71,13 @@ faults: $(STAMP)
 FILES ?= 100000
 mutate: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.mutate --files $(FILES)
+
+# 200 fits a row take hours; FITS=10 RATES=100 a few minutes.
+FITS  ?= 200
+RATES ?= 50 100 250 500
+coverage: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.coverage --fits $(FITS) --rates $(RATES) \
+		--out docs/coverage-$$(date -u +%F).md
 
 # Half an hour; needs chromium and its chromedriver.
 live-soak: $(STAMP)

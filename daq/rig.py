@@ -80,7 +80,8 @@ class Noise(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 class Sampling(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     rate_hz: Positive = 100.0
-    hold: Literal["zero", "linear", "average"] = "linear"
+    hold: Literal["auto", "zero", "linear", "average", "smooth"] = "linear"
+    """How the measured torque acts between samples; auto: as the motion makes likeliest."""
 
 
 class Filter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):

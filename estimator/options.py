@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 
 from estimator.model import HOLDS
 
+AUTO = "auto"
+"""The hold that the likelihood chooses."""
 NOISE_CHANNELS = ("gyro_radps", "accel_mps2", "torque_nm", "encoder_rad", "passive_nm")
 OWN_ENCODER = re.compile(r"encoder[1-9][0-9]*_rad")
 """One joint's encoder, counted from 1: it goes before `encoder_rad`, which stands for all."""
@@ -20,7 +22,8 @@ class FitOptions:
     sensors: str = "imu"
     """imu: gyro and accelerometer give the pivot's angle. encoder: `q1_rad` does."""
     hold: str = "linear"
-    """How a torque sample acts until the next: zero | linear | average."""
+    """How the torque acts between samples: zero | linear | average | smooth; auto: as is likeliest (`mle`; the other
+    methods take it for linear)."""
     noise: Mapping[str, float] = field(default_factory=dict)
     """Known standard deviations by channel; the others are estimated."""
     cutoff_hz: float | None = None
@@ -39,8 +42,8 @@ class FitOptions:
     def __post_init__(self) -> None:
         if self.sensors not in ("imu", "encoder"):
             raise ValueError(f"sensors {self.sensors!r} is neither imu nor encoder")
-        if self.hold not in HOLDS:
-            raise ValueError(f"hold {self.hold!r} is none of {HOLDS}")
+        if self.hold not in (*HOLDS, AUTO):
+            raise ValueError(f"hold {self.hold!r} is none of {(*HOLDS, AUTO)}")
         if self.latent not in ("trajectory", "free"):
             raise ValueError(f"latent {self.latent!r} is neither trajectory nor free")
         if self.half_power is not None and not 0.0 < self.half_power <= 1.0:

@@ -78,6 +78,10 @@ class FitResult:
     trajectories: tuple[Trajectory, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
     """Parameters that were given, not estimated."""
+    hold: str = "linear"
+    """How the torque was taken to act between samples."""
+    hold_margin: float | None = None
+    """Log-likelihood of that hold above the next one's, where it was chosen by the likelihood."""
 
     @property
     def open_parameters(self) -> frozenset[str]:

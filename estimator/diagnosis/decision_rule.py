@@ -25,5 +25,5 @@ DRAWS = 400
 """Resamplings of the runs kept back."""
 EDGE = 3.0
 """Error of the nominal free run, in units of what white noise alone leaves, beyond which it is not put down to a
-disturbance with memory though no term that was tried lowers it: such a disturbance adds up over a free run. The verdict
-is then `unexplained`, below it `none` with a warning."""
+disturbance with memory: such a disturbance adds up over a free run. Beyond it explanations are sought even where no
+term is detected, and where none lowers the error the verdict is `unexplained`; below it `none`, with a warning."""

@@ -33,6 +33,7 @@ from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
 from estimator.diagnosis.verdict import NOMINAL, decide
 from estimator.effects import SensorTimeSkew, battery, library
 from estimator.errors import FitError
+from estimator.fitting import likely_hold
 from estimator.likelihood import Candidate
 from estimator.model import Mechanism
 from estimator.numerics import jit
@@ -56,13 +57,17 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     """
     start = time.perf_counter()
     say = progress or (lambda stage, fraction: None)
+    hold = options.hold
     try:
         with threadpool_limits(1), np.errstate(all="ignore"):  # a search may run off; where it ends is checked
             split = split_runs(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
+            kept_back = {split.names[i] for i in split.confirm}  # they choose nothing
+            hold = likely_hold([d for d in datasets if d.name not in kept_back], mechanism, options)
+            split = replace(split, options=replace(split.options, hold=hold))
             found = _diagnose(split, np.random.default_rng(seed), say, reference, material)
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
-    return replace(found, wall_s=time.perf_counter() - start)
+    return replace(found, hold=hold, wall_s=time.perf_counter() - start)
 
 
 def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,
@@ -89,8 +94,10 @@ def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,
     if not detected(context, tests) and not context.excess_noise(nominal):
         if context.noise_dominated:
             raise FitError(context.noise_dominated)
-        say("opening the confirm runs", 0.85)
-        return undetected(context, base, rng)
+        error = nominal_error(context, rng)
+        if error is None or error <= EDGE:
+            return conclusion.nothing(replace(base, error=None if error is None else (error, error)), context.split,
+                                      nominal)
     say("re-fitting the best explanations", 0.4)
     options = explain(context, tests, say)
     say("opening the confirm runs", 0.85)
@@ -119,19 +126,15 @@ def separability(context: DiagnosisContext, tests: Tests) -> tuple[tuple[str, ..
     return tuple(context.candidates[i].effect.key for i in order), information / np.outer(scale, scale)
 
 
-def undetected(context: DiagnosisContext, base: Diagnosis, rng: np.random.Generator) -> Diagnosis:
-    """The verdict where no term that was tried is there: `none`, unless the free runs err far beyond noise."""
+def nominal_error(context: DiagnosisContext, rng: np.random.Generator) -> float | None:
+    """rms error of the nominal model's free runs on the confirm runs in units of what noise alone leaves; None where
+    they cannot be carried through."""
     split, nominal = context.split, context.nominal
     try:
         table = measure_errors(split, [nominal], nominal, rng.integers(2**63, size=len(split.confirm)))
     except FitError:
-        return conclusion.nothing(base, split, nominal)
-    error = table.error(NOMINAL)
-    base = replace(base, error=(error, error))
-    if error <= EDGE:
-        return conclusion.nothing(base, split, nominal)
-    return conclusion.unexplained(base, split, nominal, None, f"free runs err {error:.1f} times what noise alone "
-                                  "leaves, and no term that was tried is detected")
+        return None
+    return table.error(NOMINAL)
 
 
 def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: Sequence[Explanation],

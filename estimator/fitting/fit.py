@@ -11,6 +11,7 @@ from daq import Dataset
 from estimator.errors import FitError
 from estimator.fitting.excitation import LEAST_POWER, LEAST_POWER_MLE, undetermined_by_design
 from estimator.fitting.hekf import fit_hekf
+from estimator.fitting.hold_choice import FIRST
 from estimator.fitting.mle import fit_mle
 from estimator.fitting.mle_free import fit_mle_free
 from estimator.fitting.profile_likelihood import suits
@@ -18,7 +19,7 @@ from estimator.fitting.rls import fit_rls
 from estimator.fitting.wls import fit_wls
 from estimator.methods import METHODS
 from estimator.model import Mechanism
-from estimator.options import FitOptions
+from estimator.options import AUTO, FitOptions
 from estimator.result import FitResult
 from estimator.signals import split_signals
 
@@ -51,10 +52,22 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
     return replace(result, undetermined=names or result.undetermined)
 
 
+def likely_hold(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> str:
+    """`options.hold`, or the likeliest where it is auto; as a fit begins where none comes to an end."""
+    if options.hold != AUTO:
+        return options.hold
+    try:
+        return estimate(datasets, mechanism, replace(options, noise={}), "mle").hold
+    except FitError:
+        return FIRST
+
+
 def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str) -> FitResult:
     """`fit` without a look at the excitation; for many records of one experiment."""
     if method not in ESTIMATORS:
         raise FitError(f"method {method!r} is none of {', '.join(METHODS)}")
+    if options.hold == AUTO and (method != "mle" or options.latent == "free"):
+        options = replace(options, hold="linear")
     run = fit_mle_free if method == "mle" and options.latent == "free" else ESTIMATORS[method]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that runs away is found out by itself
         return run(datasets, mechanism, options)

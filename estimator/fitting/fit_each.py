@@ -16,7 +16,7 @@ from estimator.fitting.profile_likelihood import known_noise, search, suits
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import BatchProblem, LatentProblem, Records
 from estimator.model import Mechanism
-from estimator.options import FitOptions
+from estimator.options import AUTO, FitOptions
 from estimator.result import FitResult
 from estimator.signals import SignalSet, split_signals
 
@@ -50,7 +50,7 @@ def _alike(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOption
             signals = split_signals([data], mechanism, options)
         except FitError:
             continue
-        if len(signals) == 1 and (method == "hekf" or suits(signals, mechanism, options)):
+        if len(signals) == 1 and (method == "hekf" or (options.hold != AUTO and suits(signals, mechanism, options))):
             where, found = groups.setdefault((len(signals[0].time_s), signals[0].rate_hz), ([], []))
             where.append(k)
             found.append(signals[0])

@@ -14,10 +14,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import Dataset
+from daq import Dataset, FloatArray
 from estimator.effects import SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import iterate
+from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
@@ -25,7 +26,7 @@ from estimator.fitting.warm_start import from_excerpt
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import BatchProblem, ExtendedProblem, LatentProblem, Latents, Noise, Records, Stage, State
 from estimator.model import Mechanism
-from estimator.options import FitOptions
+from estimator.options import AUTO, FitOptions
 from estimator.result import FitResult, Trajectory
 from estimator.signals import SignalSet, accelerometer, angle_column, split_signals
 
@@ -38,23 +39,43 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     if not any(np.any(s.torque) for s in signals) and bool(free.all()):
         raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
                        "--fix NAME=VALUE")
-    problem = LatentProblem(signals, mechanism, options.hold)
-    if suits(signals, mechanism, options):
-        noise = known_noise(mechanism, options)
-        state = state_of(search(BatchProblem(mechanism, signals[0].rate_hz, options.hold, noise),
-                                Records(problem.angles[None], problem.torque[None])), 0, noise)
-        return result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
-    state = start_state(problem, signals, mechanism, options, free, beta)
-    floors = noise_floors(problem, mechanism, state.beta)
-    state = from_excerpt(problem, signals, options, free, state) or state
-    iterate(problem, state, free, options, floors)
-    _refuse_collapse(problem, state, mechanism)
+    chosen: HoldChoice | None = None
+    auto, options = options.hold == AUTO, replace(options, hold=FIRST if options.hold == AUTO else options.hold)
+    problem, state = _search(signals, mechanism, options, free, beta)
+    if auto:
+        chosen = choose_hold(signals, mechanism, state, free, problem)
+        if chosen.hold != FIRST:
+            options = replace(options, hold=chosen.hold)
+            problem, state = _search(signals, mechanism, options, free, beta, state)
     bound_s = max(d.clock_bound_s for d in datasets)
     found = None
     if bound_s > 0.0 and problem.has_imu:
+        floors = noise_floors(problem, mechanism, state.beta)
         state, found = _with_skew(problem, state, signals, free, options, floors, bound_s)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
+    if chosen is not None:
+        first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
+        result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
     return result if found is None else replace(result, assumptions=(*result.assumptions, found))
+
+
+def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+            beta: FloatArray, near: State | None = None) -> tuple[LatentProblem, State]:
+    """The likeliest motion, parameters and noise levels under one hold, from those `near` where there are any."""
+    problem = LatentProblem(signals, mechanism, options.hold)
+    if suits(signals, mechanism, options):
+        noise = known_noise(mechanism, options)
+        return problem, state_of(search(BatchProblem(mechanism, signals[0].rate_hz, options.hold, noise),
+                                        Records(problem.angles[None], problem.torque[None])), 0, noise)
+    if near is None:
+        state = start_state(problem, signals, mechanism, options, free, beta)
+        floors = noise_floors(problem, mechanism, state.beta)
+        state = from_excerpt(problem, signals, options, free, state) or state
+    else:
+        state, floors = replace(near, converged=False), noise_floors(problem, mechanism, near.beta)
+    iterate(problem, state, free, options, floors)
+    _refuse_collapse(problem, state, mechanism)
+    return problem, state
 
 
 def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
@@ -146,4 +167,4 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
     return FitResult(mechanism, "mle", options.sensors, beta, state.covariance, noise,
                      np.sqrt(np.mean(residual**2, axis=0)), state.converged, state.iterations, problem.total, wall_s,
                      undetermined(mechanism, beta, state.covariance, free), assumptions, (), tuple(trajectories),
-                     dict(options.fixed))
+                     dict(options.fixed), options.hold)

@@ -25,10 +25,12 @@ seconds to compile, once on a machine."""
 
 
 def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
-               extra: Extra | None, accumulators: Accumulators) -> None:
+               extra: Extra | None, accumulators: Accumulators, between: FloatArray | None = None) -> None:
     """As `assembly_numpy.add_motion`."""
     z, own = c.fast(*c.motion(x.q, x.v, left), beta)
     torque = (beta @ z.reshape(len(beta), -1)).reshape(z.shape[1:])
+    if between is not None:
+        torque -= between[:, :, intervals]
     if extra is not None:
         torque += extra.torque[:, :, intervals]
         z = np.concatenate([z, extra.torque_columns[:, :, :, intervals]])
@@ -85,7 +87,7 @@ def _intervals(n: int, fixed: int) -> Callable[..., Any]:
     """The kernel that adds K intervals of n joints to a chain; `fixed` is the chain's edge if that is a constant.
 
     From z (m, n, 2, K), own (n, 2, 5, n, K), torque (n, 2, K) that motion and effects need, samples u (N, n),
-    left (K,), basis (2, 5, 4), holds (2, 2) and weight (n,) it adds to rows (N, 3 n, f) of the chain, to square
+    left (K,), basis (2, 5, 4), holds (2, 2) and weight (n, K) it adds to rows (N, 3 n, f) of the chain, to square
     (1 + m, 1 + m), upper half, the products of the right sides, and to misfit (n,) each joint's share of the squares.
     """
     b, height, whole = 3 * n, 2 * n, padded(fixed + 3 * n)
@@ -97,16 +99,14 @@ def _intervals(n: int, fixed: int) -> Callable[..., Any]:
             edge, full = fixed, whole
         line = np.zeros((height, full, STRIP))
         transposed, after = np.zeros((height, full)), np.zeros((height, edge))
-        for i in range(n):
-            for g in range(2):
-                for w in range(STRIP):
-                    line[2 * i + g, 2 * n + i, w] = -weight[i] * holds[g, 0]
-                    line[2 * i + g, edge + 2 * n + i, w] = -weight[i] * holds[g, 1]
         for start in range(0, count, STRIP):
             size = min(STRIP, count - start)
             for i in range(n):
                 for g in range(2):
-                    r, scale = 2 * i + g, weight[i]
+                    r = 2 * i + g
+                    for w in range(size):
+                        line[r, 2 * n + i, w] = -weight[i, at(start + w)] * holds[g, 0]
+                        line[r, edge + 2 * n + i, w] = -weight[i, at(start + w)] * holds[g, 1]
                     for j in range(n):
                         for e in range(2):
                             for d in range(2):
@@ -114,16 +114,16 @@ def _intervals(n: int, fixed: int) -> Callable[..., Any]:
                                     t = 0.0
                                     for f in range(5):
                                         t += basis[g, f, 2 * e + d] * own[i, g, f, j, at(start + w)]
-                                    line[r, e * edge + d * n + j, w] = scale * t
+                                    line[r, e * edge + d * n + j, w] = weight[i, at(start + w)] * t
                     for w in range(size):
                         k = left[at(start + w)]
                         pull = holds[g, 0] * u[at(k), i] + holds[g, 1] * u[at(k + 1), i]
-                        t = scale * (torque[i, g, at(start + w)] - pull)
+                        t = weight[i, at(start + w)] * (torque[i, g, at(start + w)] - pull)
                         line[r, b, w] = t
                         misfit[i] += t * t
                     for k in range(width - 1):
                         for w in range(size):
-                            line[r, b + 1 + k, w] = scale * z[k, i, g, at(start + w)]
+                            line[r, b + 1 + k, w] = weight[i, at(start + w)] * z[k, i, g, at(start + w)]
             for c in range(width):
                 for d in range(c, width):
                     t = 0.0

@@ -16,10 +16,10 @@ from estimator.signals import ACCEL_X, ACCEL_Y, accelerometer
 
 
 def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
-               extra: Extra | None, accumulators: Accumulators) -> None:
+               extra: Extra | None, accumulators: Accumulators, between: FloatArray | None = None) -> None:
     """Add the equation of motion on `intervals`, which begin at samples `left`, each row times its joint's weight."""
     b, n = accumulators.chain.block, c.mechanism.n
-    rows = motion_rows(c, x, beta, weight, intervals, left, extra)
+    rows = motion_rows(c, x, beta, weight, intervals, left, extra, between)
     columns = rows[:, 2 * b :]
     accumulators.square[:] += np.sum(columns @ columns.swapaxes(1, 2), axis=0)
     accumulators.misfit[:] += np.sum(columns[:, 0] ** 2, axis=-1).reshape(n, 2).sum(axis=1)
@@ -49,7 +49,7 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
 
 
 def motion_rows(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
-                extra: Extra | None = None) -> FloatArray:
+                extra: Extra | None = None, between: FloatArray | None = None) -> FloatArray:
     """Weighted rows of the equation of motion, (2 n, 2 b + 1 + p, K): by both ends' latents, residual, parameters."""
     n, p = c.mechanism.n, c.mechanism.p
     b = 3 * n
@@ -57,18 +57,20 @@ def motion_rows(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray
     count = z.shape[-1]
     residual = (beta @ z.reshape(p, -1)).reshape(n, 2, count) - c.torque(x.u, left)
     added = None
+    if between is not None:
+        residual -= between[:, :, intervals]
     if extra is not None:
         residual += extra.torque[:, :, intervals]
         z = np.concatenate([z, extra.torque_columns[:, :, :, intervals]])
         added = None if extra.slopes is None else extra.slopes[..., intervals]
-    scale, jac = weight[:, None, None], c.by_ends(own, added).reshape(n, 2, 2, 2, n, count)
+    scale, jac = weight[:, None], c.by_ends(own, added).reshape(n, 2, 2, 2, n, count)
     rows = np.zeros((n, 2, 2 * b + 1 + len(z), count))
     ends = rows[:, :, : 2 * b].reshape(n, 2, 2, 3, n, -1)  # joint, Gauss point; end, variable, joint
-    np.multiply(jac, scale[..., None, None, None], out=ends[:, :, :, :2])
+    np.multiply(jac, scale[:, :, None, None, None], out=ends[:, :, :, :2])
     for i in range(n):
         ends[i, :, :, 2, i] = -scale[i] * c.torque_weights[:, :, None]
     np.multiply(residual, scale, out=rows[:, :, 2 * b])
-    np.multiply(z.transpose(1, 2, 0, 3), scale[..., None], out=rows[:, :, 2 * b + 1 :])
+    np.multiply(z.transpose(1, 2, 0, 3), scale[:, :, None], out=rows[:, :, 2 * b + 1 :])
     return rows.reshape(2 * n, -1, count)
 
 

@@ -72,6 +72,9 @@ class BatchProblem:
         z_raw, slopes = c.terms(motion)
         z = c.to_joint(z_raw)  # (p, n, 2, K)
         defect = np.einsum("pK,pigK->igK", own, z) - c.torque(u, left)
+        between = c.between(records.torque.reshape(-1, n), np.arange(1, runs + 1) * samples)
+        if between is not None:
+            defect -= between
         jac = c.jacobian(slopes, own, motion.angle.shape[1:])  # (n, 2, 4, n, K)
         rows = np.zeros((count, 2, n, 2, 3, n))  # Gauss point, joint; end of interval, variable, its joint
         rows[:, :, :, :, :2] = jac.reshape(n, 2, 2, 2, n, count).transpose(5, 1, 0, 2, 3, 4)

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from daq import FloatArray
 from estimator.model.mechanism import Mechanism
@@ -25,7 +26,9 @@ from estimator.numerics import jit
 
 Samples = slice | NDArray[np.intp]
 GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
-HOLDS = ("zero", "linear", "average")
+MOMENT = 2.0 * np.sqrt(3.0)
+"""Half the difference of the values at the Gauss points, by the first moment that they stand for."""
+HOLDS = ("zero", "linear", "average", "smooth")
 ANGLE, RATE, ACCEL, RATE_FROM, RATE_TO = range(5)
 """Features of the motion at a Gauss point; the last two are the rates at the ends of its half interval."""
 
@@ -47,7 +50,7 @@ def hold_weights(hold: str) -> FloatArray:
     """(2, 2) torque at each Gauss point as weights of the samples at the interval's ends.
 
     zero: the sample before. linear: a ramp. average: a sample is the mean over a window centred on its
-    stamp, so it acts until half-way.
+    stamp, so it acts until half-way. smooth: as linear; `Collocation.between` adds the curve.
     """
     if hold == "zero":
         return np.array([[1.0, 0.0], [1.0, 0.0]])
@@ -138,6 +141,24 @@ class Collocation:
         """Torque at the Gauss points (n, 2, K) from samples u (N, n)."""
         w = self.torque_weights
         return w[:, 0, None] * u[left].T[:, None, :] + w[:, 1, None] * u[after(left)].T[:, None, :]
+
+    def between(self, u: FloatArray, ends: NDArray[np.intp]) -> FloatArray | None:
+        """Torque at the Gauss points beyond `torque` (n, 2, K), from samples u (N, n) of stretches that end before
+        samples `ends`: of a smooth torque, what its spline has over a straight line. None for the other holds.
+
+        A straight line between samples of what curves is low by the square of the step: of a torque of 3 Hz on a grid
+        of 100 Hz 0.3 %, and all inertias come out smaller by as much. The Gauss points stand for integral and first
+        moment, here those of the cubic with the spline's slopes at both samples.
+        """
+        if self.hold != "smooth":
+            return None
+        parts = []
+        for part in np.split(u, ends[:-1]):
+            d = CubicSpline(np.arange(len(part)), part).derivative()(np.arange(len(part))).T
+            d0, d1, rise = d[:, :-1], d[:, 1:], np.diff(part, axis=0).T
+            moment = MOMENT * (rise / 60.0 - (d0 + d1) / 120.0)
+            parts.append(np.stack([(d0 - d1) / 12.0 - moment, (d0 - d1) / 12.0 + moment], axis=1))
+        return np.concatenate(parts, axis=2)
 
     def terms(self, motion: Motion) -> tuple[FloatArray, list[list[Slope]]]:
         """Z (p, n, 2, K) in link rows for rigid terms, joint rows for the others, and each term's slopes.

@@ -9,6 +9,7 @@ the motion is marched in windows.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -75,7 +76,13 @@ class _Equation:
     def torque(self, where: slice) -> FloatArray:
         """(n, 2, K) on the intervals `where`, without what the law takes."""
         torque = self.collocation.torque(self.tau, np.arange(where.start, where.stop))
+        if self.between is not None:
+            torque = torque + self.between[:, :, where]
         return torque if self.taken is None else torque - self.taken[:, :, where]
+
+    @cached_property
+    def between(self) -> FloatArray | None:
+        return self.collocation.between(self.tau, np.array([len(self.tau)]))
 
     def defect(self, where: slice, q: FloatArray, v: FloatArray, torque: FloatArray) -> tuple[FloatArray, _Terms]:
         """(n, 2, K) what is left of the equation at q, v (K + 1, n)."""

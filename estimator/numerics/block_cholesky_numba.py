@@ -40,6 +40,11 @@ class Swept:
         _back(c.block)(c.rows, c.edge, weights, out)
         return out
 
+    def log_determinant(self) -> float:
+        """log det H."""
+        c = self.chain
+        return float(-2.0 * np.sum(np.log(np.einsum("kii->ki", c.rows[:, :, : c.block]))))
+
     def inverse_diagonal(self) -> FloatArray:
         """Blocks P[k, k] (N, b, b) of P = H^-1."""
         c = self.chain

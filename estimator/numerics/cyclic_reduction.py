@@ -95,6 +95,11 @@ class Eliminated:
         """H^-1 rhs weights (N, b) for weights (m,)."""
         return finish(self.factor, self.halves.combine(weights[:, None])).reshape(-1, self.factor.block)
 
+    def log_determinant(self) -> float:
+        """log det H."""
+        roots = [np.einsum("kii->ki", level.inverse).ravel() for level in self.factor.levels]
+        return float(-2.0 * np.sum(np.log(np.concatenate([*roots, np.diag(self.factor.last)]))))
+
     def inverse_diagonal(self) -> FloatArray:
         """Blocks P[k, k] (N, b, b) of P = H^-1."""
         return inverse_diagonal(self.factor)

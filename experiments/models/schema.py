@@ -81,7 +81,7 @@ class Model(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """In the order of `parameters`, then sizes and shapes of each of `effects`; null where not determined."""
     noise: dict[str, float]
     """1 sigma by channel."""
-    hold: Literal["zero", "linear", "average"]
+    hold: Literal["zero", "linear", "average", "smooth"]
     """How a torque sample acts until the next."""
     effects: tuple[EffectValue, ...] = ()
     gear_ratio: Positive = 1.0

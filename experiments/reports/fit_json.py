@@ -33,6 +33,7 @@ def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, An
         "torque_residual_rms_nm": [float(rms) for rms in result.torque_residual_rms],
         "converged": bool(result.converged), "iterations": int(result.iterations), "samples": int(result.samples),
         "wall_s": float(result.wall_s), "undetermined": list(map(str, result.undetermined)),
+        "hold": {"name": result.hold, "chosen": result.hold_margin is not None, "margin": result.hold_margin},
         "warnings": list(result.warnings), "assumptions": list(result.assumptions),
     }
 
@@ -61,7 +62,7 @@ def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Se
         parameters=tuple(ParameterValue(name=p.name, meaning=p.meaning, unit=p.unit, value=float(value))
                          for p, value in zip(result.mechanism.parameters, result.beta)),
         covariance=covariance, noise={name: float(level) for name, level in result.noise.items()},
-        hold=hold,  # type: ignore[arg-type]
+        hold=result.hold if hold == "auto" else hold,  # type: ignore[arg-type]
         provenance=Provenance(runs=tuple(runs), method=result.method,
                               sensors=result.sensors,  # type: ignore[arg-type]
                               date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
