@@ -143,7 +143,7 @@ class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     limit the torque goes. Lower it for a leg that coasts further."""
     slew_nmps: Positive = 150.0
     """Steepest change of a plan's torque [N m/s], over 10 ms."""
-    duration_s: Positive = 1800.0
+    duration_s: Annotated[float, Meta(gt=0, le=1e7)] = 1800.0
     """Longest plan [s]."""
     unsaved_s: Positive = 2.0
     """Age of what is not on the disk [s]: a motor does not outlive its measurement."""

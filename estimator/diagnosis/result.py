@@ -177,6 +177,6 @@ class Diagnosis:
     remainder: Remainder | None = None
     material: float = MATERIAL
     """Share of the rms error by which a cause that matters must lower it."""
-    hold: str = "linear"
-    """How the torque was taken to act between samples."""
+    hold: str = ""
+    """How torque was taken to act between samples; empty where nothing was fitted."""
     wall_s: float = 0.0
