@@ -38,7 +38,7 @@ nominal = legid.model(result)
 (before,) = legid.validate(nominal, runs[3])
 print(f"nominal model: rms error of the knee {before.rmse['q2_rad']:.4f} rad")
 
-# %% What does it get wrong? The diagnosis keeps the fourth run back as well.
+# %% What does it get wrong? The diagnosis keeps a run back by its own choice, found.confirm_runs, and judges by it.
 found = legid.diagnose(runs)
 print(found.verdict, "-", found.sentence)
 extended = legid.model(found)
