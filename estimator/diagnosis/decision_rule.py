@@ -1,4 +1,5 @@
-"""Every number on which a verdict hangs, and the rule that hangs on them.
+"""The numbers by which a verdict is reached on the runs kept back; those that steer the search for explanations stand
+with it, in context, model_search and model_comparison.
 
 Detection outruns what matters: on every real rig a dozen small things are seen beyond doubt and change no simulation.
 So a cause is said to be present where it is detected, replicates and can be; it *matters* where the simulation's error
