@@ -12,6 +12,7 @@ from scipy.stats import t as student
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.data_split import RunSplit
+from estimator.diagnosis.decision_rule import DRAWS
 from estimator.diagnosis.parametric_bootstrap import draw_replicate
 from estimator.diagnosis.refit import Model, smooth
 from estimator.diagnosis.residual_signature import signature
@@ -23,8 +24,7 @@ from estimator.parallel import parallel_map
 from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, encoder_of
 
 BLOCK_S = 2.0
-"""Length of a block of the gain's bootstrap."""
-DRAWS = 400
+"""Length of a block of the bootstrap: a few periods of the slowest motion."""
 ATTEMPTS = 10
 """Rehearsals, one after the other, until one does not run off: their noise is drawn."""
 CONFUSABLE = 0.7

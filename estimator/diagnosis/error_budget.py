@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.conclusion import floor_errors, resimulate
+from estimator.diagnosis.conclusion import BLOCK_S, floor_errors, resimulate
 from estimator.diagnosis.context import DiagnosisContext, p_of
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import ALPHA, DRAWS, GENERIC_TERMS
@@ -28,8 +28,6 @@ from estimator.errors import FitError
 from estimator.parallel import parallel_map
 
 HORIZONS_S = (1.0, np.inf)
-BLOCK_S = 2.0
-"""Length of a block of the bootstrap: a few periods of the slowest motion."""
 GENERIC_STEPS = 12
 
 
