@@ -6,13 +6,16 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 OUT    ?= demo-out
 
-.PHONY: install demo test test-slow lint test-kernel soak live-soak faults mutate coverage bench blind port fuzz tutorial docs clean
+.PHONY: install demo test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs untuned \
+	table5 replication seven-links bench blind family port fuzz tutorial screenshots wheel arm64 docs clean
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed"; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	@echo "compiling kernels, once on a machine"
+	$(BIN)/python -c "from estimator.likelihood import compile_kernels; print('kernels are in', compile_kernels())"
 	touch $@
 
 install: $(STAMP)
@@ -27,7 +30,8 @@ lint: $(STAMP)
 test: $(STAMP) lint
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow" tests
 
-# The demo, the tutorial, the example and the site, from their first command to their last page.
+# The demo, the tutorial, the example and the site, from their first command to their last page; public records, kills
+# of studies and recordings, clusters, the blind bench itself, and the drivers on a real kernel.
 test-slow: $(STAMP)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m slow tests
 
@@ -60,12 +64,26 @@ blind: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.blind.baselines $(BLIND_OUT)
 	$(BIN)/python -m tests.blind.page $(BLIND_OUT) $(if $(PAGE),--page $(PAGE))
 
+# Plants of another make: FAMILY=servo or stickslip
+family: $(STAMP)
+	$(BIN)/python -m tests.blind.family --family $(FAMILY) --seeds $(or $(SEEDS),1000-1003) --effects "$(EFFECTS)" \
+		--out $(BLIND_OUT)-$(FAMILY) $(if $(PAGE),--page $(PAGE))
+
 soak: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.soak --out docs/soak-$$(date -u +%F).md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.soak --out docs/soak.md
+
+# tests/fixtures/*.mcap anew, from one seed: after a change of the run format.
+fixtures: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.fixtures
 
 # Every fault at every moment on virtual time, ten minutes: how long the torque outlives it.
 faults: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.faults --out docs/faults-$$(date -u +%F).md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.faults --out docs/faults.md
+
+# Half an hour of real time: recordings killed at any moment, and others with a second process at their devices and file.
+KILLS ?= 1000
+kills: $(STAMP)
+	$(BIN)/python -m tests.studies.kills --kills $(KILLS) --beside 100 --out docs/kills.md
 
 # An hour or two: 10^5 broken files of each of five formats through their readers.
 FILES ?= 100000
@@ -74,14 +92,36 @@ mutate: $(STAMP)
 
 # 200 fits a row take hours; FITS=10 RATES=100 a few minutes.
 FITS  ?= 200
+PLANT ?= stickslip
 RATES ?= 50 100 250 500
 coverage: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.coverage --fits $(FITS) --rates $(RATES) \
-		--out docs/coverage-$$(date -u +%F).md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.coverage --plant $(PLANT) --fits $(FITS) --rates $(RATES) $(if $(SEED),--seed $(SEED)) \
+		--out docs/coverage-$(PLANT).md
+
+# A quarter of an hour: Table V of the paper for every method on twenty legs.
+table5: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.table5 --out docs/table5.md
+
+# Table III under the protocol that the print is nearest to, and what each open choice does to it.
+RUNS ?= 200
+replication: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.replication --runs $(RUNS) --out docs/replication.md
+
+# Fig. 1's chain of seven links from the absolute angle of the first: do its intervals hold?
+seven-links: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.seven_links --fits $(FITS) --out docs/seven-links.md
+
+# Runs that differ: coverage and width of intervals that allow for it; FITS=24 takes a quarter of an hour.
+runs: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.runs --fits $(FITS) --out docs/runs.md
+
+# Real records that lie beside the checkout, with the least of rig files, and spoilt ones: a quarter of an hour.
+untuned: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.untuned --out docs/untuned.md
 
 # Half an hour; needs chromium and its chromedriver.
 live-soak: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.live_soak --out docs/live-$$(date -u +%F).md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.live_soak --out docs/live.md
 
 # The example board, cross-compiled and driven in an emulator.
 port: $(STAMP)
@@ -99,10 +139,22 @@ fuzz: $(STAMP)
 tutorial: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.tutorial
 
+# Pictures of the pages and the dashboard, and the README's figure. Needs chromium and its chromedriver; five minutes.
+screenshots: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.screenshots
+
+# dist/legid-*.whl; test-slow installs one in an environment of its own.
+wheel: $(STAMP)
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
+
+# Asks the package index for wheels alone, of everything that runs on a 64-bit Arm board: nothing is installed.
+arm64: $(STAMP)
+	$(BIN)/python -m tests.studies.arm64
+
 docs: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-docs.lock
 	$(BIN)/python -m sphinx -W -q -b html -d build/doctrees docs site
 	@echo "open site/index.html in a browser"
 
 clean:
-	rm -rf $(VENV) $(OUT) site docs/generated build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(OUT) dist site docs/generated build *.egg-info .pytest_cache .mypy_cache .ruff_cache

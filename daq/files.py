@@ -27,7 +27,8 @@ _RUN_MAGIC = (b"\x89MCAP0\r\n", b"MATLAB 5.0", b"\x89HDF\r\n\x1a\n", b"SQLite fo
 _GZIP, _PARQUET = b"\x1f\x8b", b"PAR1"
 _STUDY = b"summed_squared_error_rad2"
 """A column of the only Parquet file of ours that is no run."""
-_MARKS = ((r'^\s*\{\s*"schema":\s*"(legid\.[\w-]+/\d+)"', r"\1"), (r"\A<!DOCTYPE html>[\s\S]*Made by legid", "page"),
+_MARKS = ((r'^\s*\{\s*"schema":\s*"(legid\.[\w-]+/\d+)"', r"\1"),
+          (r"\A<!DOCTYPE html>[\s\S]*(Made by legid|content=\"legid )", "page"),
           (r"<!-- Written by legid from an identified model[\s\S]*<(mujoco|robot)\b", r"\1"),
           (r"<(mujoco|robot)\b[\s\S]*<!-- Written by legid from an identified model", r"\1"),
           (r"<svg[^>]*><style>svg\{color:", "picture"), (r"<!-- written by legid -->", "text page"),

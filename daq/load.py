@@ -7,8 +7,8 @@ from pathlib import Path
 from daq.dataset import Dataset
 from daq.errors import InputError
 from daq.rig import Rig
-from daq.runs import read_csv, read_run
-from daq.timing import align, align_table
+from daq.runs import read_csv
+from daq.timing import align_table
 
 SUFFIXES = (".csv", ".csv.gz")
 
@@ -20,5 +20,8 @@ def load_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Datase
     if path.name.lower().endswith(SUFFIXES):
         return align_table(read_csv(path, rig), rate)
     if path.suffix.lower() == ".mcap":
+        from daq.runs import read_run  # MCAP and clocks take a while to load
+        from daq.timing import align
+
         return align(read_run(path), rig, rate)
     raise InputError(str(path), "is neither .csv, .csv.gz nor .mcap", "give a run file of one of these kinds")

@@ -51,18 +51,34 @@ class Mechanism(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Terms(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Declared extra terms of the nominal model, by joint (1-based)."""
 
-    rotor_inertia: tuple[Joint, ...] = ()
-    """J*qdd of a geared rotor, in the joint's own row only [kg m^2]."""
-    torque_offset: tuple[Joint, ...] = ()
+    rotor_inertia: tuple[Joint, ...] | None = None
+    """J*qdd of a geared rotor, in the joint's own row only [kg m^2]. None, here and below: a fit chooses."""
+    torque_offset: tuple[Joint, ...] | None = None
     """A constant added to the joint's measured torque [N m]."""
-    encoder_zero: tuple[Joint, ...] = ()
+    encoder_zero: tuple[Joint, ...] | None = None
     """The encoder's zero, another in every run [rad]: of drives that count from where they were switched on."""
-    friction_velocity_radps: Positive = 0.005
-    """Velocity over which sign(qd) is rounded off [rad/s]."""
+    friction_velocity_radps: Positive | tuple[Positive, ...] | None = None
+    """Velocity over which sign(qd) is rounded off [rad/s, m/s on a slide]; None: 0.005 rad/s, and on a slide a
+    thousandth of its speed where a fit chooses."""
 
 
 class Imu(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     lever_arm_m: Length = 0.0
+
+
+class DistanceMeter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A laser distance meter on link 1 that points at the ground ahead: the absolute angle by (52) to (54)."""
+
+    mount_m: Annotated[float, Meta(gt=0, le=10.0)]
+    """d_2: from the ground's contact to the meter, along the link."""
+    gamma_rad: Annotated[float, Meta(gt=0, lt=1.5707)]
+    """gamma_3: between link and beam."""
+    sigma_m: NonNegative = 0.0
+    """1 sigma of a reading at no distance; with `sigma_per_m` 0 too it is estimated."""
+    sigma_per_m: NonNegative = 0.0
+    """Its growth with the distance."""
+    upright_rad: Signed = 0.0
+    """q1 where the link stands upright; it grows as the link leans towards the spot."""
 
 
 class Motor(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -80,7 +96,7 @@ class Noise(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 class Sampling(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     rate_hz: Positive = 100.0
-    hold: Literal["auto", "zero", "linear", "average", "smooth"] = "linear"
+    hold: Literal["auto", "zero", "linear", "average", "smooth"] = "auto"
     """How the measured torque acts between samples; auto: as the motion makes likeliest."""
 
 
@@ -210,6 +226,7 @@ class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     mechanism: Mechanism
     terms: Terms = Terms()
     imu: Imu = Imu()
+    distance_meter: DistanceMeter | None = None
     motor: Motor = Motor()
     noise: Noise = Noise()
     sampling: Sampling = Sampling()
@@ -261,15 +278,19 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
         message = str(error).replace("`$.", "`").replace("Object", "rig")
         hint = _suggestion(message)
         raise InputError(where, message[0].lower() + message[1:] + hint,
-                         "see the rig.toml section of the README") from None
+                         "see docs/rig.md") from None
     except RecursionError:
         raise InputError(where, "is nested too deep", "a rig file has tables of lists, no more") from None
     _check_finite(rig, where)
     _check_mount(rig, where)
     _check_accelerometer(rig.calibration, where)
+    if rig.distance_meter is not None and rig.mechanism.model not in ("biped3", "chain"):
+        raise InputError(where, f"a {rig.mechanism.model} stands on no ground that a distance_meter could see",
+                         "take out the table [distance_meter]")
     n = joint_count(rig.mechanism)
-    named = [("mechanism.actuated", rig.mechanism.actuated), ("terms.rotor_inertia", rig.terms.rotor_inertia),
-             ("terms.torque_offset", rig.terms.torque_offset), ("terms.encoder_zero", rig.terms.encoder_zero)]
+    named = [("mechanism.actuated", rig.mechanism.actuated), ("terms.rotor_inertia", rig.terms.rotor_inertia or ()),
+             ("terms.torque_offset", rig.terms.torque_offset or ()),
+             ("terms.encoder_zero", rig.terms.encoder_zero or ())]
     for key, joints in named:
         bad = [j for j in joints if j > n]
         if bad:

@@ -24,6 +24,7 @@ from .lsm9ds1_selftest import SelfTest as SelfTest
 from .protocol import VERSION as VERSION
 from .protocol import FaultReport as FaultReport
 from .protocol import Hello as Hello
+from .protocol import Message as Message
 from .protocol import Pong as Pong
 from .protocol import State as State
 from .protocol import Telemetry as Telemetry

@@ -27,23 +27,24 @@ class SocketBus:
 
     def __init__(self, path: str) -> None:
         """Raises OSError where nobody serves the socket."""
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._socket.settimeout(TIMEOUT_S)
         self._lock = threading.Lock()
         self._path = path
         self._held: dict[int, int] = {}
-        try:
-            self._socket.connect(path)
-        except OSError:
-            self._socket.close()
-            raise
+        self._late = False
+        """A request was given up: its reply may come yet, and must not pass for the next one's."""
+        self._socket = _connected(path)
 
     def i2c_rdwr(self, *i2c_msgs: Any) -> None:
         """One transaction of `smbus2.i2c_msg`s. Raises the OSError of the far end, ENODEV when that has gone."""
         try:
             with self._lock:
+                if self._late:
+                    self._socket.close()
+                    self._socket = _connected(self._path)
+                self._late = True
                 self._socket.send(pack(i2c_msgs))
                 reply = self._socket.recv(PACKET_BYTES)
+                self._late = False
         except TimeoutError:
             raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT)) from None
         except OSError:
@@ -54,6 +55,8 @@ class SocketBus:
         if number:
             raise OSError(number, os.strerror(number))
         at = REPLY.size
+        if len(reply) != at + sum(message.len for message in i2c_msgs if message.flags & 1):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
         for message in i2c_msgs:
             if message.flags & 1:
                 for i in range(message.len):
@@ -70,6 +73,17 @@ class SocketBus:
         self._socket.close()
         while self._held:
             os.close(self._held.popitem()[1])
+
+
+def _connected(path: str) -> socket.socket:
+    found = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    found.settimeout(TIMEOUT_S)
+    try:
+        found.connect(path)
+    except OSError:
+        found.close()
+        raise
+    return found
 
 
 def pack(messages: Any) -> bytes:

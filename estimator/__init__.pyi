@@ -2,12 +2,15 @@ from .diagnosis.procedure import diagnose as diagnose
 from .diagnosis.result import Diagnosis as Diagnosis
 from .effects.base import Effect as Effect
 from .errors import FitError as FitError
+from .errors import GapError as GapError
 from .fitting.fit import fit as fit
 from .fitting.validation import validate as validate
 from .methods import METHODS as METHODS
 from .methods import Method as Method
 from .options import FitOptions as FitOptions
 from .parallel import cores as cores
+from .parallel import worker_pool as worker_pool
 from .result import Combination as Combination
 from .result import FitResult as FitResult
+from .result import RunAgreement as RunAgreement
 from .result import Trajectory as Trajectory

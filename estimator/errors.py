@@ -5,3 +5,7 @@ from __future__ import annotations
 
 class FitError(Exception):
     """The fit cannot be done on this data; the message says what is missing in one line."""
+
+
+class GapError(FitError):
+    """Every stretch of the data without a gap is too short."""

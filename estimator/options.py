@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from estimator.model import HOLDS
 
 AUTO = "auto"
-"""The hold that the likelihood chooses."""
+"""What the likelihood chooses."""
 NOISE_CHANNELS = ("gyro_radps", "accel_mps2", "torque_nm", "encoder_rad", "passive_nm")
 OWN_ENCODER = re.compile(r"encoder[1-9][0-9]*_rad")
 """One joint's encoder, counted from 1: it goes before `encoder_rad`, which stands for all."""
@@ -24,6 +24,9 @@ class FitOptions:
     hold: str = "linear"
     """How the torque acts between samples: zero | linear | average | smooth; auto: as is likeliest (`mle`; the other
     methods take it for linear)."""
+    rounding: str = "given"
+    """Speed over which each joint's dry friction is rounded off: given, by the mechanism; auto, as is likeliest, and no
+    less than given (`mle`; the other methods take what is given)."""
     noise: Mapping[str, float] = field(default_factory=dict)
     """Known standard deviations by channel; the others are estimated."""
     cutoff_hz: float | None = None
@@ -34,6 +37,11 @@ class FitOptions:
     Nyquist rate (1: not at all), differences over `spacing` samples by (60), (61), nothing else filtered."""
     spacing: int = 1
     """n_cd of (60), (61), with `half_power`."""
+    torque_half_power: float | None = None
+    """With `half_power`: the torque is low-passed at this share of the Nyquist rate, (34); None: not at all, as section
+    V filters only the absolute angle."""
+    weights: str = "estimated"
+    """wls only. estimated: each joint's torque by its own residual. known: by torque_nm and passive_nm of `noise`."""
     fixed: Mapping[str, float] = field(default_factory=dict)
     """Parameters that are given by name, not estimated."""
     latent: str = "trajectory"
@@ -44,8 +52,14 @@ class FitOptions:
             raise ValueError(f"sensors {self.sensors!r} is neither imu nor encoder")
         if self.hold not in (*HOLDS, AUTO):
             raise ValueError(f"hold {self.hold!r} is none of {(*HOLDS, AUTO)}")
+        if self.rounding not in ("given", AUTO):
+            raise ValueError(f"rounding {self.rounding!r} is neither given nor auto")
         if self.latent not in ("trajectory", "free"):
             raise ValueError(f"latent {self.latent!r} is neither trajectory nor free")
+        if self.weights not in ("estimated", "known"):
+            raise ValueError(f"weights {self.weights!r} are neither estimated nor known")
+        if self.weights == "known" and not {"torque_nm", "passive_nm"} <= set(self.noise):
+            raise ValueError("known weights need torque_nm and passive_nm among the noise levels")
         if self.half_power is not None and not 0.0 < self.half_power <= 1.0:
             raise ValueError(f"half_power {self.half_power} is not in (0, 1]")
         if self.spacing < 1:

@@ -1,13 +1,16 @@
-"""`parallel_map`: independent pieces of one computation on several processes."""
+"""`parallel_map`: independent pieces of one computation on several processes; `worker_pool`: such processes, none of
+which outlives this one."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -31,19 +34,45 @@ def parallel_map(work: Callable[[int], T], count: int, workers: int) -> list[T]:
     if workers < 2 or _work is not None or "fork" not in multiprocessing.get_all_start_methods():
         return [work(i) for i in range(count)]
     _work = work
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("fork"), _leave_interrupts)
     try:
-        return list(pool.map(_call, range(count)))
+        with worker_pool(workers, "fork") as pool:
+            return list(pool.map(_call, range(count)))
     except BrokenProcessPool:
         return [work(i) for i in range(count)]
     finally:
-        pool.shutdown(cancel_futures=True)
         _work = None
 
 
-def _leave_interrupts() -> None:
-    """Of the whole foreground: one process answers them."""
+@contextmanager
+def worker_pool(workers: int, start: str | None = None) -> Iterator[ProcessPoolExecutor]:
+    """Processes that end with this one, however it ends, and leave the terminal's Ctrl-C to it.
+
+    Left by an exception, Ctrl-C among them, what they are at is not waited for: they are killed. `start` is a start
+    method of `multiprocessing`, the platform's by default.
+    """
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context(start), _belong_to_parent)
+    try:
+        yield pool
+    except BaseException:
+        for process in list((getattr(pool, "_processes", None) or {}).values()):  # kill_workers, of Python 3.14
+            process.kill()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _belong_to_parent() -> None:
+    """Leave Ctrl-C, which the whole foreground hears, to the parent, and end when that is gone: after a SIGTERM or a
+    SIGKILL nobody else tells a worker to, and one that waits for work would wait for ever."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, name="parent", daemon=True).start()
 
 
 def _call(i: int) -> Any:

@@ -6,10 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import norm
+from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.model import Mechanism
+
+TWO_SIDED = 1.959963984540054
+"""Standard deviations to either side of a 95 % interval: the normal distribution's quantile at 0.975."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,30 @@ class Combination:
 
 
 @dataclass(frozen=True)
+class RunAgreement:
+    """Whether runs agree about the p parameters, and what each says of them where they do not."""
+
+    runs: tuple[str, ...]
+    """Their names."""
+    p_value: float | None
+    """Of runs that have the same parameters scattering as these do; None for one run, which cannot tell."""
+    own_std: FloatArray
+    """(p,) standard deviations by the noise alone."""
+    disagree: bool = False
+    """Whether intervals and covariance are wider for it; what follows is empty where they are not."""
+    quantile: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(p,) standard deviations to either side of a 95 % interval: Student's, of few runs."""
+    mean: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(p,) over runs, each counting by what it knows besides the scatter."""
+    scatter: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(p,) standard deviation between runs."""
+    by_run: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    """(runs, p) of each run, drawn to the mean by what it does not know."""
+    seen: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    """(p,) whether most of a scatter is seen in the runs; else it may belong to another parameter, or be none."""
+
+
+@dataclass(frozen=True)
 class FitResult:
     """Identified parameters with their covariance, noise levels and the motion they came with."""
 
@@ -82,6 +109,14 @@ class FitResult:
     """How the torque was taken to act between samples."""
     hold_margin: float | None = None
     """Log-likelihood of that hold above the next one's, where it was chosen by the likelihood."""
+    at_bound: Mapping[str, float] = field(default_factory=dict)
+    """Levels that came out below zero and are held there -> the upper end of their 95 % interval."""
+    inadmissible: tuple[str, ...] = ()
+    """Why these parameters are no mechanism's, or the records behind them are read wrongly, one sentence each."""
+    remedies: tuple[str, ...] = ()
+    """Set-ups under which the same records make sense, the best first, with what to write into the rig file."""
+    agreement: RunAgreement | None = None
+    """Whether the runs agree; the covariance has in it what they disagree about. None: the method does not ask."""
 
     @property
     def open_parameters(self) -> frozenset[str]:
@@ -93,7 +128,29 @@ class FitResult:
         """(p,) standard deviations."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
+    @property
+    def own_std(self) -> FloatArray:
+        """(p,) standard deviations by the noise alone, as if all runs had the same parameters."""
+        return self.std if self.agreement is None else self.agreement.own_std
+
+    @property
+    def half_width(self) -> FloatArray:
+        """(p,) half of each 95 % interval."""
+        if self.agreement is None or not self.agreement.disagree:
+            return TWO_SIDED * self.std
+        return self.agreement.quantile * self.std
+
+    @property
+    def widening(self) -> FloatArray:
+        """(p,) how many times as wide an interval is for what runs disagree about; 1 where it is by noise alone."""
+        own = TWO_SIDED * self.own_std
+        return np.where(own > 0.0, self.half_width / np.where(own > 0.0, own, 1.0), 1.0)
+
     def ci95(self) -> FloatArray:
-        """(p, 2) 95 % intervals, normal."""
-        half = float(norm.ppf(0.975)) * self.std
-        return np.stack([self.beta - half, self.beta + half], axis=-1)
+        """(p, 2) 95 % intervals: normal, by Student's t where runs disagree; of a level held at zero from there
+        upwards."""
+        half = self.half_width
+        out = np.stack([self.beta - half, self.beta + half], axis=-1)
+        for name, upper in self.at_bound.items():
+            out[self.mechanism.column(name)] = 0.0, upper
+        return out

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sized
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,6 +19,7 @@ T = TypeVar("T")
 QUIET, USUAL, VERBOSE = -1, 0, 1
 FIRST_LINE_S, LINE_EVERY_S = 5.0, 10.0
 """Where stderr is no terminal, a long work says after so long what it is at, and then again after so long."""
+_command: ContextVar[str] = ContextVar("command", default="")
 _loudness: ContextVar[int] = ContextVar("loudness", default=USUAL)
 
 
@@ -28,6 +31,23 @@ def loudness(level: int) -> Iterator[None]:
         yield
     finally:
         _loudness.reset(token)
+
+
+@contextmanager
+def commanded(arguments: Sequence[str]) -> Iterator[None]:
+    """Within it results are said to come of `legid ARGUMENTS`; of paths the last part is kept: folders are the
+    user's own."""
+    words = [re.sub(r"[^=\s]*/(?=[^/\s])", "", word) for word in arguments]
+    token = _command.set(shlex.join(["legid", *words]))
+    try:
+        yield
+    finally:
+        _command.reset(token)
+
+
+def command_line() -> str:
+    """What was typed; empty where a script called."""
+    return _command.get()
 
 
 def warn(text: str) -> None:
@@ -86,6 +106,11 @@ def _hidden() -> bool | None:
     return True if _loudness.get() == QUIET else None
 
 
+def _shown() -> bool:
+    """Whether there is a bar: where there is none nothing waits for tqdm."""
+    return not _hidden() and sys.stderr.isatty()
+
+
 def write_text(path: Path | str, text: str) -> None:
     """Write a text file as `daq.files` does: whole or not at all, never over a run. Raises `InputError`."""
     write_file(path, text.encode())
@@ -108,10 +133,12 @@ def make_directory(path: Path) -> None:
 
 def progress(items: Iterable[T], label: str, total: int | None = None, unit: str = "it") -> Iterator[T]:
     """`items` behind a progress bar on a terminal, else with a line now and then on stderr."""
-    from tqdm import tqdm
-
     lines, total = _Lines(label), len(items) if total is None and isinstance(items, Sized) else total
-    for k, item in enumerate(tqdm(items, desc=label, total=total, unit=unit, leave=False, disable=_hidden())):
+    if _shown():
+        from tqdm import tqdm
+
+        items = tqdm(items, desc=label, total=total, unit=unit, leave=False)
+    for k, item in enumerate(items):
         lines.say(f"{k} of {total} {unit}s" if total else f"{k} {unit}s")
         yield item
 
@@ -174,13 +201,18 @@ def work_bar(label: str, total: int, unit: str) -> Iterator[Callable[[int, str],
 @contextmanager
 def busy(label: str) -> Iterator[None]:
     """`label` with the seconds counting up, for work that cannot tell how far it is."""
-    from tqdm import tqdm
-
     done, lines, started = threading.Event(), _Lines(label), time.monotonic()
-    with tqdm(desc=label, bar_format="{desc} ... {elapsed}", leave=False, disable=_hidden()) as bar:
+    with ExitStack() as stack:
+        bar = None
+        if _shown():
+            from tqdm import tqdm
+
+            bar = stack.enter_context(tqdm(desc=label, bar_format="{desc} ... {elapsed}", leave=False))
+
         def tick() -> None:
             while not done.wait(0.5):
-                bar.refresh()
+                if bar is not None:
+                    bar.refresh()
                 lines.say(f"{time.monotonic() - started:.0f} s so far")
 
         ticker = threading.Thread(target=tick, name="progress", daemon=True)

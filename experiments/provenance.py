@@ -15,7 +15,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from html import unescape
-from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 from typing import Literal
 
@@ -48,17 +47,25 @@ class Origin(Struct, frozen=True, kw_only=True):
     runs: tuple[Source, ...] = ()
     rig: Source | None = None
     model: Source | None = None
+    command: str = ""
+    """What was typed, without folders; empty where a script asked."""
+    seed: int | None = None
+    """From which random numbers were drawn; None where none were."""
+    models: tuple[Source, ...] = ()
+    """Further models, of a comparison."""
 
     @property
     def sources(self) -> tuple[Source, ...]:
         """All files."""
-        return (*self.runs, *(s for s in (self.rig, self.model) if s is not None))
+        return (*self.runs, *(s for s in (self.rig, self.model) if s is not None), *self.models)
 
 
-def origin_of(runs: Sequence[Path | str] = (), rig: Source | None = None, model: Path | str | None = None) -> Origin:
+def origin_of(runs: Sequence[Path | str] = (), rig: Source | None = None, model: Path | str | None = None,
+              seed: int | None = None, models: Sequence[Path | str] = (), command: str = "") -> Origin:
     """Hashes of the files as they are now. Raises `InputError` for one that cannot be read."""
     return Origin(version=program_version(), commit=commit(), runs=tuple(map(source_of, runs)), rig=rig,
-                  model=None if model is None else source_of(model))
+                  model=None if model is None else source_of(model), command=command, seed=seed,
+                  models=tuple(map(source_of, models)))
 
 
 def source_of(path: Path | str) -> Source:
@@ -77,6 +84,8 @@ def text_source(text: str, file: str, inside: str) -> Source:
 
 def program_version() -> str:
     """The installed version, or `unknown` where the package is not installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version("legid")
     except PackageNotFoundError:
@@ -92,6 +101,8 @@ def commit() -> str:
             asked = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
             done = subprocess.run(asked, capture_output=True, text=True, check=True, timeout=GIT_TIMEOUT_S)
             return done.stdout.strip()
+    from importlib.metadata import PackageNotFoundError, distribution
+
     with suppress(PackageNotFoundError, ValueError, KeyError, TypeError, AttributeError):
         noted = json.loads(distribution("legid").read_text("direct_url.json") or "")
         return str(noted["vcs_info"]["commit_id"])

@@ -36,7 +36,7 @@ from experiments.excite import random_multisine
 from experiments.models import Model, load_model, save_model
 from experiments.reports import check_sound, diagnosed_model, model_of
 from experiments.rig import load_runs, setup_of
-from experiments.workflows import diagnose_setup, fit_setup, record_plan, reference_values, simulate_run, validate_runs
+from experiments.workflows import diagnose_setup, fit_runs, record_plan, reference_values, simulate_run, validate_runs
 from legid.results import Dataset, Diagnosis, FitResult, Validation, Validations, dressed
 
 __all__ = ["Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError", "Model", "Plan", "Recording",
@@ -67,8 +67,8 @@ def load(runs: Sequence[Path | str], rig: RigLike | None = None) -> tuple[Datase
 def load(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None) -> Dataset | tuple[Dataset, ...]:
     """A run file on the uniform grid of the rig's `[sampling] rate_hz`; of a list of files, a tuple in its order.
 
-    Columns (n,) in SI units, angles and IMU axes by the contract (README, "A run as CSV"). Without a `rig` the one
-    stored in the (first) native run is taken. Raises `InputError` naming file, line and column.
+    Columns (n,) in SI units, angles and IMU axes by the contract (docs/formats.md, "A run as CSV"). Without a `rig` the
+    one stored in the (first) native run is taken. Raises `InputError` naming file, line and column.
     """
     paths = [runs] if isinstance(runs, Path | str) else list(runs)
     known = _stored_rig(paths) if rig is None else _rig(rig)
@@ -91,7 +91,8 @@ def fit(runs: Runs, rig: RigLike | None = None, method: str = "mle", sensors: st
     refuse it. Raises `InputError`, or `FitError` where the data cannot answer.
     """
     given, known = _given(runs, rig)
-    return dressed(FitResult, fit_setup(setup_of(given, known, sensors, fixed, latent), method), runs=given, rig=known)
+    found = fit_runs(given, known, sensors, fixed, latent, method)
+    return dressed(FitResult, found.result, runs=given, rig=found.rig)
 
 
 def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None) -> Validations:

@@ -20,6 +20,7 @@ from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.fitting import Validation as PlainValidation
 from experiments.reports import (
     PARAMETER_HEADER,
+    agreement_lines,
     error_rows,
     gap_text,
     parameter_rows,
@@ -104,6 +105,7 @@ class FitResult(PlainFit):
     def _repr_html_(self) -> str:
         state = "converged" if self.converged else "NOT CONVERGED: no number below may be used"
         notes = [f"This data does not determine {name}." for name in self.undetermined]
+        notes += [f"{text[:1].upper()}{text[1:]}." for text in agreement_lines(self)]
         notes += [f"Warning: {text}" for text in self.warnings]
         return (paragraphs([f"{self.mechanism.name}, {self.method}, sensors {self.sensors}, {self.samples} samples: "
                             f"{state}."])

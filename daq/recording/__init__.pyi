@@ -1,3 +1,5 @@
+from .facts import describe_devices as describe_devices
+from .facts import program_facts as program_facts
 from .intake import ControllerIntake as ControllerIntake
 from .intake import ImuIntake as ImuIntake
 from .plan import Plan as Plan
@@ -16,6 +18,8 @@ from .remote import Remote as Remote
 from .remote import Row as Row
 from .remote import Status as Status
 from .remote import watched_by as watched_by
+from .senses import Senses as Senses
 from .supervisor import WATCHED as WATCHED
+from .supervisor import Supervisor as Supervisor
 from .workers import QueuedSink as QueuedSink
 from .workers import Workers as Workers

@@ -13,6 +13,7 @@ import msgspec
 
 from daq.errors import WorkError
 from daq.recording.facts import describe_devices, program_facts
+from daq.recording.host_load import HostLoad, busy_words
 from daq.recording.intake import ControllerIntake, ImuIntake, Sink
 from daq.recording.plan import Plan, check_gyro, check_plan
 from daq.recording.remote import LOST, Ending, Remote, Status
@@ -84,6 +85,7 @@ class Recorder:
         self._commanded_ns = self._ping_due_ns = self._drain_due_ns = 0
         self._ping_every_s = LEAD_PING_EVERY_S
         self._commands = self._late = 0
+        self._load = HostLoad(now_ns())
         self._interrupt = ""
         self._start_ns, self._total_s = 0, 0.0
         describe_devices(writer, controller, imu, now_ns())
@@ -112,9 +114,13 @@ class Recorder:
                 self._run(plan)
         except (WorkError, DriverError, KeyboardInterrupt) as error:
             why = "stopped by Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
+            kind = self._kind(error)
+            busy = busy_words(self._load.stalled_s(self._now_ns()))
+            if busy and kind in ("lost", "failed") and not isinstance(error, LOST):  # these are certain
+                kind, why = "overload", f"{why}; {busy}"
             self._finish(why)
             if self._remote is not None:
-                self._remote.kind = self._kind(error)
+                self._remote.kind = kind
             raise WorkError(f"{why}; what was recorded until then is kept in {self._writer.path}") from None
         except BaseException as error:
             self._finish(f"internal error: {error!r}")
@@ -262,6 +268,7 @@ class Recorder:
             if self._imu is not None and now >= self._drain_due_ns:
                 self._drain_due_ns = now + _ns(self._drain_every_s)
                 self._imu.drain()
+        self._load.look(now)
         self._workers.check()
         self._disk.check()
         self._senses.attend()

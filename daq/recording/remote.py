@@ -32,7 +32,7 @@ ALIVE, STOP, EMERGENCY = b"alive", b"stop", b"emergency"
 PACKET_BYTES = 65536
 LOST = (DeviceAbsent, LinkLost)
 """Errors that say that a device is not there; the others say that it is, and does not do what it should."""
-Ending = Literal["done", "stopped", "emergency", "limit", "lost", "failed"]
+Ending = Literal["done", "stopped", "emergency", "limit", "lost", "overload", "failed"]
 
 
 class Row(NamedTuple):

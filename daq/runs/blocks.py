@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
 from daq.dataset import FloatArray
 
@@ -39,6 +38,8 @@ def block_means(values: FloatArray, blocks: int = BLOCKS) -> FloatArray:
 
 def mean_of(values: FloatArray) -> Mean:
     """Mean of one record (n,), n at least `BLOCKS`, from its block means, which count as independent."""
+    from scipy.special import stdtrit
+
     first = float(values[0])
     means = block_means(values - first)  # so that a reading that never changes has no spread by rounding
     middle, half = mean_interval(means)
@@ -46,7 +47,7 @@ def mean_of(values: FloatArray) -> Mean:
     slope = float(x @ means / (x @ x))
     left = means - middle - slope * x
     error = np.sqrt(left @ left / (BLOCKS - 2) / (x @ x))
-    return Mean(first + float(np.mean(values - first)), half, slope, float(student.ppf(CONFIDENCE, BLOCKS - 2) * error))
+    return Mean(first + float(np.mean(values - first)), half, slope, float(stdtrit(BLOCKS - 2, CONFIDENCE) * error))
 
 
 def mean_interval(values: FloatArray) -> tuple[float, float]:
@@ -56,4 +57,6 @@ def mean_interval(values: FloatArray) -> tuple[float, float]:
 
 def quantile(freedom: int) -> float:
     """Student's t at 97.5 %: what a standard error is multiplied with for half of a 95 % interval."""
-    return float(student.ppf(CONFIDENCE, freedom))
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, CONFIDENCE))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from daq.rig import Rig, joint_count
 
 IMU = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
-OPTIONAL = ("tau2_cmd_nm", "temperature_degc", "q2_motor_rad")
+OPTIONAL = ("tau2_cmd_nm", "temperature_degc", "q2_motor_rad", "distance_m")
 """Columns with a meaning that no mechanism requires; their cells are checked like required ones."""
 
 
@@ -62,7 +62,8 @@ def _torque_joints(rig: Rig) -> list[int]:
 
 def _missing_angle(rig: Rig, present: Collection[str]) -> Missing | None:
     if rig.mechanism.model != "leg2":
-        names = [f"q{joint}_rad" for joint in range(1, joint_count(rig.mechanism) + 1)]
+        by_meter = rig.distance_meter is not None and "distance_m" in present
+        names = [f"q{joint}_rad" for joint in range(2 if by_meter else 1, joint_count(rig.mechanism) + 1)]
         absent = [name for name in names if name not in present]
         return Missing(absent[0], "add the joint's angle in rad") if absent else None
     if "q2_rad" not in present:

@@ -93,7 +93,12 @@ COMMAND = Stream("/leg/command", "legid_msgs/msg/TorqueCommand", (
     Field("torque_nm", "float64", "joint torque asked for [N m]"),
     Field("seq", "uint16", "command counter modulo 2^16"),
 ))
-STREAMS = {stream.topic: stream for stream in (IMU_STREAM, SLOW, TELEMETRY, CLOCK, COMMAND)}
+DISTANCE = Stream("/distance", "legid_msgs/msg/Distance", (
+    Field("host_ns", "int64", "host monotonic clock at the middle of the reading [ns]"),
+    Field("distance_m", "float64", "from the meter along its beam to the ground [m]"),
+    Field("valid", "uint8", "0: the beam missed, or the meter gave no reading"),
+))
+STREAMS = {stream.topic: stream for stream in (IMU_STREAM, SLOW, TELEMETRY, CLOCK, COMMAND, DISTANCE)}
 
 
 class Note(NamedTuple):

@@ -18,6 +18,10 @@ from daq.timing.clock import ImuClock, TickClock, fit_samples, fit_ticks
 from daq.timing.doubts import doubts
 from daq.timing.resample import Channel, align_channels
 
+RAIL = 32_767
+"""Counts of 16 bits at the end of an axis's range."""
+LEAST_SHARE = 0.05
+"""An axis of the chip with less in the link's plane than this has no part in what is fitted."""
 MOST = 1e9
 """Largest magnitude of a reading [rad, N m, A, degC]; beyond it is a broken record."""
 
@@ -48,6 +52,9 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
     time_ns, clocks = _telemetry_times(raw, telemetry, epoch_ns)
     channels = _leg_channels(raw, telemetry, time_ns, rig)
     sources = {"file": raw.name, **_clock_facts(clocks)}
+    distance = raw.streams["/distance"]
+    if distance.size:
+        channels.append(_distance_channel(distance, epoch_ns))
     bound_s = 0.0
     samples = raw.streams["/imu"]
     if samples.size:
@@ -141,7 +148,20 @@ def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: R
         raise _unusable(raw, f"gives its IMU the scale {scale[0]:g}, {scale[1]:g}, which no chip has")
     rows = _increasing(clock.time_ns)
     counts = np.column_stack([samples[f"{kind}_{axis}"][rows] for kind in ("gyro", "accel") for axis in "xyz"])
+    x, y, z = np.abs(rig.calibration.imu_mount)
+    used = np.concatenate((z, x + y)) > LEAST_SHARE
+    inside = (np.abs(counts[:, used].astype(np.int32)) < RAIL).all(axis=1)  # clipped, it says only that it was more
+    rows, counts = rows[inside], counts[inside]
     return Channel(clock.time_ns[rows] * 1e-9, imu_columns(counts, scale, rig.calibration))
+
+
+def _distance_channel(readings: NDArray[np.void], epoch_ns: int) -> Channel:
+    """A laser distance meter's readings at the host's times; those that are none are gaps."""
+    times: FloatArray = (readings["host_ns"] - epoch_ns).astype(float)
+    rows = _increasing(times)
+    value = readings["distance_m"][rows]
+    good = (readings["valid"][rows] != 0) & np.isfinite(value) & (np.abs(value) <= MOST)
+    return Channel(times[rows] * 1e-9, {"distance_m": np.where(good, value, np.nan)})
 
 
 def _increasing(time_ns: FloatArray) -> NDArray[np.intp]:

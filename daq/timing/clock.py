@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
-from scipy.interpolate import make_lsq_spline
 
 from daq.dataset import FloatArray
 
@@ -177,6 +176,8 @@ def _envelope(index: FloatArray, looked: FloatArray, period: float) -> tuple[Cur
 
 def _curve(index: FloatArray, time_ns: FloatArray, period: float) -> tuple[Curve, int]:
     """The curve and how many numbers were fitted for it."""
+    from scipy.interpolate import make_lsq_spline
+
     span = time_ns[-1] - time_ns[0]
     if span < 1e9 or index.size < 20:
         return Polynomial([float(np.mean(time_ns - period * index)), period]), 1

@@ -8,26 +8,33 @@ Two cases, chosen once for all channels of a run so that none is filtered or del
   linear filter on all channels leaves every linear relation between them as it was. Channels sampled fast
   are integrated exactly as straight lines between samples, slower ones as their cubic spline.
 
-A hole longer than 2.5 nominal sample periods stays NaN: nothing is invented across it.
+A hole longer than 2.5 nominal sample periods, and than a step of the grid, stays NaN: nothing is invented across it. A
+pause of a fast logger that is shorter than the grid's step hides nothing that the grid could show.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
 from daq.runs import CLOCK_BOUND, RawTable
 
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline, PchipInterpolator
+
 HOLE_PERIODS = 2.5
+HOLE_STEPS = 1.0
 OVERSAMPLED = 1.5
 _MOST_EMPTY, _ALWAYS_FINE = 50, 1_000_000
 """A grid of so many times the samples is a mistake in the times, unless it is small anyway."""
+_SPARSE = 25.0
+"""Steps of the grid between samples, most: a grid of 100 Hz makes nothing of samples at 4 Hz, and of 1 kHz in
+milliseconds taken for seconds."""
 _SNAP_JITTER = 0.01
 """Largest departure from a uniform grid, in steps, at which samples count as lying on it."""
 _SNAP_RATE = 1e-4
@@ -46,8 +53,14 @@ class Channel(NamedTuple):
 def align_table(table: RawTable, rate_hz: float) -> Dataset:
     """`table` on a uniform grid of `rate_hz`.
 
-    Samples that lie on such a grid already (within 1 % of a step) are taken as they are.
+    Samples that lie on such a grid already (within 1 % of a step) are taken as they are. Raises `InputError` where
+    they come too seldom for it.
     """
+    step_s = 1.0 / max(_rate(table.time_s), 1e-12)
+    if step_s * rate_hz > _SPARSE:
+        raise InputError(table.name, f"has a sample every {step_s:.3g} s, the grid is of {rate_hz:g} Hz",
+                         'check that time_s is in seconds (unit = "ms" under [columns.time_s]), or lower rate_hz under '
+                         "[sampling]")
     time_s = snapped_times(table.time_s, rate_hz)
     columns = {name: values for name, values in table.columns.items() if name != CLOCK_BOUND}
     run = align_channels(table.name, [Channel(time_s, columns)], rate_hz, table.sources)
@@ -102,7 +115,7 @@ def _on_grid(time_s: FloatArray, values: FloatArray, grid: FloatArray, rate_hz: 
     """One column on the grid; NaN where the samples around a grid time (or its window) have a hole."""
     out = np.full(grid.shape, np.nan)
     finite = np.isfinite(values)
-    hole = HOLE_PERIODS / max(_rate(time_s), 1e-12)
+    hole = max(HOLE_PERIODS / max(_rate(time_s), 1e-12), HOLE_STEPS / rate_hz)
     time_s, values = time_s[finite], values[finite]
     if time_s.size == 0:
         return out
@@ -129,6 +142,8 @@ def _on_grid(time_s: FloatArray, values: FloatArray, grid: FloatArray, rate_hz: 
 
 
 def _cubic(t: FloatArray, y: FloatArray) -> CubicSpline | PchipInterpolator:
+    from scipy.interpolate import CubicSpline, PchipInterpolator
+
     # A natural choice is the spline; where two samples almost coincide it would turn their noise into
     # a large slope and ring, and the monotone cubic does not.
     steps = np.diff(t)

@@ -5,6 +5,12 @@ from .i2c_server import I2cServer as I2cServer
 from .link import EmulatorLink as EmulatorLink
 from .plant import Plant as Plant
 from .pty_server import PtyServer as PtyServer
+from .replay import ReplayBus as ReplayBus
+from .replay import ReplayLink as ReplayLink
+from .replay import fault_report as fault_report
+from .replay import frames as frames
+from .replay import pong as pong
+from .replay import rebooted as rebooted
 from .rig import STEP_NS as STEP_NS
 from .rig import MockRig as MockRig
 from .settings import FirmwareSettings as FirmwareSettings

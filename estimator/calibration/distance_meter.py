@@ -12,7 +12,7 @@ spot, q1 < 0, and q1 = -(pi/2 - arcsin(...)), which is the printed -pi/2 + arcsi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,17 +73,19 @@ class DistanceMeter:
         return distance + self.sigma(distance) * rng.normal(size=np.shape(distance))
 
 
-def angle_record(data: Dataset, meter: DistanceMeter) -> tuple[Dataset, float]:
-    """`data` with its column `distance_m` turned to `q1_rad`, and the angle's standard deviation [rad].
+def angle_record(data: Dataset, meter: DistanceMeter, upright_rad: float = 0.0) -> Dataset:
+    """`data` with its column `distance_m` turned to `q1_rad` and `q1_sigma_rad`, the deviation of each angle [rad].
 
-    The deviation changes with the distance; what is returned is its root mean square over the record, the level for
-    `FitOptions.noise["encoder1_rad"]`. Raises `FitError` where there are no readings, or beams that missed the ground.
+    A meter of unknown noise counts as one whose distances are all read alike well: `q1_sigma_rad` is then per metre.
+    NaN stays a gap. Raises `FitError` where there are no readings, or beams that missed the ground.
     """
     if "distance_m" not in data.columns:
         raise FitError(f"{data.name} has no column distance_m")
     distance = data["distance_m"]
-    if not np.isfinite(distance).all():
-        raise FitError(f"{data.name}: the beam missed the ground at {int((~np.isfinite(distance)).sum())} samples")
+    if np.isinf(distance).any() or (distance <= 0.0).any():
+        missed = int((np.isinf(distance) | (distance <= 0.0)).sum())
+        raise FitError(f"{data.name}: the beam missed the ground at {missed} samples")
+    known = meter if meter.sigma_m or meter.sigma_per_m else replace(meter, sigma_m=1.0)
     columns = {name: values for name, values in data.columns.items() if name != "distance_m"}
-    angle = Dataset(data.name, data.rate_hz, data.time_s, {**columns, "q1_rad": meter.angle(distance)})
-    return angle, float(np.sqrt(np.mean(meter.angle_sigma(distance) ** 2)))
+    return replace(data, columns={**columns, "q1_rad": upright_rad + meter.angle(distance),
+                                  "q1_sigma_rad": known.angle_sigma(distance)})

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f as fisher
 
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
@@ -71,6 +70,8 @@ def find_differing(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
     joints = [j for j in range(mechanism.n) if j > 0 or options.sensors != "imu"]
     if len(datasets) < FEWEST_RUNS or not joints:
         return None
+    from scipy.special import fdtrc
+
     halves = [data.part(part) for data in datasets for part in (slice(0, len(data) // 2), slice(len(data) // 2, None))]
     try:
         found = find_zeros(halves, mechanism, options, joints).values.reshape(len(datasets), 2, -1)
@@ -81,7 +82,7 @@ def find_differing(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
         return None
     between = 2.0 * np.var(found.mean(axis=1), axis=0, ddof=1)
     within = 0.5 * np.mean((found[:, 1] - found[:, 0]) ** 2, axis=0)
-    p = fisher.sf(between / np.maximum(within, 1e-300), len(datasets) - 1, len(datasets))
+    p = fdtrc(len(datasets) - 1, len(datasets), between / np.maximum(within, 1e-300))
     left = after / np.maximum(before, 1e-300)
     if min(p) * len(joints) > ALPHA or left.min() > 1.0 - LEAST_FALL:
         return None

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
-from scipy.stats import t as student
 
 from daq import FloatArray
 from estimator.errors import FitError
@@ -81,7 +80,9 @@ class PathFit:
 
 def interval_factor(freedom: int) -> float:
     """Half of a 95 % interval over the standard error."""
-    return float(student.ppf(0.975, freedom))
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.975))
 
 
 def fit_path(sensors: Sequence[Sensor], tracks: Sequence[Track], theta: FloatArray, prior_std: FloatArray,

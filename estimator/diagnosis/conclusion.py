@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import DRAWS
+from estimator.diagnosis.decision_rule import ALPHA, DRAWS
 from estimator.diagnosis.parametric_bootstrap import draw_replicate
 from estimator.diagnosis.refit import Model, smooth
 from estimator.diagnosis.residual_signature import signature
@@ -128,10 +128,11 @@ def resimulate(split: RunSplit, fitted: tuple[ExtendedProblem, State], run: int,
 
 
 def floor_errors(split: RunSplit, model: Model, fitted: tuple[ExtendedProblem, State], run: int,
-                 rng: np.random.Generator, horizon_s: float = np.inf) -> dict[str, FloatArray]:
-    """Squared free-run errors by sensor of a rehearsal of the model on a run `fitted`: what its noise alone leaves.
+                 rng: np.random.Generator, horizons_s: Sequence[float] = (np.inf,)) -> list[dict[str, FloatArray]]:
+    """For each horizon squared free-run errors by sensor of a rehearsal of the model on a run `fitted`: what its noise
+    alone leaves.
 
-    Pieces of `horizon_s` start from the motion that would be fitted to the rehearsal.
+    Pieces of a horizon start from the motion that would be fitted to the rehearsal.
     """
     problem, state = fitted
     truth = free_run(problem, state)
@@ -140,11 +141,13 @@ def floor_errors(split: RunSplit, model: Model, fitted: tuple[ExtendedProblem, S
     for _ in range(ATTEMPTS):
         signals = draw_replicate(problem, state, split.runs[run], rng)
         again = split.problem([run], model.problem.stage.angle_range, model.effects, signals=signals)
-        begin = state if np.isinf(horizon_s) else smooth(split, model, run, state.x, signals)[1]
-        found = free_run(again, begin, again.torque - problem.torque_readings(state.x, state.beta), horizon_s)
-        if found is not None:
-            simulated = sensed(problem, found)
-            return {k: (simulated[k] - v) ** 2 for k, v in sensors_of(again, truth.q[:, 0]).items()}
+        begin = state if np.isinf(horizons_s).all() else smooth(split, model, run, state.x, signals)[1]
+        drive = again.torque - problem.torque_readings(state.x, state.beta)
+        found = [free_run(again, state if np.isinf(h) else begin, drive, h) for h in horizons_s]
+        measured = sensors_of(again, truth.q[:, 0])
+        errors = [{k: (sensed(problem, f)[k] - v) ** 2 for k, v in measured.items()} for f in found if f is not None]
+        if len(errors) == len(found):
+            return errors
     raise FitError("the rehearsals diverge")
 
 
@@ -171,7 +174,7 @@ def measure_gain(split: RunSplit, nominal: Model, extended: Model, rng: np.rando
         q1 = fitted[1].x.q[:, 0]
         return (resimulate(split, smooth(split, nominal, i), i, q1, True, horizon_s),
                 resimulate(split, fitted, i, q1, False, horizon_s),
-                floor_errors(split, extended, fitted, i, np.random.default_rng(seeds[k]), horizon_s))
+                floor_errors(split, extended, fitted, i, np.random.default_rng(seeds[k]), [horizon_s])[0])
 
     blocks: dict[str, list[tuple[float, float, float]]] = {}
     traces, torque = [], []
@@ -238,6 +241,10 @@ def nothing(found: Diagnosis, split: RunSplit, nominal: Model, small: Explanatio
     if best is not None:
         sentence += (f"; the nearest, {label(best.effect, best.joint)}, has p = {best.p_value:.2g} over all that were "
                      f"tried")
+    if best is not None and best.p_value < ALPHA:
+        sentence = (f"Nothing that matters beyond noise: these runs leave something over, most like "
+                    f"{label(best.effect, best.joint)} (p = {best.p_value:.2g} over all that were tried), but free "
+                    "runs of runs that chose nothing do not err less with it")
     immaterial = () if small is None else tuple(causes_of(small, 1.0, found))
     if immaterial:
         told = " with ".join(label(c.effect, c.joint) for c in immaterial)

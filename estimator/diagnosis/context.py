@@ -50,15 +50,12 @@ class Explanation:
     """Effects of the explanation that it was grown from, by one more, and ..."""
     gain_over_parent: float = 0.0
     """... its gain over that one"""
-    moved: FloatArray | None = None
-    """(m,) by how much a sharper rounding of dry friction moved its parameters: as much again is uncertain of them"""
 
     def covariance(self) -> FloatArray:
-        """(m, m) of the parameters that belong to the leg, from noise, scatter between runs, and rounding."""
+        """(m, m) of the parameters that belong to the leg, from noise and scatter between runs."""
         model, width = self.model, self.model.width
         spread = np.sqrt(self.inflation[:width])
-        found = np.outer(spread, spread) * model.state.covariance[:width, :width]
-        return found if self.moved is None else found + np.outer(self.moved, self.moved)
+        return np.outer(spread, spread) * model.state.covariance[:width, :width]
 
 
 @dataclass

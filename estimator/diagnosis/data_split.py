@@ -17,10 +17,6 @@ from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.signals import SignalSet, split_signals
 
-ROUNDING = {"rad": 0.02, "m": 0.001}
-"""Least velocity over which sign(qd) is rounded off in a diagnosis [rad/s, or m/s on a slide]. Sharper ones describe
-rest better, but the re-fits of friction laws then do not settle. A slide gets what a wheel of 0.05 m on such a joint
-would."""
 KEPT_BACK = (1, 2)
 """Which of four neighbours in excitation is kept back, in turn: neither the strongest nor the weakest of all runs."""
 PARTS = 8
@@ -41,8 +37,6 @@ class RunSplit:
     screen: tuple[int, ...]
     confirm: tuple[int, ...]
     gear_ratio: float
-    velocity_scale: float
-    """The rig's own rounding of sign(qd); the mechanism here has at least ROUNDING."""
     single: bool
     """One run only, cut by time: weaker evidence, for its parts are not independent."""
     clock_bound_s: float = 0.0
@@ -64,10 +58,6 @@ class RunSplit:
     @property
     def has_imu(self) -> bool:
         return bool(self.runs[0][0].imu)
-
-    def sharp(self) -> RunSplit:
-        """The same with the rig's own rounding of sign(qd)."""
-        return replace(self, mechanism=replace(self.mechanism, velocity_scale=self.velocity_scale), stiction={})
 
     def floors(self, problem: ExtendedProblem, beta: FloatArray) -> Noise:
         """Least noise levels of a fit at beta (p,)."""
@@ -113,8 +103,6 @@ def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
     Raises `FitError` where there is too little.
     """
     known, options = options.noise, replace(options, noise={})
-    own_scale = mechanism.velocity_scale
-    mechanism = replace(mechanism, velocity_scale=max(own_scale, ROUNDING[mechanism.length_unit]))
     single = len(datasets) == 1
     if single:
         datasets = _parts(datasets[0])
@@ -135,7 +123,7 @@ def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
     fit = [k for k in range(len(order)) if k not in confirm and k not in screen]
     return RunSplit(mechanism, options, tuple(datasets[i].name for i in order), tuple(runs[i] for i in order),
                     tuple(float(starts[i]) for i in order),
-                   tuple(fit), tuple(screen), tuple(confirm), gear_ratio, own_scale, single,
+                   tuple(fit), tuple(screen), tuple(confirm), gear_ratio, single,
                    max(d.clock_bound_s for d in datasets), known, workers)
 
 

@@ -58,9 +58,14 @@ RIVAL = 0.5
 """An explanation with less than this share of the best one's gain leaves the rest of it unexplained: not a rival."""
 
 
-def explain(context: DiagnosisContext, tests: Tests, say: Progress) -> list[Explanation]:
-    """Fitted explanations; more effects only where no single closes. Then the best that closes, parts exchanged."""
-    found = search(context, tests, say)
+def explain(context: DiagnosisContext, tests: Tests, say: Progress,
+            promise: Callable[[Sequence[Explanation]], bool]) -> list[Explanation]:
+    """Fitted explanations; more effects only where no single closes, and where singles `promise` that they matter. Then
+    the best that closes, parts exchanged."""
+    singles = fit_singles(context, tests, say)
+    if not singles or not promise(singles):
+        return singles
+    found = combine(context, singles, say)
     adequate = [e for e in found if e.adequate]
     if not adequate:
         return found
@@ -111,13 +116,8 @@ def keys_of(explanation: Explanation) -> frozenset[str]:
     return frozenset(e.key for e in explanation.model.effects)
 
 
-def search(context: DiagnosisContext, tests: Tests, say: Progress) -> list[Explanation]:
-    """Singles; where none closes, pairs; where none of these does, one triple.
-
-    What a single may leave over could be a difference of form, or a second cause: where it leaves something, a pair
-    that leaves next to nothing is preferred. (Measured: a lever arm gained 609,000 and left 1,800, which was a spring;
-    a stand 194,000, and left 860, which was a late torque.)
-    """
+def fit_singles(context: DiagnosisContext, tests: Tests, say: Progress) -> list[Explanation]:
+    """The most promising effects, each fitted alone, and what they leave over."""
     # from where one step may lead nowhere
     far = best_shapes(context, tests) if context.excess_noise(context.nominal) else []
     effects = [context.candidates[i].effect for i in far]
@@ -128,9 +128,17 @@ def search(context: DiagnosisContext, tests: Tests, say: Progress) -> list[Expla
             starts.append([(context.candidates[i].effect, start_size(context, tests, i))])
     singles = fit_candidates(context, starts)
     say("looking at what they leave over", 0.6)
-    singles = assess_residuals(context, singles[:4])
-    if not singles:
-        return []
+    return assess_residuals(context, singles[:4])
+
+
+def combine(context: DiagnosisContext, singles: Sequence[Explanation], say: Progress) -> list[Explanation]:
+    """`singles`; where none closes, pairs; where none of these does, one triple.
+
+    What a single may leave over could be a difference of form, or a second cause: where it leaves something, a pair
+    that leaves next to nothing is preferred. (Measured: a lever arm gained 609,000 and left 1,800, which was a spring;
+    a stand 194,000, and left 860, which was a late torque.)
+    """
+    singles = list(singles)
     if any(s.adequate for s in singles):
         best = max((s for s in singles if s.adequate), key=lambda s: s.gain)
         if best.no_residual_effect:

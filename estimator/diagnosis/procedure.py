@@ -18,7 +18,7 @@ from daq import Dataset, FloatArray
 from estimator.diagnosis import conclusion
 from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL
+from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, SUFFICES
 from estimator.diagnosis.error_budget import budget, measure_errors
 from estimator.diagnosis.model_search import Progress, explain
 from estimator.diagnosis.refit import (
@@ -40,9 +40,6 @@ from estimator.numerics import jit
 from estimator.options import FitOptions
 from estimator.parallel import cores
 
-ANOTHER = 0.25
-"""Share, beside three standard deviations, by which a sharper rounding may move a size; more is another explanation."""
-
 
 def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,
              seed: int = 0, progress: Progress | None = None,
@@ -60,6 +57,7 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     hold = options.hold
     try:
         with threadpool_limits(1), np.errstate(all="ignore"):  # a search may run off; where it ends is checked
+            options = replace(options, rounding="given")  # an effect near rest must not pass for a wider rounding
             split = split_runs(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
             kept_back = {split.names[i] for i in split.confirm}  # they choose nothing
             hold = likely_hold([d for d in datasets if d.name not in kept_back], mechanism, options)
@@ -99,7 +97,7 @@ def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,
             return conclusion.nothing(replace(base, error=None if error is None else (error, error)), context.split,
                                       nominal)
     say("re-fitting the best explanations", 0.4)
-    options = explain(context, tests, say)
+    options = explain(context, tests, say, lambda singles: promise(context, singles, material, rng))
     say("opening the confirm runs", 0.85)
     return conclude(context, base, tests, options, rng, material)
 
@@ -137,11 +135,29 @@ def nominal_error(context: DiagnosisContext, rng: np.random.Generator) -> float 
     return table.error(NOMINAL)
 
 
+def promise(context: DiagnosisContext, singles: Sequence[Explanation], material: float, rng: np.random.Generator
+            ) -> bool:
+    """Whether several effects together could matter: there is error enough, and a single one takes away a good part of
+    what must fall, or the error is beyond what a disturbance makes."""
+    split, models = context.split, [context.nominal, *(s.model for s in singles[:2])]
+    try:
+        table = measure_errors(split, models, models[1], rng.integers(2**63, size=len(split.confirm)))
+    except FitError:
+        return True
+    whole = table.error(NOMINAL)
+    least = min(table.error(k) for k in range(1, len(models)))
+    return whole * (1.0 - material) > 1.0 and (whole > EDGE or least < whole * (1.0 - SUFFICES * material))
+
+
 def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: Sequence[Explanation],
              rng: np.random.Generator, material: float = MATERIAL) -> Diagnosis:
     """Verdict, gain and budget by the confirm runs, and what a report draws."""
     split = context.split
-    decision = decide(context, tests, options, material, rng)
+    try:
+        decision = decide(context, tests, options, material, rng)
+    except FitError as error:  # something was detected, or nothing would be decided here
+        return conclusion.unexplained(base, split, context.nominal, None,
+                                      f"no simulation of the runs kept back can be carried through ({error})")
     if decision is None:
         why = context.excess_noise(context.nominal) or context.noise_dominated
         return conclusion.unexplained(base, split, context.nominal, None, why) if why else \
@@ -158,39 +174,22 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
     if decision.verdict == "unexplained" or best is None:
         return conclusion.unexplained(base, split, context.nominal, best, decision.why, rng)
     p = max(1e-12, min(1.0, _p_of_gain(best) * context.trials))
-    ties, sharp = list(decision.best), sharpened(context, best)
-    if sharp is not best:  # else what was found under the search's rounding is measured under it, too
-        split, ties = split.sharp(), [sharp, *ties[1:]]
+    ties = [with_clock(context, best), *decision.best[1:]]
     return conclusion.finding(base, split, context.nominal, ties, p, rng, decision.verdict == "partial")
 
 
-def sharpened(context: DiagnosisContext, explanation: Explanation) -> Explanation:
-    """Re-fitted with the rig's own rounding of sign(qd), which its saved model has too; as it was where that fails or
-    leads elsewhere.
-
-    The wider rounding of the search costs a few per mille on every parameter alike. Where the recorder's clocks
-    leave it open, the IMU's time line is free meanwhile. Dry friction near rest has no known form: what the two
-    roundings make of a parameter differs, and the difference counts as one standard deviation more.
-    """
-    model, bound = explanation.model, context.split.clock_bound_s
-    effects = list(zip(model.effects, model.sizes()))
-    skew = SensorTimeSkew()
-    ways = [(effects, 0)]
-    if context.split.has_imu and bound > 0.0 and skew.key not in {e.key for e in model.effects}:
-        ways.insert(0, ([*effects, (skew, np.zeros(1))], 1))
-    for which, beside in ways:
-        try:
-            again = replace(refit(context.split.sharp(), model, which), beside=beside)
-        except (FitError, np.linalg.LinAlgError):
-            continue
-        if again.state.converged and (not beside or abs(again.state.beta[-1]) <= bound):
-            break
-    else:
+def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanation:
+    """Re-fitted with the IMU's time line free where the recorder's clocks leave it open; as it was where that fails."""
+    model, bound, skew = explanation.model, context.split.clock_bound_s, SensorTimeSkew()
+    if not context.split.has_imu or bound <= 0.0 or skew.key in {e.key for e in model.effects}:
         return explanation
-    moved = np.abs(np.concatenate(again.sizes()[: len(model.effects)]) - np.concatenate(model.sizes()))
-    if np.any(moved > ANOTHER * np.abs(np.concatenate(model.sizes())) + 3.0 * model.std()[context.split.mechanism.p :]):
+    try:
+        again = refit(context.split, model, [*zip(model.effects, model.sizes()), (skew, np.zeros(1))])
+    except (FitError, np.linalg.LinAlgError):
         return explanation
-    return replace(explanation, model=again, moved=again.state.beta[: model.width] - model.state.beta[: model.width])
+    if not again.state.converged or abs(again.state.beta[-1]) > bound:
+        return explanation
+    return replace(explanation, model=replace(again, beside=1))
 
 
 def _p_of_gain(explanation: Explanation) -> float:

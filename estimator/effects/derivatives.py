@@ -56,7 +56,8 @@ class Laws:
             found = by_motion(effect, at, size, self.view)
             for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
                 out[j, feature, j] += found[name]
-            _, by_from, by_to = mean_sign(motion.rate_from[j], motion.rate_to[j], self.view.mechanism.velocity_scale)
+            scale = self.view.mechanism.velocity_scales[j]
+            _, by_from, by_to = mean_sign(motion.rate_from[j], motion.rate_to[j], scale)
             out[j, RATE_FROM, j] += found["sign"] * by_from
             out[j, RATE_TO, j] += found["sign"] * by_to
         return out
@@ -64,6 +65,6 @@ class Laws:
     def _points(self, motion: Motion, where: slice) -> Points:
         g = self.view.gauss
         cut = (..., slice(self.first + where.start, self.first + where.stop))
-        sign = mean_sign(motion.rate_from, motion.rate_to, self.view.mechanism.velocity_scale)[0]
+        sign = mean_sign(motion.rate_from, motion.rate_to, self.view.mechanism.velocity_scales[:, None, None])[0]
         return Points(motion.angle, motion.rate, motion.accel, g.u[cut], sign, g.time_s[cut], g.session_s[cut],
                       g.run[cut])

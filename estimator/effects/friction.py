@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_banded
 
 from daq import FloatArray
 from estimator.effects.base import CONSTANT, Effect, Perturbation, Points, Shape, Size, TorqueEffect, View
@@ -162,6 +161,8 @@ def relaxed_sign(v: FloatArray, sign: FloatArray, starts: NDArray[np.intp], dt_s
     Exact over an interval of constant sign: z[k+1] = z[k] e + sign (1 - e), e = exp(-|dq| / distance); the
     recurrence is one bidiagonal solve.
     """
+    from scipy.linalg import solve_banded
+
     path = 0.5 * np.abs(v[1:] + v[:-1]) * dt_s
     decay = np.exp(-path / distance)
     target = 0.5 * (sign[1:] + sign[:-1])

@@ -19,7 +19,6 @@ Reading = Callable[[View], FloatArray]
 
 TORQUE_LAWS: dict[str, Law] = {
     "cos q": lambda at, j: np.cos(at.q[j]),
-    "sin 2q": lambda at, j: np.sin(2 * at.q[j]),
     "q^3": lambda at, j: at.q[j] ** 3,
     "v^2": lambda at, j: at.v[j] ** 2,
     "v^3": lambda at, j: at.v[j] ** 3,
@@ -38,6 +37,17 @@ TORQUE_LAWS: dict[str, Law] = {
     "low u": lambda at, j: np.tanh(at.u[-1] / 0.1),
     "a^2": lambda at, j: at.a[j] ** 2 * 0.01,
 }
+WAVES = (2, 4, 8)
+"""Per rad: what depends on the angle is resolved to about 0.4 rad, as a force and as friction."""
+
+
+def _wave(k: int, turned: bool, rubs: bool) -> Law:
+    wave = np.cos if turned else np.sin
+    return lambda at, j: wave(k * at.q[j]) * (at.sign[j] if rubs else 1.0)
+
+
+TORQUE_LAWS |= {f"{'cos' if turned else 'sin'} {k}q{' sign v' if rubs else ''}": _wave(k, turned, rubs)
+                for k in WAVES for turned in (False, True) for rubs in (False, True)}
 READINGS: dict[str, Reading] = {
     "q1": lambda v: v.samples.q[0], "v1": lambda v: v.samples.v[0], "a1": lambda v: v.samples.a[0],
     "v1^2": lambda v: v.samples.v[0] ** 2, "u": lambda v: v.samples.u[-1], "q2": lambda v: v.samples.q[-1],

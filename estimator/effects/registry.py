@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from pkgutil import iter_modules
 
@@ -34,6 +33,8 @@ MACHINERY = {"base", "derivatives", "generic_terms", "registry"}
 def classes() -> tuple[type[Effect], ...]:
     """The library's effects, those in further files beside this one, then those that installed packages add under the
     entry point group."""
+    from importlib.metadata import entry_points
+
     return (*CLASSES, *_further(), *(point.load() for point in entry_points(group=ENTRY_POINT)))
 
 

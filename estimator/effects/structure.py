@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import lfilter
 
 from daq import FloatArray
 from estimator.effects.base import (
@@ -146,7 +145,7 @@ class GearEffect(Effect):
             return {}
         rate = view.measured.rate[j]
         viscous, coulomb, inertia = self.motor(size)
-        return {j: viscous * rate + coulomb * smooth_sign(rate, view.mechanism.velocity_scale)
+        return {j: viscous * rate + coulomb * smooth_sign(rate, view.mechanism.velocity_scales[j])
                 + inertia * view.measured.acceleration[j]}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
@@ -217,6 +216,8 @@ class BaseCompliance(Effect):
     by_hand = "tap the stand in one run"
 
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
+        from scipy.signal import lfilter
+
         m, s = view.mechanism, view.samples
         t = m.transform
         theta, thetad = (np.tensordot(t, x, axes=1) for x in (s.q, self._rates(view)))

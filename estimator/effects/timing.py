@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import shift
 
 from daq import FloatArray
 from estimator.effects.base import SensorEffect, Size, View
@@ -16,6 +15,8 @@ from estimator.signals import IMU_CHANNELS, Channel, accelerometer
 
 def shifted(x: FloatArray, delay_s: float, view: View) -> FloatArray:
     """x(t - delay) at the samples (N,), cubic spline within each stretch, its ends held."""
+    from scipy.ndimage import shift
+
     out = np.empty_like(x)
     for where in view.stretches():
         out[where] = shift(x[where], delay_s / view.dt_s, order=3, mode="nearest")

@@ -1,15 +1,50 @@
 """The estimators mle, mle-free, wls, rls and hekf, their starts, their bounds, their validation."""
 
+from estimator.fitting.admissibility import faults, fit_admissible
 from estimator.fitting.fit import fit, likely_hold
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, PASSIVE_SHARE, TORQUE_SHARE, iterate, mistakes_torque
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_state
+from estimator.fitting.prediction import (
+    HORIZONS_S,
+    Horizons,
+    Measured,
+    Predicted,
+    measured_states,
+    predict,
+    prediction_score,
+    smoothed_states,
+)
 from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.validation import Validation, validate
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 
 __all__ = [
-    "MAX_ITERATIONS", "PASSIVE_SHARE", "TORQUE_SHARE", "Validation", "design_rows", "fit", "fit_each", "free_mask",
-    "gentle_start", "iterate", "known_noise", "likely_hold", "mistakes_torque", "noise_floors", "start_state",
-    "validate", "weighted_least_squares"
+    "HORIZONS_S",
+    "MAX_ITERATIONS",
+    "PASSIVE_SHARE",
+    "TORQUE_SHARE",
+    "Horizons",
+    "Measured",
+    "Predicted",
+    "Validation",
+    "design_rows",
+    "faults",
+    "fit",
+    "fit_admissible",
+    "fit_each",
+    "free_mask",
+    "gentle_start",
+    "iterate",
+    "known_noise",
+    "likely_hold",
+    "measured_states",
+    "mistakes_torque",
+    "noise_floors",
+    "predict",
+    "prediction_score",
+    "smoothed_states",
+    "start_state",
+    "validate",
+    "weighted_least_squares"
 ]

@@ -7,7 +7,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.likelihood import LatentProblem, Latents, Noise
 from estimator.model import Mechanism
-from estimator.numerics import banded_cholesky
+from estimator.numerics import eliminate
 from estimator.signals import IMU_COLUMNS, SignalSet
 
 
@@ -25,9 +25,7 @@ def cramer_rao(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatA
     signals = SignalSet("truth", rate_hz, np.arange(len(q)) / rate_hz, angles, torque, imu)
     problem = LatentProblem([signals], mechanism, hold)
     point = problem.linearise(Latents(q, qd, torque), beta, noise)
-    border = point.chain.flat_right(slice(1, None))
-    eliminated = banded_cholesky.solve(banded_cholesky.factor(point.chain.diagonal, point.chain.lower), border)
-    information = point.corner - border.T @ eliminated
+    information = point.corner - eliminate(point.chain).product()[1:, 1:]
     scale = 1.0 / np.sqrt(np.diag(information))
     covariance = np.linalg.inv(0.5 * (information + information.T) * np.outer(scale, scale))
     return np.asarray(covariance * np.outer(scale, scale), dtype=np.float64)

@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
 
 from daq import Dataset, FloatArray
 from estimator.fitting.identifiability import name_directions, plausible_sizes, uncertain_directions
@@ -82,7 +81,10 @@ def _ratios(power: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArra
     """Ratios (p,) of power to noise, both (p, p), ascending, and the directions (p, p) that have them."""
     scale = 1.0 / np.sqrt(np.diag(power) + np.diag(noise))
     both = np.outer(scale, scale)
-    ratios, vectors = eigh(power * both, noise * both + ROUNDING * np.eye(scale.size))
+    root = np.linalg.cholesky(noise * both + ROUNDING * np.eye(scale.size))
+    whitened = np.linalg.solve(root, np.linalg.solve(root, power * both).T)
+    ratios, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
+    vectors = np.linalg.solve(root.T, vectors)
     return ratios, scale[:, None] * vectors
 
 

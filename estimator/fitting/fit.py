@@ -13,7 +13,6 @@ from estimator.fitting.excitation import LEAST_POWER, LEAST_POWER_MLE, undetermi
 from estimator.fitting.hekf import fit_hekf
 from estimator.fitting.hold_choice import FIRST
 from estimator.fitting.mle import fit_mle
-from estimator.fitting.mle_free import fit_mle_free
 from estimator.fitting.profile_likelihood import suits
 from estimator.fitting.rls import fit_rls
 from estimator.fitting.wls import fit_wls
@@ -49,7 +48,11 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
         return result
     sound = result.method == "mle" and result.converged
     names = undetermined_by_design(datasets, mechanism, options, LEAST_POWER_MLE if sound else LEAST_POWER)
-    return replace(result, undetermined=names or result.undetermined)
+    if sound and names:  # the motion is wanting: what is weak in it was hardly seen either
+        names = undetermined_by_design(datasets, mechanism, options, LEAST_POWER)
+    seen = {name for found in names for name, _ in found.amounts}
+    return replace(result, undetermined=(*names, *(found for found in result.undetermined
+                                                   if not seen & {name for name, _ in found.amounts})))
 
 
 def likely_hold(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> str:
@@ -68,6 +71,9 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
         raise FitError(f"method {method!r} is none of {', '.join(METHODS)}")
     if options.hold == AUTO and (method != "mle" or options.latent == "free"):
         options = replace(options, hold="linear")
-    run = fit_mle_free if method == "mle" and options.latent == "free" else ESTIMATORS[method]
+    run = ESTIMATORS[method]
+    if method == "mle" and options.latent == "free":
+        from estimator.fitting.mle_free import fit_mle_free as run  # it alone needs sparse matrices
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that runs away is found out by itself
-        return run(datasets, mechanism, options)
+        result = run(datasets, mechanism, options)
+    return result if run is fit_mle else replace(result, hold=options.hold)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +28,8 @@ def fit_each(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
              method: str = "mle") -> list[Outcome]:
     """`estimate` on each of `datasets`, in their order; a record that cannot be fitted gives its `FitError`."""
     out: list[Outcome | None] = [None] * len(datasets)
+    if options.hold == AUTO and method != "mle":  # as `estimate` takes it
+        options = replace(options, hold="linear")
     if method == "hekf" or (method == "mle" and options.latent != "free"):
         together = _fit_mle if method == "mle" else _fit_hekf
         for where, signals in _alike(datasets, mechanism, options, method):
@@ -60,7 +63,8 @@ def _alike(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOption
 def _fit_mle(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions) -> list[Outcome]:
     start = time.perf_counter()
     noise = known_noise(mechanism, options)
-    records = Records(np.stack([s.angles for s in signals]), np.stack([s.torque for s in signals]))
+    spread = None if signals[0].spread is None else np.stack([s.spread for s in signals if s.spread is not None])
+    records = Records(np.stack([s.angles for s in signals]), np.stack([s.torque for s in signals]), spread)
     found = search(BatchProblem(mechanism, signals[0].rate_hz, options.hold, noise), records)
     wall = (time.perf_counter() - start) / len(signals)
     free, _ = free_mask(mechanism, options)

@@ -1,7 +1,6 @@
 """`iterate`: the most likely motion, parameters and noise levels together, by Gauss-Newton.
 
-Each step eliminates the latents exactly (odd-even Cholesky, or one compiled sweep) and renews the noise levels from
-the residuals.
+Each step eliminates the latents exactly and renews the noise levels from the residuals.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.errors import FitError
-from estimator.likelihood import LatentProblem, Noise, State
-from estimator.numerics import eliminate, jit
+from estimator.likelihood import LatentProblem, Linearised, Noise, State
+from estimator.numerics import Swept, eliminate, pseudo_inverse
 from estimator.options import FitOptions
 
 MAX_ITERATIONS = 60
@@ -37,6 +36,8 @@ PASSIVE_SHARE = 0.1
 is far wrong ends at beta = 0, where the passive joint's equation holds exactly and all torque is noise."""
 REST_STEPS = 8
 """Steps in which rest is sought anew; then it is kept, so that the fit can settle."""
+ROUGH_STEPS = 2
+"""Steps whose noise levels are too rough to tell over which speed friction is rounded off."""
 PASSIVE_WAIT = 1
 STEEP = 0.95
 PASSIVE_HASTE = 4.0
@@ -44,6 +45,8 @@ PASSIVE_HASTE = 4.0
 steps a fall steeper than STEEP is taken to this power."""
 MARGIN = 1.1
 """On the misfit that a step foresees at the samples: the Gauss points add to it, and it may still grow."""
+
+RAN_AWAY = "the fit ran away; the starting values are too far from the data"
 
 
 def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions,
@@ -57,13 +60,12 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     before = np.zeros(index.size)
     effective_dof: Mapping[str, FloatArray] | None = None
     finds_rest = problem.stiction_variance is None
-    state.lowest = np.inf
+    state.lowest, found_rounding = np.inf, False
     problem.predicted_misfit = None if state.misfit is None else MARGIN * problem.total * state.misfit
     for iteration in range(limit):
         state.iterations = iteration + 1
-        if finds_rest and iteration < REST_STEPS:
+        if finds_rest and (iteration < REST_STEPS or found_rounding):
             problem.stiction_variance = problem.find_stiction_variance(state.x.v, state.beta)
-        jit.note(problem.total)
         point = problem.linearise(state.x, state.beta, state.noise)
         if floors is None:
             state.lowest = min(state.lowest, point.objective)
@@ -71,13 +73,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
             solved = eliminate(point.chain)
         except np.linalg.LinAlgError:
             raise FitError("the equations of the fit became singular; the motion is not excited enough") from None
-        product = solved.product()
-        information = point.corner[np.ix_(index, index)] - product[np.ix_(1 + index, 1 + index)]
-        covariance = _pseudo_inverse(information)
-        step_beta = -covariance @ (point.gradient_beta[index] - product[1 + index, 0])
-        weights = np.zeros(point.chain.width)
-        weights[0], weights[1 + index] = 1.0, step_beta
-        step = -solved.solution(weights)
+        step, step_beta, information, covariance = newton_step(point, solved, index)
         if iteration > 2:  # the first steps come from far off and their noise levels are rough
             along = float(step_beta @ information @ before)
             swings = along < -0.25 * float(before @ information @ before)
@@ -91,11 +87,17 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         state.covariance = np.zeros((state.beta.size, state.beta.size))
         state.covariance[np.ix_(index, index)] = covariance
         if not np.isfinite(state.beta).all():
-            raise FitError("the fit ran away; the starting values are too far from the data")
+            raise FitError(RAN_AWAY)
         residuals = problem.residuals_after(point, step, step_beta, index)
         if floors is not None:
             if effective_dof is None or change > SAME_NOISE:
                 effective_dof = problem.effective_samples(point, solved.inverse_diagonal(), state.noise)
+            found_rounding = False
+            if problem.seeks_rounding and iteration >= ROUGH_STEPS:
+                spread = np.einsum("kii->ki", solved.inverse_diagonal())[:, 2 * problem.n :]
+                same = problem.find_rounding(state.x, state.beta, state.noise, residuals["torque"], spread)
+                found_rounding = same or iteration + 1 >= REST_STEPS
+                problem.seeks_rounding, problem.one_a_passage = not found_rounding, found_rounding
             change = _update_noise(problem, state, effective_dof, residuals, options, floors)
         share_left = np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / problem.torque_variance(state.noise))
         state.misfit = np.minimum(share_left / problem.total, 1.0)
@@ -105,12 +107,30 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         if not index.size:
             moved = float(np.max(np.abs(step[:, : problem.n]))) / ANGLE_TOLERANCE * TOLERANCE
         enough = ROUGH if rough else TOLERANCE if iteration < LOOSE_AFTER else LOOSE
-        settled = settled + 1 if moved < enough and change < (0.1 if rough else 0.01) else 0
+        still = moved < enough and change < (0.1 if rough else 0.01) and not problem.seeks_rounding
+        settled = settled + 1 if still else 0
         del point, solved  # before the next ones are made: they are large
         if settled >= (1 if rough else 2):
             state.converged = True
             break
     problem.predicted_misfit = None
+
+
+def newton_step(point: Linearised, solved: Swept, index: NDArray[np.intp]
+                ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Step of the latents (N, b) and of the parameters `index`, whose information and covariance come with it.
+
+    Raises `FitError` where the numbers ran away.
+    """
+    product = solved.product()
+    information = point.corner[np.ix_(index, index)] - product[np.ix_(1 + index, 1 + index)]
+    if not np.isfinite(information).all():
+        raise FitError(RAN_AWAY)
+    covariance = pseudo_inverse(information)
+    step_beta = -covariance @ (point.gradient_beta[index] - product[1 + index, 0])
+    weights = np.zeros(point.chain.width)
+    weights[0], weights[1 + index] = 1.0, step_beta
+    return -solved.solution(weights), step_beta, information, covariance
 
 
 def most_noise(problem: LatentProblem, joint: int, floors: Noise) -> float:
@@ -121,17 +141,6 @@ def most_noise(problem: LatentProblem, joint: int, floors: Noise) -> float:
 def mistakes_torque(problem: LatentProblem, state: State, floors: Noise) -> bool:
     """Whether the fit took as much of a driven joint's torque for noise as it is allowed: no model of the rig."""
     return any(state.noise.torque[j] > 0.99 * most_noise(problem, j, floors) for j in problem.mechanism.actuated)
-
-
-def _pseudo_inverse(information: FloatArray) -> FloatArray:
-    """Inverse of a positive semidefinite matrix with unscaled columns; near-null directions get a huge variance."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-100))
-    scaled = information / np.outer(scale, scale)
-    if not np.isfinite(scaled).all():
-        raise FitError("the fit ran away; the starting values are too far from the data")
-    values, vectors = np.linalg.eigh(scaled)
-    values = np.maximum(values, 1e-13)
-    return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
 
 
 def _shortest(angles: FloatArray, share: float) -> float:
@@ -168,7 +177,7 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
             if j in actuated:
                 torque[j] = min(torque[j], most_noise(problem, j, floors))
         if problem.has_encoder[j] and options.encoder_noise(int(j)) is None:
-            r = residuals["encoder"][:, j]
+            r = residuals["encoder"][:, j] / (1.0 if problem.spread is None else problem.spread[:, j])
             encoder[j] = level(r, float(effective_dof["encoder"][j]), floors.encoder[j], old.encoder[j])
     driven = [torque[j] for j in actuated]
     most = max((TORQUE_SHARE * float(problem.torque_spread[j]) for j in actuated), default=np.inf) or np.inf

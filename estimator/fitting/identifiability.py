@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
 from daq import FloatArray
 from estimator.model import Mechanism
@@ -18,6 +17,8 @@ LARGEST_STD = 0.5
 """A direction whose standard deviation exceeds this share of its scale is undetermined."""
 SAME_DIRECTION = 0.3
 """Sine of the angle below which two directions count as one."""
+CERTAIN = 2.0
+"""Standard deviations by which a value that others are judged by must differ from zero."""
 SMALL_SHARE = 0.1
 """Parameters that take part by less than this share of the one that leads are left out of a name."""
 
@@ -31,7 +32,7 @@ def undetermined(mechanism: Mechanism, beta: FloatArray, covariance: FloatArray,
     index = np.flatnonzero(free)
     if index.size and not np.isfinite(covariance[np.ix_(index, index)]).all():
         return tuple(Combination(((mechanism.names[k], 1.0),)) for k in index if not np.isfinite(covariance[k]).all())
-    scale = plausible_sizes(mechanism, beta)
+    scale = plausible_sizes(mechanism, beta, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     return name_directions(mechanism.names, uncertain_directions(covariance, scale, free), scale)
 
 
@@ -59,6 +60,8 @@ def name_directions(names: tuple[str, ...], directions: FloatArray, scale: Float
     basis = u[:, s > SAME_DIRECTION]
     if basis.shape[1] == 0:
         return ()
+    from scipy.linalg import qr
+
     leads = qr(basis.T, mode="r", pivoting=True)[1][: basis.shape[1]]
     own = basis @ np.linalg.inv(basis[leads])  # the leads' rows are now the unit matrix
     found = []
@@ -69,13 +72,17 @@ def name_directions(names: tuple[str, ...], directions: FloatArray, scale: Float
     return tuple(found)
 
 
-def plausible_sizes(mechanism: Mechanism, beta: FloatArray) -> FloatArray:
+def plausible_sizes(mechanism: Mechanism, beta: FloatArray, std: FloatArray | None = None) -> FloatArray:
     """(p,) the size against which each parameter's uncertainty is judged.
 
     Inertias against the largest inertia, gravity terms against the largest gravity term, friction against ten times
-    its largest level.
+    its largest level. With `std` (p,) only values count that stand out of it, where there are any: of a joint that
+    never moves friction may come out at 1e44 +- 9e44, and is no measure of anything.
     """
     scale = np.ones(mechanism.p)
+    if std is not None:
+        sure = np.abs(beta) > CERTAIN * std
+        beta = np.where(_in_group_of(mechanism, sure) & ~sure, 0.0, beta)
     terms = np.array([a.term for a in mechanism.parameters])
     inertia = np.isin(terms, ["inertia", "rotor"])
     gravity = terms == "gravity"
@@ -88,3 +95,9 @@ def plausible_sizes(mechanism: Mechanism, beta: FloatArray) -> FloatArray:
         if group.any():  # a friction level may be zero: it counts when its error dwarfs every level of its kind
             scale[group] = 10.0 * max(float(np.max(np.abs(beta[group]))), torque, 1e-12)
     return scale
+
+
+def _in_group_of(mechanism: Mechanism, sure: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(p,) whether a parameter is judged together with one that is `sure` (p,)."""
+    terms = np.array(["inertia" if p.term == "rotor" else p.term for p in mechanism.parameters])
+    return np.isin(terms, terms[sure])

@@ -22,6 +22,8 @@ from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
+from estimator.fitting.run_scatter import agreement_of
+from estimator.fitting.run_scores import score_runs
 from estimator.fitting.warm_start import from_excerpt
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import BatchProblem, ExtendedProblem, LatentProblem, Latents, Noise, Records, Stage, State
@@ -42,31 +44,49 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     chosen: HoldChoice | None = None
     auto, options = options.hold == AUTO, replace(options, hold=FIRST if options.hold == AUTO else options.hold)
     problem, state = _search(signals, mechanism, options, free, beta)
+    stated, mechanism = mechanism, problem.mechanism
+    options = replace(options, rounding="given")
     if auto:
         chosen = choose_hold(signals, mechanism, state, free, problem)
         if chosen.hold != FIRST:
             options = replace(options, hold=chosen.hold)
             problem, state = _search(signals, mechanism, options, free, beta, state)
     bound_s = max(d.clock_bound_s for d in datasets)
-    found = None
+    skew, found = None, None
     if bound_s > 0.0 and problem.has_imu:
         floors = noise_floors(problem, mechanism, state.beta)
-        state, found = _with_skew(problem, state, signals, free, options, floors, bound_s)
+        state, skew, found = _with_skew(problem, state, signals, free, options, floors, bound_s)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
+    result = _with_agreement(result, problem, signals, state, free, skew)
+    result = replace(result, wall_s=time.perf_counter() - start)
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
         result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
-    return result if found is None else replace(result, assumptions=(*result.assumptions, found))
+    said = tuple(text for text in (_rounded(stated, mechanism), found) if text is not None)
+    return replace(result, assumptions=(*result.assumptions, *said))
+
+
+def _rounded(stated: Mechanism, found: Mechanism) -> str | None:
+    """What was found of the speed over which friction is rounded off; None where it is as stated."""
+    wider = [j for j in range(found.n) if found.velocity_scales[j] > stated.velocity_scales[j]]
+    if not wider:
+        return None
+    told = " and ".join(f"{found.velocity_scales[j]:.2g} {found.length_unit}/s at joint {j + 1}" for j in wider)
+    return (f"dry friction takes its full level not at once, but over about {told}: the likeliest; near rest its "
+            "torque is taken as unknown, once a passage")
 
 
 def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
             beta: FloatArray, near: State | None = None) -> tuple[LatentProblem, State]:
     """The likeliest motion, parameters and noise levels under one hold, from those `near` where there are any."""
     problem = LatentProblem(signals, mechanism, options.hold)
+    problem.seeks_rounding = options.rounding == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
+    problem.one_a_passage = not problem.seeks_rounding
     if suits(signals, mechanism, options):
         noise = known_noise(mechanism, options)
+        spread = None if problem.spread is None else problem.spread[None]
         return problem, state_of(search(BatchProblem(mechanism, signals[0].rate_hz, options.hold, noise),
-                                        Records(problem.angles[None], problem.torque[None])), 0, noise)
+                                        Records(problem.angles[None], problem.torque[None], spread)), 0, noise)
     if near is None:
         state = start_state(problem, signals, mechanism, options, free, beta)
         floors = noise_floors(problem, mechanism, state.beta)
@@ -79,31 +99,53 @@ def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
 
 
 def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
-               options: FitOptions, floors: Noise, bound_s: float) -> tuple[State, str]:
+               options: FitOptions, floors: Noise, bound_s: float
+               ) -> tuple[State, float | None, str]:
     """`state` with the IMU's time line free against the controller's, and a sentence about it.
 
     Clocks that were put together by messages agree to within a bound only; tens of microseconds cost the pivot's
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
-    the lines stay as they are.
+    the lines stay as they are, and there is no skew.
     """
-    angle_range = np.zeros((problem.n, 2))
-    blank = (0.0,) * len(signals)
-    wide = ExtendedProblem(signals, problem.mechanism, options.hold,
-                           Stage((0,) * len(signals), blank, blank, angle_range), (SensorTimeSkew(),))
+    wide = _skewed(signals, problem.mechanism, options.hold)
     wide.stiction_variance = problem.stiction_variance
     again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
     iterate(wide, again, np.append(free, True), options, floors)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
     if not again.converged or std > bound_s:
-        return state, (f"the IMU's time line is taken as it is, though known to {bound_s * 1e6:.0f} us only; the "
-                       "motion does not place it better")
+        return state, None, (f"the IMU's time line is taken as it is, though known to {bound_s * 1e6:.0f} us only; the "
+                             "motion does not place it better")
     if abs(skew) > bound_s:
-        return state, (f"the IMU would fit best {skew * 1e6:.0f} us late against the controller, more than the clocks' "
-                       f"{bound_s * 1e6:.0f} us: not allowed for, for something else is wrong; see legid diagnose")
+        return state, None, (f"the IMU would fit best {skew * 1e6:.0f} us late against the controller, more than the "
+                             f"clocks' {bound_s * 1e6:.0f} us: not allowed for, for something else is wrong; see legid "
+                             "diagnose")
     told = (f"the IMU is {skew * 1e6:.0f} +- {1.96 * std * 1e6:.0f} us late against the controller, by this motion "
             f"(clocks: within {bound_s * 1e6:.0f} us); allowed for")
     return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
-                 state.iterations + again.iterations), told
+                 state.iterations + again.iterations), skew, told
+
+
+def _skewed(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str) -> ExtendedProblem:
+    """The likelihood with one parameter more, by which the IMU is late [s]."""
+    blank = (0.0,) * len(signals)
+    stage = Stage((0,) * len(signals), blank, blank, np.zeros((mechanism.n, 2)))
+    return ExtendedProblem(signals, mechanism, hold, stage, (SensorTimeSkew(),))
+
+
+def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
+                    free: NDArray[np.bool_], skew: float | None) -> FitResult:
+    """`result` with what its runs disagree about in its covariance. A fit that did not converge has no optimum to
+    ask at."""
+    if not result.converged:
+        return result
+    make = LatentProblem if skew is None else _skewed
+    beta, free = (state.beta, free) if skew is None else (np.append(state.beta, skew), np.append(free, True))
+    try:
+        scores = score_runs(signals, lambda own: make(own, result.mechanism, result.hold), problem, state, beta)
+        covariance, agreement = agreement_of(scores, beta, result.covariance, free)
+    except np.linalg.LinAlgError:  # a run that alone determines nothing at all
+        return result
+    return replace(result, covariance=covariance, agreement=agreement)
 
 
 def state_of(found: Searched, record: int, noise: Noise) -> State:

@@ -26,7 +26,7 @@ from scipy.sparse.linalg import splu
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.identifiability import undetermined
-from estimator.fitting.wls import around_samples, design_rows, free_mask, weighted_least_squares
+from estimator.fitting.wls import around_samples, design_rows, filtered_torque, free_mask, weighted_least_squares
 from estimator.model import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Collocation, Mechanism, Motion
 from estimator.options import FitOptions
 from estimator.result import FitResult, Trajectory
@@ -222,7 +222,7 @@ def build_problem(signals: Sequence[SignalSet], mechanism: Mechanism, options: F
     difference = sparse.csr_array(sparse.block_diag([difference_matrix(n, 1.0 / rate) for n in lengths]))
     measured, level = _measured(signals, mechanism, options, imu)
     q, qd, qdd = (np.concatenate([k[i] for k in design.motions]) for i in range(3))
-    torque = np.concatenate([around_samples(s.torque, options.hold) for s in signals])
+    torque = np.concatenate([around_samples(filtered_torque(s, options), options.hold) for s in signals])
     return FreeProblem(mechanism, imu, q, qd, qdd, torque, measured, level, np.maximum(sigma, 1e-12), difference,
                        inner, free, given)
 

@@ -17,8 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.optimize import lsq_linear
 
 from daq import FloatArray
 from estimator.likelihood import BatchProblem, Noise, Point, Records
@@ -135,6 +133,8 @@ def first_guess(problem: BatchProblem, records: Records, degree: int,
     is smoother than any one rate, so where the others jerk, this one jerks in proportion. The body is one of
     uniform rods (`rods`), or least squares on that motion; noise in the motion pulls the latter towards nothing.
     """
+    from scipy.interpolate import CubicSpline
+
     c = problem.collocation
     runs, samples, n = records.angles.shape
     time = np.arange(samples) * c.dt
@@ -198,6 +198,8 @@ def regress(mechanism: Mechanism, z: FloatArray, torque: FloatArray) -> FloatArr
     Joints are weighted by their own residual's variance, found in three passes. Masses, moments and friction are
     kept from falling below zero.
     """
+    from scipy.optimize import lsq_linear
+
     runs = len(z)
     sigma = np.ones((runs, 1, mechanism.n))
     positive = np.array([a.term != "offset" and (a.term != "inertia" or a.at[0] == a.at[1])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator.fitting.smoothing import estimate_motion
+from estimator.fitting.smoothing import estimate_motion, reference_angles
 from estimator.model import Mechanism, simulate
 from estimator.options import FitOptions
 
@@ -46,13 +46,7 @@ def validate(dataset: Dataset, mechanism: Mechanism, beta: FloatArray, options: 
         dt = 1.0 / dataset.rate_hz
         q, qd, _ = simulate(mechanism, beta, motion.q[0], motion.qd[0], motion.tau_measured, dt, options.hold,
                             guess=(motion.q, motion.qd))
-        reference = motion.q.copy()
-        where = np.searchsorted(dataset.time_s, motion.time_s)
-        for j in range(mechanism.n):
-            column = f"q{j + 1}_{mechanism.length_unit}"
-            if column in dataset:
-                values = dataset[column][where]
-                reference[:, j] = np.where(np.isfinite(values), values, reference[:, j])
+        reference = reference_angles(dataset, mechanism, motion)
         good = np.isfinite(q).all(axis=1)
         last = int(np.argmin(good)) if not good.all() else len(q)
         error, error_rate = q - reference, qd - motion.qd

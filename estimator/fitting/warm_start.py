@@ -40,12 +40,13 @@ def from_excerpt(problem: LatentProblem, signals: Sequence[SignalSet], options: 
     parts = excerpt(problem, signals, start.x)
     if not parts:
         return None
-    chosen = [_cut(signals[i], where) for i, where in parts]
+    chosen = [cut(signals[i], where) for i, where in parts]
     offsets = problem.ends - [len(s.time_s) for s in signals]
     index = np.concatenate([offsets[i] + np.arange(where.start, where.stop) for i, where in parts])
     small = LatentProblem(chosen, problem.mechanism, options.hold)
     x = Latents(start.x.q[index], start.x.v[index], start.x.u[index])
     state = State(x, start.beta, start.noise, start.covariance)
+    small.seeks_rounding, small.one_a_passage = problem.seeks_rounding, problem.one_a_passage
     before = from_excerpt(small, chosen, options, free, state) or state
     try:
         iterate(small, before, free, options, noise_floors(small, problem.mechanism, start.beta), STEPS, rough=True)
@@ -53,6 +54,7 @@ def from_excerpt(problem: LatentProblem, signals: Sequence[SignalSet], options: 
         return None
     if not before.converged or undetermined(problem.mechanism, before.beta, before.covariance, free):
         return None
+    problem.round_over(small.mechanism.velocity_scales)
     return State(start.x, before.beta, before.noise, start.covariance, misfit=before.misfit)
 
 
@@ -78,6 +80,8 @@ def excerpt(problem: LatentProblem, signals: Sequence[SignalSet], x: Latents) ->
     return found if taken >= LEAST and taken * WORTH <= problem.total else []
 
 
-def _cut(signals: SignalSet, where: slice) -> SignalSet:
+def cut(signals: SignalSet, where: slice) -> SignalSet:
+    """The samples `where` of a stretch."""
     return replace(signals, time_s=signals.time_s[where], angles=signals.angles[where], torque=signals.torque[where],
-                   imu={name: values[where] for name, values in signals.imu.items()})
+                   imu={name: values[where] for name, values in signals.imu.items()},
+                   spread=None if signals.spread is None else signals.spread[where])

@@ -37,22 +37,23 @@ so weighting it by its own residual alone ends at beta = 0."""
 
 
 def weighted_least_squares(z: FloatArray, tau: FloatArray, free: NDArray[np.bool_], beta: FloatArray,
-                           samples_per_dof: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+                           samples_per_dof: float, known_sigma: FloatArray | None = None
+                           ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """beta (p,), covariance (p, p), sigma (joints,) from z (m, n, p) and tau (m, n), eq. (28).
 
-    Joints are weighted by their own residual's variance, found in three passes. Entries of `beta` where
-    `free` is False are kept. `samples_per_dof` is how many samples carry one independent value.
+    Joints are weighted by `known_sigma` (n,), or by their own residual's variance, found in three passes. Entries of
+    `beta` where `free` is False are kept. `samples_per_dof` is how many samples carry one independent value.
     """
     n = z.shape[1]
     beta = beta.copy()
     known = z[:, :, ~free] @ beta[~free]
-    sigma = np.ones(n)
+    sigma = np.ones(n) if known_sigma is None else known_sigma
     covariance = np.zeros((beta.size, beta.size))
     if not free.any():
         return beta, covariance, np.maximum(np.std(tau - known, axis=0), 1e-9 * (1.0 + np.max(np.abs(tau))))
     floor, samples = 1e-9 * (1.0 + float(np.max(np.abs(tau)))), len(tau)
     rows, right = _triangles(z[:, :, free], tau - known)
-    for _ in range(3):
+    for _ in range(3 if known_sigma is None else 1):
         a = (rows / sigma[:, None, None]).reshape(-1, rows.shape[2])
         y = (right / sigma[:, None]).ravel()
         scale = np.linalg.norm(a, axis=0)
@@ -61,8 +62,9 @@ def weighted_least_squares(z: FloatArray, tau: FloatArray, free: NDArray[np.bool
         keep = s > 1e-12 * s[0]
         inverse = (vt[keep].T / s[keep]) @ u[:, keep].T
         beta[free] = (inverse @ y) / scale
-        sigma = np.maximum(np.sqrt(np.sum((right - rows @ beta[free]) ** 2, axis=1) / samples), floor)
-        sigma = np.maximum(sigma, WEIGHT_SHARE * np.max(sigma))
+        if known_sigma is None:
+            sigma = np.maximum(np.sqrt(np.sum((right - rows @ beta[free]) ** 2, axis=1) / samples), floor)
+            sigma = np.maximum(sigma, WEIGHT_SHARE * np.max(sigma))
         spread = (vt[keep].T / s[keep] ** 2) @ vt[keep] / np.outer(scale, scale)
         covariance[np.ix_(free, free)] = samples_per_dof * spread
     return beta, covariance, sigma
@@ -152,6 +154,14 @@ def around_samples(torque: FloatArray, hold: str) -> FloatArray:
     return out
 
 
+def filtered_torque(s: SignalSet, options: FitOptions) -> FloatArray:
+    """(34): torque (N, n) through the low pass, which with the recipe of section V is none unless it is given."""
+    if options.half_power is None:
+        return lowpass(s.torque, options.cutoff(s.rate_hz), s.rate_hz, options.filter_order)
+    share = options.torque_half_power
+    return s.torque if share is None else lowpass(s.torque, 0.5 * share * s.rate_hz, s.rate_hz, options.filter_order)
+
+
 def design_rows(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> Design:
     """Z and torque from filtered, differenced measurements, by the way that `options` names."""
     rate = signals[0].rate_hz
@@ -159,7 +169,7 @@ def design_rows(signals: Sequence[SignalSet], mechanism: Mechanism, options: Fit
         motions = [paper_differences(s, mechanism, options) for s in signals]
         edge = 2 * options.spacing  # (61) needs that many samples on both sides
         z = [mechanism.regressor(*k)[edge : len(k.q) - edge] for k in motions]
-        tau = [around_samples(s.torque, options.hold)[edge : len(s.torque) - edge] for s in signals]
+        tau = [around_samples(filtered_torque(s, options), options.hold)[edge : len(s.torque) - edge] for s in signals]
         if min(len(part) for part in z) < mechanism.p:
             raise FitError(f"differences over {options.spacing} samples leave too little of {signals[0].run}")
         return Design(motions, np.concatenate(z), np.concatenate(tau), 1.0,
@@ -186,7 +196,8 @@ def fit_wls(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     if not np.any(tau) and bool(free.all()):
         raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
                        "--fix NAME=VALUE")
-    beta, covariance, sigma = weighted_least_squares(z, tau, free, beta, design.samples_per_dof)
+    weights = known_weights(mechanism, options)
+    beta, covariance, sigma = weighted_least_squares(z, tau, free, beta, design.samples_per_dof, weights)
     trajectories = tuple(trajectory(s, k, mechanism, beta) for s, k in zip(signals, motions))
     return FitResult(
         mechanism, "wls", options.sensors, beta, covariance,
@@ -197,6 +208,15 @@ def fit_wls(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
          "the filtered motion is taken as exact: errors in it bias the estimate and are not in the intervals",
          "torque errors are white within the filter's band"),
         (), trajectories, dict(options.fixed))
+
+
+def known_weights(mechanism: Mechanism, options: FitOptions) -> FloatArray | None:
+    """(n,) standard deviations of Sigma_tau that `options` declares for (29); None where they are to be estimated."""
+    if options.weights != "known":
+        return None
+    sigma = np.full(mechanism.n, options.noise["passive_nm"])
+    sigma[list(mechanism.actuated)] = options.noise["torque_nm"]
+    return sigma
 
 
 def trajectory(s: SignalSet, k: Kinematics, mechanism: Mechanism, beta: FloatArray) -> Trajectory:

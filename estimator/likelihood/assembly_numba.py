@@ -1,11 +1,10 @@
-"""Sums of the normal equations, compiled: what `assembly_numpy` does with arrays, and to the same interface.
+"""Sums of the normal equations, compiled.
 
 One pass makes the weighted rows of a few samples, turns them and sums their products, with nothing in between.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
 from estimator.model import Collocation, Motion, Samples
-from estimator.numerics import at, compiled, padded
+from estimator.numerics import Kernel, at, padded
 from estimator.signals import ACCEL_X, ACCEL_Y
 
 STRIP = 32
@@ -26,7 +25,10 @@ seconds to compile, once on a machine."""
 
 def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
                extra: Extra | None, accumulators: Accumulators, between: FloatArray | None = None) -> None:
-    """As `assembly_numpy.add_motion`."""
+    """Add the equation of motion on `intervals`, which begin at samples `left`, each row times its joint's weight.
+
+    `weight` (n, K) is of these intervals, `between` (n, 2, ...) and what `extra` holds of all.
+    """
     z, own = c.fast(*c.motion(x.q, x.v, left), beta)
     torque = (beta @ z.reshape(len(beta), -1)).reshape(z.shape[1:])
     if between is not None:
@@ -38,14 +40,21 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
             own += extra.slopes[..., intervals].transpose(0, 3, 1, 2, 4)
     chain, u = accumulators.chain, np.ascontiguousarray(x.u)
     left = np.arange(left.start, left.stop) if isinstance(left, slice) else left
+    height, full = 2 * c.mechanism.n, chain.rows.shape[2]
     _intervals(c.mechanism.n, _constant(chain.edge))(
-        z, own, torque, u, left, c.basis, c.torque_weights, weight, chain.edge, chain.rows, accumulators.square,
-        accumulators.misfit)
+        z, own, torque, u, left, c.basis, c.torque_weights, np.ascontiguousarray(weight), chain.edge, chain.rows,
+        accumulators.square, accumulators.misfit, np.zeros((height, full, STRIP)), np.zeros((height, full)),
+        np.zeros((height, chain.edge)))
 
 
 def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, weight: float, here: slice,
                       extra: Extra | None, accumulators: Accumulators, accel: FloatArray) -> None:
-    """As `assembly_numpy.add_accelerometer`."""
+    """Add both axes' samples `here`; put their rows, unscaled, into accel (N, 2, b + 1 + parameters).
+
+    q1dd comes from the equation of motion at the sample, not from the cubic: friction that changes sign inside an
+    interval makes the acceleration jump there, and the cubic's value at its end would carry that jump to the wrong
+    side (measured: 5 % on the knee's Coulomb level).
+    """
     m, n, count = c.mechanism, c.mechanism.n, here.stop - here.start
     q, v, u = (np.ascontiguousarray(a[here].T)[:, None] for a in (x.q, x.v, x.u))
     transposed, columns = c.fast.transposed(q), np.zeros((2, 0, count))
@@ -55,7 +64,7 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
     if extra is not None:
         excess -= extra.torque_at_samples[:, here]
     qdd, inverse = np.empty((n, 1, count)), np.empty((n, n, count))
-    _accelerations(n)(own[:, 0], excess, qdd[:, 0], inverse)
+    _accelerations(n)(own[:, 0], excess, qdd[:, 0], inverse, np.empty((n, n)))
     z, own = c.fast(*at_rest._replace(accel=qdd), beta, transposed)
     q1dd, shown = qdd[0, 0], measured[:, here].copy()
     if extra is not None:
@@ -63,7 +72,7 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
         columns = np.zeros((2, len(extra.sample_columns), count))
         if extra.sample_slopes is not None:
             own[:, 0] += extra.sample_slopes[..., here]
-            _accelerations(n)(own[:, 0], excess, np.empty_like(excess), inverse)
+            _accelerations(n)(own[:, 0], excess, np.empty_like(excess), inverse, np.empty((n, n)))
         for axis, channel in enumerate((ACCEL_X, ACCEL_Y)):
             if channel in extra.readings:
                 shown[axis] -= extra.readings[channel][here]
@@ -72,7 +81,8 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
     chain = accumulators.chain
     _samples(n, _constant(chain.edge))(
         z[:, :, 0], own[:, 0], inverse, transposed[0][0, 0], transposed[1][0, 0], v[0, 0], q1dd, shown, columns,
-        m.lever_arm, m.gravity_mps2, weight, chain.edge, chain.rows[here], accel[here])
+        m.lever_arm, m.gravity_mps2, weight, chain.edge, chain.rows[here], accel[here],
+        np.zeros((2, chain.edge, STRIP)), np.zeros((2, chain.edge)))
     right = accel[here].reshape(2 * count, -1)[:, chain.block :]
     accumulators.square[:] += weight * (right.T @ right)
 
@@ -83,22 +93,21 @@ def _constant(edge: int) -> int:
 
 
 @cache
-def _intervals(n: int, fixed: int) -> Callable[..., Any]:
+def _intervals(n: int, fixed: int) -> Kernel:
     """The kernel that adds K intervals of n joints to a chain; `fixed` is the chain's edge if that is a constant.
 
     From z (m, n, 2, K), own (n, 2, 5, n, K), torque (n, 2, K) that motion and effects need, samples u (N, n),
     left (K,), basis (2, 5, 4), holds (2, 2) and weight (n, K) it adds to rows (N, 3 n, f) of the chain, to square
     (1 + m, 1 + m), upper half, the products of the right sides, and to misfit (n,) each joint's share of the squares.
+    line (2 n, f, STRIP), transposed (2 n, f) and after (2 n, edge) are zeros to work on.
     """
     b, height, whole = 3 * n, 2 * n, padded(fixed + 3 * n)
 
     def run(z: Any, own: Any, torque: Any, u: Any, left: Any, basis: Any, holds: Any, weight: Any, edge: int, rows: Any,
-            square: Any, misfit: Any) -> None:
+            square: Any, misfit: Any, line: Any, transposed: Any, after: Any) -> None:
         full, count, width = rows.shape[2], left.size, 1 + z.shape[0]
         if fixed > 0:
             edge, full = fixed, whole
-        line = np.zeros((height, full, STRIP))
-        transposed, after = np.zeros((height, full)), np.zeros((height, edge))
         for start in range(0, count, STRIP):
             size = min(STRIP, count - start)
             for i in range(n):
@@ -153,19 +162,18 @@ def _intervals(n: int, fixed: int) -> Callable[..., Any]:
                             t += after[r, i] * after[r, c]
                         rows[at(k + 1), i, c] = t
 
-    return compiled(run)
+    return Kernel(run, "f4 f5 f3 f2 i1 f3 f2 f2 n f3 f2 f1 f3 f2 f2")
 
 
 @cache
-def _accelerations(n: int) -> Callable[..., Any]:
+def _accelerations(n: int) -> Kernel:
     """The kernel that solves the equation of motion of n joints at N samples for the accelerations.
 
     From slopes (n, 5, n, N) by the features of the motion, whose third is the inertia matrix, and excess (n, N) torque
     it makes qdd (n, N) and inverse (n, n, N) of the inertia matrix. Without pivoting: that matrix is definite.
     """
 
-    def run(slopes: Any, excess: Any, qdd: Any, inverse: Any) -> None:
-        a = np.empty((n, n))
+    def run(slopes: Any, excess: Any, qdd: Any, inverse: Any, a: Any) -> None:
         for w in range(excess.shape[1]):
             for i in range(n):
                 for j in range(n):
@@ -188,25 +196,26 @@ def _accelerations(n: int) -> Callable[..., Any]:
                     t += a[i, j] * excess[j, w]
                 qdd[i, w] = t
 
-    return compiled(run)
+    return Kernel(run, "f4 f2 f2 f3 f2")
 
 
 @cache
-def _samples(n: int, fixed: int) -> Callable[..., Any]:
+def _samples(n: int, fixed: int) -> Kernel:
     """The kernel that adds the accelerometer's two axes at N samples of n joints to a chain's first N rows.
 
     From z (m, n, N), slopes (n, 5, n, N), inverse (n, n, N), the angle's cosine and sine, the rate and the acceleration
     of joint 1, what the two axes show (2, N), and the derivatives by the last of the m parameters of what effects add
-    to that (2, k, N), it makes the unscaled rows (N, 2, 3 n + 1 + m), and adds their products times `weight`.
+    to that (2, k, N), it makes the unscaled rows (N, 2, 3 n + 1 + m), and adds their products times `weight`;
+    line (2, edge, STRIP) and transposed (2, edge) are zeros to work on.
     """
     b = 3 * n
 
     def run(z: Any, slopes: Any, inverse: Any, cosine: Any, sine: Any, rate: Any, q1dd: Any, shown: Any,
-            columns: Any, lever: float, gravity: float, weight: float, edge: int, rows: Any, accel: Any) -> None:
+            columns: Any, lever: float, gravity: float, weight: float, edge: int, rows: Any, accel: Any, line: Any,
+            transposed: Any) -> None:
         count, width, extra = rate.size, 1 + z.shape[0], columns.shape[1]
         if fixed > 0:
             edge = fixed
-        line, transposed = np.zeros((2, edge, STRIP)), np.zeros((2, edge))
         for start in range(0, count, STRIP):
             size = min(STRIP, count - start)
             for j in range(n):
@@ -248,4 +257,4 @@ def _samples(n: int, fixed: int) -> Callable[..., Any]:
                     for c in range(edge):
                         rows[at(start + w), i, c] += f * transposed[0, c] + g * transposed[1, c]
 
-    return compiled(run)
+    return Kernel(run, "f3 f4 f3 f1 f1 f1 f1 f2 f3 d d d n f3 f3 f3 f2")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.likelihood.trajectory_likelihood import TIGHT, Noise
 from estimator.model import Collocation, Mechanism
-from estimator.numerics import banded_cholesky
+from estimator.numerics import BlockTridiagonal, eliminate
 
 
 class Point(NamedTuple):
@@ -43,10 +43,12 @@ class Records:
     """(R, N, n) encoder angles [rad]"""
     torque: FloatArray
     """(R, N, n) measured torque, zero on a passive joint [N m]"""
+    spread: FloatArray | None = None
+    """(R, N, n) standard deviation of each angle over its channel's, where they differ"""
 
     def pick(self, where: NDArray[np.intp]) -> Records:
         """Some of the records."""
-        return Records(self.angles[where], self.torque[where])
+        return Records(self.angles[where], self.torque[where], None if self.spread is None else self.spread[where])
 
 
 class BatchProblem:
@@ -102,8 +104,9 @@ class BatchProblem:
         objective = corner[:, -1, -1] + self._sample_rows(records, x, diagonal, right)
         if not np.isfinite(objective).all():
             raise np.linalg.LinAlgError("the motion left the range of floats")
-        factored = banded_cholesky.factor(diagonal.reshape(-1, b, b), lower.reshape(-1, b, b)[:-1])
-        solved = banded_cholesky.solve(factored, right.reshape(-1, m.p + 1)).reshape(runs, samples * b, m.p + 1)
+        chain = BlockTridiagonal.of(diagonal.reshape(-1, b, b), lower.reshape(-1, b, b)[:-1],
+                                    right.reshape(-1, m.p + 1))
+        solved = eliminate(chain).solutions().reshape(runs, samples * b, m.p + 1)
         flat = right.reshape(runs, samples * b, m.p + 1)
         reduced = corner - flat.swapaxes(1, 2) @ solved
         information = 0.5 * (reduced[:, :-1, :-1] + reduced[:, :-1, :-1].swapaxes(1, 2))
@@ -117,9 +120,11 @@ class BatchProblem:
         n = self.n
         sigma = np.concatenate([self.noise.encoder, np.full(n, np.inf), self.noise.torque])
         residual = x - np.concatenate([records.angles, x[..., n : 2 * n], records.torque], axis=-1)
-        weight = 1.0 / sigma**2
+        weight = np.broadcast_to(1.0 / sigma**2, x.shape)
+        if records.spread is not None:
+            weight = np.concatenate([weight[..., :n] / records.spread**2, weight[..., n:]], axis=-1)
         index = np.arange(3 * n)
         diagonal[..., index, index] += weight
         right[..., -1] += residual * weight
-        total: FloatArray = np.einsum("rkb,b->r", residual**2, weight)
+        total: FloatArray = np.einsum("rkb,rkb->r", residual**2, weight)
         return total

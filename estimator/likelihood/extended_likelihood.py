@@ -89,10 +89,10 @@ class ExtendedProblem(LatentProblem):
         motion = c.motion(x.q, x.v, left)
         taken = x.u if torque is None else x.u - torque.T
         qdd = m.forward_dynamics(x.q, x.v, taken, beta)
-        sign = mean_sign(motion.rate_from, motion.rate_to, m.velocity_scale)[0]
+        sign = mean_sign(motion.rate_from, motion.rate_to, m.velocity_scales[:, None, None])[0]
         gauss = Points(motion.angle, motion.rate, motion.accel, c.torque(x.u, left), sign, *self._gauss_times)
-        samples = Points(x.q.T, x.v.T, qdd.T, x.u.T, smooth_sign(x.v.T, m.velocity_scale), self._time, self._session,
-                         self._run)
+        samples = Points(x.q.T, x.v.T, qdd.T, x.u.T, smooth_sign(x.v.T, m.velocity_scales[:, None]), self._time,
+                         self._session, self._run)
         return View(m, beta, gauss, samples, left, (GAUSS[0], GAUSS[1]), self._starts, self.dt, self.stage.angle_range,
                     self.stage.gear_ratio)
 
@@ -208,7 +208,7 @@ class ExtendedProblem(LatentProblem):
         laws = [(e, s) for e, s in zip(self.effects, sizes) if isinstance(e, TorqueEffect)]
         if not laws:
             return None, None
-        n, scale = self.n, self.mechanism.velocity_scale
+        n, scale = self.n, self.mechanism.velocity_scales
         at_gauss, at_samples = np.zeros((n, 5, n, 2, self.left.size)), np.zeros((n, 5, n, self.total))
         for effect, size in laws:
             j = effect.joint or 0
@@ -216,7 +216,7 @@ class ExtendedProblem(LatentProblem):
                 found = by_motion(effect, at, size, view)
                 for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
                     out[j, feature, j] += found[name]
-                out[j, RATE, j] += found["sign"] * np.maximum(1.0 - at.sign[j] ** 2, 0.0) ** 1.5 / scale
+                out[j, RATE, j] += found["sign"] * np.maximum(1.0 - at.sign[j] ** 2, 0.0) ** 1.5 / scale[j]
         return at_gauss, at_samples
 
     def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:

@@ -16,17 +16,18 @@ beta; cost grows linearly with samples.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.likelihood import assembly_numba, assembly_numpy
+from estimator.likelihood import assembly_numba
+from estimator.likelihood.dry_friction import REST_SPREAD, held_variance, likeliest_scale, passage_samples
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents, Linearised
-from estimator.model import Collocation, Mechanism, Samples, smooth_sign
-from estimator.numerics import BlockTridiagonal, jit
+from estimator.model import Collocation, Mechanism, Samples
+from estimator.numerics import BlockTridiagonal
 from estimator.signals import (
     GYRO,
     IMU_COLUMNS,
@@ -44,9 +45,6 @@ PIECE = 1024
 TIGHT = 0.1
 """Standard deviation of the equation of motion at a Gauss point, as a share of the joint's torque noise: an
 interval's two points then add half a per cent to the variance of its torque."""
-REST_SPREAD = 5.0
-"""Speeds below about this many times the rounding of sign(qd) may be rest: the estimated speed of a joint that
-sticks is not zero but what its sensors' noise makes it."""
 CURVED = 0.15
 """Share of the rate below which the measured torque's curve is its own and not its noise's."""
 KINK = 2.0
@@ -93,15 +91,24 @@ class LatentProblem:
         self.dt = 1.0 / signals[0].rate_hz
         self.collocation = Collocation(mechanism, self.dt, hold)
         self.torque = np.concatenate([s.torque for s in signals])
-        slow = [lowpass(s.torque, CURVED * s.rate_hz, s.rate_hz) for s in signals] if hold == "smooth" else []
-        self.between = self.collocation.between(np.concatenate(slow), self.ends) if slow else None
+        self.between: FloatArray | None = None
         """(n, 2, K) torque at the Gauss points beyond what the latents at samples give."""
+        self.curve(self.torque)
         self.angles = np.concatenate([s.angles for s in signals])
+        spread = [s.spread for s in signals if s.spread is not None]
+        self.spread = np.concatenate(spread) if spread else None
+        """(N, n) of `SignalSet`, where angles of a channel are not all read alike well"""
         self.has_encoder = np.isfinite(self.angles).all(axis=0)
         self.has_imu = bool(signals[0].imu)
         self.stiction_variance: FloatArray | None = None
         """(N, 2, n) variance [N^2 m^2] of the torque that dry friction may hold at each sample, and in the interval
         from it on; see `find_stiction_variance`."""
+        self.sharpest = mechanism.velocity_scales
+        """(n,) speed [rad/s] over which a rig says that friction's sign is rounded; see `find_rounding`"""
+        self.seeks_rounding = False
+        """Whether a search finds it."""
+        self.one_a_passage = False
+        """Whether friction is one draw a passage through rest; else one a sample."""
         self.predicted_misfit: FloatArray | None = None
         """(n,) misfit of each joint's torque that the last step of a search foresaw; see `_inertia_gradient`."""
         if self.has_imu:
@@ -109,13 +116,18 @@ class LatentProblem:
             self.accel = np.stack(accel)
             self.ax, self.ay = self.accel
 
+    def curve(self, u: FloatArray) -> None:
+        """Take the curve of the torque between samples from u (N, n), slow as it is, if the hold has one."""
+        if self.collocation.hold == "smooth":
+            rate = 1.0 / self.dt
+            slow = [lowpass(part, CURVED * rate, rate) for part in np.split(u, self.ends[:-1])]
+            self.between = self.collocation.between(np.concatenate(slow), self.ends)
+
     def find_stiction_variance(self, v: FloatArray, beta: FloatArray) -> FloatArray:
         """(N, 2, n) what dry friction leaves open at each sample, and in the interval from it on, squared [N^2 m^2].
 
-        A joint that sticks holds any torque up to its Coulomb level F; the model says F s(qd), |s| < 1. The
-        difference, at most F (1 - |s|) with s rounded more widely, counts as noise of that sample's torque.
-        (Measured on a leg that starts at rest against a spring: without this the spring's preload is 6 % off
-        and five parameters 0.25 %, with it 0.7 % and 0.05 %.)
+        At samples see `dry_friction`. (Measured on a leg that starts at rest against a spring: without this the
+        spring's preload is 6 % off and five parameters 0.25 %, with it 0.7 % and 0.05 %.)
         In an interval at whose ends a joint is slower than what friction can change its rate by in KINK intervals, or
         in which it turns round, it may rest or reverse, nothing says when, and the sums of friction over it are free up
         to F: what such an interval says of beta is little, and wrong. (Measured on an event-driven leg with friction of
@@ -127,34 +139,59 @@ class LatentProblem:
         for k, parameter in enumerate(m.parameters):
             if parameter.term == "coulomb":
                 j = parameter.at[0]
-                spread = REST_SPREAD * m.velocity_scale
-                out[:, 0, j] += (beta[k] * (1.0 - np.abs(smooth_sign(v[:, j], spread)))) ** 2
+                scale = float(m.velocity_scales[j])
+                out[:, 0, j] += held_variance(v[:, j], beta[k], scale)
+                if self.one_a_passage:
+                    out[:, 0, j] *= passage_samples(v[:, j], scale, self.ends)
                 inertia = float(self._inertia[:, j] @ beta[: m.p])
-                slow = spread + (KINK * abs(beta[k]) * self.dt / inertia if inertia > 0.0 else 0.0)
+                slow = REST_SPREAD * self.sharpest[j]
+                slow += KINK * abs(beta[k]) * self.dt / inertia if inertia > 0.0 else 0.0
                 before, later = v[self.left, j], v[self.left + 1, j]
                 open_ = (before * later < 0.0) | (np.minimum(np.abs(before), np.abs(later)) < slow)
                 out[self.left, 1, j] += beta[k] ** 2 * open_
         return out
+
+    def find_rounding(self, x: Latents, beta: FloatArray, noise: Noise, residual: FloatArray, spread: FloatArray
+                      ) -> bool:
+        """Round each joint's friction off over the likeliest speed; whether none differs from before.
+
+        `residual` and `spread` (N, n) are the torques', and their variance by the latents.
+        """
+        m = self.mechanism
+        scales = m.velocity_scales.copy()
+        for k, parameter in enumerate(m.parameters):
+            if parameter.term == "coulomb":
+                j = parameter.at[0]
+                scales[j] = likeliest_scale(x.v[:, j], beta[k], self.sharpest[j], scales[j], noise.torque[j],
+                                            residual[:, j], spread[:, j])
+        same = bool(np.array_equal(scales, m.velocity_scales))
+        if not same:
+            self.round_over(scales)
+        return same
+
+    def round_over(self, scales: FloatArray) -> None:
+        """Round friction's sign off over `scales` (n,) [rad/s]."""
+        self.mechanism = replace(self.mechanism, velocity_scale=tuple(scales.tolist()))
+        self.collocation = Collocation(self.mechanism, self.dt, self.collocation.hold)
 
     def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
         """Residuals, Gauss-Newton blocks and border at (x, beta); columns of `extra` follow those of beta."""
         b, n, width = self.block, self.n, 1 + self.mechanism.p
         if extra is not None:
             width += extra.sample_columns.shape[0]
-        rows = assembly_numba if jit.ready() else assembly_numpy
         chain = BlockTridiagonal.zeros(self.total, b, width)  # right sides: residual, then parameters
         accumulators = Accumulators(chain, np.zeros((width, width)), np.zeros(n))
         weight = self.motion_weight(noise)
         for intervals, left in self._pieces(self.left):
-            rows.add_motion(self.collocation, x, beta, weight[:, intervals], intervals, left, extra, accumulators,
-                            self.between)
+            assembly_numba.add_motion(self.collocation, x, beta, weight[:, intervals], intervals, left, extra,
+                                      accumulators, self.between)
         residuals: dict[str, FloatArray] = {}
         accel = np.empty((self.total if self.has_imu else 0, 2, b + width))
         if self.has_imu:
             for start in range(0, self.total, PIECE):
                 here = slice(start, min(start + PIECE, self.total))
-                rows.add_accelerometer(self.collocation, x, beta, self.accel, 1.0 / noise.accel**2, here, extra,
-                                       accumulators, accel)
+                assembly_numba.add_accelerometer(self.collocation, x, beta, self.accel, 1.0 / noise.accel**2, here,
+                                                 extra, accumulators, accel)
             residuals["accel"] = accel[:, :, b]
         upper = np.triu(accumulators.square)
         square, misfit = upper + np.triu(upper, 1).T, accumulators.misfit
@@ -231,6 +268,11 @@ class LatentProblem:
         level = np.broadcast_to(noise.torque**2, (self.total, self.n))
         return level if self.stiction_variance is None else level + self.stiction_variance[:, 0]
 
+    def angle_variance(self, joint: int, noise: Noise) -> float | FloatArray:
+        """Of a joint's encoder [rad^2]; (N,) where its readings are not alike."""
+        level = float(noise.encoder[joint]) ** 2
+        return level if self.spread is None else level * self.spread[:, joint] ** 2
+
     def torque_weight(self, noise: Noise) -> FloatArray:
         """(N, n) share of each torque sample's variance that is noise, not dry friction at rest."""
         return noise.torque**2 / self.torque_variance(noise)
@@ -240,7 +282,7 @@ class LatentProblem:
         n = self.n
         found: list[tuple[Channel, int, float | FloatArray]] = []
         found += [(torque_of(i), 2 * n + i, variances[:, i]) for i in range(n)]
-        found += [(encoder_of(i), i, float(noise.encoder[i]) ** 2) for i in range(n) if self.has_encoder[i]]
+        found += [(encoder_of(i), i, self.angle_variance(i, noise)) for i in range(n) if self.has_encoder[i]]
         return [*found, (GYRO, n, noise.gyro**2)] if self.has_imu else found
 
     def _node_rows(self, x: Latents, variances: FloatArray, noise: Noise, diagonal: FloatArray, gradient: FloatArray,
@@ -313,7 +355,8 @@ class LatentProblem:
         variance = np.einsum("kii->ki", p_diagonal)
         weight = self.torque_weight(noise)
         effective_dof = {"torque": np.einsum("kj,kj->j", variance[:, 2 * n:], weight**2) / noise.torque**2,
-                 "encoder": variance[:, :n].sum(axis=0) / noise.encoder**2}
+                 "encoder": (variance[:, :n] if self.spread is None else variance[:, :n] / self.spread**2).sum(axis=0)
+                 / noise.encoder**2}
         for channel, slope in (point.extra.by_torque.items() if point.extra is not None else ()):
             j = channel.joint or 0
             u = 2 * n + j

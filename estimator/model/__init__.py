@@ -1,21 +1,9 @@
 """Planar trees: regressor, inertia, bias torque, collocation of one motion, forward simulation."""
 
-from estimator.model.collocation import (
-    ACCEL,
-    ANGLE,
-    GAUSS,
-    HOLDS,
-    RATE,
-    RATE_FROM,
-    RATE_TO,
-    Collocation,
-    Motion,
-    Samples,
-    after,
-    mean_sign,
-)
+from estimator.model.collocation import GAUSS, HOLDS, Collocation, Samples, after
 from estimator.model.forward_simulation import simulate
-from estimator.model.mechanism import VELOCITY_SCALE, Mechanism, biped3, chain, joint1, leg2, smooth_sign
+from estimator.model.mechanism import VELOCITY_SCALE, Mechanism, biped3, chain, joint1, leg2
+from estimator.model.terms import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Motion, mean_sign, smooth_sign
 
 __all__ = [
     "ACCEL", "ANGLE", "GAUSS", "HOLDS", "RATE", "RATE_FROM", "RATE_TO", "VELOCITY_SCALE", "Collocation", "Mechanism",

@@ -11,26 +11,23 @@ Everything is vectorised over intervals; the last array axis is the interval.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from daq import FloatArray
 from estimator.model.mechanism import Mechanism
 from estimator.model.regressor_numba import FastTerms
-from estimator.numerics import jit
+from estimator.model.terms import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, TERMS, Motion, Slope
 
 Samples = slice | NDArray[np.intp]
 GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
 MOMENT = 2.0 * np.sqrt(3.0)
 """Half the difference of the values at the Gauss points, by the first moment that they stand for."""
+SPLINE_REACH = 24
+"""Samples beyond which a spline's slope feels nothing: 0.27^24 is 1e-14."""
 HOLDS = ("zero", "linear", "average", "smooth")
-ANGLE, RATE, ACCEL, RATE_FROM, RATE_TO = range(5)
-"""Features of the motion at a Gauss point; the last two are the rates at the ends of its half interval."""
 
 
 def after(samples: Samples) -> Samples:
@@ -51,7 +48,10 @@ def hold_weights(hold: str) -> FloatArray:
 
     zero: the sample before. linear: a ramp. average: a sample is the mean over a window centred on its
     stamp, so it acts until half-way. smooth: as linear; `Collocation.between` adds the curve.
+    Raises ValueError for others.
     """
+    if hold not in HOLDS:
+        raise ValueError(f"hold {hold!r} is none of {HOLDS}")
     if hold == "zero":
         return np.array([[1.0, 0.0], [1.0, 0.0]])
     if hold == "average":
@@ -59,53 +59,17 @@ def hold_weights(hold: str) -> FloatArray:
     return np.array([[1.0 - GAUSS[0], GAUSS[0]], [1.0 - GAUSS[1], GAUSS[1]]])
 
 
-def invert_small(matrices: FloatArray) -> FloatArray:
-    """Inverses of many small matrices (n, n, N) with sound pivots, by Gauss-Jordan on all of them at once.
+def spline_slopes(u: FloatArray) -> FloatArray:
+    """(N, n) slopes, per sample, of the cubic spline through u (N, n), continued by odd reflection beyond its ends.
 
-    A vanishing pivot gives values that are not finite.
+    Slopes d of a cubic spline obey d[k-1] + 4 d[k] + d[k+1] = 3 (u[k+1] - u[k-1]); the inverse of (1, 4, 1) falls off
+    by 2 - sqrt(3) a sample. Held to SciPy's `CubicSpline` by a test; that takes a third of a second to import.
     """
-    a = matrices.copy()
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        for k in range(a.shape[0]):
-            pivot, column = 1.0 / a[k, k], a[:, k].copy()
-            row = a[k] * pivot
-            a -= column[:, None] * row
-            a[:, k] = column * -pivot
-            a[k] = row
-            a[k, k] = pivot
-    return a
-
-
-def mean_sign(a: FloatArray, b: FloatArray, scale: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean of v / sqrt(v^2 + scale^2) for v running linearly from a to b, and its derivatives by a and b.
-
-    It is (a + b) / (|a|_scale + |b|_scale), with |v|_scale the root.
-    """
-    ra, rb = np.sqrt(a * a + scale**2), np.sqrt(b * b + scale**2)
-    total = ra + rb
-    mean = (a + b) / total
-    return mean, (1.0 - mean * a / ra) / total, (1.0 - mean * b / rb) / total
-
-
-class Motion(NamedTuple):
-    """Features at the Gauss points of K intervals; each array (n, 2, K)."""
-
-    angle: FloatArray
-    rate: FloatArray
-    accel: FloatArray
-    rate_from: FloatArray
-    rate_to: FloatArray
-
-
-@dataclass(frozen=True)
-class Slope:
-    """One non-zero derivative of one parameter's term."""
-
-    row: int
-    feature: int
-    joint: int
-    value: FloatArray | float
-    """(2, K)"""
+    pad = min(SPLINE_REACH + 1, len(u) - 1)
+    wide = np.concatenate([2.0 * u[:1] - u[pad:0:-1], u, 2.0 * u[-1:] - u[-2 : -pad - 2 : -1]])
+    weights = (np.sqrt(3.0) - 2.0) ** np.abs(np.arange(1 - pad, pad))
+    weights /= 2.0 * weights.sum()  # 3 times an inverse whose rows sum to 1/6
+    return np.stack([np.convolve(x[2:] - x[:-2], weights, "valid") for x in wide.T], axis=-1)
 
 
 class Collocation:
@@ -154,7 +118,7 @@ class Collocation:
             return None
         parts = []
         for part in np.split(u, ends[:-1]):
-            d = CubicSpline(np.arange(len(part)), part).derivative()(np.arange(len(part))).T
+            d = spline_slopes(part).T
             d0, d1, rise = d[:, :-1], d[:, 1:], np.diff(part, axis=0).T
             moment = MOMENT * (rise / 60.0 - (d0 + d1) / 120.0)
             parts.append(np.stack([(d0 - d1) / 12.0 - moment, (d0 - d1) / 12.0 + moment], axis=1))
@@ -165,63 +129,26 @@ class Collocation:
 
         Rigid terms live in absolute link angles; `to_joint` turns rows, and features, to joint ones.
         """
-        m = self.mechanism
-        t = m.transform
-        theta, thetad, thetadd = ((t @ x.reshape(m.n, -1)).reshape(x.shape)
-                                  for x in (motion.angle, motion.rate, motion.accel))
+        m, t = self.mechanism, self.mechanism.transform
+        links = motion._replace(angle=_turned(t, motion.angle), rate=_turned(t, motion.rate),
+                                accel=_turned(t, motion.accel))
         z = np.zeros((m.p, m.n, *motion.angle.shape[1:]))
         slopes: list[list[Slope]] = []
-        for k, (_, _, _, term, at) in enumerate(m.parameters):
-            if term == "inertia":
-                i, j = at
-                if i == j:
-                    z[k, i] = thetadd[i]
-                    slopes.append([Slope(i, ACCEL, i, 1.0)])
-                    continue
-                c, s = np.cos(theta[i] - theta[j]), np.sin(theta[i] - theta[j])
-                si, sj = s * thetad[i], s * thetad[j]
-                z[k, i] = c * thetadd[j] + sj * thetad[j]
-                z[k, j] = c * thetadd[i] - si * thetad[i]
-                di = c * thetad[j] ** 2 - s * thetadd[j]
-                dj = -c * thetad[i] ** 2 - s * thetadd[i]
-                slopes.append([
-                    Slope(i, ANGLE, i, di), Slope(i, ANGLE, j, -di), Slope(i, RATE, j, 2 * sj), Slope(i, ACCEL, j, c),
-                    Slope(j, ANGLE, i, dj), Slope(j, ANGLE, j, -dj), Slope(j, RATE, i, -2 * si), Slope(j, ACCEL, i, c)])
-            elif term == "gravity":
-                i = at[0]
-                z[k, i] = m.gravity * np.sin(theta[i])
-                slopes.append([Slope(i, ANGLE, i, m.gravity * np.cos(theta[i]))])
-            else:
-                j = at[0]
-                z[k, j], found = self._joint_term(term, j, motion)
-                slopes.append(found)
+        for k, parameter in enumerate(m.parameters):
+            parts, found = TERMS[parameter.term].linearised(parameter.at, links if parameter.rigid else motion, m.world)
+            for row, values in parts:
+                z[k, row] = values
+            slopes.append(found)
         return z, slopes
-
-    def _joint_term(self, term: str, j: int, motion: Motion) -> tuple[FloatArray, list[Slope]]:
-        if term == "viscous":
-            return motion.rate[j], [Slope(j, RATE, j, 1.0)]
-        if term == "rotor":
-            return motion.accel[j], [Slope(j, ACCEL, j, 1.0)]
-        if term == "offset":
-            return np.ones_like(motion.rate[j]), []
-        mean, by_from, by_to = mean_sign(motion.rate_from[j], motion.rate_to[j], self.mechanism.velocity_scale)
-        return mean, [Slope(j, RATE_FROM, j, by_from), Slope(j, RATE_TO, j, by_to)]
 
     @cached_property
     def fast(self) -> FastTerms:
-        """The compiled counterpart of `evaluate`."""
+        """Regressor in joint rows and its slopes at one beta, compiled."""
         return FastTerms(self.mechanism)
-
-    def evaluate(self, motion: Motion, beta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Z (p, n, S, K) in joint rows and d(Z beta)/d(features) (n, S, 5, n, K) at S points an interval."""
-        if jit.ready():
-            return self.fast(*motion, beta)
-        z, slopes = self.terms(motion)
-        return self.to_joint(z), self._slopes(slopes, beta, motion.angle.shape[1:])
 
     @cached_property
     def _rigid(self) -> NDArray[np.bool_]:
-        return np.array([a.term in ("inertia", "gravity") for a in self.mechanism.parameters])
+        return np.array([parameter.rigid for parameter in self.mechanism.parameters])
 
     def to_joint(self, z: FloatArray) -> FloatArray:
         """Z (p, n, 2, K) with every row a joint's."""
@@ -263,26 +190,7 @@ class Collocation:
         own[:, :, :3] += t.T @ (t.T @ rigid.reshape(n, -1)).reshape(rigid.shape)
         return own
 
-    def acceleration(self, q: FloatArray, v: FloatArray, u: FloatArray, beta: FloatArray, joint: int = 0,
-                     added: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Acceleration of one joint at samples, from the equation of motion there, with its derivatives.
 
-        q, v, u (n, N). Returns qdd (N,), its derivatives by q, v and u (3, n, N) and by beta (p, N), and the
-        joint's row of D^-1 (n, N). From Z(q, v, qdd) beta = u by implicit differentiation. `added` (n, 5, n, N)
-        are derivatives by features of torque already taken off u.
-        """
-        at, rate = q[:, None], v[:, None]
-        z, own = self.evaluate(Motion(at, rate, np.zeros_like(at), rate, rate), beta)
-        inverse = invert_small(own[:, 0, ACCEL])
-        excess = u - (beta @ z.reshape(len(beta), -1)).reshape(u.shape)
-        qdd = np.einsum("ijN,jN->iN", inverse, excess)
-        z, own = self.evaluate(Motion(at, rate, qdd[:, None], rate, rate), beta)
-        own = own[:, 0]  # (n, 5, n, N)
-        if added is not None:
-            own = own + added
-            inverse = invert_small(own[:, ACCEL])
-        row = inverse[joint]
-        by_angle = np.einsum("jN,jbN->bN", row, own[:, ANGLE])
-        by_rate = np.einsum("jN,jbN->bN", row, own[:, RATE] + own[:, RATE_FROM] + own[:, RATE_TO])
-        by_beta = np.einsum("jN,pjN->pN", row, z[:, :, 0])
-        return qdd[joint], np.stack([-by_angle, -by_rate, row]), -by_beta, row
+def _turned(transform: FloatArray, values: FloatArray) -> FloatArray:
+    """Of links (n, S, K) from those of joints."""
+    return (transform @ values.reshape(len(values), -1)).reshape(values.shape)

@@ -13,11 +13,11 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import solve_banded
 
 from daq import FloatArray
-from estimator.model.collocation import Collocation, Motion, Slope
+from estimator.model.collocation import Collocation
 from estimator.model.mechanism import Mechanism
+from estimator.model.terms import Motion, Slope
 
 _Terms = tuple[Motion, list[list[Slope]]]
 WINDOW = 20
@@ -158,6 +158,8 @@ def _newton(equation: _Equation, where: slice, q: FloatArray, v: FloatArray) -> 
 
 def _newton_step(jacobian: FloatArray, defect: FloatArray) -> FloatArray:
     """(K, 2 n) change of (q, v) at samples 1..K; jacobian (n, 2, 4, n, K), defect (n, 2, K)."""
+    from scipy.linalg import solve_banded
+
     n, _, _, _, count = jacobian.shape
     b = 2 * n
     rows = jacobian.transpose(4, 1, 0, 2, 3).reshape(count, b, 2, b)

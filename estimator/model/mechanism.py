@@ -18,9 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 from daq import FloatArray
+from estimator.model.terms import TERMS, World
 
 VELOCITY_SCALE = 0.005
 """Velocity over which sign(qd) is rounded off where a rig does not say otherwise [rad/s]."""
+Speeds = float | tuple[float, ...]
+"""One for all joints, or one each."""
 
 
 class Parameter(NamedTuple):
@@ -40,106 +43,6 @@ class Parameter(NamedTuple):
         return TERMS[self.term].rigid
 
 
-def smooth_sign(velocity: FloatArray, scale: float) -> FloatArray:
-    """sign(v) rounded off over `scale` [rad/s]: v / sqrt(v^2 + scale^2). Same shape as `velocity`."""
-    return velocity / np.sqrt(velocity * velocity + scale * scale)
-
-
-class World(NamedTuple):
-    """What terms know beside the motion."""
-
-    gravity: float
-    """Factor of sin(theta); see `Mechanism.gravity`."""
-    velocity_scale: float
-    """[rad/s]"""
-
-
-At = tuple[int, ...]
-Part = tuple[int, FloatArray]
-"""Row of the equations of motion, and what is added to it per unit of the parameter."""
-Mass = tuple[int, int, FloatArray | float]
-"""Row, column, and the entry of the inertia matrix per unit of the parameter."""
-
-
-class Term:
-    """What one unit of a parameter adds to the equations of motion, mass . acceleration + bias.
-
-    Angles x and rates v have the link, or the joint, first: (n, ...). This table gives the regressor, the inertia
-    matrix and the bias torque; `Collocation.terms` adds the slopes and `regressor_numba` repeats both, compiled.
-    """
-
-    rigid = False
-
-    def mass(self, at: At, x: FloatArray) -> list[Mass]:
-        """What multiplies accelerations."""
-        return []
-
-    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
-        """What is left where accelerations are zero."""
-        return []
-
-
-class Inertia(Term):
-    """p_ij: (c a_j + s v_j^2) at link i and (c a_i - s v_i^2) at link j, c and s of theta_i - theta_j."""
-
-    rigid = True
-
-    def mass(self, at: At, x: FloatArray) -> list[Mass]:
-        i, j = at
-        if i == j:
-            return [(i, i, 1.0)]
-        c = np.cos(x[i] - x[j])
-        return [(i, j, c), (j, i, c)]
-
-    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
-        i, j = at
-        if i == j:
-            return []
-        s = np.sin(x[i] - x[j])
-        return [(i, s * v[j] ** 2), (j, -s * v[i] ** 2)]
-
-
-class Gravity(Term):
-    """g_i sin(theta_i)."""
-
-    rigid = True
-
-    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
-        return [(at[0], world.gravity * np.sin(x[at[0]]))]
-
-
-class Viscous(Term):
-    """The joint's rate."""
-
-    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
-        return [(at[0], v[at[0]])]
-
-
-class Coulomb(Term):
-    """The rounded sign of the joint's rate."""
-
-    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
-        return [(at[0], smooth_sign(v[at[0]], world.velocity_scale))]
-
-
-class Rotor(Term):
-    """The joint's acceleration, in its own row only."""
-
-    def mass(self, at: At, x: FloatArray) -> list[Mass]:
-        return [(at[0], at[0], 1.0)]
-
-
-class Offset(Term):
-    """One."""
-
-    def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
-        return [(at[0], np.ones_like(v[at[0]]))]
-
-
-TERMS: dict[str, Term] = {"inertia": Inertia(), "gravity": Gravity(), "viscous": Viscous(), "coulomb": Coulomb(),
-                          "rotor": Rotor(), "offset": Offset()}
-
-
 @dataclass(frozen=True)
 class Mechanism:
     """Regressor, inertia matrix, bias torque and forward dynamics, vectorised over leading axes."""
@@ -157,7 +60,7 @@ class Mechanism:
     """Pivot to IMU along link 1 [m]."""
     gravity_mps2: float = 9.81
     """Gravity as an accelerometer feels it [m/s2]."""
-    velocity_scale: float = VELOCITY_SCALE
+    velocity_scale: Speeds = VELOCITY_SCALE
     """Velocity over which sign(qd) is rounded off [rad/s]."""
     length_unit: str = field(default="rad")
     """Unit of q: rad, or m for a prismatic joint."""
@@ -207,7 +110,12 @@ class Mechanism:
     @cached_property
     def world(self) -> World:
         """What terms know beside the motion."""
-        return World(self.gravity, self.velocity_scale)
+        return World(self.gravity, self.velocity_scales)
+
+    @cached_property
+    def velocity_scales(self) -> FloatArray:
+        """(n,) `velocity_scale` of each joint."""
+        return np.array(np.broadcast_to(self.velocity_scale, self.n), dtype=float)
 
     def regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """Z of tau = Z(q, qd, qdd) beta, eq. (13). Arguments (..., n) in rad, rad/s, rad/s2; Z (..., n, p)."""
@@ -288,7 +196,7 @@ def extra_parameters(rotor_inertia: tuple[int, ...], torque_offset: tuple[int, .
 
 def leg2(*, gravity_mps2: float = 9.81, lever_arm: float = 0.0, actuated: tuple[int, ...] = (1,),
          rotor_inertia: tuple[int, ...] = (), torque_offset: tuple[int, ...] = (),
-         velocity_scale: float = VELOCITY_SCALE) -> Mechanism:
+         velocity_scale: Speeds = VELOCITY_SCALE) -> Mechanism:
     """The 2-link leg hanging from its pivot, eq. (62), beta in the paper's order (docs/formats.md, fit JSON)."""
     rigid = tree_parameters(
         [(0, 0), (1, 1), (0, 1)], [0, 1],
@@ -313,7 +221,7 @@ def biped3(*, actuated: tuple[int, ...] = (1, 2), gravity_mps2: float = 9.8) -> 
 
 
 def joint1(*, gravity_mps2: float = 9.81, prismatic: bool = False, actuated: tuple[int, ...] = (0,),
-           torque_offset: tuple[int, ...] = (), velocity_scale: float = VELOCITY_SCALE, voltage: bool = False,
+           torque_offset: tuple[int, ...] = (), velocity_scale: Speeds = VELOCITY_SCALE, voltage: bool = False,
            lever_arm: float = 0.0) -> Mechanism:
     """One joint, rotary or prismatic: inertia (or mass), gravity moment unless gravity is 0, friction.
 
@@ -332,7 +240,7 @@ def joint1(*, gravity_mps2: float = 9.81, prismatic: bool = False, actuated: tup
 
 def chain(links: int, *, gravity_mps2: float = 9.81, actuated: tuple[int, ...] | None = None,
           rotor_inertia: tuple[int, ...] = (), torque_offset: tuple[int, ...] = (),
-          velocity_scale: float = VELOCITY_SCALE) -> Mechanism:
+          velocity_scale: Speeds = VELOCITY_SCALE) -> Mechanism:
     """An open chain of `links` links hanging from a pivot, each angle relative to the link before (Fig. 1)."""
     pairs = [(i, i) for i in range(links)] + [(i, j) for i in range(links) for j in range(i + 1, links)]
     meanings = [f"p{i + 1}{j + 1}" for i, j in pairs] + [f"first moment, link {i + 1}" for i in range(links)]

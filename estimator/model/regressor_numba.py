@@ -6,7 +6,6 @@ arrays over all points are read and written anew by every operation. A test hold
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -14,12 +13,13 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.model.mechanism import Mechanism
-from estimator.numerics import at, compiled
+from estimator.model.terms import CODES
+from estimator.numerics import Kernel, at
 
 STRIP = 64
 """Points of a strip."""
-CODES = ("inertia", "gravity", "viscous", "coulomb", "rotor", "offset")
-INERTIA, GRAVITY, VISCOUS, COULOMB, ROTOR, OFFSET = range(6)
+INERTIA, GRAVITY, VISCOUS, COULOMB, ROTOR, OFFSET = (
+    CODES[name] for name in ("inertia", "gravity", "viscous", "coulomb", "rotor", "offset"))
 
 
 class FastTerms:
@@ -27,7 +27,8 @@ class FastTerms:
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism = mechanism
-        self.table = np.array([(CODES.index(p.term), p.at[0], p.at[-1]) for p in mechanism.parameters])
+        self.table = np.array([(CODES[p.term], p.at[0], p.at[-1]) for p in mechanism.parameters],
+                              dtype=np.int64)
         self.transform = np.ascontiguousarray(mechanism.transform, dtype=np.float64)
 
     def transposed(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -48,12 +49,13 @@ class FastTerms:
         z, own = np.empty((len(beta), n, points, count)), np.empty((n, points, 5, n, count))
         m = self.mechanism
         _terms(n)(*(transposed or self.transposed(angle)), rate, accel, rate_from, rate_to, beta, self.table,
-                  self.transform, float(m.gravity), float(m.velocity_scale) ** 2, z, own)
+                  self.transform, float(m.gravity), m.velocity_scales**2, z, own, np.empty((2, n, STRIP)),
+                  np.empty((n, 3, n, STRIP)), np.empty((n, 3, n, STRIP)), np.empty((2, STRIP)))
         return z, own
 
 
 @cache
-def _cosine_sine() -> Callable[..., Any]:
+def _cosine_sine() -> Kernel:
     """Both of many angles, as far as a million radians, to the last digit or the one before.
 
     The reduction to an eighth of a turn in three steps and the polynomials are those of fdlibm (e_rem_pio2.c,
@@ -80,30 +82,28 @@ def _cosine_sine() -> Callable[..., Any]:
             cosine[i] = -a if (quarter == 1.0) | (quarter == 2.0) else a
             sine[i] = -b if quarter >= 2.0 else b
 
-    return compiled(run, exact=True)
+    return Kernel(run, "f1 f1 f1", exact=True)
 
 
 @cache
-def _terms(n: int) -> Callable[..., Any]:
-    """The kernel for n joints. Features count as in `collocation`: angle, rate, acceleration, rate from, rate to."""
+def _terms(n: int) -> Kernel:
+    """The kernel for n joints. Features count as in `terms`: angle, rate, acceleration, rate from, rate to."""
 
     def run(cosine: Any, sine: Any, rate: Any, accel: Any, rate_from: Any, rate_to: Any, beta: Any, table: Any,
-            transform: Any, gravity: float, eps2: float, z: Any, own: Any) -> None:
-        speed, gain = np.empty((n, STRIP)), np.empty((n, STRIP))
-        link, half = np.empty((n, 3, n, STRIP)), np.empty((n, 3, n, STRIP))
-        first, second = np.empty(STRIP), np.empty(STRIP)
+            transform: Any, gravity: float, eps2: Any, z: Any, own: Any, line: Any, link: Any, half: Any,
+            parts: Any) -> None:
         for g in range(rate.shape[1]):
             for start in range(0, rate.shape[2], STRIP):
                 size = min(STRIP, rate.shape[2] - start)
                 for i in range(n):
                     for w in range(size):
-                        speed[i, w], gain[i, w] = 0.0, 0.0
+                        line[0, i, w], line[1, i, w] = 0.0, 0.0
                     for j in range(n):
                         t = transform[i, j]
                         if t != 0.0:
                             for w in range(size):
-                                speed[i, w] += t * rate[j, g, at(start + w)]
-                                gain[i, w] += t * accel[j, g, at(start + w)]
+                                line[0, i, w] += t * rate[j, g, at(start + w)]
+                                line[1, i, w] += t * accel[j, g, at(start + w)]
                         for f in range(3):
                             for w in range(size):
                                 link[i, f, j, w] = 0.0
@@ -117,18 +117,18 @@ def _terms(n: int) -> Callable[..., Any]:
                     code, i, j, b = table[k, 0], table[k, 1], table[k, 2], beta[k]
                     if code == INERTIA and i == j:
                         for w in range(size):
-                            first[w] = gain[i, w]
+                            parts[0, w] = line[1, i, w]
                             link[i, 2, i, w] += b
                     elif code == INERTIA:
                         for w in range(size):
                             ci, cj = cosine[i, g, at(start + w)], cosine[j, g, at(start + w)]
                             ti, tj = sine[i, g, at(start + w)], sine[j, g, at(start + w)]
                             c, s = ci * cj + ti * tj, ti * cj - ci * tj
-                            si, sj = s * speed[i, w], s * speed[j, w]
-                            first[w] = c * gain[j, w] + sj * speed[j, w]
-                            second[w] = c * gain[i, w] - si * speed[i, w]
-                            di = b * (c * speed[j, w] * speed[j, w] - s * gain[j, w])
-                            dj = -b * (c * speed[i, w] * speed[i, w] + s * gain[i, w])
+                            si, sj = s * line[0, i, w], s * line[0, j, w]
+                            parts[0, w] = c * line[1, j, w] + sj * line[0, j, w]
+                            parts[1, w] = c * line[1, i, w] - si * line[0, i, w]
+                            di = b * (c * line[0, j, w] * line[0, j, w] - s * line[1, j, w])
+                            dj = -b * (c * line[0, i, w] * line[0, i, w] + s * line[1, i, w])
                             link[i, 0, i, w] += di
                             link[i, 0, j, w] -= di
                             link[j, 0, i, w] += dj
@@ -141,10 +141,10 @@ def _terms(n: int) -> Callable[..., Any]:
                             t = transform[j, h]
                             if t != 0.0:
                                 for w in range(size):
-                                    z[k, h, g, at(start + w)] += t * second[w]
+                                    z[k, h, g, at(start + w)] += t * parts[1, w]
                     elif code == GRAVITY:
                         for w in range(size):
-                            first[w] = gravity * sine[i, g, at(start + w)]
+                            parts[0, w] = gravity * sine[i, g, at(start + w)]
                             link[i, 0, i, w] += b * gravity * cosine[i, g, at(start + w)]
                     elif code == VISCOUS:
                         for w in range(size):
@@ -157,10 +157,10 @@ def _terms(n: int) -> Callable[..., Any]:
                     elif code == OFFSET:
                         for w in range(size):
                             z[k, i, g, at(start + w)] = 1.0
-                    else:
+                    elif code == COULOMB:
                         for w in range(size):
                             u, v = rate_from[i, g, at(start + w)], rate_to[i, g, at(start + w)]
-                            ru, rv = np.sqrt(u * u + eps2), np.sqrt(v * v + eps2)
+                            ru, rv = np.sqrt(u * u + eps2[i]), np.sqrt(v * v + eps2[i])
                             share = 1.0 / (ru + rv)
                             mean = (u + v) * share
                             z[k, i, g, at(start + w)] = mean
@@ -171,7 +171,7 @@ def _terms(n: int) -> Callable[..., Any]:
                             t = transform[i, h]
                             if t != 0.0:
                                 for w in range(size):
-                                    z[k, h, g, at(start + w)] += t * first[w]
+                                    z[k, h, g, at(start + w)] += t * parts[0, w]
                 for f in range(3):  # T^T link T
                     for i in range(n):
                         for j in range(n):
@@ -190,4 +190,4 @@ def _terms(n: int) -> Callable[..., Any]:
                                     for w in range(size):
                                         own[i, g, f, j, at(start + w)] += t * half[h, f, j, w]
 
-    return compiled(run)
+    return Kernel(run, "f3 f3 f3 f3 f3 f3 f1 i2 f2 d f1 f4 f5 f3 f4 f4 f2")

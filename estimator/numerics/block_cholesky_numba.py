@@ -1,12 +1,10 @@
 """Symmetric positive definite block-tridiagonal systems in one sweep along the chain, compiled.
 
-The same interface as `eliminate`, which does without a compiler: there a Python loop over blocks
-would cost a hundred times the arithmetic. Compiled, the plain order of elimination is several times as fast.
+Cost grows linearly with the number of blocks. A Python loop over them would cost a hundred times the arithmetic.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -15,7 +13,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.numerics.block_tridiagonal import BlockTridiagonal, padded
-from estimator.numerics.jit import at, compiled
+from estimator.numerics.jit import Kernel, at
 
 
 @dataclass(frozen=True)
@@ -37,8 +35,12 @@ class Swept:
         """H^-1 rhs weights (N, b) for weights (m,)."""
         c = self.chain
         out = np.empty((len(c.rows), c.block))
-        _back(c.block)(c.rows, c.edge, weights, out)
+        _back(c.block)(c.rows, c.edge, np.ascontiguousarray(weights), out, np.zeros((2, c.block)))
         return out
+
+    def solutions(self) -> FloatArray:
+        """H^-1 rhs (N, b, m)."""
+        return np.stack([self.solution(each) for each in np.eye(self.chain.width)], axis=-1)
 
     def log_determinant(self) -> float:
         """log det H."""
@@ -49,7 +51,8 @@ class Swept:
         """Blocks P[k, k] (N, b, b) of P = H^-1."""
         c = self.chain
         out = np.empty((len(c.rows), c.block, c.block))
-        _inverse(c.block)(c.rows, c.edge, padded(c.block), out)
+        wide = padded(c.block)
+        _inverse(c.block)(c.rows, c.edge, wide, out, np.zeros((6, c.block, wide)))
         return out
 
 
@@ -59,21 +62,27 @@ def eliminate(chain: BlockTridiagonal) -> Swept:
     Raises numpy.linalg.LinAlgError where H is not positive definite.
     """
     count, b, full = chain.rows.shape
-    if not _forward(b)(chain.rows.reshape(count, b * full), full, chain.edge):
+    definite = np.ones(1, dtype=np.int64)
+    _forward(b)(chain.rows.reshape(count, b * full), full, chain.edge, definite, np.zeros((b, full)),
+                np.zeros((b, chain.edge)), np.zeros(b))
+    if not definite[0]:
         raise np.linalg.LinAlgError("a block is not positive definite")
     return Swept(chain)
 
 
 @cache
-def _forward(b: int) -> Callable[..., Any]:
-    """Factor and forward substitution for blocks of size b, which is a constant to the compiler."""
+def _forward(b: int) -> Kernel:
+    """Factor and forward substitution for blocks of size b, which is a constant to the compiler.
 
-    def run(flat: Any, full: int, edge: int) -> bool:
-        row, done, inverse = np.zeros((b, full)), np.zeros((b, edge)), np.zeros(b)
-        line = row.reshape(b * full)  # copied as one: for short lines the compiler copies number by number
+    `definite` becomes zero, and the rest stays as it is, where a block is not; row (b, full), done (b, edge) and
+    inverse (b,) are zeros to work on.
+    """
+
+    def run(flat: Any, full: int, edge: int, definite: Any, row: Any, done: Any, inverse: Any) -> None:
         for k in range(flat.shape[0]):
-            for c in range(b * full):
-                line[c] = flat[k, c]
+            for i in range(b):
+                for c in range(full):
+                    row[i, c] = flat[k, i * full + c]
             for i in range(b):  # what is left of this block after the one before is gone
                 for c in range(edge):
                     t = row[i, c]
@@ -82,7 +91,8 @@ def _forward(b: int) -> Callable[..., Any]:
                     row[i, c] = t
             for i in range(b):
                 if not row[i, i] > 0.0:
-                    return False
+                    definite[0] = 0
+                    return
                 inverse[i] = 1.0 / row[i, i]
                 for h in range(i + 1, b):
                     f = row[i, h] * inverse[i]
@@ -93,24 +103,23 @@ def _forward(b: int) -> Callable[..., Any]:
                 for c in range(full):
                     row[i, c] *= f
                 row[i, i] = f
-            for c in range(b * full):
-                flat[k, c] = line[c]
+            for i in range(b):
+                for c in range(full):
+                    flat[k, i * full + c] = row[i, c]
             for i in range(b):
                 for c in range(b, edge):
                     done[i, c] = row[i, c]
                 for c in range(b):
                     done[i, c] = row[i, edge + c]
-        return True
 
-    return compiled(run)
+    return Kernel(run, "f2 n n i1 f2 f2 f1")
 
 
 @cache
-def _back(b: int) -> Callable[..., Any]:
-    """Backward substitution of a combination of the right sides."""
+def _back(b: int) -> Kernel:
+    """Backward substitution of a combination of the right sides; work (2, b) is zeros."""
 
-    def run(rows: Any, edge: int, weights: Any, out: Any) -> None:
-        x, t = np.zeros(b), np.zeros(b)
+    def run(rows: Any, edge: int, weights: Any, out: Any, work: Any) -> None:
         for k in range(rows.shape[0] - 1, -1, -1):
             here = at(k)
             for i in range(b):
@@ -118,26 +127,25 @@ def _back(b: int) -> Callable[..., Any]:
                 for j in range(weights.size):
                     f += rows[here, i, b + j] * weights[j]
                 for j in range(b):
-                    f -= rows[here, i, edge + j] * x[j]
-                t[i] = f
+                    f -= rows[here, i, edge + j] * work[0, j]
+                work[1, i] = f
             for i in range(b - 1, -1, -1):
-                f = t[i] * rows[here, i, i]
+                f = work[1, i] * rows[here, i, i]
                 for j in range(i):
-                    t[j] -= rows[here, j, i] * f
-                x[i] = f
+                    work[1, j] -= rows[here, j, i] * f
+                work[0, i] = f
             for i in range(b):
-                out[here, i] = x[i]
+                out[here, i] = work[0, i]
 
-    return compiled(run)
+    return Kernel(run, "f3 n f1 f2 f2")
 
 
 @cache
-def _inverse(b: int) -> Callable[..., Any]:
-    """P[k, k] = V V^T + (V S) P[k+1, k+1] (V S)^T with V = U[k, k]^-1 and S = U[k, k+1]."""
+def _inverse(b: int) -> Kernel:
+    """P[k, k] = V V^T + (V S) P[k+1, k+1] (V S)^T with V = U[k, k]^-1 and S = U[k, k+1]; work (6, b, wide) is zeros."""
 
-    def run(rows: Any, edge: int, wide: int, out: Any) -> None:
-        v, vs, a, p = np.zeros((b, wide)), np.zeros((b, wide)), np.zeros((b, wide)), np.zeros((b, wide))
-        v_turned, vs_turned = np.zeros((b, wide)), np.zeros((b, wide))
+    def run(rows: Any, edge: int, wide: int, out: Any, work: Any) -> None:
+        v, vs, a, p, v_turned, vs_turned = work[0], work[1], work[2], work[3], work[4], work[5]
         for k in range(rows.shape[0] - 1, -1, -1):
             here = at(k)
             for i in range(b - 1, -1, -1):
@@ -172,4 +180,4 @@ def _inverse(b: int) -> Callable[..., Any]:
                 for j in range(b):
                     out[here, i, j] = p[i, j]
 
-    return compiled(run)
+    return Kernel(run, "f3 n n f3 f3")

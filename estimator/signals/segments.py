@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator.errors import FitError
+from estimator.errors import FitError, GapError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.signals.filters import central_difference, lowpass
@@ -32,6 +32,9 @@ class SignalSet:
     """(n, joints) measured torque, exactly zero on a passive joint [N m]."""
     imu: Mapping[str, FloatArray]
     """The three IMU columns on the IMU path, otherwise empty."""
+    spread: FloatArray | None = None
+    """(n, joints) how much larger than its channel's level an angle's error is expected to be at each sample; None: it
+    is the same throughout."""
 
 
 def angle_column(mechanism: Mechanism, joint: int) -> str:
@@ -51,7 +54,7 @@ def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
     """
     if not datasets:
         raise FitError("no run was given")
-    found = []
+    found, levels = [], _sigma_levels(datasets, mechanism, options)
     for data in datasets:
         imu = list(IMU_COLUMNS) if options.sensors == "imu" else []
         first = 1 if imu else 0
@@ -70,12 +73,39 @@ def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
             for j, column in zip(mechanism.actuated, torques):
                 tau[:, j] = data[column][where]
             found.append(SignalSet(data.name, data.rate_hz, data.time_s[where], q, tau,
-                                   {name: data[name][where] for name in imu}))
+                                   {name: data[name][where] for name in imu}, _spread(data, where, levels)))
     if not found:
-        raise FitError("no stretch of 20 samples without a gap in any run")
+        raise GapError("no stretch of 20 samples without a gap in any run")
     if len({s.rate_hz for s in found}) > 1:
         raise FitError("the runs are on grids of different rates; give one rate_hz under [sampling]")
     return found
+
+
+def sigma_column(mechanism: Mechanism, joint: int) -> str:
+    """Of the standard deviation of each reading of a joint's angle (joint 0-based), where it is not the same."""
+    return f"q{joint + 1}_sigma_{'m' if mechanism.length_unit == 'm' else 'rad'}"
+
+
+def _sigma_levels(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> dict[str, float | None]:
+    """Column of deviations to the level that they are over, of every joint; None where no run has the column."""
+    out: dict[str, float | None] = {}
+    for j in range(mechanism.n):
+        column = sigma_column(mechanism, j)
+        shown = [data[column] for data in datasets if column in data]
+        known = options.encoder_noise(j)
+        out[column] = None if not shown else known or float(np.sqrt(np.nanmean(np.square(np.concatenate(shown)))))
+    return out
+
+
+def _spread(data: Dataset, where: slice, levels: Mapping[str, float | None]) -> FloatArray | None:
+    """(n, joints) standard deviations over the channel's own; None where no run says that they differ."""
+    if not any(levels.values()):
+        return None
+    out = np.ones((where.stop - where.start, len(levels)))
+    for j, (column, level) in enumerate(levels.items()):
+        if level and column in data:
+            out[:, j] = data[column][where] / level
+    return out
 
 
 class Kinematics(NamedTuple):

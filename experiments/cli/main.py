@@ -17,10 +17,10 @@ from daq import InputError, WorkError, did_you_mean, replacing_anything
 from drivers import DriverError
 from estimator import FitError
 from experiments.cli.arguments import add_loudness, check_outputs
-from experiments.console import USUAL, PlainOutput, detail, loudness, printable
+from experiments.console import USUAL, PlainOutput, commanded, detail, loudness, printable
 
-COMMANDS = ("demo", "record", "calibrate", "info", "recover", "import_", "export", "fit", "validate", "diagnose",
-            "effects", "simulate", "gains", "casebook", "monte_carlo", "doctor",
+COMMANDS = ("demo", "record", "calibrate", "info", "recover", "import_", "export", "fit", "validate", "compare",
+            "diagnose", "effects", "simulate", "gains", "casebook", "monte_carlo", "doctor",
             "runs", "init", "excite", "emulate", "live", "verify", "completion")
 """Module names, in the order in which `legid --help` lists them; further modules of the folder follow."""
 TRACEBACK = "LEGID_TRACEBACK"
@@ -33,7 +33,7 @@ a first session:
   legid fit demo-out/demo-run1.mcap demo-out/demo-run2.mcap --rig demo-out/rig.toml --model-out model.json
   legid validate model.json demo-out/demo-run3.mcap --rig demo-out/rig.toml --html validation.html
 
-RUN is a .mcap, .csv or .csv.gz file; RIG is the rig.toml that describes the leg (see README.md).
+RUN is a .mcap, .csv or .csv.gz file; RIG is the rig.toml that describes the leg (see docs/rig.md).
 `legid COMMAND --help` explains one command.
 exit status: 0 done, 1 could not be done on this data, 2 bad arguments or bad input
 """
@@ -107,7 +107,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         with replacing_anything(getattr(args, "force", False)), loudness(getattr(args, "loudness", USUAL)):
             started = time.monotonic()
             check_outputs(args)
-            with redirect_stdout(PlainOutput(sys.stdout)):
+            with redirect_stdout(PlainOutput(sys.stdout)), commanded(sys.argv[1:] if argv is None else argv):
                 status = int(args.run(args))
             detail(f"{name}: {time.monotonic() - started:.1f} s")
         sys.stdout.flush()

@@ -6,5 +6,7 @@ from .hidden_effects import NOTHING as NOTHING
 from .hidden_effects import Hidden as Hidden
 from .hidden_effects import find_hidden as find_hidden
 from .plant import LegBody as LegBody
+from .replayed_run import Replayed as Replayed
+from .replayed_run import replay_run as replay_run
 from .served_rig import ServedRig as ServedRig
 from .served_rig import write_plans as write_plans

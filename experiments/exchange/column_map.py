@@ -48,7 +48,7 @@ def check_map(columns: dict[str, Column], where: str) -> dict[str, Column]:
         raise InputError(where, "has no [columns]", 'name one by [columns.q2_rad] and name = "..."')
     for name, column in columns.items():
         if not is_contract_column(name):
-            raise InputError(f"{where}, columns.{name}", "is no column of a run", "see README, A run as CSV")
+            raise InputError(f"{where}, columns.{name}", "is no column of a run", "see docs/formats.md, A run as CSV")
         factor(column.unit, name, f"{where}, columns.{name}")
         if not (np.isfinite([column.scale, column.offset, column.delay]).all() and column.scale):
             raise InputError(f"{where}, columns.{name}", "has a scale, offset or delay that is no finite number",

@@ -7,13 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.records import Header
-from mcap.stream_reader import StreamReader
 
 from daq import SUFFIXES, Column, Dataset, InputError, Rig, load_rig, load_run
-from daq.runs import missing, read_csv, read_run
-from daq.timing import align, align_table, recorded_rig
+from daq.runs import missing, read_csv
+from daq.timing import align_table
 from experiments.exchange.binary import read_mat, read_parquet
 from experiments.exchange.can_log import SUFFIXES as CAN_LOGS
 from experiments.exchange.can_log import is_candump, read_can_log
@@ -64,6 +61,10 @@ def is_native(path: Path | str) -> bool:
     """
     if not str(path).lower().endswith(".mcap") or Path(path).is_dir():
         return False
+    from mcap.exceptions import McapError
+    from mcap.records import Header
+    from mcap.stream_reader import StreamReader
+
     try:
         with open(path, "rb") as file:
             header = next(StreamReader(file).records)
@@ -124,6 +125,9 @@ def load_to_convert(path: Path | str, rig_path: Path | str | None, rate_hz: floa
     if rig_path is not None:
         return load_any_run(path, load_rig(rig_path), rate_hz)
     if is_native(path):
+        from daq.runs import read_run
+        from daq.timing import align, recorded_rig
+
         raw = read_run(path)
         return align(raw, recorded_rig(raw), rate_hz)
     if not str(path).lower().endswith(SUFFIXES):

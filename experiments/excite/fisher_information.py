@@ -51,8 +51,9 @@ class PlanInformation:
     def __init__(self, mechanism: Mechanism, beta: FloatArray, noise: Mapping[str, float], rate_hz: float,
                  has_imu: bool) -> None:
         """`noise` by channel, for samples at `rate_hz`."""
-        self.rest_radps = REST_SPREAD * mechanism.velocity_scale
-        self.mechanism = replace(mechanism, velocity_scale=max(mechanism.velocity_scale, SMOOTH_RADPS))
+        self.rest_radps = REST_SPREAD * mechanism.velocity_scales
+        wide = np.maximum(mechanism.velocity_scales, SMOOTH_RADPS)
+        self.mechanism = replace(mechanism, velocity_scale=tuple(wide.tolist()))
         self.beta, self.rate_hz, self.n = beta, rate_hz, mechanism.n
         self.driven = mechanism.actuated[0]
         self.collocation = Collocation(self.mechanism, 1.0 / rate_hz, "zero")

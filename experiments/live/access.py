@@ -18,8 +18,10 @@ POLICY = ("default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; 
           "img-src 'self' data:; font-src 'self' data:; connect-src 'self'; object-src 'none'; base-uri 'none'; "
           "form-action 'self'; frame-ancestors 'none'")
 """Nothing is loaded from, or sent to, another place. NiceGUI compiles its templates in the browser: hence the eval."""
-SANDBOX = "sandbox; default-src 'none'; img-src data:; style-src 'unsafe-inline'; font-src data:"
-"""For reports besides: any file of that name would otherwise act with the dashboard's rights. They have no scripts."""
+SANDBOX = ("sandbox allow-scripts; default-src 'none'; script-src '{script}'; img-src data:; "
+           "style-src 'unsafe-inline'; font-src data:")
+"""For reports besides: any file of that name would otherwise act with the dashboard's rights. A report is a stranger to
+this page (no `allow-same-origin`), can ask for nothing, and of scripts runs the one alone that zooms its figures."""
 
 
 def is_loopback(host: str) -> bool:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Coroutine, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from daq import InputError, Rig
 from daq.recording import read_plan
-from experiments.live.jobs import Job, Kind
+from experiments.live.jobs import Job, Kind, past_jobs
+from experiments.live.quality import Quality, look_at
 from experiments.live.session import Session
 
 JOBS_KEPT = 20
@@ -35,7 +37,10 @@ class Bench:
     def __init__(self, path: Path, rig: Rig, plans: Path, out: Path) -> None:
         self.path, self.rig, self.out = path, rig, out
         self.session = Session(path, out)
-        self.jobs: list[Job] = []
+        self.jobs: list[Job] = past_jobs(path, out)[:JOBS_KEPT]
+        self.quality: dict[Path, Quality] = {}
+        """What is known of runs by now; `look_at_runs` finds out."""
+        self._looking: asyncio.Task[None] | None = None
         self._plans_folder = plans
         self._plans = self._scan()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -64,6 +69,36 @@ class Bench:
         """Recorded runs, newest first."""
         return sorted(self.out.glob("*.mcap"), key=lambda p: p.stat().st_mtime, reverse=True)[:RUNS_SHOWN]
 
+    def look_at_runs(self) -> None:
+        """Have every run looked at that was not yet: one after the other, each by a process behind everything else."""
+        if self._looking is not None or self.session.running:
+            return
+        fresh = [path for path in self.runs() if path not in self.quality]
+        if fresh:
+            self._looking = self._keep(self._look(fresh))
+
+    def stop_looking(self) -> None:
+        """Before a recording, which is to have the machine to itself; what was not looked at is later."""
+        if self._looking is not None:
+            self._looking.cancel()
+            self._looking = None
+
+    async def _look(self, paths: Sequence[Path]) -> None:
+        try:
+            for path in paths:
+                if self.session.running:
+                    return
+                self.quality[path] = await look_at(path)
+        finally:
+            if self._looking is asyncio.current_task():
+                self._looking = None
+
+    def _keep(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
     @property
     def busy(self) -> Job | None:
         """The job that is running."""
@@ -91,9 +126,7 @@ class Bench:
             return
         job = Job(kind, self.path, runs, self.out)
         self.jobs = [job, *self.jobs][:JOBS_KEPT]
-        task = asyncio.create_task(job.run())
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._keep(job.run())
 
     def report(self, name: str) -> Path | None:
         """A report page of the runs' folder by its file name."""
@@ -102,6 +135,7 @@ class Bench:
 
     async def close(self) -> None:
         """Stop the recorder, end the job."""
+        self.stop_looking()
         if self.busy is not None:
             self.busy.cancel()
         await self.session.close()

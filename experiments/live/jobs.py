@@ -37,6 +37,8 @@ class Job:
         """What the command printed."""
         self._began_s = time.monotonic()
         self._took_s: float | None = None
+        self.when = ""
+        """Of a job of an earlier session: when it was done."""
         self._json: Path | None = None
         self._child: asyncio.subprocess.Process | None = None
         stem = out / f"{'diagnosis' if kind == 'diagnose' else kind}-{datetime.now():%Y%m%d-%H%M%S}"
@@ -127,6 +129,49 @@ class Job:
         return said or f"ended with status {code}"
 
 
+    @classmethod
+    def past(cls, kind: Kind, rig: Path, json: Path, runs: Sequence[Path]) -> Job:
+        """One that an earlier session left behind, by its document."""
+        job = cls(kind, rig, runs, json.parent)
+        job._json, job._page = json, json.with_suffix(".html")
+        job.verdict = job._judge(0, "did not converge" if kind == "fit" else "no diagnosis")
+        job.state = "failed" if job.verdict in ("did not converge", "no diagnosis") else "done"
+        job._took_s = 0.0
+        job.when = f"{datetime.fromtimestamp(json.stat().st_mtime):%Y-%m-%d %H:%M}"
+        job.report = job._page if job._page.exists() else None
+        return job
+
+
+class _Named(msgspec.Struct):
+    """What is read of a document besides its verdict: the runs behind it."""
+
+    file: str
+
+
+class _Origin(msgspec.Struct):
+    runs: list[_Named] = []
+
+
+class _Past(msgspec.Struct):
+    schema: str
+    provenance: _Origin = msgspec.field(default_factory=_Origin)
+
+
+def past_jobs(rig: Path, out: Path) -> list[Job]:
+    """Fits and diagnoses of earlier sessions in `out`, newest first, with their verdicts; other files are left."""
+    found: list[tuple[float, Job]] = []
+    kinds: tuple[tuple[Kind, str, str], ...] = (("fit", "fit", "legid.fit/1"),
+                                                ("diagnose", "diagnosis", "legid.diagnosis/1"))
+    for kind, stem, schema in kinds:
+        for path in out.glob(f"{stem}-*.json"):
+            with suppress(OSError, ValueError, KeyError, TypeError, msgspec.MsgspecError):
+                document = msgspec.json.decode(path.read_bytes(), type=_Past)
+                if document.schema == schema:
+                    runs = [out / source.file for source in document.provenance.runs]
+                    found.append((path.stat().st_mtime, Job.past(kind, rig, path, runs)))
+    return [job for _, job in sorted(found, key=lambda entry: entry[0], reverse=True)]
+
+
 class Tail:
     """Terminal output as it comes, cut where a line begins anew; `line` is the last that is no progress bar."""
 
@@ -149,5 +194,7 @@ def fit_verdict(document: dict[str, Any]) -> str:
     open_ones = document.get("undetermined") or []
     determined = "every parameter is determined" if not open_ones else f"not determined: {', '.join(open_ones)}"
     rms = ", ".join(f"{value:.3g}" for value in document["torque_residual_rms_nm"])
-    return (f"Converged in {document['iterations']} iterations on {document['samples']} samples; {determined}; "
+    trust = document.get("trust", {}).get("sentence", "")
+    return (f"{trust} " * bool(trust)
+            + f"Converged in {document['iterations']} iterations on {document['samples']} samples; {determined}; "
             f"torque residual by joint {rms} N m rms.")

@@ -67,6 +67,8 @@
     latched = s.latched;
     const state = by("state");
     if (state.dataset.tone !== s.tone) state.dataset.tone = s.tone;
+    if (by("drive").dataset.drive !== s.drive) by("drive").dataset.drive = s.drive;
+    put(by("drive-words"), s.driveWords);
     put(by("phase"), s.phase);
     put(by("words"), s.words);
     for (const [id, text] of Object.entries(s.text)) put(by(id), text);
@@ -84,7 +86,12 @@
     else if (performance.now() - pressed > 5000) put(by("estop-said"), "Ready. Esc or Space does the same.");
   }
 
-  setInterval(() => { if (lastShown) by("cut").hidden = performance.now() - lastShown < STALE_MS; }, 500);
+  setInterval(() => {
+    if (!lastShown) return;
+    const old = performance.now() - lastShown >= STALE_MS;
+    by("cut").hidden = !old;
+    if (old) { by("drive").dataset.drive = "unknown"; put(by("drive-words"), "UNCLEAR"); }
+  }, 500);
 
   // -- plots
   const charts = () => [...document.querySelectorAll("[data-columns]")].map((box) => {

@@ -12,6 +12,7 @@ from nicegui import ui
 from experiments.live.bench import Bench
 from experiments.live.charts import CHARTS, options
 from experiments.live.jobs import Job
+from experiments.live.quality import Quality
 from experiments.live.readings import limit_rows, readings
 from experiments.live.session import Phase
 
@@ -32,7 +33,10 @@ class Page:
         self._shown_rows = 0
         self._drawn = (-1, Phase.IDLE, False, "")
         self._checked: dict[Path, bool] = {}
-        self._listed: list[Path] = []
+        self._judged = 0
+        self._listed: list[tuple[Path, Quality | None]] = []
+        self._touched: set[Path] = set()
+        """Runs that somebody has chosen or left out by hand."""
 
     def build(self) -> None:
         """The page's elements."""
@@ -59,8 +63,10 @@ class Page:
         with ui.element("header").classes("live-top"):
             rig = html.escape(f"{self._bench.path} → {self._bench.out}")
             _html(f'<div class="live-title"><h1>legid live</h1><span class="soft">{rig}</span></div>'
-                  '<div id="state" role="status" aria-live="polite" data-tone="calm"><span id="phase">Idle</span>'
-                  f'<span id="words"></span></div><div id="cut" role="alert" hidden>{CUT}</div>')
+                  '<div id="state" role="status" aria-live="polite" data-tone="calm"><div id="drive" data-drive="off">'
+                  '<span class="shape" aria-hidden="true"></span><span id="drive-words">NOT DRIVEN</span></div>'
+                  '<div class="state-words"><span id="phase">Idle</span> '
+                  f'<span id="words"></span></div></div><div id="cut" role="alert" hidden>{CUT}</div>')
 
     def _experiment(self) -> None:
         with _card("Experiment"):
@@ -120,6 +126,7 @@ class Page:
 
     async def _on_start(self) -> None:
         if self._plan.value is not None and not self._bench.why_not_record():
+            self._bench.stop_looking()
             await self._session.start(Path(self._plan.value), bool(self._unattended.value))
             self._unattended.value = False  # for this run, not for the next
 
@@ -134,6 +141,11 @@ class Page:
         if drawn != self._drawn:
             self._drawn = drawn
             self._draw_controls()
+        self._bench.look_at_runs()
+        if len(self._bench.quality) != self._judged:
+            self._judged = len(self._bench.quality)
+            self._draw_runs()
+            self._enable_analysis()
         self._draw_jobs()
 
     def _draw_controls(self) -> None:
@@ -170,23 +182,33 @@ class Page:
             self._plan.set_value(fresh[0])
 
     def _draw_runs(self) -> None:
-        """The list of runs, made anew when a run was added or ended; a run of this session is chosen when whole."""
+        """The list of runs with their quality, made anew when either changed.
+
+        A run of this session is chosen when it was done to its end and is sound; what a person chose stays.
+        """
         writing = self._session.run_path if self._session.running else None
         runs = [path for path in self._bench.runs() if path != writing]
-        for path in self._session.finished:
-            self._checked.setdefault(path, True)
+        known = self._bench.quality
+        for path in runs:
+            if path not in self._touched:
+                self._checked[path] = path in self._session.finished and path in known and known[path].sound
         self._checked = {path: self._checked.get(path, False) for path in runs}
-        if runs == self._listed:
+        listed = [(path, known.get(path)) for path in runs]
+        if listed == self._listed:
             return
-        self._listed = runs
+        self._listed = listed
         self._runs_box.clear()
         with self._runs_box:
-            for path, chosen in self._checked.items():
+            for path, quality in listed:
                 note = "" if path in self._session.finished else "  (of an earlier session, or ended early)"
-                ui.checkbox(f"{path.name}{note}", value=chosen, on_change=lambda e, p=path: self._check(p, e.value))
+                ui.checkbox(f"{path.name}{note}", value=self._checked[path],
+                            on_change=lambda e, p=path: self._check(p, e.value))
+                look, words = _judgement(quality)
+                _html(f'<div class="quality {look}">{html.escape(words)}</div>')
 
     def _check(self, path: Path, chosen: bool) -> None:
         self._checked[path] = chosen
+        self._touched.add(path)
         self._enable_analysis()
 
     def _chosen(self) -> list[Path]:
@@ -225,7 +247,8 @@ class JobView:
         if self._complete:
             return
         count = f" of {len(job.runs)} run{'s' if len(job.runs) != 1 else ''}" if job.runs else ""
-        self._title.set_text(f"{job.name}{count}: {job.state}, {job.seconds:.0f} s")
+        took = job.when or f"{job.seconds:.0f} s"
+        self._title.set_text(f"{job.name}{count}: {job.state}, {took}")
         if job.state == "running":
             self._words.set_text(job.progress)
             self._bar.set_value(job.fraction or 0.0)
@@ -239,6 +262,13 @@ class JobView:
                 ui.link("Open the report", f"/report/{job.report.name}", new_tab=True)
             if job.on_devices:
                 _html(f'<div class="checks">{"".join(map(_check, job.lines))}</div>')
+
+
+def _judgement(quality: Quality | None) -> tuple[str, str]:
+    """How a run's quality looks, and what it says."""
+    if quality is None:
+        return "", "being looked at"
+    return ("ok", f"✓ sound: {quality.words}") if quality.sound else ("warn", f"⚠ not sound: {quality.words}")
 
 
 def _card(title: str, place: str = "") -> ui.element:

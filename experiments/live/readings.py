@@ -14,7 +14,8 @@ STALE_S = 1.0
 """A recorder that says nothing for so long is said to be silent."""
 TONES = {
     Phase.IDLE: "calm", Phase.OPENING: "busy", Phase.RECORDING: "live", Phase.STOPPING: "busy", Phase.FINISHED: "good",
-    Phase.STOPPED: "calm", Phase.LIMIT: "bad", Phase.LOST: "bad", Phase.FAILED: "bad", Phase.EMERGENCY: "bad"}
+    Phase.STOPPED: "calm", Phase.LIMIT: "bad", Phase.LOST: "bad", Phase.OVERLOAD: "bad", Phase.FAILED: "bad",
+    Phase.EMERGENCY: "bad"}
 NONE = "–"
 
 
@@ -29,11 +30,32 @@ def readings(session: Session, rig: Rig, shown_rows: int) -> dict[str, Any]:
     new = min(session.rows_seen - shown_rows, len(session.rows))
     rows = list(session.rows)[-new:] if new > 0 else []
     bars, limits = _limits(session, rig)
+    drive, drive_words = drive_of(session)
+    flawed = session.phase is Phase.FINISHED and session.flaw
     return {
-        "tone": TONES[session.phase], "phase": session.phase.value, "words": session.words, "running": session.running,
+        "drive": drive, "driveWords": drive_words, "tone": "busy" if flawed else TONES[session.phase],
+        "phase": session.phase.value, "words": session.words, "running": session.running,
         "latched": session.latched, "run": session.run_number,
         "progress": _progress(session), "text": _devices(session, rig) | limits, "bars": bars,
         "rows": [[None if v is None or not math.isfinite(v) else round(v, 5) for v in row] for row in rows]}
+
+
+def drive_of(session: Session) -> tuple[str, str]:
+    """(off | armed | driving | unknown, one or two words): whether the leg may move, to be read from across a room.
+
+    What is not known counts as dangerous: before the controller was heard, when the recorder is silent, and after a run
+    whose end the controller did not confirm.
+    """
+    status = session.status
+    if not session.running:
+        if not session.motor:
+            return "off", "NOT DRIVEN"
+        return ("off", "MOTOR OFF") if session.motor.startswith("torque off") else ("unknown", "UNCLEAR")
+    if status is None or status.phase == "opening" or time.monotonic() - session.heard_s > STALE_S:
+        return "unknown", "UNCLEAR"
+    if status.phase == "driving":
+        return "driving", "DRIVING"
+    return ("armed", "ARMED") if status.controller.startswith("armed") else ("off", "MOTOR OFF")
 
 
 def _progress(session: Session) -> float:
@@ -68,6 +90,8 @@ def _devices(session: Session, rig: Rig) -> dict[str, str]:
         quiet = time.monotonic() - session.heard_s
         if quiet > STALE_S:
             text["silence"] = f"The recorder has said nothing for {quiet:.0f} s: what is shown is old."
+    elif session.phase is Phase.OVERLOAD:
+        text["controller"] = text["imu"] = "closed; the computer was too busy to listen"
     elif lost:
         words = session.words.lower()
         text["imu" if "imu" in words or "lsm9ds1" in words else "controller"] = "LOST"

@@ -19,6 +19,7 @@ from daq import InputError, Rig
 from experiments.live.access import SANDBOX, Access, is_loopback, new_token
 from experiments.live.bench import Bench
 from experiments.live.page import Page
+from experiments.reports import script_hash
 
 HISTORY = 100
 """Messages kept for a browser that comes back."""
@@ -86,7 +87,8 @@ def build_app(bench: Bench) -> FastAPI:
         found = bench.report(name)
         if found is None:
             raise HTTPException(404, "no such report")
-        return FileResponse(found, media_type="text/html", headers={"content-security-policy": SANDBOX})
+        policy = SANDBOX.format(script=script_hash())
+        return FileResponse(found, media_type="text/html", headers={"content-security-policy": policy})
 
     @ui.page("/")
     def index() -> None:

@@ -40,13 +40,14 @@ class Phase(Enum):
     STOPPED = "Stopped"
     LIMIT = "Stopped by a limit"
     LOST = "Device lost"
+    OVERLOAD = "Computer too busy"
     FAILED = "Failed"
     EMERGENCY = "EMERGENCY STOP"
 
 
 RUNNING = {Phase.OPENING, Phase.RECORDING, Phase.STOPPING}
 _ENDINGS = {"done": Phase.FINISHED, "stopped": Phase.STOPPED, "emergency": Phase.EMERGENCY, "limit": Phase.LIMIT,
-            "lost": Phase.LOST, "failed": Phase.FAILED}
+            "lost": Phase.LOST, "overload": Phase.OVERLOAD, "failed": Phase.FAILED}
 _PACKET = msgspec.json.Decoder(Status | Heard | Ended)
 READY = "No recording is running."
 
@@ -93,6 +94,15 @@ class Session:
     def latched(self) -> bool:
         """The emergency stop was pressed and not released."""
         return bool(self._pressed_by)
+
+    @property
+    def flaw(self) -> str:
+        """What the run that is on or was last has lost; empty when nothing."""
+        s = self.status
+        lost = [] if s is None else [f"{count} {what}" for count, what in (
+            (s.imu_gaps, "gaps of the IMU"), (s.frames_lost, "frames of telemetry lost"),
+            (s.frames_bad, "frames damaged"), (s.late_commands, "commands left out as late")) if count]
+        return ", ".join(lost)
 
     def page_heard(self) -> None:
         """Somebody has a page open, in front of them."""
@@ -228,6 +238,8 @@ class Session:
         if ended.kind == "done":
             self.finished.append(path)
             self.words = f"{path.name} is recorded to its end."
+            if flaw := self.flaw:
+                self.words += f" But {flaw}: look at it below before you use it."
         elif self._why and ended.why.startswith("stopped by the dashboard"):
             self.words = self._why
         else:

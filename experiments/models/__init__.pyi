@@ -1,10 +1,15 @@
 from .effect_library import effects_document as effects_document
 from .effect_library import effects_text as effects_text
 from .effect_library import known_effects as known_effects
+from .free_runs import GYRO_COLUMN as GYRO_COLUMN
+from .free_runs import SHORT_S as SHORT_S
+from .free_runs import FreeRuns as FreeRuns
+from .free_runs import Prediction as Prediction
 from .gains import Tolerances as Tolerances
 from .gains import gain_rows as gain_rows
 from .gains import gains_of as gains_of
 from .mechanism_settings import build_mechanism as build_mechanism
+from .mechanism_settings import fitted_settings as fitted_settings
 from .mechanism_settings import mechanism_settings as mechanism_settings
 from .mjcf_urdf import export_model as export_model
 from .model_file import load_model as load_model

@@ -87,11 +87,16 @@ def export_model(model: Model, kind: str, where: str) -> tuple[str, list[str]]:
     return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n", notes
 
 
+def _speeds(model: Model) -> str:
+    speeds = model.mechanism.friction_velocity_radps
+    return ", ".join(f"{speed:g}" for speed in (speeds if isinstance(speeds, tuple) else (speeds,)))
+
+
 def _notes(model: Model, bodies: Sequence[Body], kind: str, extras: Extras) -> list[str]:
     notes = []
     if any(b.coulomb for b in bodies):
         notes.append("Coulomb friction is frictionloss, which holds a resting joint fast; legid rounds its sign off "
-                     f"over {model.mechanism.friction_velocity_radps:g} rad/s instead" if kind == "mjcf" else
+                     f"over {_speeds(model)} rad/s instead" if kind == "mjcf" else
                      "Coulomb friction is the attribute friction, which every simulator takes in its own way")
     notes += [f"{what} of {b.joint} is {value:g}, a fit's error: written as 0"
               for b in bodies for what, value in (("viscous friction", b.viscous), ("Coulomb friction", b.coulomb),

@@ -31,7 +31,8 @@ class MechanismSettings(_Part, frozen=True, kw_only=True, forbid_unknown_fields=
     lever_arm_m: NonNegative = 0.0
     rotor_inertia: tuple[Joint, ...] = ()
     torque_offset: tuple[Joint, ...] = ()
-    friction_velocity_radps: Positive = VELOCITY_SCALE
+    friction_velocity_radps: Positive | tuple[Positive, ...] = VELOCITY_SCALE
+    """One for all joints, or one each."""
 
 
 class ParameterValue(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):

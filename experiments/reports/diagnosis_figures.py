@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from daq import FloatArray
 from estimator.diagnosis import BudgetRow, SensorGain, Signature, Trace
+from experiments.reports.chart import Chart, Line
 from experiments.reports.figures import (
     BLUE,
     GREEN,
@@ -152,6 +153,15 @@ def trace_plot(trace: Trace, column: str) -> str:
         lower.set_ylabel("error")
         lower.set_xlim(float(time_s[0]), float(time_s[-1]))
         return to_svg(figure)
+
+
+def trace_chart(trace: Trace, column: str) -> Chart:
+    """The whole run for a browser: measured, simulated before and after, and both errors."""
+    measured, before, after = (of[column] for of in (trace.measured, trace.before, trace.after))
+    return Chart(trace.time_s - trace.time_s[0], [
+        Line("measured", measured, BLUE, 2.4), Line("nominal", before, GREEN), Line("extended", after, ORANGE),
+        Line("nominal less measured", before - measured, GREEN, 1.0, True, True),
+        Line("extended less measured", after - measured, ORANGE, 1.0, True, True)], axis_label(column))
 
 
 def axis_label(column: str) -> str:

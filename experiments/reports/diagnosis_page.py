@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 from daq import Dataset
 from estimator.diagnosis import Cause, Diagnosis, ShortRuns
+from estimator.model import Mechanism
 from experiments.provenance import Origin
 from experiments.reports.diagnosis_figures import (
     TRACE_SECONDS,
@@ -15,6 +17,7 @@ from experiments.reports.diagnosis_figures import (
     shift_plot,
     signature_limits,
     signature_plot,
+    trace_chart,
     trace_plot,
     waterfall,
 )
@@ -36,8 +39,8 @@ from experiments.reports.diagnosis_text import (
     size_rows,
     size_text,
 )
-from experiments.reports.fit_text import number
-from experiments.reports.html import Picture, Section, Table, write_page
+from experiments.reports.html import Picture, Section, Table, Verdict, write_page
+from experiments.reports.numbers import number
 from experiments.reports.origin import origin_section
 
 ALPHA = 0.01
@@ -45,11 +48,31 @@ ALPHA = 0.01
 
 
 def write_diagnosis(path: Path | str, found: Diagnosis, model: str, origin: Origin | None = None,
-                    runs: Sequence[Dataset] = ()) -> None:
-    """Write the page, with the files that it was made from where they are known. Raises `InputError` where that place
-    cannot be written."""
-    write_page(path, f"Diagnosis of {model}: {verdict_words(found.verdict)}", found.sentence,
-               [*diagnosis_sections(found), *([origin_section(origin, runs)] if origin else [])], origin)
+                    runs: Sequence[Dataset] = (), mechanism: Mechanism | None = None,
+                    warnings: Sequence[str] = ()) -> None:
+    """Write the page, with the files that it was made from and what its parameters mean, where they are known. Raises
+    `InputError` where that place cannot be written."""
+    write_page(path, f"Diagnosis of {model}: {verdict_words(found.verdict)}", confirm_words(found),
+               [*diagnosis_sections(found, mechanism), *([origin_section(origin, runs)] if origin else [])], origin,
+               verdict_box(found, warnings))
+
+
+def confirm_words(found: Diagnosis) -> str:
+    """What the answer rests on."""
+    used = sum(len(names) for names in found.runs.values())
+    return (f"From {used} runs, {len(found.confirm_runs)} of which chose nothing: {', '.join(found.confirm_runs)}."
+            if found.confirm_runs else f"From {used} runs." if used else "")
+
+
+TONES: dict[str, Literal["good", "caution", "bad"]] = {"none": "good", "named": "good", "fit_failed": "bad"}
+"""Of an answer, not of the leg; the others leave something open."""
+
+
+def verdict_box(found: Diagnosis, warnings: Sequence[str] = ()) -> Verdict:
+    """The answer and every warning, for the head of a page."""
+    words = verdict_words(found.verdict)
+    return Verdict(TONES.get(found.verdict, "caution"), f"{words[:1].upper()}{words[1:]}", [found.sentence],
+                   [f"Warning: {text}" for text in (*warnings, *found.warnings)])
 
 
 def verdict_words(verdict: str) -> str:
@@ -59,18 +82,19 @@ def verdict_words(verdict: str) -> str:
             "unexplained": "something is wrong, cause unknown", "fit_failed": "not possible"}.get(verdict, verdict)
 
 
-def diagnosis_sections(found: Diagnosis) -> list[Section]:
-    """All sections, in the order of the questions; those that have nothing to show are left out."""
+def diagnosis_sections(found: Diagnosis, mechanism: Mechanism | None = None) -> list[Section]:
+    """All sections, in the order of the questions; those that have nothing to show are left out. `mechanism` says
+    what the numbers mean; warnings are `verdict_box`'s."""
     sections = [_verdict(found), _budget(found), _errors(found), _candidates(found), _signatures(found), _traces(found),
-                _separability(found), _parameters(found), _next(found), _ruled_out(found), _untestable(found),
-                _runs(found)]
+                _separability(found), _parameters(found, mechanism), _next(found), _ruled_out(found),
+                _untestable(found), _runs(found)]
     return [s for s in sections if s.paragraphs or s.tables or s.pictures or s.notes]
 
 
 def _verdict(found: Diagnosis) -> Section:
     header = ["effect", "size", "value", "95 % interval", "unit"]
     rows = [row for cause in found.causes for row in size_rows(cause)]
-    notes = [_about(cause) for cause in found.causes] + [f"Warning: {text}" for text in found.warnings]
+    notes = [_about(cause) for cause in found.causes]
     return Section(causes_title(found), (), [Table(header, rows, right=frozenset({2, 3}))] if rows else (), (),
                    notes)
 
@@ -120,7 +144,7 @@ def short_tables(short: ShortRuns | None) -> list[Table]:
     """The errors in pieces, where they were taken."""
     if short is None:
         return []
-    caption = f"{short_title(short)}. {share_text(short.closed, short.ci95)}"
+    caption = f"{short_title(short)}. {share_text(short.sensors, short.closed, short.ci95)}"
     return [Table(ERROR_HEADER, error_rows(short.sensors), caption, frozenset({1, 2, 3}))]
 
 
@@ -156,7 +180,9 @@ def _signatures(found: Diagnosis) -> Section:
     limits = signature_limits(found.signatures)
     pictures = [Picture(signature_plot(s, limits[s.x_label, s.y_label]),
                         f"{key_label(s.title)}: what the nominal model leaves over (mean of each bin and its standard "
-                        "error), what the effect adds, and what the extended model leaves.")
+                        "error), what the effect adds, and what the extended model leaves. The nominal parameters take "
+                        "on what they can of an effect: what they leave need not run along its curve, and may run "
+                        "against it.")
                 for s in found.signatures]
     return Section("Signature", (), (), pictures)
 
@@ -167,7 +193,9 @@ def _traces(found: Diagnosis) -> Section:
     first = found.traces[0]
     seconds = min(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
     pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}, the first {seconds:.0f} s: measured, "
-                        "and simulated by the nominal and by the extended model; below, simulated less measured.")
+                        "and simulated by the nominal and by the extended model; below, or dashed by the axis on the "
+                        "right, simulated less measured.",
+                        trace_chart(first, column))
                 for column in first.measured if column in first.before and column in first.after]
     return Section("Simulation against measurement, before and after", (), (), pictures)
 
@@ -183,9 +211,11 @@ def _separability(found: Diagnosis) -> Section:
     return Section("What can be told apart", (), (), [picture])
 
 
-def _parameters(found: Diagnosis) -> Section:
+def _parameters(found: Diagnosis, mechanism: Mechanism | None) -> Section:
     if not found.nominal:
         return Section("Parameters")
+    meanings = {p.name: [p.unit, p.meaning] for p in (mechanism.parameters if mechanism else ())}
+    told = ["unit", "meaning"] if meanings else []
     nominal = _with_std(found.nominal, found.nominal_std)
     extended = _with_std(found.extended, found.extended_std)
     rows = []
@@ -195,15 +225,15 @@ def _parameters(found: Diagnosis) -> Section:
             new, new_std = extended[name]
             shift = f"{(new - value) / std:+.1f}" if 0 < std < float("inf") else ""
             row += [number(new, new_std), _interval(new, new_std), shift]
-        rows.append(row)
+        rows.append([*row, *(meanings.get(name, ["", ""]) if meanings else [])])
     header = ["parameter", "nominal", "95 % interval"]
     if not extended:
-        return Section("Parameters", (), [Table(header, rows, right=frozenset({1, 2}))])
+        return Section("Parameters", (), [Table([*header, *told], rows, right=frozenset({1, 2}))])
     header += ["extended", "95 % interval", "shift / std"]
     return Section(
         "What the extension does to the parameters",
         ["What the nominal model leaves out, its parameters take on as far as they can: they are off by this much."],
-        [Table(header, rows, right=frozenset({1, 2, 3, 4, 5}))],
+        [Table([*header, *told], rows, right=frozenset({1, 2, 3, 4, 5}))],
         [Picture(shift_plot(nominal, extended), "Parameters of the extended model against those of the nominal one.")])
 
 

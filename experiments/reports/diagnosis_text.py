@@ -64,16 +64,36 @@ def error_rows(sensors: Mapping[str, SensorGain]) -> list[list[str]]:
 
 def gap_text(found: Diagnosis) -> str:
     """The share of the gap that free runs of whole runs show closed; empty where there is none."""
-    return share_text(found.gap_closed, found.gap_closed_ci95)
+    return share_text(found.sensors, found.gap_closed, found.gap_closed_ci95)
 
 
-def share_text(closed: float | None, ci95: tuple[float, float] | None) -> str:
-    """A share of the gap, with its interval; empty where there is none."""
-    if closed is None:
+def share_text(sensors: Mapping[str, SensorGain], closed: float | None, ci95: tuple[float, float] | None) -> str:
+    """The share of the rms errors' gap that is closed, with its interval; empty where there is none.
+
+    `closed` is the documents' share of mean squares; under rms figures stands what it is of these.
+    """
+    before = _over_noise(sensors)
+    if closed is None or not before > 1.0:
         return ""
-    interval = "" if ci95 is None else f" (95 % interval {100 * ci95[0]:.0f} to {100 * ci95[1]:.0f} %)"
-    return (f"The extension closes {100 * closed:.0f} % of the gap between the nominal model's error and "
-            f"what noise alone would leave{interval}.")
+    after = _left(closed, before)
+    interval = ""
+    if ci95 is not None:
+        low, high = ((before - _left(c, before)) / (before - 1.0) for c in ci95)
+        interval = f" (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
+    return (f"The extension closes {100 * (before - after) / (before - 1.0):.0f} % of the gap between the nominal "
+            f"model's rms error and what noise alone would leave{interval}: over all sensors, from {before:.3g} times "
+            f"noise alone to {after:.2g} times.")
+
+
+def _over_noise(sensors: Mapping[str, SensorGain]) -> float:
+    """rms over the sensors of the nominal error in multiples of what noise alone leaves."""
+    shares = [(g.before / g.floor) ** 2 for g in sensors.values() if g.floor > 0.0]
+    return (sum(shares) / len(shares)) ** 0.5 if shares else 0.0
+
+
+def _left(closed: float, before: float) -> float:
+    """rms error in those multiples, of which the share `closed` of the mean squares' gap is taken away."""
+    return float(max(before**2 - closed * (before**2 - 1.0), 0.0) ** 0.5)
 
 
 def short_title(short: ShortRuns) -> str:
@@ -129,7 +149,7 @@ def diagnosis_text(found: Diagnosis) -> str:
         blocks.append("\n".join([
             f"The same runs, {short_title(found.short)}:",
             text_table(ERROR_HEADER, error_rows(found.short.sensors), {1, 2, 3}),
-            share_text(found.short.closed, found.short.ci95)]).rstrip())
+            share_text(found.short.sensors, found.short.closed, found.short.ci95)]).rstrip())
     if found.candidates:
         blocks.append(_candidates(found))
     if found.not_testable:

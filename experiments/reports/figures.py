@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import matplotlib as mpl
@@ -13,6 +13,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from daq import FloatArray
+from experiments.reports.chart import MOST_SAMPLES, Band, Chart, Line
+from experiments.reports.html import Picture
 
 INK, GRID = "#010203", "#040506"
 """Stand-ins that `_themed` turns into the page's own colours."""
@@ -26,27 +28,46 @@ STYLE: dict[Any, Any] = {
 }
 
 
-@dataclass(frozen=True)
-class Line:
-    """One curve (n,) over time, and how it looks."""
+def picture_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, caption: str, seconds: float,
+                  group: str = "run", bands: Sequence[Band] = ()) -> Picture:
+    """Curves over time (n,) [s]: their first `seconds` as a picture, all of them where a browser runs the page's
+    script, as far as `MOST_SAMPLES` go."""
+    whole, part = time_s - time_s[0], window(time_s, seconds)
+    shown = [replace(line, values=line.values[part]) for line in lines]
+    under = [replace(band, low=band.low[part], high=band.high[part]) for band in bands]
+    if whole.size > MOST_SAMPLES:
+        caption += f" The first {whole[MOST_SAMPLES - 1]:.0f} of {whole[-1]:.0f} s."
+    return Picture(plot_lines(whole[part], shown, y_label, bands=under), caption,
+                   Chart(whole, lines, y_label, group=group, bands=bands))
 
-    label: str
-    values: FloatArray
-    colour: str
-    width: float = 1.2
-    dashed: bool = False
 
-
-def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label: str = "time [s]") -> str:
-    """Curves over time (n,) [s] as an `<svg>` element; NaN leaves a hole."""
+def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label: str = "time [s]",
+               bands: Sequence[Band] = ()) -> str:
+    """Curves over time (n,) [s] as an `<svg>` element, over what lies in `bands`; NaN leaves a hole."""
     with mpl.rc_context({**STYLE, "svg.hashsalt": y_label}):
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
         axes = figure.add_subplot()
+        for band in bands:
+            axes.fill_between(time_s, band.low, band.high, color=band.colour, alpha=0.25, linewidth=0.0,
+                              label=band.label, zorder=1)
         for line in lines:
             axes.plot(time_s, line.values, label=line.label, color=line.colour, linewidth=line.width,
                       linestyle="--" if line.dashed else "-", zorder=3 if line.dashed else 2)
-        finish(axes, len(lines), x_label, y_label)
+        finish(axes, len(lines) + len(bands), x_label, y_label)
         axes.set_xlim(float(time_s[0]), float(time_s[-1]))
+        return to_svg(figure)
+
+
+def plot_points(x: FloatArray, y: FloatArray, band: float, x_label: str, y_label: str, name: str) -> str:
+    """A correlation function (n,) as stems over the band [-band, band], as an `<svg>` element."""
+    with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
+        figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
+        axes = figure.add_subplot()
+        axes.axhspan(-band, band, color=GREY, alpha=0.25, linewidth=0.0, label="99 % band")
+        axes.vlines(x, 0.0, y, color=BLUE, linewidth=1.4)
+        axes.plot(x, y, "o", color=BLUE, markersize=3.0, label=name)
+        axes.axhline(0.0, color=INK, linewidth=0.6)
+        finish(axes, 2, x_label, y_label)
         return to_svg(figure)
 
 

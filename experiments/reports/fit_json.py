@@ -10,13 +10,16 @@ import numpy as np
 
 from daq import WorkError
 from estimator import FitResult
-from experiments.models import MechanismSettings, Model, ParameterValue, Provenance
+from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, fitted_settings
 from experiments.provenance import program_version
+from experiments.reports.residual_tests import residual_tests
+from experiments.reports.run_agreement import agreement_document
+from experiments.reports.trust import Trust, fit_trust
 
 FIT_SCHEMA = "legid.fit/1"
 
 
-def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, Any]:
+def fit_document(result: FitResult, settings: MechanismSettings, trust: Trust | None = None) -> dict[str, Any]:
     """`legid.fit/1` of docs/formats.md, with what is undetermined, warned of and assumed added to it.
 
     A parameter that takes part in what is undetermined has NaN, null in the file, for numbers.
@@ -24,17 +27,24 @@ def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, An
     closed = [p.name not in result.open_parameters for p in result.mechanism.parameters]
     numbers = (np.where(closed, x.T, np.nan).T for x in (result.beta, result.std, result.ci95()))
     rows = zip(result.mechanism.parameters, *numbers)
+    auto, cross = residual_tests(result)
     return {
         "schema": FIT_SCHEMA, "model": settings.model, "method": result.method, "sensors": result.sensors,
         "parameters": [{"name": p.name, "meaning": p.meaning, "unit": p.unit, "value": float(value),
-                        "std": float(std), "ci95": [float(low), float(high)], "fixed": p.name in result.fixed}
+                        "std": float(std), "ci95": [float(low), float(high)], "fixed": p.name in result.fixed,
+                        **({"at_bound": True} if p.name in result.at_bound else {})}
                        for p, value, std, (low, high) in rows],
         "noise": {name: float(level) for name, level in result.noise.items()},
         "torque_residual_rms_nm": [float(rms) for rms in result.torque_residual_rms],
         "converged": bool(result.converged), "iterations": int(result.iterations), "samples": int(result.samples),
         "wall_s": float(result.wall_s), "undetermined": list(map(str, result.undetermined)),
         "hold": {"name": result.hold, "chosen": result.hold_margin is not None, "margin": result.hold_margin},
+        "agreement": agreement_document(result),
+        "inadmissible": list(result.inadmissible), "remedies": list(result.remedies),
         "warnings": list(result.warnings), "assumptions": list(result.assumptions),
+        "trust": (trust or fit_trust(result)).document,
+        "residuals": [{"what": c.what, "kind": kind, "outside": c.outside, "largest": c.largest, "band99": c.band}
+                      for kind, some in (("auto", auto), ("cross", cross)) for c in some],
     }
 
 
@@ -44,10 +54,16 @@ def check_sound(result: FitResult, for_model: bool) -> None:
     missing = f"this data does not determine {', '.join(map(str, result.undetermined))}" if result.undetermined else ""
     if not result.converged:
         raise WorkError(f"did not converge after {result.iterations} iterations; the values above are not to be used, "
-                        + ("no model was written" if for_model else "record more, or richer, motion")
+                        + ("; or ".join(result.remedies) if result.remedies else
+                           "no model was written" if for_model else "record more, or richer, motion")
                         + (f"; {missing}" if missing else ""))
     if missing and result.open_parameters >= {p.name for p in result.mechanism.parameters} - set(result.fixed):
         raise WorkError(f"{missing}; move every joint")
+    if result.inadmissible:
+        why = "; ".join(result.inadmissible)
+        raise WorkError(f"these parameters are no mechanism's: {why}; "
+                        + ("; or ".join(result.remedies) or "check signs and units of the columns, "
+                           "gravity and the joints under [mechanism], and that every run is of this rig"))
     if missing and for_model:
         raise WorkError(f"no model was written: {missing}; record richer motion, or give parameters with "
                         "--fix NAME=VALUE")
@@ -58,7 +74,7 @@ def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Se
     """The identified model, ready to be saved."""
     covariance = tuple(tuple(float(c) if np.isfinite(c) else None for c in row) for row in result.covariance)
     return Model(
-        schema="legid.model/1", mechanism=settings,
+        schema="legid.model/1", mechanism=fitted_settings(settings, result.mechanism),
         parameters=tuple(ParameterValue(name=p.name, meaning=p.meaning, unit=p.unit, value=float(value))
                          for p, value in zip(result.mechanism.parameters, result.beta)),
         covariance=covariance, noise={name: float(level) for name, level in result.noise.items()},

@@ -6,12 +6,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from daq import FloatArray
 from estimator import FitResult, Trajectory
 from estimator.model import Mechanism
-from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, Line, plot_lines, window
-from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, number, parameter_rows
+from experiments.reports.chart import Line
+from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points, window
+from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows
 from experiments.reports.html import Picture, Section, Table
+from experiments.reports.numbers import number
+from experiments.reports.residual_tests import LAGS, Correlation, fit_percent, residual_tests
+from experiments.reports.run_agreement import agreement_section
 
 FIGURE_SECONDS = 12.0
 SENSOR_LABELS = {
@@ -35,7 +38,8 @@ def _sensors(result: FitResult) -> str:
 
 def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[Section]:
     """Everything a fit alone can show; `benchmark` is a second model for the torques (the paper's Fig. 5)."""
-    sections = [_parameters(result), *_sensors_section(result), *_torques(result, benchmark), _noise(result)]
+    sections = [_parameters(result), *agreement_section(result), *_sensors_section(result),
+                *_torques(result, benchmark), *_residuals(result), _noise(result)]
     return [*sections, _limits(result)]
 
 
@@ -47,13 +51,13 @@ def truth_section(mechanism: Mechanism, found: Mapping[str, tuple[float, float]]
         value, std = found[p.name]
         error = value - truth[p.name]
         rows.append([p.name, number(truth[p.name], std), number(value, std), f"{error / std:+.2f}",
-                     "yes" if abs(error) <= 1.96 * std else "no", p.unit])
+                     "yes" if abs(error) <= 1.96 * std else "no", p.unit, p.meaning])
     inside = sum(row[4] == "yes" for row in rows)
     return Section(
         "Against the truth",
         [f"The rig was emulated, so its parameters are known: {inside} of {len(rows)} lie inside their 95 % intervals. "
          "The plant computes its motion from masses and lengths and shares no code with the estimator."],
-        [Table(["parameter", "truth", "found", "error / std", "inside 95 %", "unit"], rows,
+        [Table(["parameter", "truth", "found", "error / std", "inside 95 %", "unit", "meaning"], rows,
                right=frozenset({1, 2, 3}))])
 
 
@@ -79,13 +83,13 @@ def _sensors_section(result: FitResult) -> list[Section]:
         if column not in path.predicted or not column.startswith(("gyro", "accel", "q1")):
             continue
         label = SENSOR_LABELS.get(column, f"{column.rsplit('_', 1)[0]} [{result.mechanism.length_unit}]")
-        lines = [Line("measured", measured[part], BLUE, 2.2),
-                 Line("estimate", path.predicted[column][part], ORANGE, 0.9)]
+        lines = [Line("measured", measured, BLUE, 2.2), Line("estimate", path.predicted[column], ORANGE, 0.9)]
         rms = float(np.sqrt(np.nanmean((measured - path.predicted[column]) ** 2)))
         name, _, unit = label[:-1].partition(" [")
-        pictures.append(Picture(plot_lines(_time(path, part), lines, label),
-                                f"{name[0].upper()}{name[1:]}, measured and as estimated. Rms difference over the "
-                                f"whole run: {rms:.3g} {unit}."))
+        share = fit_percent(measured, path.predicted[column])
+        pictures.append(picture_lines(path.time_s, lines, label,
+                                      f"{name[0].upper()}{name[1:]}, measured and as estimated. Rms difference over "
+                                      f"the whole run: {rms:.3g} {unit}; fit {share:.1f} %.", FIGURE_SECONDS))
     if not pictures:
         return []
     title = "Accelerometer and gyro" if result.sensors == "imu" else "Angles"
@@ -103,16 +107,18 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
     force = result.mechanism.force_unit
     for j in range(result.mechanism.n):
         driven = j in result.mechanism.actuated
-        lines = [Line("measured", path.tau_measured[part, j], BLUE, 2.2)] if driven else []
+        lines = [Line("measured", path.tau_measured[:, j], BLUE, 2.2)] if driven else []
         if other is not None and benchmark is not None:
-            lines.append(Line(f"{benchmark.method} ({benchmark.sensors})", other.tau[part, j], GREEN, 0.9))
-        lines.append(Line(f"model ({result.method})", path.tau[part, j], ORANGE, 0.9))
+            lines.append(Line(f"{benchmark.method} ({benchmark.sensors})", other.tau[:, j], GREEN, 0.9))
+        lines.append(Line(f"model ({result.method})", path.tau[:, j], ORANGE, 0.9))
         if not driven:
-            lines.append(Line("zero", np.zeros_like(path.time_s[part]), GREY, 1.0, dashed=True))
+            lines.append(Line("zero", np.zeros_like(path.time_s), GREY, 1.0, dashed=True))
         rms = float(result.torque_residual_rms[j])
         what = f"Torque of joint {j + 1}" + ("" if driven else ", which has no motor: it must be zero")
-        pictures.append(Picture(plot_lines(_time(path, part), lines, f"torque, joint {j + 1} [{force}]"),
-                                f"{what}. Rms of measured minus model: {rms:.3g} {force}."))
+        share = f"; fit {fit_percent(path.tau_measured[:, j], path.tau[:, j]):.1f} %" if driven else ""
+        pictures.append(picture_lines(path.time_s, lines, f"torque, joint {j + 1} [{force}]",
+                                      f"{what}. Rms of measured minus model: {rms:.3g} {force}{share}.",
+                                      FIGURE_SECONDS))
     return [Section("Torques", [_excerpt(path, part, "Fig. 5")], pictures=pictures)]
 
 
@@ -123,15 +129,42 @@ def _match(benchmark: FitResult | None, path: Trajectory) -> Trajectory | None:
     return None
 
 
-def _time(path: Trajectory, part: slice) -> FloatArray:
-    return np.asarray(path.time_s[part] - path.time_s[0])
-
-
 def _excerpt(path: Trajectory, part: slice, paper: str) -> str:
     shown = float(path.time_s[part][-1] - path.time_s[0])
     whole = float(path.time_s[-1] - path.time_s[0])
-    return (f"Run {path.run}: the first {shown:.0f} of {whole:.0f} s, as in {paper} of the paper."
+    return (f"Run {path.run}: pictures show the first {shown:.0f} of {whole:.0f} s, as in {paper} of the paper."
             if shown < whole - 0.5 else f"Run {path.run}, as in {paper} of the paper.")
+
+
+def _residuals(result: FitResult) -> list[Section]:
+    """MATLAB's `resid`: is what is left over white, and independent of the input?"""
+    auto, cross = residual_tests(result)
+    if not auto:
+        return []
+    rows = [[c.what, f"{100 * c.outside:.0f} %", f"{c.largest:.2f}", f"{c.band:.3f}"] for c in (*auto, *cross)]
+    force = [c for c in auto if any(c.what == f"torque {j + 1}" for j in result.mechanism.actuated)]
+    pictures = [_correlation(c, f"Autocorrelation of the residual of {c.what}; the band holds 99 % of it if the "
+                             "residual is white.") for c in (force or auto)]
+    pictures += [_correlation(c, f"Cross-correlation of {c.what}; at positive lags with the torque's past. The band "
+                              "holds 99 % of it if they are independent.") for c in _leading(cross)]
+    return [Section(
+        "Residuals: white, and independent of the input?",
+        [f"Measured less estimated, at lags up to {LAGS} samples. One lag in a hundred lies outside its 99 % band by "
+         "chance. The motion is estimated from the same sensors, which colours small residuals a little; what counts "
+         "is the torque of driven joints, and a sensor beyond four lags: a large correlation there is something that "
+         "the model lacks. The equation of a passive joint has no sensor of its own, and its residual follows its "
+         "neighbours'."],
+        [Table(["residual", "lags outside 99 %", "largest", "99 % band, +-"], rows, right=frozenset({1, 2, 3}))],
+        pictures)]
+
+
+def _leading(cross: Sequence[Correlation]) -> Sequence[Correlation]:
+    """The one that stands furthest out of its band."""
+    return sorted(cross, key=lambda c: -c.largest / max(c.band, 1e-12))[:1]
+
+
+def _correlation(c: Correlation, caption: str) -> Picture:
+    return Picture(plot_points(c.lags, c.values, c.band, "lag [samples]", "correlation", c.what), caption)
 
 
 def _noise(result: FitResult) -> Section:

@@ -1,4 +1,4 @@
-"""A fit as text for a terminal, and the number format that reports share."""
+"""A fit as text for a terminal."""
 
 from __future__ import annotations
 
@@ -6,16 +6,8 @@ import math
 
 from estimator import FitResult
 from experiments.console import text_table
-
-
-def number(value: float, std: float = 0.0) -> str:
-    """`value` to two digits of its standard deviation, or to five digits where it has none."""
-    if not math.isfinite(value):
-        return "not determined"
-    if not (math.isfinite(std) and std > 0):
-        return f"{value:.5g}"
-    decimals = min(max(1 - math.floor(math.log10(std)), 0), 9)
-    return f"{value:.{decimals}f}"
+from experiments.reports.numbers import number
+from experiments.reports.run_agreement import agreement_lines
 
 
 def parameter_rows(result: FitResult) -> list[list[str]]:
@@ -27,6 +19,8 @@ def parameter_rows(result: FitResult) -> list[list[str]]:
             continue
         if p.name in result.fixed:
             spread, interval = "given", ""
+        elif p.name in result.at_bound:
+            spread, interval = "at its bound", f"0 .. {number(high)}"
         elif math.isfinite(std):
             spread, interval = number(float(std), float(std)), f"{number(low, std)} .. {number(high, std)}"
         else:
@@ -62,7 +56,8 @@ def fit_text(result: FitResult, model: str) -> str:
         f"joint {j + 1} {rms:.3g} {result.mechanism.force_unit}" for j, rms in enumerate(result.torque_residual_rms)))
     if result.mechanism.force_unit == "V":
         lines.append(VOLTS)
+    lines += agreement_lines(result)
     lines += [f"not determined by this data: {name}" for name in result.undetermined]
-    lines += [f"warning: {text}" for text in result.warnings]
+    lines += [f"warning: {text}" for text in (*result.inadmissible, *result.warnings)]
     lines += [f"assumed: {text}" for text in result.assumptions]
     return "\n".join(lines)

@@ -1,18 +1,35 @@
-"""`Section`s to one HTML page that needs nothing but itself: no script, no font, no picture from elsewhere."""
+"""`Section`s to one HTML page that needs nothing but itself: no font, no picture, no script from elsewhere.
+
+Its own script, uPlot (MIT, https://github.com/leeoniya/uPlot) with `figures.js`, makes curves over time into figures
+that zoom. It goes into pages that have any, and the page's policy lets that one run by its hash and no other. Without
+it, and on paper, the same figures stand there as pictures.
+"""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import lru_cache
+from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from markupsafe import Markup
 
 from experiments.console import write_text
 from experiments.provenance import META, Origin, program_version
+from experiments.reports.chart import Chart
+
+SCRIPT, STYLE = "uPlot.iife.js", "uPlot.min.css"
+"""uPlot's, of the package `uplot-python` (extra `zoom`); without it the pages keep their still figures alone."""
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 
 @dataclass(frozen=True)
@@ -31,10 +48,14 @@ class Picture:
 
     svg: str
     caption: str
+    chart: Chart | None = None
+    """The same curves for a browser, to zoom in."""
 
     @property
     def markup(self) -> Markup:
         """The SVG as it goes into the page; it comes from `experiments.reports.figures`, never from a file."""
+        from markupsafe import Markup
+
         return Markup(self.svg)
 
 
@@ -50,19 +71,59 @@ class Section:
     """A list of short sentences, after the figures."""
 
 
+@dataclass(frozen=True)
+class Verdict:
+    """What a page says before anything else."""
+
+    tone: Literal["good", "caution", "bad"]
+    title: str
+    lines: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+
+
+def uplot_folder() -> Path | None:
+    """Where uPlot's bundle is installed; None where it is not."""
+    found = find_spec("uplot")
+    folder = Path(found.origin).parent / "static" if found is not None and found.origin else None
+    return folder if folder is not None and (folder / SCRIPT).exists() and (folder / STYLE).exists() else None
+
+
+@lru_cache(maxsize=1)
+def page_script() -> str:
+    """The one script that a page may hold; empty without uPlot."""
+    folder, own = uplot_folder(), files(__package__) / "templates" / "figures.js"
+    if folder is None:
+        return ""
+    return (folder / SCRIPT).read_text(encoding="utf-8") + "\n" + own.read_text(encoding="utf-8")
+
+
+@lru_cache(maxsize=1)
+def script_hash() -> str:
+    """Source expression of a content security policy that allows `page_script` and nothing else."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(page_script().encode()).digest()).decode()
+
+
 def render_page(title: str, summary: str, sections: Sequence[Section], date: datetime | None = None,
-                origin: Origin | None = None) -> str:
+                origin: Origin | None = None, verdict: Verdict | None = None) -> str:
     """The page as HTML text; all text is escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+    from markupsafe import Markup
+
     environment = Environment(loader=PackageLoader(__package__), autoescape=select_autoescape(["html"]),
                               undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    css = Markup(environment.get_template("report.css").render())
+    folder = uplot_folder()
+    live = folder is not None and any(picture.chart for section in sections for picture in section.pictures)
+    sheets = [(folder / STYLE).read_text(encoding="utf-8")] if live and folder is not None else []
+    css = Markup("\n".join([*sheets, environment.get_template("report.css").render()]))
     stamp = (date or datetime.now(UTC)).strftime("%Y-%m-%d %H:%M UTC")
     return environment.get_template("report.html").render(
         title=title, summary=summary, sections=sections, css=css, stamp=stamp, version=program_version(),
-        meta=META, origin=None if origin is None else msgspec.json.encode(origin).decode())
+        meta=META, origin=None if origin is None else msgspec.json.encode(origin).decode(), verdict=verdict,
+        anchors=[f"s{k}-{re.sub('[^a-z0-9]+', '-', s.title.lower()).strip('-')}" for k, s in enumerate(sections, 1)],
+        script=Markup(page_script()) if live else "", script_hash=script_hash())
 
 
 def write_page(path: Path | str, title: str, summary: str, sections: Sequence[Section],
-               origin: Origin | None = None) -> None:
+               origin: Origin | None = None, verdict: Verdict | None = None) -> None:
     """Render and write; `origin` goes into its head. Raises `InputError` where that place cannot be written."""
-    write_text(path, render_page(title, summary, sections, origin=origin))
+    write_text(path, render_page(title, summary, sections, origin=origin, verdict=verdict))

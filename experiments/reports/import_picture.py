@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.exchange import Guess
-from experiments.reports.figures import BLUE, ORANGE, Line, plot_lines
-from experiments.reports.html import Picture, Section, Table
+from experiments.reports.chart import Line
+from experiments.reports.figures import BLUE, ORANGE, picture_lines
+from experiments.reports.html import Section, Table
 
 SECONDS = 15.0
 GUESS_HEADER = ["run's column", "file's column", "unit", "sign", "why"]
@@ -22,9 +23,8 @@ def guess_section(guess: Guess, file: str) -> Section:
     """The guess as a table, and the curves by which to judge it."""
     pictures = []
     for title, (read, made) in guess.curves.items():
-        n = min(read.size, int(SECONDS * guess.run.rate_hz))
-        time_s = np.arange(n) / guess.run.rate_hz
-        lines = [Line("read", read[:n], BLUE, 2.0), Line("made", made[:n], ORANGE, 1.0)]
-        pictures.append(Picture(plot_lines(time_s, lines, title.split(":")[0]), title))
+        time_s = np.arange(read.size) / guess.run.rate_hz
+        lines = [Line("read", read, BLUE, 2.0), Line("made", made, ORANGE, 1.0)]
+        pictures.append(picture_lines(time_s, lines, title.split(":")[0], title, SECONDS))
     return Section("Columns", [f"Guessed from {file}. Where a figure's two curves agree, unit and sign are right."],
                    [Table(GUESS_HEADER, guess_rows(guess))], pictures, guess.warnings)

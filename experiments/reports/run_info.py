@@ -20,7 +20,7 @@ BOUND_S = 1e-3
 GOOD_TIMER_MS = 1
 SKEW_RATE_HZ = 200.0
 HOST_TIME = {"/imu": "drain_before_ns", "/imu/slow": "host_ns", "/leg/telemetry": "host_ns", "/leg/clock": "host_rx_ns",
-             "/leg/command": "host_ns"}
+             "/leg/command": "host_ns", "/distance": "host_ns"}
 
 
 def describe_mcap(raw: RawRun) -> str:
@@ -54,7 +54,8 @@ def _recorded(raw: RawRun) -> str:
     started = raw.facts.get("started_unix_ns", "")
     when = (f", recorded {datetime.fromtimestamp(int(started) / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
             if started.isdecimal() else "")
-    return f"{when}, by legid {raw.facts.get('version', 'unknown')}"
+    replay = f"; a REPLAY of {raw.facts['replay_of']}, nothing was measured" if "replay_of" in raw.facts else ""
+    return f"{when}, by legid {raw.facts.get('version', 'unknown')}{replay}"
 
 
 def _wholeness(raw: RawRun) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 from msgspec import Struct
 
 from daq import InputError
@@ -16,7 +17,10 @@ from daq.runs import RawRun, read_run
 from daq.timing import recorded_rig
 from experiments.console import progress, text_table
 from experiments.reports.diagnosis_json import SCHEMA
-from experiments.reports.run_info import clock_bound_s, lost_frames
+from experiments.reports.run_info import BOUND_S, clock_bound_s, lost_frames
+
+RAIL_COUNTS = 32760
+"""Of 16 bits: from here on a reading is at its rail."""
 
 
 class _Cause(Struct):
@@ -45,6 +49,8 @@ class RunLine:
     clock_bound_s: float | None = None
     frames_lost: int = 0
     imu_gaps: int = 0
+    clipped: int = 0
+    """IMU samples with an axis at its rail: the true reading is beyond."""
     ended: str = ""
     """Why the run ended early, or what is missing of its file; empty when nothing is, or nobody knows."""
     verdict: str | None = None
@@ -58,10 +64,24 @@ class RunLine:
         """Something was lost, or it ended early."""
         return bool(self.frames_lost or self.imu_gaps or self.ended)
 
+    @property
+    def flaws(self) -> tuple[str, ...]:
+        """Why a fit had better do without it, each in a few words; empty for a sound run."""
+        bound = self.clock_bound_s
+        return tuple(words for words, bad in (
+            (f"ended early: {self.ended}", self.ended),
+            (f"{self.imu_gaps} gaps of the IMU", self.imu_gaps),
+            (f"{self.frames_lost} frames lost", self.frames_lost),
+            (f"{self.clipped} IMU samples at their rail", self.clipped),
+            (f"clock known to {(bound or 0.0) * 1e3:.1f} ms only", bound is not None and bound > BOUND_S)) if bad)
+
 
 def list_runs(folder: Path | str) -> list[RunLine]:
-    """All .mcap files in `folder` and below, oldest first. Raises `InputError` where that is no folder."""
+    """All .mcap files in `folder` and below, oldest first, or that one file. Raises `InputError` where there is none
+    of that name."""
     folder = Path(folder)
+    if folder.suffix == ".mcap" and folder.is_file():
+        return [_with_verdict(_line(folder, folder.parent), folder, _verdicts(folder.parent))]
     if not folder.is_dir():
         raise InputError(str(folder), "is no folder", "name one that holds run files")
     verdicts = _verdicts(folder)
@@ -85,15 +105,18 @@ def runs_text(lines: Sequence[RunLine]) -> str:
     """The list for a terminal."""
     rows = [[line.file, f"{line.recorded:%Y-%m-%d %H:%M:%S}" if line.recorded else "-", f"{line.seconds:.1f}",
              line.model or "-", "-" if line.clock_bound_s is None else f"{line.clock_bound_s * 1e6:.0f}",
-             str(line.frames_lost), str(line.imu_gaps), " ".join([line.verdict or "-", *line.causes]), line.ended]
+             str(line.frames_lost), str(line.imu_gaps), str(line.clipped),
+             " ".join([line.verdict or "-", *line.causes]), line.ended]
             for line in lines]
-    header = ["run", "recorded [UTC]", "seconds", "rig", "clock [us]", "lost", "gaps", "verdict", "ended early"]
-    return text_table(header, rows, right={2, 4, 5, 6})
+    header = ["run", "recorded [UTC]", "seconds", "rig", "clock [us]", "lost", "gaps", "clipped", "verdict",
+              "ended early"]
+    return text_table(header, rows, right={2, 4, 5, 6, 7})
 
 
 def runs_document(lines: Sequence[RunLine]) -> dict[str, Any]:
     """The same for programs."""
-    return {"schema": "legid.runs/1", "runs": list(lines)}
+    return {"schema": "legid.runs/1",
+            "runs": [{**msgspec.to_builtins(line), "flaws": list(line.flaws)} for line in lines]}
 
 
 def _line(path: Path, folder: Path) -> RunLine:
@@ -108,7 +131,13 @@ def _line(path: Path, folder: Path) -> RunLine:
     return RunLine(
         name, datetime.fromtimestamp(int(started) / 1e9, UTC) if started.isdecimal() else None, seconds, _model(raw),
         clock_bound_s(raw) if probes.size else None, lost_frames(telemetry) if telemetry.size else 0,
-        int(raw.streams["/imu"]["gap_before"].sum()), _ended(raw))
+        int(raw.streams["/imu"]["gap_before"].sum()), _clipped(raw), _ended(raw))
+
+
+def _clipped(raw: RawRun) -> int:
+    imu = raw.streams["/imu"]
+    axes = [imu[f"{kind}_{axis}"].astype(np.int32) for kind in ("gyro", "accel") for axis in "xyz"]
+    return int((np.abs(axes).max(axis=0) >= RAIL_COUNTS).sum()) if imu.size else 0
 
 
 def _model(raw: RawRun) -> str | None:

@@ -5,19 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from estimator.fitting import Validation
 from experiments.console import text_table
-from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, Line, plot_lines, window
-from experiments.reports.html import Picture, Section, Table
+from experiments.models import SHORT_S, Prediction
+from experiments.reports.chart import Band, Line
+from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_lines, window
+from experiments.reports.html import Section, Table
+from experiments.reports.trust import fits_of
 
 SCHEMA = "legid.validation/1"
 FIGURE_SECONDS = 20.0
 PICTURE_SECONDS = 10.0
 
 
-def validation_document(validations: Sequence[Validation], sensors: str) -> dict[str, Any]:
-    """`legid.validation/1`: summed squared errors (Table V of the paper) and RMSE by run and signal."""
+def validation_document(validations: Sequence[Validation], sensors: str, predictions: Sequence[Prediction] = ()
+                        ) -> dict[str, Any]:
+    """`legid.validation/1`: summed squared errors (Table V of the paper) and RMSE by run and signal; of `predictions`
+    the fit by sensor [%], null where the simulation ran away."""
     return {"schema": SCHEMA, "sensors": sensors,
+            "fit_percent": [{"run": p.run, "whole": fits_of(p, p.whole), "short": fits_of(p, p.short),
+                             "short_s": SHORT_S} for p in predictions],
             "runs": [{"run": v.run, "samples": int(v.time_s.shape[0]), "horizon_s": float(v.horizon_s),
                       "diverged": bool(v.diverged), "summed_squared_error": _floats(v.sums), "rmse": _floats(v.rmse)}
                      for v in validations]}
@@ -40,12 +49,29 @@ def validation_rows(validations: Sequence[Validation]) -> tuple[list[str], list[
     return header, rows
 
 
-def validation_text(validations: Sequence[Validation]) -> str:
+FIT_HEADER = ["run", "sensor", "fit, whole run", f"fit, pieces of {SHORT_S:g} s", "95 % band by parameters"]
+
+
+def fit_rows(predictions: Sequence[Prediction]) -> list[list[str]]:
+    """One row of FIT_HEADER a sensor of a run; the band as its rms half width, in the sensor's unit."""
+    def share(value: float) -> str:
+        return f"{value:.1f} %" if np.isfinite(value) else "ran away"
+
+    return [[p.run, name, share(fits_of(p, p.whole)[name]), share(fits_of(p, p.short)[name]),
+             "" if p.band is None else f"+-{np.sqrt(np.mean(p.band[name] ** 2)):.2g}"]
+            for p in predictions for name in p.measured]
+
+
+def validation_text(validations: Sequence[Validation], predictions: Sequence[Prediction] = ()) -> str:
     """What a person reads after `legid validate`."""
     header, rows = validation_rows(validations)
     unit = length_unit(validations[0])
-    lines = [text_table(header, rows, right=set(range(1, len(header)))), "",
-             f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s."]
+    lines = [text_table(header, rows, right=set(range(1, len(header)))), ""]
+    if predictions:
+        lines += [text_table(FIT_HEADER, fit_rows(predictions), right={2, 3, 4}), "",
+                  "fit: 100 % is exact, 0 % no better than the mean. Band: by how much the parameters' own uncertainty "
+                  "moves the simulation; an error far beyond it is something that the model lacks."]
+    lines += [f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s."]
     lines += [f"{v.run}: the simulation ran away from the measurement" for v in validations if v.diverged]
     return "\n".join(lines)
 
@@ -67,24 +93,35 @@ def validation_picture(validation: Validation) -> str:
     return plot_lines(validation.time_s[part] - validation.time_s[0], lines, label)
 
 
-def validation_section(validations: Sequence[Validation]) -> Section:
-    """Table of all runs, figures of the first."""
+def validation_section(validations: Sequence[Validation], predictions: Sequence[Prediction] = ()) -> Section:
+    """Table of all runs, figures of the first, with their bands where `predictions` are given."""
     header, rows = validation_rows(validations)
     first = validations[0]
     unit = length_unit(first)
-    part = window(first.time_s, FIGURE_SECONDS)
-    time_s = first.time_s[part] - first.time_s[0]
+    bands = next((p.band for p in predictions if p.run == first.run and p.band is not None), {})
     pictures = []
     for j in range(first.q.shape[1]):
-        lines = [Line("measured", first.reference_q[part, j], BLUE, 2.2),
-                 Line("simulated", first.q[part, j], ORANGE, 0.9)]
-        pictures.append(Picture(plot_lines(time_s, lines, f"q{j + 1} [{unit}]"),
-                                f"Joint {j + 1} in run {first.run}: measured, and simulated from its first "
-                                "state and the measured torque alone."))
+        name = f"q{j + 1}_{unit}"
+        q = first.q[:, j]
+        lines = [Line("measured", first.reference_q[:, j], BLUE, 2.2), Line("simulated", q, ORANGE, 0.9)]
+        half = bands[name][:first.time_s.size] if name in bands else None
+        shaded = [] if half is None else [Band("95 % by parameters", q - half, q + half, ORANGE)]
+        pictures += [
+            picture_lines(first.time_s, lines, f"q{j + 1} [{unit}]", f"Joint {j + 1} in run {first.run}: measured, and "
+                          "simulated from its first state and the measured torque alone.", FIGURE_SECONDS,
+                          bands=shaded),
+            picture_lines(first.time_s, [Line("simulated less measured", q - first.reference_q[:, j],
+                                              ORANGE)], f"error of q{j + 1} [{unit}]",
+                          f"Joint {j + 1}: the error" + (", and what the parameters' uncertainty explains of it."
+                                                        if half is not None else "."), FIGURE_SECONDS,
+                          bands=[] if half is None else [Band("95 % by parameters", -half, half, GREY)])]
     notes = [f"{v.run}: the simulation ran away from the measurement." for v in validations if v.diverged]
+    tables = [Table(header, rows, right=frozenset(range(1, len(header))))]
+    if predictions:
+        tables.insert(0, Table(FIT_HEADER, fit_rows(predictions), "Fit: 100 % is exact, 0 % no better than the mean; "
+                               "the band is the rms of its half width", frozenset({2, 3, 4})))
     return Section(
         "Free-run simulation against validation data",
         ["The identified model is started in the measured state and then driven by the measured torque alone, on runs "
          f"that the fit has not seen. SSE is the summed squared error of the paper's Table V, [{unit}²] and, for "
-         f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."],
-        [Table(header, rows, right=frozenset(range(1, len(header))))], pictures, notes)
+         f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."], tables, pictures, notes)

@@ -9,7 +9,6 @@ from pathlib import Path
 import msgspec
 
 from daq import InputError, Rig, load_rig, parse_rig
-from daq.runs import attached_texts
 from experiments.provenance import Source, source_of, text_source
 
 HERE = "rig.toml"
@@ -34,8 +33,13 @@ def choose_rig(given: Path | str | None, runs: Sequence[Path | str] = ()) -> Cho
 
     Raises `InputError` where there is none, or it cannot be used.
     """
-    held = [(Path(run).name, text) for run in runs
-            if str(run).lower().endswith(".mcap") and (text := attached_texts(run).get(HERE)) is not None]
+    held = []
+    for run in runs:
+        if str(run).lower().endswith(".mcap"):
+            from daq.runs import attached_texts
+
+            text = attached_texts(run).get(HERE)
+            held += [(Path(run).name, text)] if text is not None else []
     if given is None and held:
         name, text = held[0]
         where, note = f"{name} (rig.toml inside)", f"rig: the one that {name} holds"
@@ -61,4 +65,5 @@ def _differences(name: str, text: str, rig: Rig, where: str) -> list[str]:
     except InputError as error:
         return [f"the rig file inside it cannot be compared: {error}"]
     return [f"{name} was recorded with {table}.{key} = {value}, {where} says {now[table][key]}"
-            for table in COMPARED for key, value in then[table].items() if value != now[table][key]]
+            for table in COMPARED for key, value in then[table].items()
+            if value != now[table][key] and value is not None]  # what a recording left open contradicts nothing

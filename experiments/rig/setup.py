@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daq import Dataset, InputError, Rig
 from daq.runs import IMU
 from estimator import FitOptions
-from estimator.calibration import find_zeros, subtract, zeros_text
+from estimator.calibration import DistanceMeter, angle_record, find_zeros, subtract, zeros_text
 from estimator.model import Mechanism
 from experiments.console import detail, progress
 from experiments.exchange import load_any_run
@@ -30,6 +30,8 @@ class Setup:
     datasets: tuple[Dataset, ...]
     notes: tuple[str, ...] = ()
     """What was done to the runs, in sentences."""
+    gear_ratio: float = 1.0
+    """Of the motor."""
 
 
 def load_setup(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
@@ -86,13 +88,18 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
             raise InputError("--fix", f"{settings.model} has no parameter {name}",
                              f"it has {', '.join(mechanism.names)}")
     options = fit_options(rig, choose_sensors(rig, datasets, sensors), fixed or {}, latent)
+    if rig.distance_meter is not None and (rig.distance_meter.sigma_m or rig.distance_meter.sigma_per_m):
+        sigmas = [d["q1_sigma_rad"] for d in datasets if "q1_sigma_rad" in d]
+        if sigmas:
+            level = float(np.sqrt(np.nanmean(np.square(np.concatenate(sigmas)))))
+            options = replace(options, noise={**options.noise, "encoder1_rad": level})
     notes = tuple(f"{d.name} is to be doubted: {d.sources['doubt']}" for d in datasets if "doubt" in d.sources)
-    return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes), rig, beta)
+    return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes, rig.motor.gear_ratio), rig, beta)
 
 
 def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> Setup:
     """`setup` less the encoders' zeros that its rig declares to differ from run to run; see `find_zeros`."""
-    joints = [j - 1 for j in rig.terms.encoder_zero]
+    joints = [j - 1 for j in rig.terms.encoder_zero or ()]
     known = beta if beta is not None and len(beta) == setup.mechanism.p else None
     if not joints or (len(setup.datasets) == 1 and known is None):  # one run says nothing of differences
         return setup
@@ -102,10 +109,14 @@ def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> S
 
 
 def prepare(data: Dataset, rig: Rig) -> Dataset:
-    """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts.
+    """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts; and with the
+    absolute angle that a distance meter shows.
 
     The column keeps its torque name; every parameter is then in volt units, and said to be.
     """
+    if rig.distance_meter is not None and "distance_m" in data:
+        d = rig.distance_meter
+        data = angle_record(data, DistanceMeter(d.mount_m, d.gamma_rad, d.sigma_m, d.sigma_per_m), d.upright_rad)
     if rig.mechanism.input != "voltage" or "duty" not in data:
         return data
     column = "tau1_n" if "q1_m" in data and "q1_rad" not in data else "tau1_nm"
@@ -132,5 +143,6 @@ def fit_options(rig: Rig, sensors: str, fixed: Mapping[str, float], latent: str 
     """What the rig file knows, as the estimator's options."""
     noise = {name: level for name in ("gyro_radps", "accel_mps2", "torque_nm", "encoder_rad")
              if (level := getattr(rig.noise, name)) is not None}
-    return FitOptions(sensors=sensors, hold=rig.sampling.hold, noise=noise, cutoff_hz=rig.filter.cutoff_hz,
-                      filter_order=rig.filter.order, fixed=dict(fixed), latent=latent)
+    rounding = "auto" if rig.terms.friction_velocity_radps is None else "given"
+    return FitOptions(sensors=sensors, hold=rig.sampling.hold, rounding=rounding, noise=noise,
+                      cutoff_hz=rig.filter.cutoff_hz, filter_order=rig.filter.order, fixed=dict(fixed), latent=latent)

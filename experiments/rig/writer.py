@@ -64,7 +64,7 @@ def rig_toml(facts: RigFacts) -> str:
               "", "[motor]",
               line("gear_ratio", _number(facts.gear_ratio), "motor turns per turn of the joint", "gear_ratio"), "",
               "[sampling]", line("rate_hz", "100.0", "grid on which runs are aligned [Hz]"),
-              line("hold", '"linear"', "zero | linear | average | smooth | auto: torque between samples"), "",
+              line("hold", '"auto"', "zero | linear | average | smooth: torque between samples; or the likeliest"), "",
               *_imu(facts, line), "", *_controller(facts, line), "",
               "[limits]                          # beyond any of these the torque goes to zero and the run stops",
               line("torque_nm", _number(facts.torque_nm), "joint torque [N m]", "torque_nm"),

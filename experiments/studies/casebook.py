@@ -230,11 +230,11 @@ def _fit(task: FitTask, home: Path) -> Fitted:
     result, refusal = _attempt(estimate)
     if result is None or not task.validate:
         return Fitted(task, result, refusal)
-    beta = result.beta
+    mechanism, beta, hold = result.mechanism, result.beta, result.hold
 
     def simulate() -> list[Validation]:
         setup = load_setup([home / run for run in task.validate], rig, None, task.fix, beta=beta)
-        return validate_setup(setup, beta)
+        return validate_setup(setup, mechanism, beta, hold)
 
     validations, problem = _attempt(simulate)
     return Fitted(task, result, refusal, validations or (), problem)

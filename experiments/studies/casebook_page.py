@@ -20,14 +20,13 @@ from experiments.reports import (
     gap_text,
     key_label,
     number,
-    plot_lines,
+    picture_lines,
     short_tables,
     signature_limits,
     signature_plot,
     size_rows,
     trace_plot,
     validation_rows,
-    window,
     write_page,
 )
 from experiments.studies.casebook import Calibrated, Diagnosed, Fitted, Study, Swept, values
@@ -217,12 +216,11 @@ def _torque_pictures(f: Fitted) -> list[Picture]:
     if f.result is None or not f.result.trajectories:
         return []
     path = f.result.trajectories[0]
-    part = window(path.time_s, SECONDS)
     unit = f.result.mechanism.force_unit
-    return [Picture(plot_lines(path.time_s[part] - path.time_s[0],
-                               [Line("measured", path.tau_measured[part, j], BLUE, 2.2),
-                                Line("model", path.tau[part, j], ORANGE, 0.9)], f"joint {j + 1} [{unit}]"),
-                    f"What drives joint {j + 1} in {path.run}, measured and as the model has it.")
+    return [picture_lines(path.time_s, [Line("measured", path.tau_measured[:, j], BLUE, 2.2),
+                                        Line("model", path.tau[:, j], ORANGE, 0.9)], f"joint {j + 1} [{unit}]",
+                          f"What drives joint {j + 1} in {path.run}, measured and as the model has it.", SECONDS,
+                          group=f"{f.task.title} {path.run}")
             for j in f.result.mechanism.actuated]
 
 

@@ -87,10 +87,11 @@ class Step(NamedTuple):
         return Step(self.time_s, self.q @ m.T, self.qd @ m.T, self.qdd @ m.T, torque)
 
 
-def control(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatArray) -> FloatArray:
+def control(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatArray,
+            bandwidth: float = BANDWIDTH) -> FloatArray:
     """Torque (3,) that makes y'' = -2 w y' - w^2 y for the virtual constraints y, at one state (3,), (3,)."""
     inverse = np.linalg.inv(mechanism.inertia_matrix(q, beta))
-    wanted = -2.0 * BANDWIDTH * (CONSTRAINTS @ qd) - BANDWIDTH**2 * (CONSTRAINTS @ q - TARGETS)
+    wanted = -2.0 * bandwidth * (CONSTRAINTS @ qd) - bandwidth**2 * (CONSTRAINTS @ q - TARGETS)
     drift = CONSTRAINTS @ inverse @ mechanism.bias_torque(q, qd, beta)
     torque: FloatArray = UNACTUATED @ np.linalg.solve(CONSTRAINTS @ inverse @ UNACTUATED, wanted + drift)
     return torque
@@ -126,17 +127,45 @@ def impact(qd: FloatArray) -> tuple[FloatArray, FloatArray]:
             np.array([rate[0], rate[1] - rate[0], rate[2] - rate[0]]))
 
 
-def walk(q0: FloatArray, qd0: FloatArray, samples: int) -> Step:
-    """`samples` samples of the controlled walker from the state (3,), (3,)."""
+def walk(q0: FloatArray, qd0: FloatArray, samples: int, bandwidth: float = BANDWIDTH,
+         continuous: bool = False) -> Step:
+    """`samples` samples of the controlled walker from the state (3,), (3,).
+
+    With `continuous` the controller acts at every instant, and the record's torque is what it gave at the samples;
+    otherwise it is held from each sample to the next.
+    """
     mechanism, beta = biped3(), true_parameters()
     q, qd, torque = (np.zeros((samples, 3)) for _ in range(3))
     q[0], qd[0] = q0, qd0
     for k in range(samples):
-        torque[k] = control(mechanism, beta, q[k], qd[k])
-        if k + 1 < samples:
+        torque[k] = control(mechanism, beta, q[k], qd[k], bandwidth)
+        if k + 1 < samples and continuous:
+            q[k + 1], qd[k + 1] = _advance_controlled(mechanism, beta, q[k], qd[k], bandwidth)
+        elif k + 1 < samples:
             q[k + 1], qd[k + 1] = advance(mechanism, beta, q[k], qd[k], torque[k], PERIOD_S, SUBSTEPS)
     qdd = mechanism.forward_dynamics(q, qd, torque, beta)
     return Step(np.asarray(PERIOD_S * np.arange(samples), dtype=np.float64), q, qd, qdd, torque)
+
+
+def _advance_controlled(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatArray,
+                        bandwidth: float) -> tuple[FloatArray, FloatArray]:
+    """State (3,), (3,) a sample later under a controller that acts at every instant. Classical Runge-Kutta."""
+    h = PERIOD_S / SUBSTEPS
+
+    def acceleration(angle: FloatArray, rate: FloatArray) -> FloatArray:
+        return mechanism.forward_dynamics(angle, rate, control(mechanism, beta, angle, rate, bandwidth), beta)
+
+    for _ in range(SUBSTEPS):
+        a1 = acceleration(q, qd)
+        v2 = qd + 0.5 * h * a1
+        a2 = acceleration(q + 0.5 * h * qd, v2)
+        v3 = qd + 0.5 * h * a2
+        a3 = acceleration(q + 0.5 * h * v2, v3)
+        v4 = qd + h * a3
+        a4 = acceleration(q + h * v3, v4)
+        q = q + h / 6.0 * (qd + 2.0 * v2 + 2.0 * v3 + v4)
+        qd = qd + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    return q, qd
 
 
 def after_impact(rate_radps: float) -> tuple[FloatArray, FloatArray]:
@@ -166,3 +195,10 @@ def periodic_rate() -> float:
 def one_step() -> Step:
     """The record of the study: the first `DURATION_S` after an impact of the periodic gait (a step takes 0.83 s)."""
     return walk(*after_impact(periodic_rate()), round(DURATION_S / PERIOD_S) + 1)
+
+
+def one_step_continuous(bandwidth: float, continuous: bool = True, first: int = 0) -> Step:
+    """`DURATION_S` from sample `first` on, from the initial state of `one_step`, under another controller."""
+    samples = round(DURATION_S / PERIOD_S) + 1
+    step = walk(*after_impact(periodic_rate()), first + samples, bandwidth, continuous)
+    return Step(step.time_s[:samples], *(values[first:] for values in step[1:]))

@@ -1,3 +1,8 @@
+from .choices import Choice as Choice
+from .choices import Fitted as Fitted
+from .choices import fit_runs as fit_runs
+from .choices import with_choices as with_choices
+from .compare import compare_models as compare_models
 from .demo import run_demo as run_demo
 from .demo_text import demo_text as demo_text
 from .diagnose import diagnose_setup as diagnose_setup
@@ -12,6 +17,16 @@ from .fit_each import refits_document as refits_document
 from .fit_each import refits_text as refits_text
 from .fit_each import verdict as verdict
 from .record import record_plan as record_plan
+from .record import replay_recording as replay_recording
 from .simulate import simulate_run as simulate_run
+from .tune import tune_runs as tune_runs
+from .tune import tuning_document as tuning_document
+from .tune import tuning_text as tuning_text
+from .tune import write_choices as write_choices
+from .usable import SetAside as SetAside
+from .usable import set_aside as set_aside
+from .validate import foretell as foretell
+from .validate import predict_runs as predict_runs
+from .validate import seen_in_fit as seen_in_fit
 from .validate import validate_runs as validate_runs
 from .validate import validate_setup as validate_setup

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 from daq import InputError, Rig, WorkError, parse_rig
 from daq.recording import write_plan
 from daq.runs import read_run
-from estimator import cores
+from estimator import cores, worker_pool
 from estimator.fitting import fit
 from experiments.console import busy, make_directory, progress, stages, write_text
 from experiments.emulation import DEFAULT, EFFECTS, NOTHING, REMARK, Hidden, LegBody, record_emulated
@@ -59,7 +60,7 @@ def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = D
         hall = replace(setup.options, sensors="encoder", cutoff_hz=HALL_CUTOFF_HZ)
         benchmark = fit(training.datasets, setup.mechanism, hall, "wls")
         model = diagnosed_model(diagnosis, setup, rig.motor.gear_ratio)
-    before = validate_setup(held, result.beta)
+    before = validate_setup(held, result.mechanism, result.beta, result.hold)
     after = validate_runs(model, held, "the extended model") if model.effects else before
     truth = dict(zip(setup.mechanism.names, body.beta()))
     written = {"rig": out / "rig.toml", "runs": out / "demo-run*.mcap"}
@@ -85,10 +86,13 @@ def record_runs(out: Path, rig: Rig, rig_text: str, runs: int, seconds: float, s
                 hidden: Hidden) -> list[Path]:
     """All runs, on as many cores as there are, up to `WORKERS`. Returns the run files in order."""
     jobs = [(out, rig, rig_text, k, seconds, seed, body, hidden.effect) for k in range(runs)]
-    with ProcessPoolExecutor(min(WORKERS, cores())) as pool:
-        waiting = [pool.submit(record_demo_run, *job) for job in jobs]
-        for done in progress(as_completed(waiting), "recording", len(jobs), "run"):
-            done.result()
+    try:
+        with worker_pool(min(WORKERS, cores())) as pool:
+            waiting = [pool.submit(record_demo_run, *job) for job in jobs]
+            for done in progress(as_completed(waiting), "recording", len(jobs), "run"):
+                done.result()
+    except BrokenProcessPool:
+        raise WorkError("a process that recorded was killed (out of memory?); run it again") from None
     return [job.result() for job in waiting]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from estimator import FitResult
-from experiments.console import write_json, write_text
+from experiments.console import command_line, write_json, write_text
 from experiments.models import save_model
 from experiments.provenance import origin_of, source_of
 from experiments.reports import (
@@ -15,6 +15,7 @@ from experiments.reports import (
     fit_document,
     fit_sections,
     fit_summary,
+    fit_trust,
     model_of,
     model_with_origin,
     origin_section,
@@ -23,6 +24,7 @@ from experiments.reports import (
     validation_document,
     validation_picture,
     validation_section,
+    verdict_box,
     verdict_words,
     with_origin,
     write_page,
@@ -34,7 +36,7 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult) -> dict[str, Path
     """Models, documents and both reports; returns what -> path."""
     result, setup = demo.result, demo.setup
     runs = [out / name for names in demo.diagnosis.runs.values() for name in names]
-    origin = origin_of(sorted(runs), source_of(out / "rig.toml"))
+    origin = origin_of(sorted(runs), source_of(out / "rig.toml"), command=command_line())
     written = {"model": out / "model.json", "extended model": out / "extended.json", "fit": out / "fit.json",
                "diagnosis": out / "diagnosis.json", "validation": out / "validation.json",
                "picture": out / "picture.svg", "fit report": out / "fit.html", "report": out / "report.html"}
@@ -48,13 +50,14 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult) -> dict[str, Path
     sections = fit_sections(result, benchmark)
     nominal = {name: (float(v), float(s)) for name, v, s in zip(demo.truth, result.beta, result.std)}
     sections[1:1] = [truth_section(result.mechanism, nominal, demo.truth)]
-    sections[-2:-2] = [validation_section(demo.before)]
+    sections[-3:-3] = [validation_section(demo.before)]
     write_page(written["fit report"], "The emulated leg: the nominal fit", fit_summary(result, setup.settings.model),
-               [*sections, origin_section(origin)], origin)
-    told = diagnosis_sections(demo.diagnosis)
+               [*sections, origin_section(origin)], origin, fit_trust(result).verdict(result.warnings))
+    told = diagnosis_sections(demo.diagnosis, setup.mechanism)
     told[1:1] = [Section("What was hidden", [f"The leg was emulated, and beside what its rig file says it had "
                                              f"{demo.hidden.words}."]),
                  truth_section(setup.mechanism, demo.estimates(), demo.truth)]
     write_page(written["report"], f"The emulated leg: {verdict_words(demo.diagnosis.verdict)}",
-               demo.diagnosis.sentence, [*told, origin_section(origin)], origin)
+               "The whole loop on an emulated leg, held against what was hidden in it.",
+               [*told, origin_section(origin)], origin, verdict_box(demo.diagnosis))
     return written

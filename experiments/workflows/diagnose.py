@@ -9,10 +9,12 @@ from pathlib import Path
 from daq import Dataset, InputError, Rig
 from daq.runs import IMU, read_run
 from daq.timing import recorded_rig
+from estimator import FitError
 from estimator.calibration import differing_text, find_differing
 from estimator.diagnosis import MATERIAL, Diagnosis, diagnose
 from experiments.models import Model, known_effects, values_of
 from experiments.rig import Setup
+from experiments.workflows.suspicion import require_sound
 
 BENCHMARK = "q1_rad"
 
@@ -22,11 +24,16 @@ def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str
                    material: float = MATERIAL) -> Diagnosis:
     """Diagnose the runs of `setup`, in the order given, on `workers` processes (by default one a core).
 
-    Raises `InputError` for runs that do not belong together.
+    Columns that contradict themselves are no effect's: then the verdict is fit_failed, with what mends them. Raises
+    `InputError` for runs that do not belong together.
     """
     known_effects()
     require_alike(setup.datasets)
     setup = without_benchmark(setup)
+    try:
+        require_sound(setup)
+    except FitError as error:
+        return Diagnosis("fit_failed", f"No diagnosis: {error}.", warnings=setup.notes, material=material)
     found = diagnose(setup.datasets, setup.mechanism, setup.options, gear_ratio=rig.motor.gear_ratio, seed=seed,
                      progress=progress, reference=reference, workers=workers, material=material)
     differing = None if rig.terms.encoder_zero else find_differing(setup.datasets, setup.mechanism, setup.options)

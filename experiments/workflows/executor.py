@@ -7,16 +7,14 @@ one picklable argument.
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process
 from typing import Any, Protocol, TypeVar
 
 from daq import InputError, WorkError
-from estimator import cores
+from estimator import cores, worker_pool
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -41,18 +39,6 @@ class SerialExecutor:
         yield from ((k, function(piece)) for k, piece in enumerate(pieces))
 
 
-def leave_with_parent() -> None:
-    """End this worker when its parent is gone, however it went: after a SIGKILL nobody else tells it to."""
-    parent = parent_process()
-    assert parent is not None
-
-    def wait() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=wait, name="parent", daemon=True).start()
-
-
 @dataclass(frozen=True)
 class LocalExecutor:
     """Processes on this machine; they start fresh, so nothing of this process's state leaks into a result."""
@@ -64,18 +50,13 @@ class LocalExecutor:
         before = {name: os.environ.get(name) for name in ONE_THREAD}
         os.environ.update(ONE_THREAD)  # read by the libraries of the new processes when they start
         try:
-            with ProcessPoolExecutor(min(self.workers, max(len(pieces), 1)), mp_context=get_context("spawn"),
-                                     initializer=leave_with_parent) as pool:
+            with worker_pool(min(self.workers, max(len(pieces), 1)), "spawn") as pool:
                 futures = {pool.submit(function, piece): k for k, piece in enumerate(pieces)}
-                try:
-                    for future in as_completed(futures):
-                        yield futures[future], future.result()
-                except BrokenProcessPool:
-                    raise WorkError("a worker process died (out of memory?); run again to go on from "
-                                    "where it stopped, with fewer --workers") from None
-                except BaseException:
-                    pool.shutdown(wait=False, cancel_futures=True)
-                    raise
+                for future in as_completed(futures):
+                    yield futures[future], future.result()
+        except BrokenProcessPool:
+            raise WorkError("a worker process died (out of memory?); run again to go on from where it stopped, with "
+                            "fewer --workers") from None
         finally:
             for name, value in before.items():
                 if value is None:

@@ -33,14 +33,14 @@ class Refit:
 def refit(piece: Refit) -> dict[str, Any]:
     """The run's fit JSON with its name, or `error` where the run cannot be read or fitted."""
     from estimator import FitError
-    from estimator.fitting import fit
     from experiments.reports import fit_document, with_origin
     from experiments.rig import load_setup
+    from experiments.workflows.fit import fit_setup
 
     try:
         setup = load_setup([piece.run], piece.rig, piece.sensors, dict(piece.fixed), piece.latent,
                            damaged=piece.damaged)
-        result = fit(setup.datasets, setup.mechanism, setup.options, piece.method)
+        result = fit_setup(setup, piece.method)
     except (FitError, InputError, WorkError) as error:
         return {"run": piece.run, "error": " ".join(str(error).split()), "input": isinstance(error, InputError)}
     return {"run": piece.run, **with_origin(fit_document(result, setup.settings), piece.origin, setup.datasets)}

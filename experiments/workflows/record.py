@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from daq import InputError, load_rig
 from daq.recording import Plan, Progress, RecordReport, Remote, record_run
+from experiments.emulation import Replayed
 from experiments.reports import clock_warnings
 from experiments.rig import open_devices
 
@@ -40,3 +41,19 @@ def record_plan(rig_path: Path | str, plan: Plan, out: Path | str, emulate: str 
     with open_devices(rig, str(rig_path)) as (imu, controller):
         done = record_run(out, rig, rig_text, plan, imu, controller, progress=progress, remote=remote)
         return Recorded(done, clock_warnings(done.clock_bound_s, controller.link_facts))
+
+
+def replay_recording(run: Path | str, out: Path | str, rig_path: Path | str | None = None) -> Replayed:
+    """Play the native run `run` back into the new file `out`, under the rig that it holds or that of `rig_path`.
+
+    Raises `InputError`.
+    """
+    from experiments.emulation import replay_run
+
+    for flag, path in (("--replay", run), ("--out", out)):
+        if not str(path).lower().endswith(".mcap"):
+            raise InputError(flag, f"{path} does not end in .mcap", "name a native run file")
+    if rig_path is None:
+        return replay_run(Path(out), run)
+    load_rig(rig_path)  # refused under its own name
+    return replay_run(Path(out), run, Path(rig_path).read_text(encoding="utf-8"))

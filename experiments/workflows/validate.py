@@ -1,4 +1,4 @@
-"""A saved model put to runs."""
+"""A saved model put to runs, and how far ahead it predicts them."""
 
 from __future__ import annotations
 
@@ -7,24 +7,73 @@ from dataclasses import replace
 import numpy as np
 
 from daq import FloatArray, InputError
-from estimator.fitting import Validation, validate
+from estimator.fitting import HORIZONS_S, Horizons, Validation, predict, smoothed_states, validate
+from estimator.model import Mechanism
 from experiments.console import progress
-from experiments.models import Model, build_mechanism, validate_extended
+from experiments.models import FreeRuns, Model, Prediction, build_mechanism, validate_extended
+from experiments.provenance import Origin
 from experiments.rig import Setup
+from experiments.workflows.suspicion import require_sound
 
 
 def validate_runs(model: Model, setup: Setup, where: str) -> list[Validation]:
-    """Free-run simulation of `model` against the runs of `setup`; `where` names the model in errors."""
+    """Free-run simulation of `model` against the runs of `setup`; `where` names the model in errors.
+
+    Raises `InputError` for a model of another mechanism, `FitError` for runs whose columns contradict themselves.
+    """
     if (setup.settings.model, setup.mechanism.n) != (model.mechanism.model, build_mechanism(model.mechanism).n):
         raise InputError(where, f"is a {model.mechanism.model}, the rig file says {setup.settings.model}",
                          "give the rig that the model was fitted on")
-    mechanism, options = build_mechanism(model.mechanism), replace(setup.options, hold=model.hold)
+    require_sound(setup)
+    mechanism = build_mechanism(model.mechanism)
     if model.effects:
-        return validate_extended(model, mechanism, options, setup.datasets)
-    return validate_setup(replace(setup, mechanism=mechanism, options=options), np.array(model.beta))
+        return validate_extended(model, mechanism, replace(setup.options, hold=model.hold), setup.datasets)
+    return validate_setup(setup, mechanism, np.array(model.beta), model.hold)
 
 
-def validate_setup(setup: Setup, beta: FloatArray) -> list[Validation]:
-    """Free-run simulation with parameters `beta` (p,) against every gap-free stretch of every run of `setup`."""
+def predict_runs(model: Model, setup: Setup) -> list[Prediction]:
+    """Free runs of `model` over whole runs and over pieces, with their bands; session time starts at the first run.
+
+    For the runs of `validate_runs`, which says whether the model fits the rig. Raises `FitError`.
+    """
+    mechanism, options = build_mechanism(model.mechanism), replace(setup.options, hold=model.hold)
+    found, session_s = [], 0.0
+    for data in progress(setup.datasets, "predicting", unit="run"):
+        runs = FreeRuns(model, mechanism, options, data, session_s)
+        found.append(runs.prediction())
+        session_s += runs.seconds
+    return found
+
+
+def validate_setup(setup: Setup, mechanism: Mechanism, beta: FloatArray, hold: str) -> list[Validation]:
+    """Free-run simulation with parameters `beta` (p,), and the mechanism (its friction's rounding) and the hold that
+    they were fitted under, against every gap-free stretch of every run of `setup`."""
+    options = replace(setup.options, hold=hold)
     return [found for data in progress(setup.datasets, "simulating", unit="run")
-            for found in validate(data, setup.mechanism, beta, setup.options)]
+            for found in validate(data, mechanism, beta, options)]
+
+
+def foretell(model: Model, setup: Setup, against: Model | None = None) -> Horizons | None:
+    """Free runs of `model`, and of `against` from the same states, over pieces of 0.1, 0.5, 1, 5 s and the whole.
+
+    None for a model with effects, whose states a piece does not begin in. Raises `FitError`.
+    """
+    models = [m for m in (model, against) if m is not None]
+    if any(m.effects for m in models):
+        return None
+    mechanism = build_mechanism(model.mechanism)
+    options = replace(setup.options, hold=model.hold)
+    states = smoothed_states(setup.datasets, mechanism, np.array(model.beta), options)
+    tables = [tuple(predict(states, build_mechanism(m.mechanism), np.array(m.beta), m.hold, horizon)
+                    for horizon in (*HORIZONS_S, None)) for m in models]
+    residual = np.concatenate([s.reference - s.q for s in states])
+    columns = tuple(f"q{j + 1}_{mechanism.length_unit}" for j in range(mechanism.n))
+    return Horizons(columns, tuple(t for t in tables[0] if t.pieces),
+                    tuple(t for t in tables[1] if t.pieces) if against is not None else (),
+                    np.sqrt(np.mean(residual**2, axis=0)))
+
+
+def seen_in_fit(model: Model, origin: Origin) -> tuple[str, ...]:
+    """Files of `origin` that `model` was fitted to, by their SHA-256; models of earlier versions do not tell."""
+    fitted = {source.sha256 for source in model.provenance.origin.runs} if model.provenance.origin else set()
+    return tuple(source.file for source in origin.runs if source.sha256 in fitted)

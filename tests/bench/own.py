@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
 import resource
-from collections.abc import Callable, Iterator
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from daq.runs import write_csv
 from estimator.fitting.fit import fit
-from estimator.likelihood.assembly_numpy import accelerometer_rows, motion_rows
 from estimator.likelihood.trajectory_likelihood import PIECE, TIGHT
-from estimator.numerics import jit
+from estimator.model import Collocation, Motion
 from tests.bench.record import OPTIONS, Posed, Recorded, Watch, pose
+from tests.support.assembly_numpy import accelerometer_rows, motion_rows
+
+RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {lever}\n'
 
 
 def best_of(action: Callable[[], object], times: int) -> float:
@@ -35,6 +41,11 @@ def peak_memory_mb() -> float:
     return float(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
+def by_kernels(c: Collocation, motion: Motion, beta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Regressor and slopes as the fit has them."""
+    return c.fast(*motion, beta)
+
+
 def evaluate(posed: Posed) -> Callable[[], None]:
     """One evaluation of all residuals and their Jacobian, nothing made of them."""
     p, x, beta, noise = posed.problem, posed.end.x, posed.end.beta, posed.end.noise
@@ -42,10 +53,10 @@ def evaluate(posed: Posed) -> Callable[[], None]:
 
     def run() -> None:
         for intervals, left in p._pieces(p.left):
-            motion_rows(p.collocation, x, beta, weight, intervals, left)
+            motion_rows(p.collocation, x, beta, weight, intervals, left, by=by_kernels)
         for start in range(0, p.total, PIECE):
             here = slice(start, min(start + PIECE, p.total))
-            accelerometer_rows(p.collocation, x, beta, p.accel, here)
+            accelerometer_rows(p.collocation, x, beta, p.accel, here, by=by_kernels)
 
     return run
 
@@ -61,32 +72,30 @@ def solve(recorded: Recorded) -> dict:
     result = fit([recorded.data], recorded.mechanism, OPTIONS)
     first = watch.seconds()
     memory = peak_memory_mb()
-    with kernels(False):
-        plain = best_of(whole, times)
-    with kernels(True):
-        load = Watch()
-        whole()  # fetches them
-        loaded = load.seconds()
-        fast = best_of(whole, times)
-        posed = pose(recorded)
-        at = (posed.end.x, posed.end.beta, posed.end.noise)
-        evaluation = best_of(evaluate(posed), times + 3)
-        linearise = best_of(lambda: posed.problem.linearise(*at), times + 3)
-    return {"seconds": fast if jit.at_hand() else plain, "plain_s": plain, "first_s": first,
-            "load_s": loaded - fast if jit.at_hand() else None, "iterations": result.iterations,
-            "beta": result.beta.tolist(), "memory_mb": memory, "evaluation_s": evaluation,
-            "linearise_s": linearise}
+    seconds = best_of(whole, times)
+    posed = pose(recorded)
+    at = (posed.end.x, posed.end.beta, posed.end.noise)
+    evaluation = best_of(evaluate(posed), times + 3)
+    linearise = best_of(lambda: posed.problem.linearise(*at), times + 3)
+    return {"seconds": seconds, "first_s": first, "typed_s": typed(recorded), "iterations": result.iterations,
+            "beta": result.beta.tolist(), "memory_mb": memory, "evaluation_s": evaluation, "linearise_s": linearise}
 
 
-@contextlib.contextmanager
-def kernels(wanted: bool) -> Iterator[None]:
-    """With compiled kernels from the first step on, or without them; where they are not at hand always without."""
-    worth = jit.LOAD_WORTH
-    jit.LOAD_WORTH = -1 if wanted else 10**15
-    try:
-        yield
-    finally:
-        jit.LOAD_WORTH = worth
+def typed(recorded: Recorded, times: int = 5) -> float:
+    """Least seconds of `legid fit` as a command, from a CSV file, its children's processor seconds where fewer."""
+    with tempfile.TemporaryDirectory() as directory:
+        run, rig = Path(directory) / "run.csv", Path(directory) / "rig.toml"
+        write_csv(recorded.data, run)
+        rig.write_text(RIG.format(lever=recorded.mechanism.lever_arm))
+        found = np.inf
+        for _ in range(times):
+            clock, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+            subprocess.run([sys.executable, "-m", "experiments.cli", "fit", str(run), "--rig", str(rig)], check=True,
+                           capture_output=True)
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+            found = min(found, time.perf_counter() - clock, busy)
+    return float(found)
 
 
 def solve_free(recorded: Recorded) -> dict:

@@ -15,6 +15,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+import time
 from importlib.metadata import version
 from pathlib import Path
 
@@ -27,6 +28,8 @@ SAMPLES = (500, 2000, 5000, 6000, 10000, 60000)
 TITLES = {"legid": "legid, whole fit", "casadi": "CasADi with IPOPT", "mujoco": "MuJoCo sysid",
           "mujoco-2ms": "MuJoCo sysid, its default step",
           "free": "legid `--latent free`", "paper": "the paper's recipe"}
+TYPED = "typed_s"
+"""Of the whole process: legid's command from a file, another's script from its first import."""
 Table = dict[tuple[str, int], dict]
 
 
@@ -34,6 +37,7 @@ def ask(peer: str, record: Path, samples: int, limit: float) -> dict:
     """What the peer found, or why it found nothing, with what it had said before."""
     command = [sys.executable, "-m", "tests.bench.peer", peer, str(record), str(samples)]
     told: dict = {}
+    clock, before = time.perf_counter(), os.times()
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             out, err = process.communicate(timeout=limit)
@@ -43,6 +47,8 @@ def ask(peer: str, record: Path, samples: int, limit: float) -> dict:
             told["failed"] = f"not done after {limit:.0f} s"
     for line in out.splitlines():
         told |= json.loads(line)
+    busy = sum(os.times()[2:4]) - sum(before[2:4])  # of children that have ended
+    told.setdefault(TYPED, min(time.perf_counter() - clock, busy))
     if "seconds" not in told and "failed" not in told:
         told["failed"] = (err.strip().splitlines() or ["no output"])[-1]
     return told
@@ -91,7 +97,7 @@ def tables(found: Table, lengths: list[int], peers: list[str]) -> str:
     for peer in peers:
         lines.append(f"| {TITLES[peer]} | " + " | ".join(cell(found.get((peer, n))) for n in lengths) + " |")
         if peer == "legid":
-            for title, key in (("the same by numpy alone", "plain_s"), ("the first fit of a process", "first_s")):
+            for title, key in (("the first fit of a process", "first_s"), ("`legid fit`, the whole command", TYPED)):
                 lines.append(f"| {title} | " + " | ".join(f"{found[peer, n][key]:.3f}" for n in lengths) + " |")
     if "legid" not in peers:
         return "\n".join(lines)
@@ -117,8 +123,8 @@ def tables(found: Table, lengths: list[int], peers: list[str]) -> str:
         lines += ["", f"Exponent of growth from {min(lengths):,} to {max(lengths):,} samples: "
                       f"{exponent(found, lengths):.2f}."]
     if {6000, 60000} <= set(lengths):
-        by = found["legid", 60000]["seconds"] / found["legid", 6000]["seconds"]
-        lines.append(f"60,000 samples take {by:.1f} times what 6,000 take.")
+        by, typed = (found["legid", 60000][key] / found["legid", 6000][key] for key in ("seconds", TYPED))
+        lines.append(f"60,000 samples take {by:.1f} times what 6,000 take, as typed {typed:.1f} times.")
     return "\n".join(lines)
 
 
@@ -141,12 +147,21 @@ def asked(found: Table) -> str:
     times("faster than its solve alone, 2,000 samples", "casadi", 2000, 3, "solve_s")
     times("faster than MuJoCo sysid at the record's rate, 5,000 samples", "mujoco", 5000, 50)
     times("faster than MuJoCo sysid at its default step, 5,000 samples", "mujoco-2ms", 5000, 50)
+    for title, peer, least in (("CasADi with IPOPT", "casadi", 10), ("MuJoCo sysid", "mujoco", 5)):
+        if "seconds" in found.get((peer, 2000), {}) and ("legid", 2000) in found:
+            by = found[peer, 2000][TYPED] / found["legid", 2000][TYPED]
+            rows.append((f"as typed, 2,000 samples, beside {title} as a script", by, least, "at least", " times"))
     own = {n: e for (peer, n), e in found.items() if peer == "legid" and "seconds" in e}
     if len(own) > 1:
         rows.append(("exponent of growth", exponent(found, list(own)), 1.05, "at most", ""))
     floors = [e["seconds"] / e["evaluation_s"] / e["iterations"] for e in own.values()]
     if floors:
         rows.append(("fit over its floor, the worst of all lengths", max(floors), 2.5, "at most", " times"))
+    if 2000 in own:
+        rows.append(("`legid fit` of 2,000 samples, as typed", own[2000][TYPED], 0.7, "at most", " s"))
+    if {6000, 60000} <= set(own):
+        growth = own[60000][TYPED] / own[6000][TYPED]
+        rows.append(("60,000 samples over 6,000, as typed", growth, 11, "at most", " times"))
     if 60000 in own:
         rows.append(("peak memory at 60,000 samples", own[60000]["memory_mb"], 500, "at most", " MB"))
     lines = ["| | asked | measured | |", "| --- | ---: | ---: | --- |"]
@@ -160,15 +175,6 @@ def asked(found: Table) -> str:
                      f"of its time is {share:.2f} us\nfor a sample and step of the fit, whose residual and Jacobian "
                      f"take {1e6 * own[5000]['evaluation_s'] / 5000:.2f} us.")
     return "\n".join(lines)
-
-
-def loading(found: Table, lengths: list[int]) -> str:
-    """What it costs a process to fetch the compiled kernels, as the end of a sentence."""
-    times = [found["legid", n]["load_s"] for n in lengths]
-    if None in times:
-        return ", which were not at hand."
-    return (f".\n  A process needs {np.median(times):.1f} s once to fetch them, the first on a machine, which compiles,"
-            f" {max(times):.1f} s; only one\n  that has fitted for longer than that uses them.")
 
 
 def machine() -> str:
@@ -200,10 +206,10 @@ Asked, and measured in this run:
 
 What is compared:
 
-- **legid** finds noise levels and covariance besides parameters and motion. Best of several runs in one process, with
-  the kernels of the extra `fast`: the equation of motion's terms, the normal equations, the elimination{loading}
-  The first fit of a process, and all where the extra is not installed, go by numpy alone. Iterations are those on the
-  whole record; those on an excerpt of it, before them, are in the time.
+- **legid** finds noise levels and covariance besides parameters and motion. Best of several runs in one process. The
+  first fit of a process loads the compiled kernels; as typed is the command from the shell on a CSV file, start of
+  Python and reading included, the best of five. Iterations are those on the whole record; those on an excerpt of it,
+  before them, are in the time.
 - **CasADi with IPOPT** solves the same sum of squares from the same start with the noise levels given: one interval's
   equations as a graph, mapped over the record, Gauss-Newton Hessian. `tests/bench/casadi_ipopt.py`.
 - **MuJoCo sysid** fits a free run of the simulation to the sensors, torque taken as exact, masses, a length and the
@@ -216,7 +222,7 @@ What is compared:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--page", action="store_true", help="write docs/bench-YYYY-MM-DD.md too")
+    parser.add_argument("--page", action="store_true", help="write docs/bench.md too")
     parser.add_argument("--samples", default=",".join(map(str, SAMPLES)), help="lengths of the record")
     parser.add_argument("--limit", type=float, default=600.0, help="most seconds for a peer on one length")
     parser.add_argument("--peers", default=",".join(PEERS), help="of " + ", ".join(PEERS))
@@ -226,16 +232,15 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as directory:
         record = Path(directory) / "record.npz"
         write_record(record, max(lengths))
-        os.environ["NUMBA_CACHE_DIR"] = directory  # so that the first process of this run compiles
         found = measure(record, lengths, peers, args.limit)
     text = tables(found, lengths, peers)
     print(text)
     if args.page:
         date = datetime.date.today().isoformat()
-        page = Path(__file__).parents[2] / "docs" / f"bench-{date}.md"
+        page = Path(__file__).parents[2] / "docs" / "bench.md"
         page.write_text(PAGE.format(date=date, seed=SEED, rate=RATE_HZ, limit=args.limit, machine=machine(),
                                     before=before, after=os.getloadavg()[0], tables=text,
-                                    loading=loading(found, lengths), asked=asked(found)), encoding="utf-8")
+                                    asked=asked(found)), encoding="utf-8")
         print(f"written to {page}", file=sys.stderr)
 
 

@@ -1,6 +1,6 @@
 """The page of a blind bench: rates against targets fixed beforehand, confusion, power, times, baselines.
 
-    python -m tests.blind.page OUT [--page docs/blind-DATE.md]
+    python -m tests.blind.page OUT [--page docs/blind.md]
 
 OUT is the folder that tests.blind.run (and tests.blind.baselines) wrote.
 """
@@ -221,7 +221,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         text = write_page(options.out, today)
     except ValueError as error:
         parser.error(str(error))
-    page = options.page or Path("docs") / f"blind-{today.isoformat()}.md"
+    page = options.page or Path("docs/blind.md")
     page.parent.mkdir(parents=True, exist_ok=True)
     page.write_text(text, encoding="utf-8")
     print(text)

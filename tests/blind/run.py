@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from tests.blind.bench import generate
 from tests.blind.cases import CLASSES, RUNS, TARGETS, Case, catalogue
@@ -39,6 +39,19 @@ from experiments.cli import main
 sys.exit(main())
 """
 Say = Callable[[str], None]
+
+
+class Diagnosable(Protocol):
+    """A folder of runs with a rig file, and the effect that is to be left out of the library where kind says so."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def effects(self) -> tuple[str, ...]: ...
 
 
 def list_cases(classes: Sequence[str], seeds: Sequence[int], levels: Sequence[str] = ("moderate",),
@@ -63,7 +76,7 @@ def make_cases(cases: Sequence[Case], root: Path, say: Say = print, **options: A
         say(f"made {count} of {len(missing)} cases, {_left(start, count, len(missing))}")
 
 
-def command_of(case: Case, cases: Path, answer: Path, share: int = 1) -> list[str]:
+def command_of(case: Diagnosable, cases: Path, answer: Path, share: int = 1) -> list[str]:
     """The command line that diagnoses a case on `share` processes."""
     folder = cases / case.name
     without = [sys.executable, "-c", WITHOUT, case.effects[0]] if case.kind == "deleted" else list(COMMAND)
@@ -72,7 +85,7 @@ def command_of(case: Case, cases: Path, answer: Path, share: int = 1) -> list[st
             "--workers", str(share)]
 
 
-def diagnose(case: Case, cases: Path, out: Path, limit_s: float = LIMIT_S, share: int = 1) -> dict[str, Any]:
+def diagnose(case: Diagnosable, cases: Path, out: Path, limit_s: float = LIMIT_S, share: int = 1) -> dict[str, Any]:
     """Have one case diagnosed; its JSON, with exit status, wall time and last words as `bench`, is kept in `out`.
 
     A diagnosis that leaves no JSON (an internal error, a limit) is kept as `fit_failed`, with what it said.

@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 MODERATE = (2.0, 5.0)
+NAMES = ("named", "partial")
+"""Verdicts that say each of their causes is present."""
 OTHER_FORMS = frozenset((
     "stribeck_friction", "presliding_friction", "friction_drift", "joint_elasticity", "backlash", "end_stop_contact",
     "base_compliance", "torque_ripple", "torque_saturation"))
@@ -75,21 +77,21 @@ class Outcome:
 
     @property
     def exact(self) -> bool:
-        return self.verdict == "named" and self.names_truth and all(map(self.true_cause, self.causes))
+        return self.verdict in NAMES and self.names_truth and all(map(self.true_cause, self.causes))
 
     @property
     def inside(self) -> bool:
-        return self.verdict in ("named", "one_of") and self.names_truth
+        return self.verdict in (*NAMES, "one_of") and self.names_truth
 
     @property
     def wrong_name(self) -> bool:
-        return self.verdict == "named" and not all(map(self.true_cause, self.causes))
+        return self.verdict in NAMES and not all(map(self.true_cause, self.causes))
 
     @property
     def said(self) -> str:
         names = sorted({c["effect"] for c in self.causes})
-        if self.verdict == "named":
-            return " + ".join(names)
+        if self.verdict in NAMES:
+            return " + ".join([*names, *(["?"] if self.verdict == "partial" else [])])
         if self.verdict == "one_of":
             return "one of {" + ", ".join(names) + "}"
         return self.verdict
@@ -139,9 +141,9 @@ def score(outcomes: Sequence[Outcome]) -> Score:
     for o in outcomes:
         by_class[o.truth["class"]].append(o)
     none, single = by_class["none"], by_class["single"]
-    alarm = ("named", "one_of", "unexplained")
+    alarm = (*NAMES, "one_of", "unexplained")
     out.add("false alarms", none, verdicts=alarm)
-    out.add("negatives with a name", none, verdicts=("named", "one_of"))
+    out.add("negatives with a name", none, verdicts=(*NAMES, "one_of"))
     out.add("negatives whose fit failed", none, verdicts=("fit_failed",))
     for label, chosen in (("moderate singles", [o for o in single if _moderate(o.truth)]),
                           ("larger singles", [o for o in single if _ratio(o.truth) > MODERATE[1]]),

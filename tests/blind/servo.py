@@ -4,14 +4,13 @@ Torque is held between the servo's ticks and logged at 100 Hz; friction is MuJoC
 effect has a law of its own, none the library's formula where another is plausible. At a tick torque and acceleration
 jump, so what is logged there is the mean of both sides.
 
-    python -m tests.blind.servo --out OUT --effects none,joint_stiffness,... --seeds 1-4
+    python -m tests.blind.family --family servo --out OUT --effects none,joint_stiffness,... --seeds 1-4
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,8 @@ from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 TICK_S, STEP_S, RATE_HZ, SECONDS, RUNS = 1e-3, 2.5e-4, 100.0, 20.0, 8
 GEAR = 50.0
 COUNTS = 8192
+COLUMNS = ("time_s", "q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2")
+NOISE = {"gyro_radps": 0.004, "accel_x_mps2": 0.04, "accel_y_mps2": 0.04, "tau2_nm": 0.01}
 XML = """
 <mujoco>
   <option timestep="{step}" gravity="0 0 -{g}" integrator="RK4"/>
@@ -207,46 +208,36 @@ def record(leg: Leg, plant: Plant, dry: float, rng: np.random.Generator, run: in
 
 
 def make_case(name: str, seed: int, out: Path, strength: float = 1.0) -> None:
-    """r1.csv to r8.csv, rig.toml and truth.json in OUT/NAME-SEED."""
-    folder = out / f"{name}-{seed}"
-    if (folder / "truth.json").exists():
+    """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it; nothing where they are."""
+    if is_made(name, seed, out):
         return
-    folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng([sum(map(ord, name)), seed])
     plant = MAKERS[name](strength * rng.uniform(0.85, 1.15))
     leg = replace(random_leg(rng), coulomb=(0.0, 0.0))
     dry = rng.uniform(0.02, 0.08)
-    columns = ["time_s", "q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2"]
-    noise = {"gyro_radps": 0.004, "accel_x_mps2": 0.04, "accel_y_mps2": 0.04, "tau2_nm": 0.01}
-    for run in range(RUNS):
-        found = record(leg, plant, dry, rng, run, session_s=25.0 * run)
-        n = found["time_s"].size
-        for column, sigma in noise.items():
-            found[column] = found[column] + sigma * rng.normal(size=n)
-        step = 2 * np.pi / COUNTS
+    runs = (record(leg, plant, dry, rng, run, session_s=25.0 * run) for run in range(RUNS))
+    write_case(name, seed, out, runs, rng, leg, f"[motor]\ngear_ratio = {GEAR}\n", plant.truth, dry)
+
+
+def is_made(name: str, seed: int, out: Path) -> bool:
+    """Whether a case is there, whole: its truth is written last."""
+    return (out / f"{name}-{seed}.truth.json").exists()
+
+
+def write_case(name: str, seed: int, out: Path, runs: Iterable[dict[str, np.ndarray]], rng: np.random.Generator,
+               leg: Leg, rig: str, hidden: Sequence[dict[str, Any]], dry: float) -> None:
+    """Runs as sensors with noise log them, a rig file that says nothing but what everybody knows, and the truth."""
+    folder = out / f"{name}-{seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    step = 2 * np.pi / COUNTS
+    for k, found in enumerate(runs, 1):
+        for column, sigma in NOISE.items():
+            found[column] = found[column] + sigma * rng.normal(size=found[column].size)
         found["q2_rad"] = np.round(found["q2_rad"] / step) * step
-        np.savetxt(folder / f"r{run + 1}.csv", np.column_stack([found[c] for c in columns]), delimiter=",",
-                   header=",".join(columns), comments="", fmt="%.9g")
+        np.savetxt(folder / f"r{k}.csv", np.column_stack([found[c] for c in COLUMNS]), delimiter=",",
+                   header=",".join(COLUMNS), comments="", fmt="%.9g")
     (folder / "rig.toml").write_text(
-        f'[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {leg.lever}\n[motor]\n'
-        f"gear_ratio = {GEAR}\n")
-    (folder / "truth.json").write_text(json.dumps(
-        {"effects": plant.truth, "outside": name.startswith("outside"), "seed": seed, "name": name,
-         "beta": [float(b) for b in leg.beta()], "dry": dry}))
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--effects", default=",".join(MAKERS))
-    parser.add_argument("--seeds", default="1-1")
-    args = parser.parse_args()
-    first, _, last = args.seeds.partition("-")
-    for name in args.effects.split(","):
-        for seed in range(int(first), int(last or first) + 1):
-            make_case(name, seed, args.out)
-            print(name, seed, flush=True)
-
-
-if __name__ == "__main__":
-    main()
+        f'[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {leg.lever}\n{rig}')
+    (out / f"{folder.name}.truth.json").write_text(json.dumps(
+        {"name": folder.name, "effects": list(hidden), "seed": seed, "beta": [float(b) for b in leg.beta()],
+         "dry": dry}))

@@ -22,6 +22,8 @@ from tests.blind.physics import integrate
 from tests.blind.score import Outcome, Rate, render, score
 from tests.support.paths import ROOT
 
+pytestmark = pytest.mark.slow
+
 BLIND = ROOT / "tests" / "blind"
 XML = """
 <mujoco>

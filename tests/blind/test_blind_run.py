@@ -21,6 +21,8 @@ from tests.blind.measure import imu
 from tests.blind.physics import integrate
 from tests.blind.score import Rate
 
+pytestmark = pytest.mark.slow
+
 CASES = [Case("none", seed=2), Case("deleted", ("torque_offset",), "large", 1)]
 NAMED = {"verdict": "named", "causes": [{"effect": "torque_offset", "joint": None, "size": []}],
          "gain": {"gap_closed": 0.9}, "bench": {"status": 0, "wall_s": 30.0, "crashed": False, "said": ""}}

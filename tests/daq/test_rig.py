@@ -15,7 +15,7 @@ def test_the_documented_example_is_read() -> None:
                     "gyro_radps = 0.005\naccel_mps2 = 0.05\ntorque_nm = 0.02\nencoder_rad = 4e-4\n"
                     "[sampling]\nrate_hz = 100.0\n")
     assert (rig.mechanism.model, rig.mechanism.actuated, rig.imu.lever_arm_m) == ("leg2", (2,), 0.20)
-    assert (rig.noise.encoder_rad, rig.sampling.rate_hz, rig.sampling.hold) == (4e-4, 100.0, "linear")
+    assert (rig.noise.encoder_rad, rig.sampling.rate_hz, rig.sampling.hold) == (4e-4, 100.0, "auto")
 
 
 def test_what_is_absent_is_unknown_or_default() -> None:

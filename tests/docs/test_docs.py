@@ -17,7 +17,7 @@ from daq.rig import ControllerDevice, Devices, ImuDevice, Mechanism, Rig, parse_
 from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+RIG_PAGE, EFFECT_PAGE = ((DOCS / name).read_text(encoding="utf-8") for name in ("rig.md", "howto-effect.md"))
 HOLE = "\N{HORIZONTAL ELLIPSIS}"
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
@@ -63,8 +63,8 @@ def test_every_page_is_in_the_contents() -> None:
                                                 re.MULTILINE), page.name
 
 
-def test_the_rig_s_defaults_are_those_that_the_readme_shows() -> None:
-    (shown,) = re.findall(r"```toml\n(\[mechanism\].*?)```", README, re.DOTALL)
+def test_the_rig_s_defaults_are_those_that_its_page_shows() -> None:
+    (shown,) = re.findall(r"```toml\n(\[mechanism\].*?)```", RIG_PAGE, re.DOTALL)
     rig = parse_rig(shown)
     assert rig == Rig(mechanism=Mechanism(model="leg2", actuated=(2,)),
                       devices=Devices(imu=ImuDevice(), controller=ControllerDevice()))
@@ -72,11 +72,11 @@ def test_the_rig_s_defaults_are_those_that_the_readme_shows() -> None:
 
 @pytest.mark.slow
 def test_the_how_to_s_effect_is_found_in_simulated_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The README's class, installed as pip would leave it, and docs/own_effect.py."""
+    """The page's class, installed as pip would leave it, and docs/own_effect.py."""
     import runpy
     import tempfile
 
-    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    code = re.findall(r"```python\n(.*?)```", EFFECT_PAGE, re.DOTALL)[0]
     (tmp_path / "my_effects.py").write_text(code)
     info = tmp_path / "my_effects-1.0.dist-info"
     info.mkdir()

@@ -5,6 +5,7 @@ import pytest
 from tests.kernel import uml
 
 
+@pytest.mark.slow
 def test_drivers_on_a_real_kernel(capsys: pytest.CaptureFixture[str]) -> None:
     try:
         outcome = uml.run()

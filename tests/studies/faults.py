@@ -1,6 +1,6 @@
 """The fault matrix: what goes wrong x when -> how long the torque outlives it, what was said, what was kept.
 
-    python -m tests.studies.faults --out docs/faults-2026-11-22.md        # what `make faults` does
+    python -m tests.studies.faults --out docs/faults.md        # what `make faults` does
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """The dashboard for half an hour in a real browser: memory, what the recorder lost, how long an emergency stop takes.
 
-    python -m tests.studies.live_soak --minutes 30 --out docs/live-2026-11-21.md
+    python -m tests.studies.live_soak --minutes 30 --out docs/live.md
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Long recordings and many kills: what a recorder must survive, measured.
 
-    python -m tests.studies.soak --out docs/soak-2026-11-21.md        # what `make soak` does
+    python -m tests.studies.soak --out docs/soak.md        # what `make soak` does
 """
 
 import argparse

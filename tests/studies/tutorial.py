@@ -24,6 +24,9 @@ INSTALL = ["make install", 'export PATH="$PWD/.venv/bin:$PATH"', "mkdir -p my-le
 BLOCK = re.compile(r"```sh\n(?P<code>.*?)```\n"
                    r"(?:\n(?:<!-- first (?P<first>\d+) lines -->\n)?```text\n(?P<text>.*?)```\n)?", re.DOTALL)
 
+PROGRESS = re.compile(r"[a-z][^:]*: (\d+ s so far|\d+ of \d+ \w+|.*, \d+ %|.*about \d+ s left.*)")
+"""What `experiments.console` tells a log of long work: how fast the machine is decides whether there is such a line."""
+
 
 @dataclass(frozen=True)
 class Block:
@@ -56,7 +59,7 @@ def run_blocks(some: list[Block], folder: Path) -> Iterator[str]:
 
 def shortened(said: str, first: int | None) -> str:
     """As the page shows it."""
-    lines = [line.rstrip() for line in said.splitlines()]
+    lines = [line.rstrip() for line in said.splitlines() if not PROGRESS.fullmatch(line)]
     return "".join(f"{line}\n" for line in (lines if first is None else [*lines[:first], "..."]))
 
 

@@ -1,14 +1,13 @@
 """The dashboard in a real headless Chromium, the rig that it records from, and what went over the network."""
 
 import json
-import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import urlsplit
@@ -16,24 +15,12 @@ from urllib.parse import urlsplit
 import pytest
 
 from tests.support.paths import ROOT
+from tests.support.processes import favoured
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 DRIVER = shutil.which("chromedriver")
 PATIENCE_S = 30.0
 LAPTOP, PHONE = (1280, 900), (390, 844)
-
-
-@contextmanager
-def favoured() -> Iterator[None]:
-    """What is started meanwhile goes before other work of this machine, where that is granted: it is being timed."""
-    before = os.getpriority(os.PRIO_PROCESS, 0)
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, -15)
-    try:
-        yield
-    finally:
-        with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, 0, before)
 
 
 class Browser:

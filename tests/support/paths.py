@@ -9,3 +9,5 @@ DEMO_RIG = ROOT / "experiments/workflows/demo_rig.toml"
 REAL = ROOT.parent / "shared/realdata"
 """Real records with published answers; no part of the project."""
 needs_records = pytest.mark.skipif(not REAL.is_dir(), reason="the shared real records are not beside the checkout")
+FIXTURES = ROOT / "tests/fixtures"
+"""Recordings of an emulated leg, made by `make fixtures`."""

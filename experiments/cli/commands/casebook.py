@@ -27,7 +27,8 @@ def run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from daq import InputError
-    from experiments.console import progress, write_json
+    from experiments.console import command_line, progress, write_json
+    from experiments.provenance import origin_of
     from experiments.studies import casebook_document, cases_in, load_cases, study_case, study_text, write_casebook
 
     cases = load_cases()
@@ -41,7 +42,9 @@ def run(args: argparse.Namespace) -> int:
         studies.append(study_case(case, Path(args.folder)))
         print(study_text(studies[-1]), flush=True)
     if args.json:
-        write_json(args.json, casebook_document(studies))
+        records = [path for study in studies for path in sorted(Path(args.folder, study.case.folder).rglob("*"))
+                   if path.is_file()]
+        write_json(args.json, {**casebook_document(studies), "provenance": origin_of(records, command=command_line())})
     if args.html:
         write_casebook(args.html, studies)
     return 0

@@ -36,7 +36,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write what was asked for. Raises `WorkError` with the verdict fit_failed."""
     from daq import WorkError
-    from experiments.console import stages, write_json
+    from experiments.console import command_line, stages, warn, write_json
     from experiments.models import load_model, save_model
     from experiments.provenance import origin_of
     from experiments.reports import (
@@ -47,23 +47,28 @@ def run(args: argparse.Namespace) -> int:
         with_origin,
     )
     from experiments.rig import load_setup
-    from experiments.workflows import diagnose_setup, reference_values, require_one_rig
+    from experiments.workflows import diagnose_setup, reference_values, require_one_rig, set_aside
 
     chosen = chosen_rig(args, args.runs)
     rig = chosen.rig
-    origin = origin_of(args.runs, chosen.source, args.reference)
+    origin = origin_of(args.runs, chosen.source, args.reference, args.seed, command=command_line())
     earlier = load_model(args.reference) if args.reference else None
     require_one_rig(args.runs)
-    setup = load_setup(args.runs, rig, damaged=args.damaged)
+    setup, aside = set_aside(load_setup(args.runs, rig, damaged=args.damaged))
+    for run in aside:
+        warn(str(run))
     reference = None if earlier is None else reference_values(earlier, args.reference, setup)
     with stages("diagnosing") as show:
         found = diagnose_setup(setup, rig, args.seed, reference, show, args.workers, args.material)
     if args.json:
-        write_json(args.json, with_origin(diagnosis_document(found), origin, setup.datasets))
+        write_json(args.json, with_origin(
+            {**diagnosis_document(found), "set_aside": [run.document for run in aside]}, origin,
+            setup.datasets))
     if args.html:
         from experiments.reports import write_diagnosis
 
-        write_diagnosis(args.html, found, setup.settings.model, origin, setup.datasets)
+        write_diagnosis(args.html, found, setup.settings.model, origin, setup.datasets, setup.mechanism,
+                        chosen.warnings)
     if found.verdict == "fit_failed":
         raise WorkError(found.sentence)
     print(diagnosis_text(found))

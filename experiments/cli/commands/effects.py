@@ -21,10 +21,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Print the library, write what was asked for."""
-    from experiments.console import write_json
+    from experiments.console import command_line, write_json
     from experiments.models import effects_document, effects_text
+    from experiments.provenance import origin_of
 
     print(effects_text())
     if args.json:
-        write_json(args.json, effects_document())
+        write_json(args.json, {**effects_document(), "provenance": origin_of(command=command_line())})
     return 0

@@ -52,7 +52,7 @@ def _run_each(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from daq import InputError
-    from experiments.console import work_bar, write_json
+    from experiments.console import command_line, work_bar, write_json
     from experiments.provenance import origin_of
     from experiments.workflows import Refit, choose_executor, refit_all, refits_document, refits_text, verdict
 
@@ -60,7 +60,8 @@ def _run_each(args: argparse.Namespace) -> int:
         raise InputError("--each", "makes no report and no model", "leave out --html and --model-out")
     rigs = [chosen_rig(args, [run]) for run in args.runs]
     pieces = [Refit(str(Path(run).resolve()), rig.rig, args.method, args.sensors, args.latent, dict(args.fix),
-                    args.damaged, origin_of([run], rig.source)) for run, rig in zip(args.runs, rigs)]
+                    args.damaged, origin_of([run], rig.source, command=command_line()))
+              for run, rig in zip(args.runs, rigs)]
     with work_bar("fitting", len(pieces), "run") as done:
         fits = refit_all(pieces, choose_executor(args.workers, args.cluster), done)
     print(refits_text(fits))
@@ -75,31 +76,41 @@ def run(args: argparse.Namespace) -> int:
         return _run_each(args)
     import sys
 
-    from experiments.console import busy, write_json
+    from experiments.console import busy, command_line, write_json
     from experiments.provenance import origin_of
-    from experiments.reports import check_sound, fit_document, fit_text, model_of, with_origin
-    from experiments.rig import load_setup
-    from experiments.workflows import fit_setup
+    from experiments.reports import check_sound, fit_document, fit_text, fit_trust, model_of, with_origin
+    from experiments.rig import load_runs
+    from experiments.workflows import fit_runs
 
     rig = chosen_rig(args, args.runs)
-    origin = origin_of(args.runs, rig.source)
-    setup = load_setup(args.runs, rig.rig, args.sensors, dict(args.fix), args.latent, damaged=args.damaged)
-    with busy(f"fitting {len(setup.datasets)} runs by {args.method}"):
-        result = fit_setup(setup, args.method)
-    print(fit_text(result, setup.settings.model))
+    written = args.json or args.html or args.model_out
+    origin = origin_of(args.runs, rig.source, command=command_line()) if written else None
+    runs = load_runs(args.runs, rig.rig, damaged=args.damaged)
+    with busy(f"fitting {len(runs)} runs by {args.method}"):
+        fitted = fit_runs(runs, rig.rig, args.sensors, dict(args.fix), args.latent, args.method)
+    setup, result = fitted.setup, fitted.result
+    trust = fit_trust(result, rig.warnings)
+    print("\n".join([trust.sentence, *trust.reasons, "", fit_text(result, setup.settings.model)]))
     for dataset in setup.datasets:
         if "doubt" in dataset.sources:
             print(f"warning: {dataset.name} is to be doubted: {dataset.sources['doubt']}", file=sys.stderr)
-    if args.json:
-        write_json(args.json, with_origin(fit_document(result, setup.settings), origin, setup.datasets))
-    if args.html:
+    if args.json and origin:
+        write_json(args.json, with_origin(
+            {**fit_document(result, setup.settings, trust),
+             "set_aside": [run.document for run in fitted.aside],
+             "chosen": [choice.document for choice in fitted.choices]}, origin, setup.datasets))
+    if args.html and origin:
         from experiments.reports import fit_sections, fit_summary, origin_section, write_page
+
+        doubts = [*rig.warnings, *(f"{d.name} is to be doubted: {d.sources['doubt']}" for d in setup.datasets
+                                   if "doubt" in d.sources)]
 
         title = f"Fit of {setup.settings.model}: {', '.join(d.name for d in setup.datasets)}"
         write_page(args.html, title, fit_summary(result, setup.settings.model),
-                   [*fit_sections(result), origin_section(origin, setup.datasets)], origin)
+                   [*fit_sections(result), origin_section(origin, setup.datasets)], origin,
+                   trust.verdict([*result.warnings, *doubts]))
     check_sound(result, bool(args.model_out))
-    if args.model_out:
+    if args.model_out and origin:
         from experiments.models import save_model
         from experiments.reports import model_with_origin
 

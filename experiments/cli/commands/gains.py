@@ -30,8 +30,9 @@ def run(args: argparse.Namespace) -> int:
     import sys
 
     from daq import InputError
-    from experiments.console import text_table, write_json
+    from experiments.console import command_line, text_table, write_json
     from experiments.models import Tolerances, gain_rows, gains_of, load_model
+    from experiments.provenance import origin_of
 
     for name in ("angle", "speed", "torque"):
         if not 0.0 < getattr(args, name) < 1e6:
@@ -46,5 +47,6 @@ def run(args: argparse.Namespace) -> int:
         print("note: the model's effects take no part: " + ", ".join(e.name for e in model.effects), file=sys.stderr)
     if args.json:
         write_json(args.json, {"schema": "legid.gains/1", **found._asdict(), "tolerated": {
-            "angle_rad": args.angle, "speed_radps": args.speed, "torque_nm": args.torque}, "delay_s": args.delay})
+            "angle_rad": args.angle, "speed_radps": args.speed, "torque_nm": args.torque}, "delay_s": args.delay,
+            "provenance": origin_of(model=args.model, command=command_line())})
     return 0

@@ -7,7 +7,7 @@ import argparse
 from estimator import METHODS
 from experiments.cli.arguments import add_force, add_output, whole_number
 
-CHOICES = (*METHODS, "mle-free")
+CHOICES = (*METHODS, "mle-free", "wls-known")
 MOST_RUNS = 1_000_000
 
 
@@ -24,7 +24,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="columns of Table II, and 5 for the failing case; default: all")
     parser.add_argument("--methods", type=_methods, default=METHODS, metavar="mle,wls,...",
                         help="default: mle,wls,rls,hekf; mle-free is the paper's own MLE, with free latents and "
-                             "central differences")
+                             "central differences, wls-known least squares with the known torque covariance")
+    parser.add_argument("--protocol", choices=("ours", "printed"), default="ours",
+                        help="ours: the torque acts as every method is told, true parameters leave no error (default); "
+                             "printed: as the paper's figures come out, a continuous controller's torque logged at 100 "
+                             "Hz and replayed held")
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1,
                         help="all noise is drawn from it; default: 1")
     where = parser.add_mutually_exclusive_group()
@@ -61,12 +65,14 @@ def run(args: argparse.Namespace) -> int:
     import time
     from pathlib import Path
 
-    from experiments.console import work_bar, write_json
+    from experiments.console import command_line, work_bar, write_json
+    from experiments.provenance import origin_of
     from experiments.reports import write_markdown, write_page
     from experiments.studies import machine, motor_mechanism
     from experiments.studies.biped3 import (
         CASES,
         FLOOR,
+        PROTOCOLS,
         blocks,
         make_table,
         require_parquet,
@@ -82,11 +88,12 @@ def run(args: argparse.Namespace) -> int:
     require_parquet()
     started = time.perf_counter()
     folder = Path(args.out)
-    work = blocks([CASES[number - 1] for number in args.cases], [*args.methods, FLOOR], args.runs, args.seed)
+    protocol = PROTOCOLS[args.protocol]
+    work = blocks([CASES[number - 1] for number in args.cases], [*args.methods, FLOOR], args.runs, args.seed, protocol)
     with work_bar("fitting", sum(block.count for block in work), "run") as done:
         results = run_study(work, folder / "blocks", choose_executor(args.workers, args.cluster),
                             lambda block, count: done(count, f"case {block.case.number} {block.method}"))
-    table = make_table(results, args.seed)
+    table = make_table(results, args.seed, protocol)
     wall_s = time.perf_counter() - started
     print(study_text(table, wall_s))
     here = machine()
@@ -94,7 +101,8 @@ def run(args: argparse.Namespace) -> int:
     write_page(folder / "report.html", *page)
     write_parquet(folder / "runs.parquet", results, motor_mechanism().names)
     if args.json:
-        write_json(args.json, table_document(table, wall_s, here))
+        write_json(args.json, {**table_document(table, wall_s, here),
+                               "provenance": origin_of(seed=args.seed, command=command_line())})
     if args.markdown:
         write_markdown(args.markdown, *page)
     print(f"\nreport: {folder / 'report.html'}\nall runs: {folder / 'runs.parquet'}")

@@ -14,9 +14,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "record", help="run a torque plan on the real leg and record it",
         description="Open the devices of the rig file, run the plan under the rig's limits and record everything. "
                     "Ctrl-C stops the motor at once; what was recorded until then is kept. With --emulate no device "
-                    "is opened: the rig's IMU, controller and a leg are emulated, for practice.")
+                    "is opened: the rig's IMU, controller and a leg are emulated, for practice. With --replay "
+                    "neither: a recorded run is played back through drivers and intakes, no motor moves.")
     add_rig(parser, runs=False)
-    parser.add_argument("--plan", required=True, help="torque plan: CSV with time_s,tau2_cmd_nm")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--plan", help="torque plan: CSV with time_s,tau2_cmd_nm")
+    what.add_argument("--replay", metavar="RUN.mcap",
+                      help="play this run back instead: the bytes that were read then, to the same drivers, under the "
+                           "rig that it holds or that of --rig")
     add_output(parser, "--out", "run", "RUN.mcap", required=True, help="the run file to write; never overwritten")
     parser.add_argument("--watched-by", metavar="FD", type=int, help=argparse.SUPPRESS)  # legid live: see daq.remote
     parser.add_argument("--emulate", metavar="NAME", nargs="?", const="none", choices=HIDEABLE,
@@ -29,6 +34,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Record one run."""
+    if args.replay:
+        return _replay(args)
     import sys
 
     from daq.recording import read_plan, watched_by
@@ -47,4 +54,23 @@ def run(args: argparse.Namespace) -> int:
           f"controller clock known to {done.clock_bound_s * 1e6:.0f} us")
     for line in warnings:
         print(line, file=sys.stderr)
+    return 0
+
+
+def _replay(args: argparse.Namespace) -> int:
+    """Play a run back; devices stay closed."""
+    from daq import InputError
+    from experiments.console import busy, warn
+    from experiments.workflows import replay_recording
+
+    if args.emulate or args.watched_by is not None:
+        raise InputError("--replay", "plays a recording", "leave out --emulate")
+    with busy(f"replaying {args.replay}"):
+        done = replay_recording(args.replay, args.out, args.rig)
+    print(f"{args.out}: REPLAY of {args.replay}, nothing was measured and no motor moved: {done.messages} messages, "
+          f"{done.imu_samples} IMU samples")
+    if done.left_out:
+        warn(f"{done.left_out} slow readings of the IMU were left out: they are not played back")
+    if done.trip:
+        print(f"by the limits of {args.rig or 'its rig file'}: {done.trip}")
     return 0

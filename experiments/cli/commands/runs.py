@@ -16,7 +16,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "runs", help="list recorded runs with their verdicts",
         description="Every .mcap file in DIR and below, oldest first: when, how long, which rig, how well its clock is "
                     "known, what was lost, and the verdict of the newest diagnosis JSON beside it that used it.")
-    parser.add_argument("folder", metavar="DIR", help="folder with run files")
+    parser.add_argument("folder", metavar="DIR", help="folder with run files, or one run")
     parser.add_argument("--model", help="only runs of this rig model (leg2, ...)")
     parser.add_argument("--since", metavar="DATE", type=_day, help="only runs recorded on this day (UTC) or later")
     parser.add_argument("--until", metavar="DATE", type=_day, help="only runs recorded on this day (UTC) or before")
@@ -36,13 +36,17 @@ def _day(text: str) -> date:
 
 def run(args: argparse.Namespace) -> int:
     """Read, choose, print."""
-    from experiments.console import write_json
+    from pathlib import Path
+
+    from experiments.console import command_line, write_json
+    from experiments.provenance import origin_of
     from experiments.reports import choose, list_runs, runs_document, runs_text
 
     every = list_runs(args.folder)
     lines = choose(every, args.model, args.since, args.until, args.verdict, args.faulty)
     if args.json:
-        write_json(args.json, runs_document(lines))
+        origin = origin_of([Path(args.folder, line.file) for line in lines], command=command_line())
+        write_json(args.json, {**runs_document(lines), "provenance": origin})
     if lines:
         print(runs_text(lines))
     print(f"{len(lines)} of {len(every)} runs" if len(lines) < len(every) else f"{len(every)} runs")

@@ -18,6 +18,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_rig(parser)
     parser.add_argument("--sensors", choices=("imu", "encoder"),
                         help="what the pivot's angle is compared with; default: imu where all runs have its columns")
+    parser.add_argument("--against", metavar="MODEL.json",
+                        help="another model, such as a published one, whose errors stand beside")
     add_output(parser, "--json", "legid.validation/1", help="write the errors as JSON (schema legid.validation/1)")
     add_output(parser, "--html", "page", help="write a report page")
     add_force(parser)
@@ -28,21 +30,51 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, compare, print, write what was asked for."""
     import numpy as np
 
-    from experiments.console import write_json
+    from daq import InputError
+    from experiments.console import command_line, warn, write_json
     from experiments.models import load_model
     from experiments.provenance import origin_of
-    from experiments.reports import validation_document, validation_section, validation_text, with_origin
+    from experiments.reports import (
+        horizons_document,
+        horizons_section,
+        horizons_text,
+        model_contradictions,
+        validation_document,
+        validation_section,
+        validation_text,
+        validation_trust,
+        with_origin,
+    )
     from experiments.rig import load_setup
-    from experiments.workflows import validate_runs
+    from experiments.workflows import foretell, predict_runs, seen_in_fit, set_aside, validate_runs
 
     model = load_model(args.model)
+    against = load_model(args.against) if args.against else None
     rig = chosen_rig(args, args.runs)
-    origin = origin_of(args.runs, rig.source, args.model)
+    origin = origin_of(args.runs, rig.source, args.model, command=command_line())
     setup = load_setup(args.runs, rig.rig, args.sensors, beta=np.array(model.beta), damaged=args.damaged)
-    validations = validate_runs(model, setup, args.model)
-    print(validation_text(validations))
+    if against is not None and against.mechanism.model != model.mechanism.model:
+        raise InputError(args.against, f"is a {against.mechanism.model}, not a {model.mechanism.model}",
+                         "give a model of the same mechanism")
+    setup, aside = set_aside(setup)
+    for run in aside:
+        warn(str(run))
+    seen = seen_in_fit(model, origin)
+    if seen:
+        warn(f"{args.model} was fitted to {', '.join(seen)}: what it says of them is no validation; give other runs")
+    validations, predictions = validate_runs(model, setup, args.model), predict_runs(model, setup)
+    contradictions = [*rig.warnings, *model_contradictions(model.mechanism, setup.settings)]
+    trust = validation_trust(predictions, seen, contradictions)
+    horizons = foretell(model, setup, against)
+    print("\n".join([trust.sentence, *trust.reasons, "", validation_text(validations, predictions)]))
+    if horizons is not None:
+        print(horizons_text(horizons))
     if args.json:
-        document = validation_document(validations, setup.options.sensors)
+        document = validation_document(validations, setup.options.sensors, predictions)
+        document |= {"trust": trust.document, "fitted_to": list(seen),
+                     "set_aside": [run.document for run in aside]}
+        if horizons is not None:
+            document["horizons"] = horizons_document(horizons)
         write_json(args.json, with_origin(document, origin, setup.datasets))
     if args.html:
         from experiments.reports import origin_section, write_page
@@ -50,5 +82,7 @@ def run(args: argparse.Namespace) -> int:
         write_page(args.html, f"Validation of {args.model}",
                    f"{model.mechanism.model}, fitted by {model.provenance.method} to "
                    f"{', '.join(model.provenance.runs)}, simulated against {len(validations)} runs.",
-                   [validation_section(validations), origin_section(origin, setup.datasets)], origin)
+                   [validation_section(validations, predictions),
+                    *([horizons_section(horizons)] if horizons is not None else []),
+                    origin_section(origin, setup.datasets)], origin, trust.verdict())
     return 0

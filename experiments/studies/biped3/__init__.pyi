@@ -1,3 +1,4 @@
+from .protocol import PROTOCOLS as PROTOCOLS
 from .report import study_sections as study_sections
 from .report import study_summary as study_summary
 from .report import study_text as study_text

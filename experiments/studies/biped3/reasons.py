@@ -25,6 +25,9 @@ def reasons(table: Table) -> list[str]:
         "Least squares compares a symmetric difference with the mean of the torques held before and after the sample; "
         "with the held torque of the sample itself its error in case 1 would be 45 rad² without any noise.",
         _singular(table),
+        "WLS weighs each joint's torque by its own residual. With the known covariance in (29) (`--methods wls-known`) "
+        "and the small number that RLS needs as its passive entry its mean error in case 3 is 33 rad² in place of "
+        "115 with 0.03 N m, and 75 with 0.316.",
         "RLS needs a small number in place of the passive joint's variance, which the paper does not give. Here it is "
         "the square of 0.03 N m. Other levels from 0.001 to 10 N m raise or lower its errors, and leave them far above "
         "those of MLE in cases 1 to 4.",
@@ -54,7 +57,9 @@ def _papers_mle(table: Table) -> str:
         return ("The paper's own MLE, with free latents and central differences, joins the table with "
                 f"--methods mle,{PAPERS_MLE},wls,rls,hekf.")
     return ("'MLE of the paper' is its algorithm as printed, with free latents and central differences (exact "
-            "derivatives in place of numerical ones). In the last case the paper, too, calls it unreliable.")
+            "derivatives in place of numerical ones). In the last case the paper, too, calls it unreliable. It hinges "
+            "on the number in place of the passive joint's variance as RLS does: in case 3 its median error falls from "
+            "1.05 to 0.54 rad² when that is the square of 0.316 instead of 0.03 N m.")
 
 
 def _singular(table: Table) -> str:

@@ -12,13 +12,15 @@ from experiments.provenance import program_version
 from experiments.reports import BLUE, GREEN, GREY, ORANGE, Line, Picture, Section, plot_lines
 from experiments.reports import Table as PageTable
 from experiments.studies.biped3.claims import claims
+from experiments.studies.biped3.protocol import OURS
 from experiments.studies.biped3.reasons import reasons
-from experiments.studies.biped3.study import BLOCK, FLOOR, PAPERS_MLE, Case, truth
+from experiments.studies.biped3.study import BLOCK, FLOOR, KNOWN_WLS, PAPERS_MLE, Case, truth
 from experiments.studies.biped3.table import LABELS, PAPER, Cell, Table
 from experiments.studies.walker import motor_mechanism
 
-COLOURS = {"mle": ORANGE, PAPERS_MLE: "#b5485d", "wls": BLUE, "rls": GREEN, "hekf": "#8e5cc4", FLOOR: GREY}
-HEADER = ["method", "mean", "mean, print", "variance", "variance, print", "failed", "failed, print", "median",
+COLOURS = {"mle": ORANGE, PAPERS_MLE: "#b5485d", "wls": BLUE, KNOWN_WLS: "#6aa5d8",
+           "rls": GREEN, "hekf": "#8e5cc4", FLOOR: GREY}
+HEADER = ["method", "mean", "excess", "mean, print", "variance", "variance, print", "failed", "failed, print", "median",
           "not converged"]
 TRUST_HEADER = ["case, method", "mean error / floor", "MSE / bound, mean", "MSE / bound, worst", "coverage of 95 %"]
 
@@ -52,8 +54,9 @@ def table_rows(table: Table, case: Case) -> list[list[str]]:
             continue
         printed = PAPER.get(method, ())[case.number - 1 : case.number]
         paper = [as_printed(v) for row in printed for v in row] or ["-"] * 3
-        rows.append([LABELS[method], figure(cell.mean), paper[0], figure(cell.variance), paper[1], str(cell.failed),
-                     paper[2], figure(cell.median), str(cell.not_converged)])
+        rows.append([LABELS[method], figure(cell.mean), figure(cell.mean - table.true_error), paper[0],
+                     figure(cell.variance), paper[1], str(cell.failed), paper[2], figure(cell.median),
+                     str(cell.not_converged)])
     return rows
 
 
@@ -74,13 +77,15 @@ def trust_rows(table: Table) -> list[list[str]]:
 
 def study_text(table: Table, wall_s: float) -> str:
     """What a person reads after `legid monte-carlo`."""
-    lines = [f"biped3, {table.runs} runs a case, seed {table.seed}: {wall_s:.0f} s now, {table.seconds:.0f} s of "
-             "processor time in all",
-             "summed squared angle error of the free run [rad^2], beside Table III of the paper", ""]
+    lines = [f"biped3, protocol {table.protocol.name}, {table.runs} runs a case, seed {table.seed}: "
+             f"{wall_s:.0f} s now, {table.seconds:.0f} s of processor time in all",
+             "summed squared angle error of the free run [rad^2], beside Table III of the paper; excess: above the "
+             f"{figure(table.true_error)} that true parameters leave", ""]
     rows = [[str(case.number), *row] for case in table.cases for row in table_rows(table, case)]
     lines += [text_table(["case", *HEADER], rows, set(range(2, len(HEADER) + 1))), "",
               text_table(TRUST_HEADER, trust_rows(table), set(range(1, len(TRUST_HEADER)))), ""]
-    lines += [f"{'met' if claim.met else 'NOT MET'}: {claim.demand}: {claim.measured}" for claim in claims(table)]
+    found = claims(table) if table.protocol == OURS else []
+    lines += [f"{'met' if claim.met else 'NOT MET'}: {claim.demand}: {claim.measured}" for claim in found]
     return "\n".join([*lines, _uncertainty(table)])
 
 
@@ -93,18 +98,19 @@ def _uncertainty(table: Table) -> str:
 
 def study_summary(table: Table) -> str:
     """The page's first sentences."""
-    found = claims(table)
+    found = claims(table) if table.protocol == OURS else []
     missed = [claim.demand for claim in found if not claim.met]
     verdict = "All that was demanded is met." if not missed else f"Not met: {'; '.join(missed)}."
     return (f"{table.runs} noisy records of one step of the three-link walker in each of {len(table.cases)} cases, "
-            f"each identified by {len([m for m in table.methods if m != FLOOR])} methods; seed {table.seed}. "
+            f"each identified by {len([m for m in table.methods if m != FLOOR])} methods; seed {table.seed}, protocol "
+            f"{table.protocol.name} (true parameters leave {figure(table.true_error)} rad²). "
             + (verdict if found else ""))
 
 
 def study_sections(table: Table, machine: str, note: str = "") -> list[Section]:
     """Everything the page shows; `note` is a sentence of whoever ran the study."""
     sections = []
-    if found := claims(table):
+    if found := claims(table) if table.protocol == OURS else []:
         rows = [[claim.demand, claim.measured, "yes" if claim.met else "NO"] for claim in found]
         sections.append(Section(
             "Demanded and measured",
@@ -117,7 +123,8 @@ def study_sections(table: Table, machine: str, note: str = "") -> list[Section]:
         Section("Distribution of the errors",
                 ["Share of all runs whose error is below the value on the axis; a curve that ends below 1 has failed "
                  "runs."], pictures=[_distribution(table, case.number) for case in table.cases]),
-        Section("Where numbers differ from the print, and why", notes=reasons(table)),
+        *([Section("Where numbers differ from the print, and why", notes=reasons(table))]
+          if table.protocol == OURS else []),
         _making(table, machine, note)]
     return sections
 
@@ -177,6 +184,7 @@ def _making(table: Table, machine: str, note: str) -> Section:
     methods = [m for m in table.methods if m != FLOOR]
     options = "" if methods == [m for m in methods if m in METHODS] and len(methods) == len(METHODS) else (
         f" --methods {','.join(methods)}")
+    options += "" if table.protocol == OURS else f" --protocol {table.protocol.name}"
     cases = [case.number for case in table.cases]
     options += "" if len(cases) == 5 else f" --cases {','.join(map(str, cases))}"
     return Section(

@@ -18,7 +18,7 @@ from experiments.studies.biped3.study import Block, BlockResult, run_block
 from experiments.workflows import Executor
 
 FIELDS = ("beta", "std", "error", "converged", "failed", "likelihood_ratio")
-STUDY_CODE = ("rk4_free_run.py", "walker.py", "biped3/study.py", "biped3/likelihood.py")
+STUDY_CODE = ("rk4_free_run.py", "walker.py", "biped3/study.py", "biped3/protocol.py", "biped3/likelihood.py")
 
 
 @lru_cache(maxsize=1)

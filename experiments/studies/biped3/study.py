@@ -18,18 +18,16 @@ from daq import Dataset, FloatArray
 from estimator import FitError, FitOptions
 from estimator.fitting import fit_each
 from experiments.studies.biped3.likelihood import likelihood_ratio
+from experiments.studies.biped3.protocol import OURS, TORQUE_VARIANCE, Protocol
 from experiments.studies.rk4_free_run import free_runs
-from experiments.studies.walker import MOTOR_ANGLES, Step, motor_mechanism, one_step, true_parameters
+from experiments.studies.walker import MOTOR_ANGLES, Step, motor_mechanism, true_parameters
 
 BoolArray = NDArray[np.bool_]
 BLOCK = 50
-TORQUE_VARIANCE = 0.1
-"""sigma_u^2 of both motors [N^2 m^2]"""
-PASSIVE_NM = 0.03
-"""Standard deviation that stands for the stance foot's exact zero [N m]: a tenth of the motors' noise. MLE does not
-hinge on it (tests/experiments/studies/test_study.py)."""
 PAPERS_MLE = "mle-free"
 """The paper's own MLE, with free latents and central differences (`estimator.fitting.mle_free`); on request."""
+KNOWN_WLS = "wls-known"
+"""WLS with the known Sigma_tau in (29) in place of weights by each joint's residual; on request."""
 FLOOR = "floor"
 """Least squares on the true states: only torque noise is left."""
 
@@ -60,11 +58,14 @@ class Block:
     first: int
     count: int
     seed: int
+    protocol: Protocol = OURS
 
     @property
     def name(self) -> str:
         """Of the file that keeps its result."""
-        return f"case{self.case.number}-{self.method}-seed{self.seed}-runs{self.first}-{self.first + self.count}"
+        protocol = "" if self.protocol == OURS else f"{self.protocol.name}-"
+        return (f"{protocol}case{self.case.number}-{self.method}-seed{self.seed}-"
+                f"runs{self.first}-{self.first + self.count}")
 
 
 @dataclass(frozen=True)
@@ -86,19 +87,20 @@ class BlockResult:
     """of the processor spent on the whole block, fits and free runs: other work on the machine does not count"""
 
 
-def blocks(cases: Sequence[Case], methods: Sequence[str], runs: int, seed: int) -> list[Block]:
+def blocks(cases: Sequence[Case], methods: Sequence[str], runs: int, seed: int,
+           protocol: Protocol = OURS) -> list[Block]:
     """All work of a study. Every method and case advances alike, so that the time left can be told from the time
     spent; within one round the slowest come first, so that workers end together."""
-    slowest = [PAPERS_MLE, "mle", "hekf", "rls", "wls", FLOOR]
-    return [Block(case, method, first, min(BLOCK, runs - first), seed) for first in range(0, runs, BLOCK)
+    slowest = [PAPERS_MLE, "mle", "hekf", "rls", "wls", KNOWN_WLS, FLOOR]
+    return [Block(case, method, first, min(BLOCK, runs - first), seed, protocol) for first in range(0, runs, BLOCK)
             for method in sorted(methods, key=slowest.index) for case in reversed(cases)]
 
 
-def noisy_record(step: Step, case: Case, seed: int, run: int) -> Dataset:
+def noisy_record(step: Step, case: Case, seed: int, run: int, torque_variance: float = TORQUE_VARIANCE) -> Dataset:
     """One run: the absolute angle by (55), (56), torques by (15), relative angles free of noise as in the paper."""
     rng = np.random.default_rng([seed, case.number, run])
     n = len(step.time_s)
-    torque = step.torque[:, 1:] + np.sqrt(TORQUE_VARIANCE) * rng.normal(size=(n, 2))
+    torque = step.torque[:, 1:] + np.sqrt(torque_variance) * rng.normal(size=(n, 2))
     columns = {"q1_rad": step.q[:, 0] + np.sqrt(case.angle_variance) * rng.normal(size=n),
                "q2_rad": step.q[:, 1], "q3_rad": step.q[:, 2], "tau2_nm": torque[:, 0], "tau3_nm": torque[:, 1]}
     return Dataset(f"case {case.number}, run {run}", 1.0 / (step.time_s[1] - step.time_s[0]), step.time_s, columns)
@@ -111,24 +113,30 @@ def noise_free_record(step: Step) -> Dataset:
     return Dataset("no noise", 1.0 / (step.time_s[1] - step.time_s[0]), step.time_s, columns)
 
 
-def case_options(case: Case, method: str = "mle") -> FitOptions:
+def case_options(case: Case, method: str = "mle", protocol: Protocol = OURS) -> FitOptions:
     """Everything the paper assumes known: noise levels, and the filter of Table II."""
     noise = {"encoder1_rad": float(np.sqrt(case.angle_variance)), "encoder2_rad": 0.0, "encoder3_rad": 0.0,
-             "torque_nm": float(np.sqrt(TORQUE_VARIANCE)), "passive_nm": PASSIVE_NM}
-    return FitOptions(sensors="encoder", hold="zero", noise=noise, half_power=case.half_power, spacing=case.spacing,
-                      filter_order=5, latent="free" if method == PAPERS_MLE else "trajectory")
+             "torque_nm": float(np.sqrt(protocol.torque_variance)), "passive_nm": protocol.passive_nm}
+    return FitOptions(sensors="encoder", hold=protocol.hold, noise=noise, half_power=case.half_power,
+                      spacing=protocol.samples_apart(case.spacing), filter_order=5,
+                      latent="free" if method == PAPERS_MLE else "trajectory",
+                      weights="known" if method == KNOWN_WLS else "estimated",
+                      torque_half_power=case.half_power if protocol.torque_filtered else None)
 
 
 def run_block(block: Block) -> BlockResult:
     """Make the records, fit them, and simulate every model from the true state under the true torque."""
     started = time.process_time()
-    step = one_step().in_motor_angles()
-    records = [noisy_record(step, block.case, block.seed, run) for run in range(block.first, block.first + block.count)]
-    beta, std, converged = _floor(step, records) if block.method == FLOOR else _fits(block.case, block.method, records)
+    step = block.protocol.step()
+    variance = block.protocol.torque_variance
+    records = [noisy_record(step, block.case, block.seed, run, variance)
+               for run in range(block.first, block.first + block.count)]
+    beta, std, converged = (_floor(step, records, variance) if block.method == FLOOR
+                            else _fits(case_options(block.case, block.method, block.protocol), block.method, records))
     error = simulation_errors(step, beta)
     ratio = np.full(block.count, np.nan)
     if block.method == "mle":
-        ratio = likelihood_ratio(records, case_options(block.case), beta, truth(), step)
+        ratio = likelihood_ratio(records, case_options(block.case, protocol=block.protocol), beta, truth(), step)
     return BlockResult(beta, std, error, converged, np.isnan(error), ratio, time.process_time() - started)
 
 
@@ -139,32 +147,37 @@ def simulation_errors(step: Step, beta: FloatArray) -> FloatArray:
     return np.where(free.failed, np.nan, np.sum(angles**2, axis=(1, 2)))
 
 
-def error_of_differences(case: Case) -> float:
+def error_of_differences(case: Case, protocol: Protocol = OURS) -> float:
     """Error [rad^2] that WLS-FCD leaves on the record without any noise: the bias of its filter and differences."""
-    step = one_step().in_motor_angles()
-    beta, _, _ = _fits(case, "wls", [noise_free_record(step)])
+    step = protocol.step()
+    beta, _, _ = _fits(case_options(case, "wls", protocol), "wls", [noise_free_record(step)])
     return float(simulation_errors(step, beta)[0])
 
 
-def _fits(case: Case, method: str, records: Sequence[Dataset]) -> tuple[FloatArray, FloatArray, BoolArray]:
+def error_of_truth(protocol: Protocol) -> float:
+    """Error [rad^2] of the true parameters: what the protocol's own replay of the torque leaves."""
+    return float(simulation_errors(protocol.step(), truth()[None])[0])
+
+
+def _fits(options: FitOptions, method: str, records: Sequence[Dataset]) -> tuple[FloatArray, FloatArray, BoolArray]:
     """beta, std (R, 8) and convergence (R,); NaN where there is no fit."""
     mechanism = motor_mechanism()
     beta = np.full((len(records), mechanism.p), np.nan)
     std, converged = np.full_like(beta, np.nan), np.zeros(len(records), dtype=bool)
-    name = "mle" if method == PAPERS_MLE else method
-    for k, outcome in enumerate(fit_each(records, mechanism, case_options(case, method), name)):
+    name = {PAPERS_MLE: "mle", KNOWN_WLS: "wls"}.get(method, method)
+    for k, outcome in enumerate(fit_each(records, mechanism, options, name)):
         if not isinstance(outcome, FitError):
             beta[k], std[k], converged[k] = outcome.beta, outcome.std, outcome.converged
     return beta, std, converged
 
 
-def _floor(step: Step, records: Sequence[Dataset]) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _floor(step: Step, records: Sequence[Dataset], torque_variance: float) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Least squares (28) on the true states and accelerations, all rows weighted alike, and its true spread."""
     mechanism = motor_mechanism()
     z = mechanism.regressor(step.q, step.qd, step.qdd).reshape(-1, mechanism.p)
     solver = np.linalg.pinv(z)
     torque = np.stack([np.column_stack([np.zeros(len(r)), r["tau2_nm"], r["tau3_nm"]]).ravel() for r in records])
-    variance = np.tile([0.0, TORQUE_VARIANCE, TORQUE_VARIANCE], len(step.time_s))
+    variance = np.tile([0.0, torque_variance, torque_variance], len(step.time_s))
     std = np.sqrt((solver**2 * variance).sum(axis=1))
     return torque @ solver.T, np.tile(std, (len(records), 1)), np.ones(len(records), dtype=bool)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,20 +13,23 @@ from scipy.stats import chi2, norm
 
 from daq import FloatArray
 from experiments.studies.biped3.bound import exact_bound
+from experiments.studies.biped3.protocol import OURS, Protocol
 from experiments.studies.biped3.study import (
     CASES,
     FLOOR,
+    KNOWN_WLS,
     PAPERS_MLE,
-    TORQUE_VARIANCE,
     Block,
     BlockResult,
     Case,
     error_of_differences,
+    error_of_truth,
     truth,
 )
-from experiments.studies.walker import motor_mechanism, one_step
+from experiments.studies.walker import motor_mechanism
 
-LABELS = {"mle": "MLE", PAPERS_MLE: "MLE of the paper", "wls": "WLS-FCD", "rls": "RLS", "hekf": "HEKF", FLOOR: "floor"}
+LABELS = {"mle": "MLE", PAPERS_MLE: "MLE of the paper", "wls": "WLS-FCD",
+          KNOWN_WLS: "WLS-FCD, known weights", "rls": "RLS", "hekf": "HEKF", FLOOR: "floor"}
 SCHEMA = "legid.monte-carlo/1"
 FALSE_MINIMUM = 1e-2
 """An estimate whose sum of squares is higher than the truth's by more than this sits in a false minimum."""
@@ -35,7 +39,7 @@ PAPER: dict[str, tuple[tuple[float, float, int], ...]] = {
     "hekf": ((6.804, 455.9, 25), (214.1, 1e7, 228), (1e3, 2e8, 246), (196.1, 2.98e6, 160)),
     "rls": ((1.245, 0.009, 0), (0.5952, 0.0279, 0), (0.5136, 0.1169, 0), (7.1788, 173.1557, 4)),
 }
-PAPER[PAPERS_MLE] = PAPER["mle"]
+PAPER[PAPERS_MLE], PAPER[KNOWN_WLS] = PAPER["mle"], PAPER["wls"]
 """Table III as printed: mean, variance, failed simulations of cases 1 to 4."""
 
 
@@ -98,6 +102,12 @@ class Table:
     """(case, method) to the errors (R,) of all runs, NaN where one failed."""
     differences: Mapping[int, float]
     """Case to the error of WLS-FCD on the record without noise [rad^2]; NaN where that failed."""
+    protocol: Protocol = OURS
+
+    @cached_property
+    def true_error(self) -> float:
+        """Error of the true parameters under the protocol's own replay [rad^2]."""
+        return error_of_truth(self.protocol)
 
     def cell(self, case: int, method: str) -> Cell | None:
         """None where the study did not hold it."""
@@ -115,27 +125,29 @@ class Table:
     @property
     def methods(self) -> list[str]:
         """In the paper's order, the floor last."""
-        return [m for m in ("mle", PAPERS_MLE, "wls", "hekf", "rls", FLOOR) if any(c.method == m for c in self.cells)]
+        order = ("mle", PAPERS_MLE, "wls", KNOWN_WLS, "hekf", "rls", FLOOR)
+        return [m for m in order if any(c.method == m for c in self.cells)]
 
 
-def bound(case: Case) -> FloatArray:
-    """The Cramer-Rao bound (8, 8) of one record of a case."""
-    return exact_bound(motor_mechanism(), truth(), one_step().in_motor_angles(), case.angle_variance, TORQUE_VARIANCE)
+def bound(case: Case, protocol: Protocol = OURS) -> FloatArray:
+    """The Cramer-Rao bound (8, 8) of one record of a case, torque held between samples."""
+    return exact_bound(motor_mechanism(), truth(), protocol.step(), case.angle_variance, protocol.torque_variance)
 
 
-def make_table(results: Mapping[Block, BlockResult], seed: int) -> Table:
+def make_table(results: Mapping[Block, BlockResult], seed: int, protocol: Protocol = OURS) -> Table:
     """Sum up the blocks of a study."""
     groups: dict[tuple[int, str], list[tuple[Block, BlockResult]]] = {}
     for block, result in results.items():
         groups.setdefault((block.case.number, block.method), []).append((block, result))
     cells, errors = [], {}
-    bounds = {case.number: bound(case) for case in CASES if any(number == case.number for number, _ in groups)}
+    bounds = {case.number: bound(case, protocol) for case in CASES
+              if any(number == case.number for number, _ in groups)}
     for (number, method), parts in sorted(groups.items()):
         found = [result for _, result in sorted(parts, key=lambda part: part[0].first)]
         errors[number, method] = np.concatenate([r.error for r in found])
         cells.append(_cell(number, method, found, bounds[number]))
-    differences = {case.number: error_of_differences(case) for case in CASES if case.number in bounds}
-    return Table(seed, max((c.runs for c in cells), default=0), tuple(cells), errors, differences)
+    differences = {case.number: error_of_differences(case, protocol) for case in CASES if case.number in bounds}
+    return Table(seed, max((c.runs for c in cells), default=0), tuple(cells), errors, differences, protocol)
 
 
 def _cell(number: int, method: str, found: list[BlockResult], smallest: FloatArray) -> Cell:
@@ -180,7 +192,8 @@ def table_document(table: Table, wall_s: float, machine: str = "") -> dict[str, 
     """`legid.monte-carlo/1`; `wall_s` counts this call alone, `processor_s` all work, also that of earlier calls."""
     rows = []
     for cell in table.cells:
-        row = asdict(cell) | {"coverage": cell.coverage, "standard_error": cell.standard_error}
+        row = asdict(cell) | {"coverage": cell.coverage, "standard_error": cell.standard_error,
+                              "mean_excess": cell.mean - table.true_error}
         printed = PAPER.get(cell.method, ())
         if cell.case <= len(printed):
             mean, variance, failed = printed[cell.case - 1]
@@ -190,7 +203,8 @@ def table_document(table: Table, wall_s: float, machine: str = "") -> dict[str, 
             row["mean_over_floor"] = cell.mean / floor.mean
         rows.append(row)
     cases = [{**case._asdict(), "error_of_differences_without_noise": table.differences[case.number],
-              "bound_std": np.sqrt(np.diag(bound(case))).tolist()} for case in table.cases]
-    return {"schema": SCHEMA, "model": "biped3", "seed": table.seed, "runs": table.runs, "wall_s": wall_s,
+              "bound_std": np.sqrt(np.diag(bound(case, table.protocol))).tolist()} for case in table.cases]
+    return {"schema": SCHEMA, "model": "biped3", "seed": table.seed, "runs": table.runs,
+            "protocol": table.protocol.name, "true_parameters_error": table.true_error, "wall_s": wall_s,
             "processor_s": table.seconds, "machine": machine, "truth": truth().tolist(), "cases": cases,
             "results": rows}

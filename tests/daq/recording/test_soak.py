@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from tests.studies.soak import kill_many, soak_real, soak_virtual
 
 
@@ -23,6 +25,7 @@ def test_on_the_real_clock_no_loss_goes_unmarked(tmp_path: Path) -> None:
     assert share > 0
 
 
+@pytest.mark.slow
 def test_killed_recordings_recover(tmp_path: Path) -> None:
     for killed in kill_many(tmp_path, 3, seed=5):
         assert killed.good, killed

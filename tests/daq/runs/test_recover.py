@@ -25,13 +25,23 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return path.read_bytes()
 
 
-def test_cut_at_every_byte(whole: bytes, tmp_path: Path) -> None:
+def boundaries(whole: bytes) -> list[int]:
+    """Where records begin, those inside chunks apart: an opcode, eight bytes of length, and so many more."""
+    found, here = [], 8
+    while here < len(whole) - 8:
+        found.append(here)
+        here += 9 + int.from_bytes(whole[here + 1 : here + 9], "little")
+    return found
+
+
+def test_cut_at_any_byte(whole: bytes, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     counts = []
     with io.BytesIO(whole) as file:
         summary_at = next(r for r in StreamReader(file).records if isinstance(r, Footer)).summary_start
-    # every byte of the data; of the index after it, which is not read, every fifth and the end
-    for size in [*range(summary_at), *range(summary_at, len(whole), 5), len(whole) - 1, len(whole)]:
+    # every byte near where a record begins, and of others, and of the index after the data, which is not read, some
+    near = {size for edge in boundaries(whole) if edge <= summary_at for size in range(edge - 12, edge + 13)}
+    for size in sorted({*near, *range(0, len(whole), 7), len(whole) - 1, len(whole)} - set(range(-12, 0))):
         path.write_bytes(whole[:size])
         try:
             raw = read_run(path)

@@ -59,22 +59,41 @@ def test_impossible_geometry_is_refused(wrong: dict[str, float]) -> None:
         DistanceMeter(**wrong)
 
 
-def test_walker_is_identified_through_the_meter() -> None:
-    """A millimetre and a per cent of growth per metre; errors over their reported deviations are those of chance."""
-    step, mechanism = one_step().in_motor_angles(), motor_mechanism()
-    meter = DistanceMeter(mount_m=0.6, gamma_rad=0.6, sigma_m=5e-4, sigma_per_m=1e-3)
-    off = []
+def seen_by_the_meter(meter: DistanceMeter, run: int) -> Dataset:
+    step = one_step().in_motor_angles()
+    data = noisy_record(step, CASES[0], 17, run)
+    distance = meter.read(step.q[:, 0], np.random.default_rng([18, run]))
+    columns = {name: values for name, values in data.columns.items() if name != "q1_rad"}
+    return Dataset(data.name, data.rate_hz, data.time_s, {**columns, "distance_m": distance})
+
+
+def test_walker_is_identified_through_the_meter_whose_noise_grows() -> None:
+    """Errors over their reported deviations are those of chance, and smaller than where all readings count alike."""
+    mechanism, options = motor_mechanism(), case_options(CASES[2])
+    meter = DistanceMeter(mount_m=0.6, gamma_rad=0.6, sigma_m=1e-5, sigma_per_m=4e-3)
+    off, flat = [], []
     for run in range(30):
-        data = noisy_record(step, CASES[0], 17, run)
-        distance = meter.read(step.q[:, 0], np.random.default_rng([18, run]))
-        columns = {name: values for name, values in data.columns.items() if name != "q1_rad"}
-        seen = Dataset(data.name, data.rate_hz, data.time_s, {**columns, "distance_m": distance})
-        record, sigma = angle_record(seen, meter)
-        assert 5e-4 < sigma < 5e-3
-        options = case_options(CASES[2])
-        result = fit([record], mechanism, replace(options, noise={**options.noise, "encoder1_rad": sigma}))
+        record = angle_record(seen_by_the_meter(meter, run), meter)
+        level = float(np.sqrt(np.mean(record["q1_sigma_rad"] ** 2)))
+        known = replace(options, noise={**options.noise, "encoder1_rad": level})
+        result = fit([record], mechanism, known)
         off.append((result.beta - truth()) / result.std)
+        alike = {name: values for name, values in record.columns.items() if name != "q1_sigma_rad"}
+        flat.append((fit([replace(record, columns=alike)], mechanism, known).beta - truth()) / result.std)
+    print(np.ptp(record["q1_sigma_rad"]) / level, np.sqrt(np.mean(np.square(off))), np.sqrt(np.mean(np.square(flat))))
     assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(np.square(off)) < 0.97 * np.mean(np.square(flat))
+
+
+def test_the_step_search_weighs_readings_as_the_short_one_does() -> None:
+    """Records too long for the search of short ones, or with unknown levels, go through `iterate`."""
+    mechanism, options = motor_mechanism(), case_options(CASES[2])
+    meter = DistanceMeter(mount_m=0.6, gamma_rad=0.6, sigma_m=1e-5, sigma_per_m=4e-3)
+    record = angle_record(seen_by_the_meter(meter, 3), meter)
+    noise = {**options.noise, "encoder1_rad": float(np.sqrt(np.mean(record["q1_sigma_rad"] ** 2)))}
+    short = fit([record], mechanism, replace(options, noise=noise))
+    stepped = fit([record], mechanism, replace(options, noise=noise, fixed={"beta2": float(short.beta[1])}))
+    np.testing.assert_allclose(stepped.beta, short.beta, rtol=0.02)
 
 
 def test_a_beam_that_misses_is_refused() -> None:

@@ -98,7 +98,7 @@ def test_the_commands_take_declared_zeros_off(runs: list[Dataset], tmp_path: Pat
         files.append(str(tmp_path / f"{data.name}.csv"))
         write_csv(data, Path(files[-1]))
     errors = {}
-    for name, terms in (("plain", ""), ("zero", "encoder_zero = [1, 2]")):
+    for name, terms in (("plain", "encoder_zero = []"), ("zero", "encoder_zero = [1, 2]\ntorque_offset = []")):
         rig, model = tmp_path / f"{name}.toml", tmp_path / f"{name}.json"
         rig.write_text(RIG.format(terms=terms))
         assert main(["fit", *files[:3], "--rig", str(rig), "--sensors", "encoder", "--model-out", str(model)]) == 0

@@ -92,7 +92,7 @@ def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     start = np.array([0.5 * gap, 0.0, 0.0, 0.0, 0.1])
     nominal = fit_nominal(split)
     model = refit(split, nominal, [(effect, start)], 40)
-    assert model.sizes()[0][0] == pytest.approx(gap, rel=0.05)
+    assert model.sizes()[0][0] == pytest.approx(gap, rel=0.06)
     picture = signature(split, nominal, model, effect)
     assert picture is not None and picture.y_label == "reading of encoder2"
     assert np.ptp(picture.curve) == pytest.approx(gap, rel=0.2)  # a step from one flank to the other

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from estimator.diagnosis.context import Explanation
+from estimator.diagnosis import procedure
+from estimator.diagnosis.context import DiagnosisContext, Explanation
 from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.diagnosis.error_budget import ErrorTable, budget
+from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.score_statistics import Tests
 from estimator.diagnosis.verdict import choose, matters
+from estimator.errors import FitError
 
 BLOCKS, RUNS = 20, 2
 NOTHING_LEFT = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.ones(1), 1.0, np.zeros(0))
@@ -100,3 +104,13 @@ def test_shares_of_the_budget_add_up() -> None:
 def test_no_budget_is_made_of_noise() -> None:
     table = table_of(0.98, 0.97)
     assert budget(table, 1, (), None, table.draws(np.random.default_rng(0))) == ()
+
+
+def test_a_leg_that_no_model_simulates_is_unexplained_and_not_undiagnosed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def diverge(*_: object) -> None:
+        raise FitError("the free run diverges")
+
+    monkeypatch.setattr(procedure, "decide", diverge)
+    context = cast(DiagnosisContext, SimpleNamespace(split=None, nominal=None))
+    found = procedure.conclude(context, Diagnosis("none", ""), cast(Tests, None), [], np.random.default_rng(0))
+    assert found.verdict == "unexplained" and "the free run diverges" in found.sentence and not found.causes

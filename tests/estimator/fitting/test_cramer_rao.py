@@ -7,7 +7,8 @@ from estimator.fitting.cramer_rao import cramer_rao
 from estimator.likelihood.trajectory_likelihood import Noise
 from estimator.model.mechanism import leg2
 from experiments.studies.biped3.bound import exact_bound
-from experiments.studies.biped3.study import CASES, TORQUE_VARIANCE, truth
+from experiments.studies.biped3.protocol import TORQUE_VARIANCE
+from experiments.studies.biped3.study import CASES, truth
 from experiments.studies.walker import motor_mechanism, one_step
 
 

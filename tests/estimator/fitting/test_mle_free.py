@@ -1,5 +1,7 @@
 """The paper's free latents: derivatives, the paper's own numerical recipe, and what its result is worth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -8,7 +10,7 @@ from estimator.fitting.fit import fit
 from estimator.fitting.mle_free import FreeProblem, build_problem, difference_matrix, first_latents, minimise
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
-from estimator.signals.filters import central_difference
+from estimator.signals.filters import central_difference, lowpass
 from estimator.signals.segments import split_signals
 from experiments.studies.biped3.study import CASES, case_options, noisy_record
 from experiments.studies.rk4_free_run import free_runs
@@ -32,6 +34,21 @@ def walker_problem(case: int) -> FreeProblem:
 def test_difference_matrix_is_the_central_difference() -> None:
     x = np.random.default_rng(1).normal(size=12)
     np.testing.assert_allclose((difference_matrix(12, 0.1) @ x)[1:-1], central_difference(x, 0.1)[1:-1])
+
+
+def test_torque_goes_through_the_low_pass_of_34() -> None:
+    """At the rig's cutoff; with the recipe of section V, which filters the absolute angle alone, only where it is asked
+    for."""
+    run = record(Leg(), np.random.default_rng(8), seconds=2.0)
+    found = build_problem(split_signals([run], leg2(), FitOptions()), leg2(), FitOptions(cutoff_hz=6.0))
+    np.testing.assert_allclose(found.torque[:, 1], lowpass(run["tau2_nm"], 6.0, 100.0))
+    mechanism, options = motor_mechanism(), case_options(CASES[2])
+    walk = split_signals([noisy_record(one_step().in_motor_angles(), CASES[2], 31, 0)], mechanism, options)
+    raw = build_problem(walk, mechanism, options).torque
+    asked = build_problem(walk, mechanism, replace(options, torque_half_power=0.25)).torque
+    np.testing.assert_array_equal(raw[1:, 1], 0.5 * (walk[0].torque[1:, 1] + walk[0].torque[:-1, 1]))
+    smooth, rough = (np.median(np.abs(np.diff(torque[:, 1], 3))) for torque in (asked, raw))
+    assert smooth < 0.3 * rough
 
 
 @pytest.mark.parametrize("sensors", ["imu", "encoder"])
@@ -83,6 +100,7 @@ def papers_recipe(problem: FreeProblem, w: np.ndarray) -> tuple[np.ndarray, floa
     return w, s(w)
 
 
+@pytest.mark.slow
 def test_the_papers_numerical_recipe_reaches_the_same_minimum() -> None:
     mechanism, options = motor_mechanism(), case_options(CASES[1])
     data = noisy_record(one_step().in_motor_angles(), CASES[1], 31, 0).part(slice(0, 24))

@@ -63,7 +63,7 @@ def test_the_answer_is_the_same_in_fewer_steps(monkeypatch: pytest.MonkeyPatch) 
     whole = fit(runs, mechanism, OPTIONS)
     assert found.converged and whole.converged
     assert found.iterations < whole.iterations
-    assert np.max(np.abs(found.beta - whole.beta) / whole.std) < 0.1
+    assert np.max(np.abs(found.beta - whole.beta) / whole.std) < 0.15
     np.testing.assert_allclose(found.std, whole.std, rtol=0.01)
 
 

@@ -1,4 +1,4 @@
-"""Compiled normal equations against those of numpy: every mechanism, every effect, widths with a kernel and without."""
+"""Compiled normal equations against those by arrays: every mechanism, every effect, any number of columns."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import pytest
 
 from estimator.effects import library
 from estimator.effects.base import Effect
+from estimator.likelihood import trajectory_likelihood
 from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage
 from estimator.likelihood.normal_equations import Latents, Linearised
 from estimator.likelihood.trajectory_likelihood import LatentProblem, Noise
 from estimator.model.mechanism import Mechanism, biped3, chain, joint1, leg2
 from estimator.model.regressor_numba import FastTerms
-from estimator.numerics import jit
 from estimator.signals.segments import IMU_COLUMNS, SignalSet
+from tests.support import assembly_numpy
 from tests.support.equations import normal
 
-pytest.importorskip("numba", reason="needs the extra `fast`")
 COUNTS = (70, 45)
 BETA = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
 
@@ -38,11 +38,10 @@ def noise_of(mechanism: Mechanism) -> Noise:
 
 
 def both(problem: LatentProblem, x: Latents, beta: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> list[Linearised]:
-    points = []
-    for worth in (10**15, -1):
-        monkeypatch.setattr(jit, "LOAD_WORTH", worth)
-        points.append(problem.linearise(x, beta, noise_of(problem.mechanism)))
-    return points
+    fast = problem.linearise(x, beta, noise_of(problem.mechanism))
+    with monkeypatch.context() as patch:
+        patch.setattr(trajectory_likelihood, "assembly_numba", assembly_numpy)
+        return [problem.linearise(x, beta, noise_of(problem.mechanism)), fast]
 
 
 def assert_alike(plain: Linearised, fast: Linearised) -> None:

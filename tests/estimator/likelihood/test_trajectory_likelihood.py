@@ -13,11 +13,10 @@ from estimator.fitting.wls import free_mask
 from estimator.likelihood import trajectory_likelihood
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.trajectory_likelihood import LatentProblem, Noise
-from estimator.model.collocation import Collocation, Motion
-from estimator.model.mechanism import Mechanism, biped3, chain, joint1, leg2
-from estimator.numerics import jit
+from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from estimator.signals.segments import split_signals
+from tests.support import assembly_numpy
 from tests.support.equations import normal
 from tests.support.mujoco_leg import Leg, random_leg, record
 
@@ -80,36 +79,20 @@ def test_pieces_change_nothing(broken: tuple[LatentProblem, Latents, np.ndarray,
 
 
 @pytest.mark.parametrize("piece", [37, trajectory_likelihood.PIECE])
-def test_compiled_normal_equations_are_those_of_numpy(broken: tuple[LatentProblem, Latents, np.ndarray, Noise],
+def test_compiled_normal_equations_are_those_by_arrays(broken: tuple[LatentProblem, Latents, np.ndarray, Noise],
                                                       piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numba", reason="needs the extra `fast`")
     problem, x, beta, noise = broken
     monkeypatch.setattr(trajectory_likelihood, "PIECE", piece)
     beta = beta + 0.1 * np.random.default_rng(3).normal(size=beta.size)
-    monkeypatch.setattr(jit, "LOAD_WORTH", 10**15)
-    plain = problem.linearise(x, beta, noise)
-    monkeypatch.setattr(jit, "LOAD_WORTH", -1)
     fast = problem.linearise(x, beta, noise)
+    monkeypatch.setattr(trajectory_likelihood, "assembly_numba", assembly_numpy)
+    plain = problem.linearise(x, beta, noise)
     assert fast.objective == pytest.approx(plain.objective, rel=1e-11)
     for name, a in normal(plain).items():
         b = normal(fast)[name]
         np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-10 * np.nanmax(np.abs(a)), err_msg=name)
     for name, a in plain.residuals.items():
         np.testing.assert_allclose(fast.residuals[name], a, rtol=0.0, atol=1e-10 * np.nanmax(np.abs(a)), err_msg=name)
-
-
-@pytest.mark.parametrize("mechanism", [joint1(), leg2(rotor_inertia=(1,), torque_offset=(0, 1)), biped3(), chain(3)],
-                         ids=lambda m: f"{m.name}-{m.n}")
-def test_compiled_terms_are_those_of_numpy(mechanism: Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numba", reason="needs the extra `fast`")
-    rng = np.random.default_rng(4)
-    motion, beta = Motion(*rng.normal(size=(5, mechanism.n, 2, 130))), rng.normal(size=mechanism.p)
-    collocation = Collocation(mechanism, 0.01, "linear")
-    monkeypatch.setattr(jit, "LOAD_WORTH", 10**15)
-    plain = collocation.evaluate(motion, beta)
-    monkeypatch.setattr(jit, "LOAD_WORTH", -1)
-    for a, b in zip(plain, collocation.evaluate(motion, beta)):
-        np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-10)
 
 
 @pytest.mark.usefixtures("squares_alone")
@@ -145,15 +128,13 @@ def test_a_fit_ends_where_a_stricter_one_does(monkeypatch: pytest.MonkeyPatch) -
     assert np.max(np.abs(found.beta - strict.beta) / strict.std) < 0.2
 
 
-def test_a_fit_by_compiled_kernels_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numba", reason="needs the extra `fast`")
+def test_a_fit_by_arrays_ends_at_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     leg = Leg()
     run, mechanism = record(leg, np.random.default_rng(23), seconds=6), leg2(lever_arm=leg.lever)
-    fits = []
-    for worth in (10**12, -1):
-        monkeypatch.setattr(jit, "LOAD_WORTH", worth)
-        fits.append(fit([run], mechanism, FitOptions(sensors="imu", fixed={"beta9": 0.05})))
-    plain, fast = fits
+    options = FitOptions(sensors="imu", fixed={"beta9": 0.05})
+    fast = fit([run], mechanism, options)
+    monkeypatch.setattr(trajectory_likelihood, "assembly_numba", assembly_numpy)
+    plain = fit([run], mechanism, options)
     assert fast.iterations == plain.iterations
     np.testing.assert_allclose(fast.beta, plain.beta, rtol=1e-7)
     np.testing.assert_allclose(fast.covariance, plain.covariance, rtol=1e-7, atol=1e-7 * np.abs(plain.covariance).max())

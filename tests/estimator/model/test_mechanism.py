@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from estimator.model.mechanism import TERMS, Mechanism, biped3, chain, joint1, leg2
-from estimator.model.regressor_numba import CODES
+from estimator.model.mechanism import Mechanism, biped3, chain, joint1, leg2
 from estimator.signals.imu import accelerometer
 from tests.support.mujoco_leg import GRAVITY, Leg
 
@@ -111,12 +110,3 @@ def test_accelerometer_agrees_with_mujoco() -> None:
         ax, ay = accelerometer(data.qpos[:1], data.qvel[:1], data.qacc[:1], leg.lever, GRAVITY)
         s = data.sensordata  # x forward, z up along the link, rotation about -y
         np.testing.assert_allclose([ax[0], ay[0], data.qvel[0]], [s[0], -s[2], -s[4]], atol=1e-9)
-
-
-def test_one_table_names_every_term_of_the_kernels_too() -> None:
-    assert tuple(TERMS) == CODES
-    for m in (leg2(rotor_inertia=(1,), torque_offset=(0, 1)), biped3(), chain(4), joint1()):
-        q, qd, qdd = np.random.default_rng(3).normal(size=(3, 6, m.n))
-        beta = np.linspace(0.5, 1.5, m.p)
-        parts = np.einsum("kij,kj->ki", m.inertia_matrix(q, beta), qdd) + m.bias_torque(q, qd, beta)
-        assert m.inverse_dynamics(q, qd, qdd, beta) == pytest.approx(parts, rel=1e-12)

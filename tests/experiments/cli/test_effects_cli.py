@@ -1,4 +1,4 @@
-"""`legid effects`, and an effect of one's own: the README's worked example, installed and run."""
+"""`legid effects`, and an effect of one's own: the how-to's worked example, installed and run."""
 
 import json
 import re
@@ -16,7 +16,7 @@ from experiments.emulation.hidden_effects import EFFECTS
 from experiments.models.effect_library import effects_document, known_effects
 from tests.support.paths import ROOT
 
-README = ROOT / "README.md"
+PAGE = ROOT / "docs" / "howto-effect.md"
 CONTRACT = [
     "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "presliding_friction", "quadratic_drag",
     "friction_drift", "joint_stiffness", "joint_elasticity", "backlash", "rotor_inertia", "end_stop_contact",
@@ -51,10 +51,10 @@ def test_every_effect_of_the_contract_is_listed(tmp_path: Path, capsys: pytest.C
     assert max(map(len, text.splitlines())) <= 110
 
 
-def test_readme_example_is_found_and_tested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+def test_the_how_to_s_example_is_found_and_tested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                             capsys: pytest.CaptureFixture[str]) -> None:
-    text = README.read_text()
-    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    text = PAGE.read_text()
+    code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
     value = re.search(r'\[project\.entry-points\."legid\.effects"\]\n\w+ = "(.*?)"', text)
     assert value is not None
     module = value.group(1).partition(":")[0]

@@ -13,16 +13,18 @@ NOTES = b"what I measured today\n"
 FIT = ["fit", "none.csv", "--rig", "none.toml"]
 DIAGNOSE = ["diagnose", "none.csv", "--rig", "none.toml"]
 VALIDATE = ["validate", "none.json", "none.csv", "--rig", "none.toml"]
+COMPARE = ["compare", "none.json", "none.json", "none.csv", "--rig", "none.toml"]
 OUTPUTS = [
     [*FIT, "--json"], [*FIT, "--html"], [*FIT, "--model-out"], [*FIT, "--each", "--json"],
     [*VALIDATE, "--json"], [*VALIDATE, "--html"],
+    [*COMPARE, "--json"], [*COMPARE, "--html"],
     [*DIAGNOSE, "--json"], [*DIAGNOSE, "--html"], [*DIAGNOSE, "--model-out"],
     ["simulate", "none.json", "--plan", "none.csv", "--out"], ["excite", "--rig", "none.toml", "--out"],
     ["export", "none.csv", "--to", "csv", "--out"], ["export", "none.csv", "--to", "mat", "--out"],
     ["export", "none.csv", "--to", "parquet", "--out"], ["export", "none.json", "--to", "mjcf", "--out"],
     ["export", "none.json", "--to", "urdf", "--out"], ["effects", "--json"], ["runs", ".", "--json"],
     ["gains", "none.json", "--json"], ["export", "none.mcap", "--to", "ros2", "--out"],
-    ["casebook", ".", "--json"], ["casebook", ".", "--html"],
+    ["tune", "none.csv", "--json"], ["casebook", ".", "--json"], ["casebook", ".", "--html"],
     ["monte-carlo", "biped3", "--json"], ["monte-carlo", "biped3", "--markdown"],
     ["record", "--rig", "none.toml", "--plan", "none.csv", "--out"], ["recover", "none.mcap", "--out"],
 ]

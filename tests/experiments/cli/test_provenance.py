@@ -47,6 +47,22 @@ def test_every_result_names_its_files_and_verify_finds_them_changed(name: str, f
     assert "run.mcap (missing)" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("command", "read"), [
+    (["gains", "model.json", "--json"], {"model.json"}), (["runs", ".", "--json"], {"run.mcap"}),
+    (["effects", "--json"], set()),
+    (["monte-carlo", "biped3", "--runs", "2", "--cases", "1", "--methods", "wls", "--workers", "1", "--json"], set())])
+def test_every_other_document_says_what_it_was_made_from(
+        command: list[str], read: set[str], folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("run.mcap", "model.json"):
+        shutil.copy(folder / name, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert legid(*command, "out.json") == 0
+    origin = read_origin("out.json")
+    assert {source.file for source in origin.sources} == read and origin.commit == commit()
+    assert origin.command.startswith(f"legid {command[0]}") and (origin.seed is not None) == ("biped3" in command)
+    assert legid("verify", "out.json") == 0
+
+
 @pytest.mark.parametrize("text", ["words", "{}", "[1]", '{"provenance": {"runs": "x"}}', "[" * 100_000])
 def test_a_file_without_provenance_is_no_crash(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "x.json").write_text(text)

@@ -1,5 +1,6 @@
 """`legid live` in a real browser, on an emulated rig that other processes open: what a person can see and do."""
 
+import re
 import signal
 import time
 import urllib.error
@@ -26,6 +27,9 @@ from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser,
 pytest.importorskip("nicegui")
 pytest.importorskip("selenium")
 needs_browser = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium with its chromedriver here")
+QUALITY = "document.querySelector('.quality')?.textContent ?? 'looked at'"
+TICKED = "document.querySelector('.live-runs .q-checkbox').getAttribute('aria-checked')"
+"""Of the newest run."""
 PROMISED_MS = 100.0
 ENTER, DOWN = ("Enter", "Enter", 13), ("ArrowDown", "ArrowDown", 40)
 
@@ -127,7 +131,10 @@ def test_a_run_by_keyboard_its_curves_its_fit_and_its_report(page: Browser, rig:
     page.key(*ENTER)
     page.phase("Recording")
     rig.driven()
+    page.wait(lambda: page.text("drive-words") == "DRIVING", "the leg is driven, to be seen from across the room")
+    assert page.js("parseFloat(getComputedStyle(document.getElementById('drive')).fontSize)") >= 38.0  # 1 cm
     page.phase("Finished")
+    assert page.text("drive-words") in ("MOTOR OFF", "UNCLEAR")
     page.wait(lambda: "DISARMED" in page.text("motor"), "the controller confirms")
     raw = rig.newest()
     # gaps are the emulated chip's, which shares the test's process
@@ -136,6 +143,11 @@ def test_a_run_by_keyboard_its_curves_its_fit_and_its_report(page: Browser, rig:
                    "box.querySelector('.nicegui-echart').id.slice(1))).chart.getOption().series"
                    ".map(s => s.data.filter(p => p[1] !== null).length))")
     assert [len(series) for series in last] == [2, 2, 1, 2] and min(map(min, last)) > 100
+    quality = page.wait(lambda: "looked at" not in page.js(QUALITY) and page.js(QUALITY), "the run is looked at", 60.0)
+    flawed = bool(raw.streams["/imu"]["gap_before"].sum()) or "frames lost" in quality
+    assert ("not sound" in quality) == flawed and page.js(TICKED) == ("false" if flawed else "true")
+    if flawed:
+        page.js("document.querySelector('.live-runs .q-checkbox').click()")
     page.click("fit")
     page.wait(lambda: "Fit of 1 run" in page.text("jobs") and ": running" not in page.text("jobs"), "the fit ends",
               180.0)
@@ -145,9 +157,13 @@ def test_a_run_by_keyboard_its_curves_its_fit_and_its_report(page: Browser, rig:
     try:
         report.driver.get(link)
         assert "Fit of leg2" in report.driver.title
+        assert report.js("document.querySelectorAll('.plot canvas').length") == 5  # its own script runs, and no other
         assert report.outgoing() == [] and report.complaints() == []
     finally:
         report.close()
+    with rig.start() as again, open_page(again) as other:  # what was found is there after a restart
+        other.wait(lambda: "Fit of 1 run: done" in other.text("jobs"), "the verdict of the session before")
+        assert "Converged in" in other.text("jobs")
 
 
 @needs_browser
@@ -315,7 +331,8 @@ def test_a_report_cannot_act_and_a_token_can_be_had_on_this_machine(rig: Rig) ->
     (rig.out / "evil.html").write_text("<script>fetch('/release', {method: 'POST'})</script>")
     with urllib.request.urlopen(f"{rig.live.url}report/evil.html", timeout=10) as answer:
         policies = answer.headers.get_all("content-security-policy")
-    assert any(policy.startswith("sandbox;") and "allow" not in policy for policy in policies)
+    assert any(re.fullmatch(r"sandbox allow-scripts; default-src 'none'; script-src 'sha256-[^ ']+'; .*", policy)
+               and "connect" not in policy for policy in policies)
     with rig.start("--token") as live:
         parts = urlsplit(live.url)
         assert parts.query.startswith("token=")

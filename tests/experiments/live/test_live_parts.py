@@ -1,7 +1,8 @@
 """What stands behind the dashboard: the recorder's line, an emulated rig for other processes, who may look in."""
 
 import errno
-import select
+import json
+import os
 import signal
 import socket
 import subprocess
@@ -17,13 +18,14 @@ import numpy as np
 import pytest
 from smbus2 import i2c_msg
 
-from daq.errors import InputError, WorkError
+from daq.errors import WorkError
+from daq.recording.host_load import HostLoad, busy_words
 from daq.recording.plan import Plan
 from daq.recording.recorder import record_run
 from daq.recording.remote import ALIVE, EMERGENCY, PACKET_BYTES, STOP, Ended, Heard, Remote, Row, Status, watched_by
 from daq.rig import parse_rig
 from daq.runs.mcap_run import read_run
-from drivers.errors import DeviceAbsent, DeviceBusy
+from drivers.errors import DeviceAbsent
 from drivers.i2c_bus import open_bus
 from drivers.i2c_socket import SocketBus
 from drivers.leg_controller import LegController
@@ -33,10 +35,8 @@ from drivers.mock.i2c_server import I2cServer
 from drivers.mock.link import EmulatorLink
 from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig
-from experiments import cli
-from experiments.live.access import Access, is_loopback
 from experiments.live.charts import CHARTS
-from experiments.live.jobs import Tail, fit_verdict
+from experiments.live.jobs import Tail, fit_verdict, past_jobs
 from experiments.live.readings import limit_rows, readings
 from experiments.live.session import Phase, Session
 from tests.support.paths import ROOT
@@ -290,6 +290,90 @@ def test_readings_follow_the_recorder(tmp_path: Path) -> None:
     assert {key for key, _, _ in limit_rows(rig.limits)} == set(shown["bars"])
 
 
+def test_the_room_sees_whether_the_leg_may_move_and_what_is_unknown_counts_as_danger(tmp_path: Path) -> None:
+    rig, session = parse_rig(RIG), Session(tmp_path / "rig.toml", tmp_path)
+
+    def shown() -> tuple[str, str]:
+        found = readings(session, rig, 0)
+        return found["drive"], found["driveWords"]
+
+    assert shown() == ("off", "NOT DRIVEN")
+    session.phase = Phase.OPENING
+    assert shown() == ("unknown", "UNCLEAR")
+    session.phase, session.heard_s = Phase.RECORDING, time.monotonic()
+    for phase, controller, drive in (("waiting", "disarmed", "off"), ("waiting", "armed", "armed"),
+                                     ("driving", "armed", "driving"), ("ending", "disarmed", "off")):
+        session._hear(msgspec.json.encode(Status(phase, [], 1.0, 4.0, controller)))  # type: ignore[arg-type]
+        assert shown()[0] == drive
+    session.heard_s -= 5.0
+    assert shown() == ("unknown", "UNCLEAR")
+    for motor, drive in (("torque off, the controller says DISARMED", "off"),
+                         ("stop sent, the firmware's watchdog stops it", "unknown")):
+        session._ended = Ended("lost", "gone", motor)
+        session._end(1, "", tmp_path / "r.mcap")
+        assert shown()[0] == drive
+
+
+def test_a_run_with_gaps_is_not_simply_finished_and_a_busy_computer_is_no_lost_device(tmp_path: Path) -> None:
+    rig, session = parse_rig(RIG), Session(tmp_path / "rig.toml", tmp_path)
+    for gaps, tone in ((0, "good"), (69, "busy")):
+        session.phase = Phase.RECORDING
+        session._hear(msgspec.json.encode(Status("driving", [], 4.0, 4.0, "armed", imu_gaps=gaps)))
+        session._ended = Ended("done", "", "torque off")
+        session._end(0, "", tmp_path / "r.mcap")
+        assert readings(session, rig, 0)["tone"] == tone and ("69 gaps" in session.words) == bool(gaps)
+    session._ended = Ended("overload", f"silence of the IMU; {busy_words(0.2)}", "torque off")
+    session._end(1, "", tmp_path / "r.mcap")
+    shown = readings(session, rig, 0)
+    assert shown["phase"] == "Computer too busy" and "LOST" not in shown["text"].values()
+
+
+@pytest.mark.parametrize(("waited_ms", "turn_ms", "busy"), [(200, 210, True), (1, 210, False), (30, 31, False)])
+def test_only_waiting_for_a_processor_is_overload(tmp_path: Path, waited_ms: int, turn_ms: int, busy: bool) -> None:
+    """A turn that a device blocks takes as long, and nobody waited for a processor."""
+    source = tmp_path / "schedstat"
+    source.write_text("1000 5000000 7")
+    load, now = HostLoad(0, source), 0
+    for _ in range(300):
+        now += 1_000_000
+        load.look(now)
+    source.write_text(f"1000 {5_000_000 + waited_ms * 1_000_000} 7")
+    now += turn_ms * 1_000_000
+    load.look(now)
+    assert bool(busy_words(load.stalled_s(now + 100_000_000))) == busy
+    assert not busy_words(load.stalled_s(now + 3_000_000_000))
+    assert not HostLoad(0, tmp_path / "none").stalled_s(now)
+
+
+def test_a_silence_while_the_computer_was_busy_is_told_as_that(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same silence twice: of a device, and of a recorder that got no processor."""
+    for stalled_s, kind in ((0.0, "lost"), (0.2, "overload")):
+        monkeypatch.setattr(HostLoad, "stalled_s", lambda self, now_ns, s=stalled_s: s)
+        (tmp_path / kind).mkdir()
+        bench = Bench(tmp_path / kind)
+        with pytest.raises(WorkError, match="silence" if kind == "lost" else "silence.*too busy"):
+            bench.record(lambda now_s, remote, b=bench: setattr(b.mock.imu, "push", len) if now_s > 0.5 else None)
+        assert bench.read()[-1].kind == kind  # type: ignore[union-attr]
+
+
+def test_verdicts_of_an_earlier_session_come_back(tmp_path: Path) -> None:
+    origin = {"version": "1", "commit": "c", "runs": [{"file": "a.mcap", "sha256": "0"}]}
+    fit = {"schema": "legid.fit/1", "converged": True, "iterations": 8, "samples": 20, "torque_residual_rms_nm": [0.1],
+           "trust": {"sentence": "TRUST nobody."}, "provenance": origin}
+    for name, document in (("fit-1.json", fit), ("fit-2.json", fit | {"converged": False}),
+                           ("diagnosis-3.json", {"schema": "legid.diagnosis/1", "verdict": "none",
+                                                 "sentence": "Nothing.", "provenance": origin}),
+                           ("fit-4.json", {"schema": "other"}), ("fit-5.json", [1])):
+        (tmp_path / name).write_text(json.dumps(document))
+        os.utime(tmp_path / name, (1e9 + int(name[-6]),) * 2)
+    (tmp_path / "fit-1.html").write_text("")
+    found = past_jobs(tmp_path / "rig.toml", tmp_path)
+    assert [(job.kind, job.state) for job in found] == [("diagnose", "done"), ("fit", "failed"), ("fit", "done")]
+    assert found[0].verdict == "none: Nothing." and found[2].verdict.startswith("TRUST nobody. Converged in 8")
+    assert found[2].report == tmp_path / "fit-1.html" and found[0].report is None
+    assert found[2].runs == [tmp_path / "a.mcap"] and found[2].when
+
+
 def test_every_curve_is_a_column_of_a_row() -> None:
     columns = [column for chart in CHARTS for _, column in chart.series]
     assert sorted(columns) == list(range(1, len(Row._fields)))
@@ -308,92 +392,3 @@ def test_a_fit_in_one_line() -> None:
     document = {"iterations": 8, "samples": 2000, "torque_residual_rms_nm": [0.01, 0.0203], "undetermined": ["beta4"]}
     assert fit_verdict(document) == ("Converged in 8 iterations on 2000 samples; not determined: beta4; torque "
                                      "residual by joint 0.01, 0.0203 N m rms.")
-
-
-def test_only_who_pressed_releases_or_somebody_at_the_machine(tmp_path: Path) -> None:
-    session = Session(tmp_path / "rig.toml", tmp_path)
-    session.emergency("a1")
-    assert session.latched and session.phase is Phase.EMERGENCY
-    assert not session.release("b2") and not session.release("") and session.latched
-    session.emergency("b2")
-    assert session.release("b2") and session.latched  # the other has pressed, too
-    assert session.release("a1") and not session.latched
-    assert session.phase is Phase.IDLE
-    session.emergency()
-    assert not session.release("") and session.latched
-    assert session.release("", at_machine=True) and not session.latched
-
-
-# -- who may look in -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("host", "own"), [
-    ("127.0.0.1", True), ("localhost", True), ("::1", True), ("[::1]", True), ("0.0.0.0", False),
-    ("192.168.1.5", False), ("127.0.0.1.example", False), ("", False)])
-def test_only_this_machines_names_are_its_own(host: str, own: bool) -> None:
-    assert is_loopback(host) is own
-
-
-@pytest.mark.parametrize(("kind", "headers", "token", "passes"), [
-    ("websocket", {"host": "localhost:1"}, None, True),
-    ("websocket", {"host": "localhost:1", "origin": "http://localhost:1"}, None, True),
-    ("websocket", {"host": "localhost:1", "origin": "http://evil.example"}, None, False),
-    ("websocket", {"host": "evil.example"}, None, False),
-    ("websocket", {"host": "leg:1", "cookie": "legid_live_1=s3"}, "s3", True),
-    ("websocket", {"host": "leg:1", "cookie": "legid_live_1=s4"}, "s3", False),
-    ("websocket", {"host": "leg:1"}, "s3", False), ("http", {"host": "leg:1"}, "s3", False),
-    ("http", {"host": "leg:1", "cookie": "legid_live_1=s3; other=1"}, "s3", True),
-    ("http", {"host": "leg:1", "cookie": "legid_live_1=é"}, "s3", False)])
-def test_sockets_and_pages_of_strangers_are_refused(kind: str, headers: dict[str, str], token: str | None,
-                                                    passes: bool) -> None:
-    import asyncio
-
-    reached: list[str] = []
-    sent: list[dict] = []
-
-    async def app(scope: dict, receive: object, send: object) -> None:
-        reached.append(scope["type"])
-
-    async def send(message: dict) -> None:
-        sent.append(message)
-
-    scope = {"type": kind, "path": "/", "query_string": b"",
-             "headers": [(k.encode(), v.encode("latin-1")) for k, v in headers.items()]}
-    asyncio.run(Access(app, token, 1)(scope, None, send))  # type: ignore[arg-type]
-    assert bool(reached) is passes
-    assert passes or sent[0].get("status", 403) == 403
-
-
-def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch,
-                                                         capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert cli.main(["live", "--demo"]) == 1
-    assert capsys.readouterr().err == "legid live: needs the extra: pip install legid[live]\n"
-
-
-def test_bad_arguments_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("nicegui")
-    out = ["--out", str(tmp_path / "o")]
-    assert cli.main(["live", "--rig", str(tmp_path / "none.toml"), *out]) == 2
-    (tmp_path / "rig.toml").write_text(RIG)
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = str(taken.getsockname()[1])
-        assert cli.main(["live", "--rig", str(tmp_path / "rig.toml"), "--port", port, *out]) == 2
-    assert cli.main(["live", "--rig", str(tmp_path / "rig.toml"), "--host", "nowhere.invalid", *out]) == 2
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 3 and "none.toml" in said[0] and "give another, or 0" in said[1] and "--host" in said[2]
-
-
-@pytest.mark.parametrize(("error", "kind"), [
-    (InputError("plan.csv, line 3", "time runs backwards", "sort it"), "failed"),
-    (DeviceAbsent("leg controller on /dev/x: no such port; plug it in"), "lost"),
-    (DeviceBusy("leg controller on /dev/x: another program holds the port; close it"), "failed")])
-def test_what_ends_a_run_before_it_began_reaches_the_watcher(error: Exception, kind: str) -> None:
-    watcher, line = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with watcher:
-        with pytest.raises(type(error)), watched_by(line.detach()):
-            raise error
-        packets = []
-        while select.select([watcher], [], [], 1.0)[0] and (packet := watcher.recv(PACKET_BYTES)):
-            packets.append(msgspec.json.decode(packet, type=Status | Heard | Ended))
-    assert packets[-1] == Ended(kind, str(error), "never driven")  # type: ignore[arg-type]

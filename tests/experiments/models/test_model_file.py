@@ -48,8 +48,8 @@ def test_mechanism_comes_back_with_its_settings() -> None:
 
 
 def test_friction_is_rounded_off_over_one_speed_where_nothing_is_said() -> None:
-    """In a rig file, a model file and the estimator, as README states."""
-    stated = re.search(r"friction_velocity_radps = (\S+)", (ROOT / "README.md").read_text())
+    """In a rig file, a model file and the estimator, as the page states."""
+    stated = re.search(r"friction_velocity_radps = (\S+)", (ROOT / "docs" / "rig.md").read_text())
     assert stated is not None
     rig = mechanism_settings(parse_rig('[mechanism]\nmodel="leg2"\nactuated=[2]')).friction_velocity_radps
     model = MechanismSettings(model="leg2", actuated=(2,)).friction_velocity_radps

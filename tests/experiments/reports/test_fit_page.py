@@ -1,5 +1,6 @@
 """The report page: complete, self-contained, escaped, and readable at a phone's width as far as text can tell."""
 
+import json
 import re
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -11,12 +12,14 @@ from estimator import Combination
 from estimator.model.mechanism import Mechanism, joint1
 from estimator.result import FitResult
 from experiments.emulation.plant import LegBody
-from experiments.reports.figures import BLUE, Line, plot_lines, window
+from experiments.reports.chart import Band, Line
+from experiments.reports.figures import BLUE, picture_lines, plot_lines, window
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
-from experiments.reports.fit_text import fit_text, number
-from experiments.reports.html import Picture, Section, Table, render_page
+from experiments.reports.fit_text import fit_text
+from experiments.reports.html import Picture, Section, Table, Verdict, render_page
+from experiments.reports.numbers import number
 from tests.support.fits import estimates, synthetic_fit
-from tests.support.pages import Outside
+from tests.support.pages import Outside, allowed_script
 
 
 @pytest.fixture(scope="module")
@@ -27,12 +30,40 @@ def page() -> str:
                        [*fit_sections(result), truth_section(result.mechanism, estimates(result), truth)])
 
 
-def test_page_fetches_and_runs_nothing(page: str) -> None:
+def test_page_fetches_nothing_and_runs_its_own_script_alone(page: str) -> None:
     parser = Outside()
     parser.feed(page)
-    assert parser.found == []
-    assert not re.search(r"url\((?!#)", page) and "@import" not in page
-    assert "default-src 'none'" in page
+    assert parser.found == [] and parser.scripts == 1
+    script = allowed_script(page)
+    assert not re.search(r"url\((?!#)", page.replace(script, "")) and "@import" not in page
+    reaching = r"\b(fetch|XMLHttpRequest|WebSocket|EventSource|sendBeacon|importScripts|eval)\b|\bimport\("
+    assert not re.search(reaching, script)
+
+
+def test_curves_go_into_the_page_whole_and_cannot_end_their_element() -> None:
+    t = np.arange(3000) / 100.0
+    values = np.sin(t)
+    values[7] = np.nan
+    band = Band("95 %", values - 0.1, values + 0.1, BLUE)
+    picture = picture_lines(t, [Line("</script><b>", values, BLUE)], "y [m]", "c", 5.0, bands=[band])
+    page = render_page("x", "y", [Section("s", pictures=[picture])])
+    (data,) = re.findall(r'<script type="application/json">(.*?)</script>', page, re.DOTALL)
+    chart = json.loads(data)
+    assert [line["label"] for line in chart["lines"]] == ["95 %, high", "95 %, low", "</script><b>"]
+    assert chart["lines"][2]["values"][7] is None and len(chart["time"]) == 3000
+    np.testing.assert_allclose(chart["lines"][2]["values"][8:], values[8:], rtol=6e-5)
+    assert "<b>" not in page and page.count("</script>") == 2
+    allowed_script(page)
+
+
+def test_contents_lead_to_every_section_and_the_verdict_stands_first() -> None:
+    sections = [Section(title, ["words"]) for title in ("A & b", "C", "C")]
+    page = render_page("t", "summary", sections, verdict=Verdict("bad", "NOT TO BE USED", ["why"], ["Warning: <w>"]))
+    links = re.findall(r'<a href="#([^"]+)">', page)
+    assert links == re.findall(r'<section id="([^"]+)">', page) and len(set(links)) == 3
+    page = page[page.index("<body>"):]
+    order = ["<h1>", 'data-tone="bad"', "NOT TO BE USED", "why", "Warning: &lt;w&gt;", "summary", "<nav", "<h2>"]
+    assert [page.index(text) for text in order] == sorted(page.index(text) for text in order)
 
 
 def test_text_from_files_is_escaped() -> None:
@@ -59,7 +90,8 @@ def test_figures_of_the_paper_are_there_with_units(page: str) -> None:
     for label in ("gyro [rad/s]", "accelerometer x [m/s²]", "accelerometer y [m/s²]", "torque, joint 1 [N m]",
                   "torque, joint 2 [N m]"):
         assert label in page
-    assert page.count("time [s]") == 5
+    pictures = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+    assert pictures.count("time [s]") == 5
     assert page.count(">zero<") == 1  # the pivot's line only
     for svg in re.findall(r"<svg.*?</svg>", page, re.DOTALL):
         root = ElementTree.fromstring(svg)

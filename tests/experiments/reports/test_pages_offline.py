@@ -25,6 +25,9 @@ from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser
 from tests.support.paths import DEMO_RIG as RIG
 
 pytestmark = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium with its chromedriver here")
+WIDTHS = ("[...document.querySelectorAll('figure')].map(f => "
+          "(f.querySelector('canvas') ?? f.querySelector('svg')).getBoundingClientRect().width)")
+"""Of what each figure shows."""
 PAGES = ("fit", "diagnosis", "validation", "casebook", "study", "demo")
 
 
@@ -76,10 +79,49 @@ def test_a_page_from_the_disk_fetches_nothing_and_fits(folder: Path, browser: Br
         browser.driver.get(url)
         assert browser.js("document.querySelectorAll('h2').length") > 0
         assert browser.sideways() <= 0
-        drawn = browser.js("[...document.querySelectorAll('figure svg')].map(s => s.getBoundingClientRect().width)")
+        drawn = browser.js(WIDTHS)
         assert drawn and np.min(drawn) > 200
     browser.collect()
     assert {request for request in browser.requests if not request.startswith("data:")} == {url}
+    assert browser.complaints() == []
+
+
+def test_figures_zoom_together_and_are_pictures_on_paper_and_without_scripts(folder: Path, browser: Browser) -> None:
+    url = (folder / "fit.html").as_uri()
+    browser.resize(LAPTOP)
+    browser.driver.get(url)
+    shown = "[...document.querySelectorAll('.plot canvas, figure > svg')].map(e => [e.tagName, e.offsetWidth ?? " \
+            "e.getBoundingClientRect().width])"
+    labels = "[...document.querySelectorAll('.plot .u-legend')].map(e => e.querySelector('.u-value').textContent)"
+    x, y, width = browser.js("(b => { b.scrollIntoView({block: 'center'}); const r = b.getBoundingClientRect(); "
+                             "return [r.x, r.y + r.height / 2, r.width] })(document.querySelector('.u-over'))")
+    def mouse(kind: str, at: float, button: str = "left") -> None:
+        browser.cdp("Input.dispatchMouseEvent", type=kind, x=x + at * width, y=y, button=button, clickCount=1)
+
+    def times() -> list[float]:
+        mouse("mouseMoved", 0.999, "none")
+        return [float(text) for text in browser.wait(
+            lambda: "–" not in "".join(browser.js(labels)) and browser.js(labels), "values under the mouse")]
+
+    before = times()
+    assert len(before) == 5 and np.ptp(before) == 0.0 and before[0] == pytest.approx(15.0, abs=0.2)
+    mouse("mousePressed", 0.2)
+    mouse("mouseMoved", 0.4)
+    mouse("mouseReleased", 0.4)
+    browser.wait(lambda: times()[-1] < 6.5, "the other figures follow")
+    assert np.ptp(times()) < 0.05 and times()[0] == pytest.approx(6.0, abs=0.3)
+    for media in ("print", ""):
+        browser.cdp("Emulation.setEmulatedMedia", media=media)
+        sizes = browser.js(shown)
+        paper = [size for name, size in sizes if name == "svg"]
+        screen = [size for name, size in sizes if name == "CANVAS"]
+        assert (min(paper[:3]) > 100 and max(screen) == 0) if media else (
+            max(paper[:3]) == 0 and min(screen) > 200), (media, sizes)
+    browser.cdp("Emulation.setScriptExecutionDisabled", value=True)
+    browser.driver.get(url)
+    browser.cdp("Emulation.setScriptExecutionDisabled", value=False)
+    assert np.min(browser.js("[...document.querySelectorAll('figure svg')].map(s => s.getBoundingClientRect().width)")
+                  ) > 200
     assert browser.complaints() == []
 
 

@@ -9,12 +9,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.fitting.wls import around_samples
+from estimator.fitting.fit import fit
+from estimator.fitting.wls import around_samples, design_rows
+from estimator.signals.segments import split_signals
 from experiments.cli import main
 from experiments.studies.biped3 import store, study
-from experiments.studies.biped3.study import CASES, FLOOR, PAPERS_MLE, Block, blocks, noisy_record, run_block, truth
+from experiments.studies.biped3.protocol import OURS, PRINTED
+from experiments.studies.biped3.study import (
+    CASES,
+    FLOOR,
+    KNOWN_WLS,
+    PAPERS_MLE,
+    TORQUE_VARIANCE,
+    Block,
+    blocks,
+    case_options,
+    error_of_truth,
+    noisy_record,
+    run_block,
+    truth,
+)
 from experiments.studies.biped3.table import PAPER, bound, make_table, table_document
-from experiments.studies.walker import one_step
+from experiments.studies.walker import motor_mechanism, one_step
 from experiments.workflows.executor import SerialExecutor
 
 
@@ -134,7 +150,7 @@ def test_wrong_arguments_are_refused_in_one_line(arguments: list[str], capsys: p
 
 def test_paper_table_has_four_cases_by_method() -> None:
     assert {method: len(rows) for method, rows in PAPER.items()} == dict.fromkeys(
-        ("mle", "wls", "hekf", "rls", PAPERS_MLE), 4)
+        ("mle", "wls", "hekf", "rls", PAPERS_MLE, KNOWN_WLS), 4)
     result = run_block(Block(CASES[0], FLOOR, 0, 5, 1))
     document = table_document(make_table({Block(CASES[0], FLOOR, 0, 5, 1): result}, 1), 1.0)
     assert document["cases"][0]["angle_variance"] == 1e-10
@@ -143,3 +159,34 @@ def test_paper_table_has_four_cases_by_method() -> None:
 def test_help_is_quick() -> None:
     code = "import sys; from experiments.cli.main import build_parser; build_parser(); print('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "False"
+
+
+def test_the_printed_protocol_has_the_prints_floor_and_ours_has_none() -> None:
+    assert error_of_truth(OURS) < 1e-9
+    assert error_of_truth(PRINTED) == pytest.approx(PAPER["mle"][0][0], rel=0.05)
+
+
+def test_under_the_printed_protocol_mle_errs_as_printed_and_rls_less_in_case_2() -> None:
+    """The excess over the true parameters is nothing for MLE and negative for RLS, as in the print."""
+    found = {m: run_block(Block(CASES[1], m, 0, 20, 3, PRINTED)).error for m in ("mle", "rls")}
+    assert np.mean(found["mle"]) == pytest.approx(PAPER["mle"][1][0], rel=0.25)
+    assert np.mean(found["rls"]) == pytest.approx(PAPER["rls"][1][0], rel=0.4)
+
+
+def test_blocks_of_two_protocols_are_kept_apart() -> None:
+    ours, printed = (blocks([CASES[0]], ["mle"], 5, 1, protocol)[0] for protocol in (OURS, PRINTED))
+    assert ours.name != printed.name
+    assert Block(CASES[0], "mle", 0, 5, 1).name == "case1-mle-seed1-runs0-5"  # of studies that are under way
+
+
+def test_known_weights_are_those_of_the_declared_noise() -> None:
+    """(28) with W = Sigma_tau^-1, against a solver of its own; the estimated ones are others."""
+    mechanism, case = motor_mechanism(), CASES[0]
+    data = noisy_record(one_step().in_motor_angles(), case, 7, 0)
+    options = case_options(case, KNOWN_WLS)
+    design = design_rows(split_signals([data], mechanism, options), mechanism, options)
+    root = np.array([1.0 / OURS.passive_nm, *[1.0 / np.sqrt(TORQUE_VARIANCE)] * 2])
+    expected = np.linalg.lstsq((design.z * root[:, None]).reshape(-1, mechanism.p), (design.torque * root).ravel(),
+                               rcond=None)[0]
+    np.testing.assert_allclose(fit([data], mechanism, options, "wls").beta, expected, rtol=1e-6)
+    assert not np.allclose(fit([data], mechanism, case_options(case, "wls"), "wls").beta, expected, rtol=1e-3)

@@ -1,8 +1,6 @@
 """A study that is killed half way, or whose code has changed: what is done again, and what is not."""
 
 import json
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -14,7 +12,7 @@ from experiments.studies.biped3 import store
 from experiments.studies.biped3.store import run_study
 from experiments.studies.biped3.study import CASES, FLOOR, blocks, run_block
 from experiments.workflows.executor import SerialExecutor
-from tests.support.paths import ROOT
+from tests.support.processes import of_session, start_python, until
 
 WORK = blocks(CASES[1:2], ["wls", FLOOR], 300, 4)
 
@@ -24,21 +22,18 @@ def command(out: Path, *more: str) -> list[str]:
             str(out), *more]
 
 
+@pytest.mark.slow
 def test_kill_9_half_way_loses_nothing(tmp_path: Path) -> None:
     out, kept = tmp_path / "study", tmp_path / "study" / "blocks"
-    process = subprocess.Popen([sys.executable, "-m", "experiments.cli", *command(out, "--workers", "2")], cwd=ROOT,
-                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = start_python("-m", "experiments.cli", *command(out, "--workers", "2"))
     deadline = time.monotonic() + 120.0
     while len(list(kept.glob("*.npz"))) < 4:
         assert time.monotonic() < deadline
         assert process.poll() is None
         time.sleep(0.002)
-    workers = children(process.pid)
     process.kill()
-    process.wait(timeout=30)
-    while any(map(alive, workers)):  # nobody tells them, they notice
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    process.communicate()
+    assert until(lambda: not of_session(process.pid))  # nobody tells the workers, they notice
     finished = {path: path.stat().st_mtime_ns for path in kept.glob("*.npz")}
     assert 4 <= len(finished) < len(WORK)
     assert main(command(out, "--workers", "1", "--json", str(tmp_path / "table.json"))) == 0
@@ -49,23 +44,6 @@ def test_kill_9_half_way_loses_nothing(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found.beta, run_block(block).beta)
     rows = json.loads((tmp_path / "table.json").read_text())["results"]
     assert {row["method"]: row["runs"] for row in rows} == {"wls": 300, "floor": 300}
-
-
-def children(pid: int) -> list[int]:
-    """Process ids whose parent is `pid`."""
-    return [int(stat.parent.name) for stat in Path("/proc").glob("[0-9]*/stat") if status(stat)[1:2] == [str(pid)]]
-
-
-def alive(pid: int) -> bool:
-    return status(Path(f"/proc/{pid}/stat"))[:1] not in ([], ["Z"])
-
-
-def status(stat: Path) -> list[str]:
-    """State, parent and so on; empty where the process is gone."""
-    try:
-        return stat.read_text().rsplit(")", 1)[1].split()
-    except OSError:
-        return []
 
 
 def test_results_of_other_code_are_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -91,6 +91,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen]]]:
             process.wait(timeout=30)
 
 
+@pytest.mark.slow
 def test_cluster_loses_nothing_when_a_worker_is_killed(cluster: tuple[str, list[subprocess.Popen]]) -> None:
     address, processes = cluster
     pieces = list(range(40))
@@ -105,6 +106,7 @@ def test_cluster_loses_nothing_when_a_worker_is_killed(cluster: tuple[str, list[
     assert processes[2].poll() is None
 
 
+@pytest.mark.slow
 def test_a_study_on_a_cluster_survives_a_killed_worker(cluster: tuple[str, list[subprocess.Popen]],
                                                        tmp_path: Path) -> None:
     """Through the command; the killed worker's blocks are done by the other, with the numbers of a run without both."""

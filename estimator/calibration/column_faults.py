@@ -1,0 +1,272 @@
+"""Columns whose sign, unit, order or gear is wrong, recognised by trying what would mend them.
+
+A record obeys tau = Z(q, qd, qdd) beta with the beta of some mechanism under one reading of its columns only: torque
+the other way round makes every inertia negative, degrees leave nothing of gravity's sine. Each likely mistake is undone
+in turn and least squares is asked again; the one that makes a mechanism, and leaves least, is named. What no motion can
+show, such as the torque's scale, is not among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from daq import Dataset, FloatArray
+from estimator.fitting import faults, free_mask, weighted_least_squares
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+from estimator.signals import angle_column, differentiate, lowpass, split_signals, torque_column
+
+SLOW_HZ = 3.0
+"""Band in which the equation of motion is asked: gravity's and the links' inertia, little of what drives add."""
+OVERSAMPLED = 16.0
+"""Samples of the thinned motion a period of that band."""
+MOST_SAMPLES = 20_000
+"""Of all runs together; from longer ones the beginning is taken."""
+CLEAR = 1.4
+"""A remedy must leave so many times less torque than the record as it is, or make a mechanism where that makes none."""
+ALIKE = 1.25
+"""Of readings that leave less than so many times the least, those with the fewest changes are named."""
+MOST_LEFT = 0.5
+"""Share of the torque that a reading which is right may leave over."""
+GEAR_STEPS = np.exp(np.linspace(np.log(0.25), np.log(4.0), 25))
+"""Factors of an angle that are tried; a gear ratio that is wrong by any factor lies near one."""
+COUNT_SPANS = np.exp(np.linspace(np.log(0.1), np.log(20.0), 45))
+"""Spans [rad] that are tried for an angle that goes further than any, as counts of an encoder do."""
+GEAR_CLEAR = 1.18
+"""As CLEAR, for a factor; and ..."""
+NEAR_ONE = 0.1
+"""... factors closer to one are the scatter of such a search. (Measured on 26 real records as they are: the best factor
+beyond that leaves 1.00 to 1.16 times less.)"""
+SPANS = (0.1, 20.0)
+"""How far an angle goes that was moved for an identification [rad]: less, or more, is no reading that a unit mends."""
+DEGREE = float(np.pi / 180.0)
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """One reading of the columns: q = angles @ q_read + zero, tau = torques @ tau_read."""
+
+    what: str
+    """What looks wrong."""
+    write: str
+    """What mends it."""
+    angles: FloatArray
+    """(n, n)"""
+    zero: FloatArray
+    """(n,)"""
+    torques: FloatArray
+    """(n, n)"""
+    changes: int = 1
+
+    def __str__(self) -> str:
+        return f"{self.what}: {self.write}"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What least squares makes of the records under one reading."""
+
+    remedy: Remedy
+    left: float
+    """Share of the torque that is left over."""
+    faults: tuple[str, ...]
+    clear: float = CLEAR
+    """How many times less it must leave than the record as it is."""
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Filtered motion of all stretches, thinned: (m, n) each, and the rows at which a stretch ends."""
+
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
+    tau: FloatArray
+    ends: tuple[int, ...]
+    rate_hz: float
+
+
+def as_it_is(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> Reading:
+    """Least squares of the records as they are read now. Raises `FitError`."""
+    return _read(_filtered(datasets, mechanism, options), mechanism, options, _nothing(mechanism.n))
+
+
+def find_remedies(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float = 1.0
+                  ) -> tuple[Reading, tuple[Reading, ...]]:
+    """The records as they are, and the readings that mend them, the best first; none where nothing does.
+
+    On the IMU path the pivot's columns are taken as they are: the accelerometer shows by itself whether they are right.
+    Raises `FitError`.
+    """
+    motion = _filtered(datasets, mechanism, options)
+    nothing = _read(motion, mechanism, options, _nothing(mechanism.n))
+    imu = options.sensors == "imu"
+    found = [_read(motion, mechanism, options, remedy)
+             for remedy in _likely(mechanism, imu, gear_ratio, np.ptp(motion.q, axis=0))]
+    for j in range(int(imu), mechanism.n):
+        span = float(np.ptp(motion.q[:, j]))
+        steps = GEAR_STEPS if span < SPANS[1] else COUNT_SPANS / span
+        reading = _best_gear(motion, mechanism, options, j, steps)
+        found += [] if reading is None else [replace(reading, clear=GEAR_CLEAR)]
+    cures = [r for r in found if not r.faults and r.left < MOST_LEFT
+             and (bool(nothing.faults) or r.left * r.clear < nothing.left)]
+    least = min((r.left for r in cures), default=0.0)
+    near = [r for r in cures if r.left <= ALIKE * least]
+    fewest = min((r.remedy.changes for r in near), default=0)
+    return nothing, tuple(sorted((r for r in near if r.remedy.changes == fewest), key=lambda r: round(r.left, 3)))
+
+
+def _nothing(n: int) -> Remedy:
+    return Remedy("", "", np.eye(n), np.zeros(n), np.eye(n), 0)
+
+
+def _filtered(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> _Motion:
+    share = min(1.0, MOST_SAMPLES / max(sum(map(len, datasets)), 1))
+    parts = [data.part(slice(0, max(int(share * len(data)), min(len(data), 200)))) for data in datasets]
+    signals = split_signals(parts, mechanism, replace(options, hold="linear"))
+    rate = signals[0].rate_hz
+    band = min(SLOW_HZ, 0.1 * rate)
+    thin = max(1, int(rate / (OVERSAMPLED * band)))
+    stretches = []
+    for s in signals:
+        k = differentiate(s, mechanism, min(4.0 * band, 0.4 * rate), options.filter_order, fused=True)
+        tau = lowpass(s.torque, min(4.0 * band, 0.4 * rate), rate, options.filter_order)
+        stretches.append([x[::thin] for x in (*k, tau)])
+    q, qd, qdd, tau = (np.concatenate(rows) for rows in zip(*stretches))
+    return _Motion(q, qd, qdd, tau, tuple(np.cumsum([len(rows[0]) for rows in stretches])), rate / thin)
+
+
+def _read(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> Reading:
+    q, qd, qdd = (x @ remedy.angles.T for x in (motion.q, motion.qd, motion.qdd))
+    q = q + remedy.zero
+    constants = np.zeros((len(q), mechanism.n, len(mechanism.actuated)))
+    for column, j in enumerate(mechanism.actuated):
+        constants[:, j, column] = 1.0
+    free, beta = free_mask(mechanism, options)
+    z = np.concatenate([mechanism.regressor(q, qd, qdd), constants], axis=2)
+    tau = motion.tau @ remedy.torques.T
+    band = min(SLOW_HZ, 0.1 * motion.rate_hz)
+    edge = int(0.5 * motion.rate_hz / band)
+    zs, taus = [], []
+    for where in np.split(np.arange(len(q)), motion.ends[:-1]):
+        if len(where) > 4 * edge + 8:
+            inner = slice(edge, len(where) - edge)
+            zs.append(lowpass(z[where], band, motion.rate_hz, options.filter_order)[inner])
+            taus.append(lowpass(tau[where], band, motion.rate_hz, options.filter_order)[inner])
+    if not zs:
+        return Reading(remedy, 1.0, ("too short",))
+    rows, right = np.concatenate(zs), np.concatenate(taus)
+    offset = [k for j, k in mechanism.offset_columns.items() if j in mechanism.actuated]
+    mask = np.append(free, np.ones(constants.shape[2], dtype=bool))
+    mask[offset] = False  # the constants stand for them
+    start = np.append(np.where(free, 0.0, beta), np.zeros(constants.shape[2]))
+    with np.errstate(all="ignore"):
+        per_dof = max(1.0, 0.5 * motion.rate_hz / band)
+        found, covariance, _ = weighted_least_squares(rows, right, mask, start, per_dof)
+    known = right - rows[:, :, ~mask] @ start[~mask]
+    left = float(np.sqrt(np.mean((right - rows @ found) ** 2) / max(float(np.mean(known**2)), 1e-300)))
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))[: mechanism.p]
+    return Reading(remedy, left, faults(mechanism, found[: mechanism.p], std, q))
+
+
+def _likely(mechanism: Mechanism, imu: bool, gear_ratio: float, span: FloatArray) -> Iterator[Remedy]:
+    """The mistakes that people make, undone one by one and, where signs are concerned, together; `span` (n,) is how far
+    each angle goes as it is read."""
+    n, length = mechanism.n, mechanism.length_unit
+    nothing, eye = _nothing(n), np.eye(n)
+    angles = list(range(int(imu), n))
+    name = {("q", j): angle_column(mechanism, j) for j in range(n)} | {
+        ("tau", j): torque_column(mechanism, j) for j in range(n)}
+    signs = [("tau", j) for j in mechanism.actuated] + [("q", j) for j in angles]
+    for count in range(1, len(signs) + 1):
+        for which in combinations(signs, count):
+            flip = {kind: np.diag([-1.0 if (kind, j) in which else 1.0 for j in range(n)]) for kind in ("q", "tau")}
+            columns = [name[key] for key in which]
+            looks = "looks" if count == 1 else "look"
+            yield replace(nothing, angles=flip["q"], torques=flip["tau"], changes=count,
+                          what=f"{' and '.join(columns)} {looks} negated",
+                          write=f"turn the sign, {_set(columns, 'sign = -1')}")
+    if length == "rad":
+        for those in sorted({tuple(angles), *((j,) for j in angles)}):
+            columns = [name["q", j] for j in those]
+            for factor, what, unit in ((DEGREE, "in degrees", 'unit = "deg"'),
+                                       (2.0 * np.pi, "in turns", 'unit = "turn"'), (1e-3, "in mrad", 'unit = "mrad"'),
+                                       (1.0 / DEGREE, "converted from degrees twice", f"scale = {1.0 / DEGREE:.6g}")):
+                if not SPANS[0] < factor * span[list(those)].max() < SPANS[1]:
+                    continue
+                scaled = np.diag([factor if j in those else 1.0 for j in range(n)])
+                looks = "looks" if len(those) == 1 else "look"
+                yield replace(nothing, angles=scaled, what=f"{' and '.join(columns)} {looks} {what}",
+                              write=_set(columns, unit))
+    for j in angles:
+        for factor, said in ((gear_ratio, "divided by the gear ratio twice"),
+                             (1.0 / gear_ratio, "of the motor's side")):
+            if gear_ratio != 1.0:
+                yield replace(nothing, angles=np.diag([factor if i == j else 1.0 for i in range(n)]),
+                              what=f"{name['q', j]} looks {said}", write=_set([name["q", j]], f"scale = {factor:.6g}"))
+    for j in range(n):
+        for k in range(j + 1, n):
+            swapped = eye.copy()
+            swapped[[j, k]] = swapped[[k, j]]
+            if j in angles:
+                yield replace(nothing, angles=swapped, what=f"{name['q', j]} and {name['q', k]} look interchanged",
+                              write="give each the other's name under [columns]", changes=2)
+            if j in mechanism.actuated and k in mechanism.actuated:
+                yield replace(nothing, torques=swapped, what=f"{name['tau', j]} and {name['tau', k]} look interchanged",
+                              write="give each the other's name under [columns]", changes=2)
+                if j in angles:
+                    yield replace(nothing, angles=swapped, torques=swapped, changes=3,
+                                  what=f"joints {j + 1} and {k + 1} look interchanged",
+                                  write="give each column the other's name under [columns]")
+    if mechanism.gravity_mps2 > 0.0 and not imu and length == "rad":
+        yield replace(nothing, zero=np.pi * eye[0], what=f"gravity looks upside down, or {name['q', 0]} counted from "
+                      "upright", write=_set([name["q", 0]], "offset = 3.14159265"))
+    if n > 1 and length == "rad":
+        relative = eye.copy()
+        for j in range(1, n):
+            relative[j, j - 1] = -1.0
+        if not imu:
+            yield replace(nothing, angles=relative, what="the angles look absolute, each counted from the vertical",
+                          write="subtract the angle of the link before from each before it is read", changes=2)
+
+
+def _best_gear(motion: _Motion, mechanism: Mechanism, options: FitOptions, joint: int, factors: FloatArray
+               ) -> Reading | None:
+    """The factor of one joint's angle that leaves least, by search; None where it is near one, or gravity is absent."""
+    if mechanism.length_unit == "m" or mechanism.gravity_mps2 == 0.0:
+        return None
+    column = angle_column(mechanism, joint)
+
+    def at(log_factor: float) -> Reading:
+        factor = float(np.exp(log_factor))
+        scaled = np.diag([factor if j == joint else 1.0 for j in range(mechanism.n)])
+        size = f"{1.0 / factor:.3g} times too large" if factor < 1 else f"{factor:.3g} times too small"
+        entry = _set([column], f"scale = {factor:.4g}")
+        write = f"correct the gear ratio that it was divided by, or {entry}" if factors is GEAR_STEPS else \
+            f"{entry}, or what a count is exactly"
+        return _read(motion, mechanism, options, Remedy(
+            f"{column} looks {size}", write,
+            scaled, np.zeros(mechanism.n), np.eye(mechanism.n), 2))
+
+    steps = np.log(factors)
+    coarse = [at(step) for step in steps]
+    sound = [k for k, reading in enumerate(coarse) if not reading.faults]
+    if not sound:
+        return None
+    best = min(sound, key=lambda k: coarse[k].left)
+    if best in (0, len(steps) - 1):
+        return None
+    low, mid, high = (coarse[best + side].left ** 2 for side in (-1, 0, 1))
+    bend = low - 2.0 * mid + high
+    shift = 0.5 * (low - high) / bend if bend > 0.0 else 0.0
+    fine = at(steps[best] + float(np.clip(shift, -1.0, 1.0)) * (steps[1] - steps[0]))
+    return None if abs(np.log(fine.remedy.angles[joint, joint])) < NEAR_ONE else fine
+
+
+def _set(columns: Sequence[str], entry: str) -> str:
+    """What to write into rig.toml for each of these columns."""
+    return "set " + " and ".join(f'name = "{c}" and {entry} under [columns.{c}]' for c in columns)

@@ -1,0 +1,93 @@
+"""Which extra terms of the nominal model a set of records asks for: rotor inertias and torque offsets, by prediction.
+
+Slow least squares on all runs but one, the torque of that one predicted: a term that is there lowers what is left over,
+one that is not does not. Noise levels and grids have no part in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from daq import Dataset, FloatArray
+from estimator.fitting import design_rows, free_mask, weighted_least_squares
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+from estimator.signals import split_signals
+
+SLOW_HZ, OVERSAMPLED = 3.0, 16.0
+"""Band in which terms are looked for, and the samples that are kept of one of its periods."""
+OPTIONAL = ("rotor", "offset")
+LEAST_FALL = 0.03
+"""Share by which what is left over must fall, at the joint where it falls most, ... (Measured: 13 to 54 % on two real
+arms and a slide that need them, zeros taken off first; below 0.3 % on healthy legs.)"""
+MOST_RISE = 0.02
+"""... and by which it may rise at another."""
+LEAST_SIZE = 5.0
+"""Standard deviations of its own, all runs together, that a term must have."""
+FOLDS, FOLD_S = 4, 4.0
+"""Most parts of a single run, and the least length of one [s]; a shorter run says nothing of itself."""
+
+
+def needed_terms(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> Mapping[str, float]:
+    """Names of those of the `OPTIONAL` parameters of `mechanism`, which has all that could be asked for, that these
+    records ask for -> the share by which each lowers what is left over of torque not fitted. Raises `FitError`."""
+    parts = datasets if len(datasets) > 1 else _folds(datasets[0])
+    if len(parts) < 2:
+        return {}
+    slow = replace(options, cutoff_hz=min(SLOW_HZ, options.cutoff(datasets[0].rate_hz)), hold="linear")
+    blocks, samples_per_dof = [], 1.0
+    for part in parts:
+        design = design_rows(split_signals([part], mechanism, slow), mechanism, slow)
+        thin = max(1, int(datasets[0].rate_hz / (OVERSAMPLED * SLOW_HZ)))
+        blocks.append((design.z[::thin], design.torque[::thin]))
+        samples_per_dof = max(1.0, design.samples_per_dof / thin)
+    free, start = free_mask(mechanism, slow)
+    optional = {p.name: k for k, p in enumerate(mechanism.parameters) if p.term in OPTIONAL and free[k]}
+    free[list(optional.values())] = False
+    found: dict[str, float] = {}
+    left = _held_out(blocks, free, start)
+    while len(found) < len(optional):
+        tried = {}
+        for name in optional.keys() - found.keys():
+            mask = free.copy()
+            mask[optional[name]] = True
+            tried[name] = _held_out(blocks, mask, start)
+        name = min(tried, key=lambda n: float(np.min(tried[n] / left)))
+        fall = 1.0 - float(np.min(tried[name] / left))
+        free[optional[name]] = True
+        sure = _size(blocks, free, start, samples_per_dof)[optional[name]] > LEAST_SIZE
+        if fall < LEAST_FALL or not sure or np.any(tried[name] > (1.0 + MOST_RISE) * left):
+            break
+        found[name], left = fall, tried[name]
+    return found
+
+
+def _size(blocks: Sequence[tuple[FloatArray, FloatArray]], free: np.ndarray, start: FloatArray, samples_per_dof: float
+          ) -> FloatArray:
+    """(p,) least squares of all blocks, each value in its standard deviations."""
+    beta, covariance, _ = weighted_least_squares(np.concatenate([b[0] for b in blocks]),
+                                                 np.concatenate([b[1] for b in blocks]), free, start, samples_per_dof)
+    size: FloatArray = np.abs(beta) / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    return size
+
+
+def _folds(data: Dataset) -> list[Dataset]:
+    count = min(FOLDS, int(len(data) / data.rate_hz / FOLD_S))
+    edges = np.linspace(0, len(data), count + 1).astype(int)
+    return [data.part(slice(int(a), int(b))) for a, b in pairwise(edges)]
+
+
+def _held_out(blocks: Sequence[tuple[FloatArray, FloatArray]], free: np.ndarray, start: FloatArray) -> FloatArray:
+    """(n,) rms of the torque that each block's own least squares without it leaves over in it."""
+    squares, count = np.zeros(blocks[0][1].shape[1]), 0
+    for k, (z, torque) in enumerate(blocks):
+        others = [block for i, block in enumerate(blocks) if i != k]
+        beta, _, _ = weighted_least_squares(np.concatenate([b[0] for b in others]),
+                                            np.concatenate([b[1] for b in others]), free, start, 1.0)
+        squares += np.sum((torque - z @ beta) ** 2, axis=0)
+        count += len(torque)
+    return np.maximum(np.sqrt(squares / count), 1e-300)

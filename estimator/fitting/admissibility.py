@@ -1,0 +1,111 @@
+"""What no mechanism can be: parameters that a fit may not hand on in silence.
+
+Least squares and likelihood know nothing of masses: a torque of the wrong sign fits as well as the right one, with
+every inertia negative. Friction levels and rotor inertias that come out below zero are held there and the rest is
+fitted again; a mass matrix that is not positive definite, gravity that pulls upwards and links of impossible length
+have no such remedy, and are named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from daq import Dataset, FloatArray
+from estimator.errors import FitError
+from estimator.fitting.fit import fit
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+from estimator.result import FitResult
+
+NOT_NEGATIVE = ("viscous", "coulomb", "rotor")
+"""Terms whose parameters are levels."""
+SURE = 3.0
+"""Standard deviations by which a value must be on the wrong side to be more than scatter."""
+LENGTHS_M = (0.005, 10.0)
+"""Lengths that a link and its equivalent pendulum may have."""
+ANGLES = 500
+"""Samples of a motion at which the mass matrix is looked at."""
+Fit = Callable[[Sequence[Dataset], Mechanism, FitOptions, str], FitResult]
+
+
+def faults(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: FloatArray) -> tuple[str, ...]:
+    """Why `beta` (p,) is no mechanism's over the angles q (N, n), one sentence each; a value counts as wrong where it
+    is so by more than `SURE` of its standard deviations `std` (p,), infinite for one that is not determined."""
+    found = []
+    step = max(1, len(q) // ANGLES)
+    masses = [k for k, p in enumerate(mechanism.parameters) if p.term in ("inertia", "rotor")]
+    known = bool(len(q)) and bool(np.isfinite(std[masses]).all())
+    least = np.linalg.eigvalsh(mechanism.inertia_matrix(q[::step], beta))[:, 0] if known else np.ones(1)
+    if least.min() <= 0.0:
+        where = q[::step][int(np.argmin(least))]
+        at = ", ".join(f"q{j + 1} = {x:.2f} {mechanism.length_unit}" for j, x in enumerate(where))
+        found.append(f"the mass matrix is not positive definite (at {at}): no masses move like this")
+    gravity = [k for k, p in enumerate(mechanism.parameters) if p.term == "gravity"]
+    lifted = [k for k in gravity if beta[k] < -SURE * std[k]]
+    if lifted and not any(beta[k] > SURE * std[k] for k in gravity):
+        found.append(f"gravity pulls upwards ({_values(mechanism, beta, std, lifted)})")
+    return (*found, *_impossible_lengths(mechanism, beta, std))
+
+
+def _impossible_lengths(mechanism: Mechanism, beta: FloatArray, std: FloatArray) -> list[str]:
+    """Inertia over gravity moment of a link is a length, and so is a product of inertia over the next link's moment."""
+    if mechanism.length_unit == "m" or mechanism.gravity < 0.0:  # on a slide, or with g inside the parameters
+        return []
+    moment = {p.at[0]: k for k, p in enumerate(mechanism.parameters) if p.term == "gravity"}
+    found = []
+    for k, p in enumerate(mechanism.parameters):
+        over = moment.get(max(p.at))
+        if p.term != "inertia" or over is None or not (beta[over] > SURE * std[over] and beta[k] > SURE * std[k]):
+            continue
+        length = float(beta[k] / beta[over])
+        if not LENGTHS_M[0] <= length <= LENGTHS_M[1]:
+            found.append(f"{p.name} over {mechanism.parameters[over].name} makes a length of {length:.2g} m")
+    return found
+
+
+def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str = "mle",
+                   by: Fit = fit) -> FitResult:
+    """`fit` with levels that may not be negative held at zero where they come out so, and faults named.
+
+    One level is held at a time, that of the most standard deviations below zero first. Its interval then reaches from
+    zero to where it reached before. Judged is by the noise alone: what runs disagree about excuses no set-up that is
+    wrong. Raises `FitError` as `by` does.
+    """
+    result = by(datasets, mechanism, options, method)
+    limits: dict[str, float] = {}
+    told: list[str] = []
+    while (k := _most_negative(result)) is not None:
+        name, value, std = mechanism.names[k], float(result.beta[k]), float(result.own_std[k])
+        low = f"{name} ({mechanism.parameters[k].meaning}) comes out at {value:.2g} +- {std:.1g}, below what it can be"
+        if result.undetermined:  # a level in its place would pass for knowledge of the rest
+            told.append(low)
+            break
+        scatter = "" if value >= -SURE * std else "; no scatter, something else in the model or the set-up is wrong"
+        told.append(f"{low}: held at 0, the others fitted again{scatter}")
+        held = replace(options, fixed={**options.fixed, **dict.fromkeys([*limits, name], 0.0)})
+        try:
+            result = by(datasets, mechanism, held, method)
+        except FitError as error:
+            told[-1] = f"{low}; with 0 in its place there is no fit ({error})"
+            break
+        limits[name] = max(value + float(result.half_width[k]), 0.0)
+    fixed = {name: value for name, value in result.fixed.items() if name not in limits}
+    closed = np.where([name in result.open_parameters for name in mechanism.names], np.inf, result.own_std)
+    q = np.concatenate([t.q for t in result.trajectories]) if result.trajectories else np.zeros((0, mechanism.n))
+    return replace(result, fixed=fixed, at_bound=limits, warnings=(*result.warnings, *told),
+                   inadmissible=faults(mechanism, result.beta, closed, q) if result.converged else ())
+
+
+def _most_negative(result: FitResult) -> int | None:
+    """The free level that lies most of its standard deviations below zero; None where none does."""
+    share = [(float(value) / max(float(std), 1e-300), k) for k, (p, value, std) in
+             enumerate(zip(result.mechanism.parameters, result.beta, result.own_std))
+             if p.term in NOT_NEGATIVE and value < 0.0 and p.name not in {*result.fixed, *result.open_parameters}]
+    return min(share)[1] if share and result.converged else None
+
+
+def _values(mechanism: Mechanism, beta: FloatArray, std: FloatArray, which: Sequence[int]) -> str:
+    return ", ".join(f"{mechanism.names[k]} = {beta[k]:.3g} +- {std[k]:.1g}" for k in which)

@@ -1,0 +1,50 @@
+"""`compile_kernels`: those that fits of the usual rigs need, so that no fit has to wait for the compiler."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from estimator.likelihood.normal_equations import Latents
+from estimator.likelihood.trajectory_likelihood import LatentProblem, Noise
+from estimator.model import Mechanism, biped3, joint1, leg2
+from estimator.numerics import eliminate, jit
+from estimator.parallel import cores, parallel_map
+from estimator.signals import IMU_COLUMNS, SignalSet
+
+COUNT = 60
+"""Samples of the record that is made up for each."""
+
+
+def usual() -> list[Mechanism]:
+    """One for each number of joints and width of the equations: the second leg's is that of a leg with effects."""
+    return [leg2(lever_arm=0.2), leg2(lever_arm=0.2, rotor_inertia=(0, 1), torque_offset=(0, 1)), biped3(),
+            joint1(lever_arm=0.1), joint1(lever_arm=0.1, torque_offset=(0,))]
+
+
+def compile_kernels(workers: int | None = None) -> Path:
+    """Compile or load them all, by default on all cores; where they are kept. OSError where they cannot be."""
+    folder = jit.folder()
+    folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        raise OSError(f"{folder} cannot be written; set {jit.HOME_VARIABLE} to a folder that can")
+    mechanisms = usual()
+    parallel_map(lambda i: _use(mechanisms[i]), len(mechanisms), cores() if workers is None else workers)
+    return folder
+
+
+def _use(mechanism: Mechanism) -> None:
+    """One step of a fit at any point."""
+    rng = np.random.default_rng(0)
+    shape = (COUNT, mechanism.n)
+    imu = {name: rng.normal(size=COUNT) for name in IMU_COLUMNS} if mechanism.lever_arm else {}
+    signals = SignalSet("made up", 100.0, np.arange(COUNT) / 100.0, rng.normal(size=shape), rng.normal(size=shape), imu)
+    problem = LatentProblem([signals], mechanism, "linear")
+    beta = np.array([3.0 if p.term == "inertia" and p.at[0] == p.at[1] else 0.1 for p in mechanism.parameters])
+    point = problem.linearise(Latents(*rng.normal(size=(3, *shape))), beta,
+                              Noise(np.ones(mechanism.n), np.ones(mechanism.n), 1.0, 1.0))
+    solved = eliminate(point.chain)
+    solved.solution(np.zeros(1 + mechanism.p))
+    solved.inverse_diagonal()

@@ -1,0 +1,46 @@
+"""`legid tune`: the set-up of a rig from its own records."""
+
+from __future__ import annotations
+
+import argparse
+
+from experiments.cli.arguments import add_force, add_output, add_rig, chosen_rig
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = subparsers.add_parser(
+        "tune", help="choose a rig's set-up by its records",
+        description="Grid, hold, filter, encoders' error and zeros, rotor and offset terms, friction's rounding: each "
+                    "is chosen by how well a fit to half of the runs predicts the other half, and told in one table "
+                    "with what it changes. Entries that rig.toml has are kept, but for those of [sampling].")
+    parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
+    add_rig(parser)
+    parser.add_argument("--sensors", choices=("imu", "encoder"),
+                        help="what gives the pivot's angle; default: imu where all runs have its columns")
+    parser.add_argument("--write", action="store_true", help="put what was chosen into the rig file, comments kept")
+    add_output(parser, "--json", "legid.tuning/1", help="write what was chosen and tried as JSON")
+    add_force(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Choose, print, write what was asked for."""
+    from experiments.console import command_line, note, stages, write_json
+    from experiments.provenance import origin_of
+    from experiments.reports import with_origin
+    from experiments.rig import rig_path
+    from experiments.workflows import tune_runs, tuning_document, tuning_text, write_choices
+
+    where = rig_path(args.rig) if args.write else None
+    chosen = chosen_rig(args, args.runs)
+    with stages("tuning") as show:
+        found = tune_runs(args.runs, chosen.rig, args.sensors, args.damaged, show)
+    print(tuning_text(found))
+    if args.json:
+        origin = origin_of(args.runs, chosen.source, command=command_line())
+        write_json(args.json, with_origin(tuning_document(found), origin, ()))
+    if where is not None and found.choices:
+        write_choices(found.choices, where)
+        note(f"{where}: {', '.join(f'[{c.table}] {c.key}' for c in found.choices)} written")
+    return 0

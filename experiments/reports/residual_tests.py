@@ -1,0 +1,117 @@
+"""Tests of residuals as MATLAB's `resid` has them: are they white, and independent of the input?
+
+Ljung (System Identification, 2nd ed., section 16.6): of white residuals the normalised autocorrelation at any lag but
+zero is near Normal(0, 1/N), of residuals independent of the input the cross-correlation near Normal(0, P/N) with
+P = sum over lags of the product of both autocorrelations. Bands hold 99 % of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from daq import FloatArray
+from estimator import FitResult, Trajectory
+
+LAGS = 25
+SHARE = 0.99
+STRONG = 0.2
+"""Correlation beyond which a residual is structure that matters, however many samples make a smaller one certain."""
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """One correlation function of residuals."""
+
+    what: str
+    """The residual's name, with the input's where it is held against one."""
+    lags: FloatArray
+    """(k,) in samples"""
+    values: FloatArray
+    """(k,)"""
+    band: float
+    """Half width of the 99 % band."""
+
+    @property
+    def outside(self) -> float:
+        """Share of the lags outside the band; lag zero of an autocorrelation is not among them."""
+        return float(np.mean(np.abs(self.values) > self.band))
+
+    @property
+    def largest(self) -> float:
+        """Largest size."""
+        return float(np.max(np.abs(self.values)))
+
+    @property
+    def strong(self) -> bool:
+        """More lags outside than chance leaves, and one beyond `STRONG`."""
+        return self.outside > 1.0 - SHARE and self.largest > max(STRONG, self.band)
+
+
+def correlate(first: Sequence[FloatArray], second: Sequence[FloatArray], lags: FloatArray) -> FloatArray:
+    """(k,) normalised correlation of `first` (t + lag) with `second` (t), summed over stretches; NaN takes no part."""
+    total, scale = np.zeros(lags.size), [0.0, 0.0]
+    means = [np.nanmean(np.concatenate(list(x))) for x in (first, second)]
+    for a, b in zip(first, second):
+        x, y = np.nan_to_num(a - means[0]), np.nan_to_num(b - means[1])
+        scale = [scale[0] + float(x @ x), scale[1] + float(y @ y)]
+        for k, lag in enumerate(lags.astype(int)):
+            if abs(lag) < x.size:
+                total[k] += float(x[lag:] @ y[: y.size - lag] if lag >= 0 else x[:lag] @ y[-lag:])
+    return np.asarray(total / max(np.sqrt(scale[0] * scale[1]), 1e-300))
+
+
+def autocorrelation(what: str, residuals: Sequence[FloatArray]) -> Correlation:
+    """Of residuals by stretch, at lags 1 to `LAGS`."""
+    lags = np.arange(1.0, LAGS + 1)
+    count = sum(int(np.isfinite(e).sum()) for e in residuals)
+    band = NormalDist().inv_cdf(0.5 + SHARE / 2) / count**0.5
+    return Correlation(what, lags, correlate(residuals, residuals, lags), band)
+
+
+def cross_correlation(what: str, residuals: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> Correlation:
+    """Of residuals with an input, at lags -`LAGS` to `LAGS`; a positive one is the input's past."""
+    lags = np.arange(-float(LAGS), LAGS + 1)
+    count = sum(int(np.isfinite(e).sum()) for e in residuals)
+    far = np.arange(1.0, 4 * LAGS + 1)
+    power = 1.0 + 2.0 * float(correlate(residuals, residuals, far) @ correlate(inputs, inputs, far))
+    band = NormalDist().inv_cdf(0.5 + SHARE / 2) * max(power, 0.0) ** 0.5 / count**0.5
+    return Correlation(what, lags, correlate(residuals, inputs, lags), band)
+
+
+def residuals_of(result: FitResult) -> dict[str, list[FloatArray]]:
+    """Channel -> measured less estimated, by stretch: sensors, and the torque of every joint."""
+    def left(path: Trajectory) -> Mapping[str, FloatArray]:
+        sensors = {name: path.measured[name] - path.predicted[name] for name in path.measured if name in path.predicted}
+        return sensors | {f"torque {j + 1}": path.tau_measured[:, j] - path.tau[:, j]
+                          for j in range(result.mechanism.n)}
+
+    found: dict[str, list[FloatArray]] = {}
+    for path in result.trajectories:
+        for name, values in left(path).items():
+            found.setdefault(name, []).append(values)
+    return found
+
+
+def residual_tests(result: FitResult) -> tuple[list[Correlation], list[Correlation]]:
+    """(autocorrelations, cross-correlations with the torque of each driven joint) of a fit's residuals.
+
+    Empty for a method that estimates no motion. What a fit makes free for every sample leaves no residual to test.
+    """
+    found = {name: e for name, e in residuals_of(result).items()
+             if np.nanstd(np.concatenate(e)) > 1e-9 and min(map(len, e)) > 4 * LAGS}
+    inputs = {j + 1: [path.tau_measured[:, j] for path in result.trajectories] for j in result.mechanism.actuated}
+    return ([autocorrelation(name, e) for name, e in found.items()],
+            [cross_correlation(f"{name} with the torque of joint {j}", e, u)
+             for name, e in found.items() for j, u in inputs.items() if name != f"torque {j}"])
+
+
+def fit_percent(measured: FloatArray, modelled: FloatArray) -> float:
+    """100 (1 - |measured - modelled| / |measured - mean|) [%], MATLAB's NRMSE fit: 100 is exact, 0 no better than the
+    mean."""
+    good = np.isfinite(measured) & np.isfinite(modelled)
+    spread = float(np.linalg.norm(measured[good] - measured[good].mean())) if good.any() else 0.0
+    return 100.0 * (1.0 - float(np.linalg.norm((measured - modelled)[good])) / spread) if spread else float("nan")

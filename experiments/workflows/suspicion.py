@@ -1,0 +1,99 @@
+"""Set-ups that are wrong, looked for where a fit is no mechanism's or leaves much: what mends them, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from daq import Dataset
+from estimator import FitError, FitOptions
+from estimator.calibration import MOST_LEFT, ImuReading, Reading, as_it_is, find_remedies, read_imu, wrong_lever
+from estimator.model import Mechanism
+from estimator.signals import angle_column
+from experiments.rig import Setup
+
+SUSPICIOUS = 0.1
+"""Share of the torque that slow least squares leaves over, from which on other readings of the columns are tried."""
+NAMED = 2
+"""Most readings that are named, where they say the same."""
+MOST_SPAN = 20.0
+"""A joint that goes further [rad], and whose motion explains nothing, is given in another unit."""
+
+
+class Suspicion(NamedTuple):
+    """What looks wrong in a set-up."""
+
+    remedies: tuple[str, ...] = ()
+    """What looks wrong and what to write into the rig file, the likeliest first; empty where nothing mends anything."""
+    against: tuple[str, ...] = ()
+    """Why the records as they are read cannot be used, where something mends them; empty where they still can."""
+
+
+def suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float,
+            suspected: bool) -> Suspicion:
+    """Other readings of the columns, tried where a fit is `suspected`, or slow least squares leaves more than
+    `SUSPICIOUS`; the IMU is always asked whether it contradicts itself."""
+    try:
+        with np.errstate(all="ignore"):
+            return _suspect(datasets, mechanism, options, gear_ratio, suspected)
+    except (FitError, np.linalg.LinAlgError, ValueError):  # too short, or not a number in it: the fit says so itself
+        return Suspicion()
+
+
+def require_sound(setup: Setup) -> None:
+    """Raises `FitError` where the records contradict themselves as they are read, naming what mends that."""
+    seen = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, False)
+    if seen.against:
+        raise FitError(f"the columns cannot be right: {'; '.join(seen.against)}; {'; or '.join(seen.remedies)}")
+
+
+def _suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float,
+             suspected: bool) -> Suspicion:
+    if options.sensors == "imu":
+        as_read, others = read_imu(datasets, mechanism.lever_arm, mechanism.gravity_mps2,
+                                   hangs=0 in mechanism.passive)
+        if others:
+            return Suspicion(_with_imu(datasets, mechanism, options, gear_ratio, others),
+                             ("gyro and accelerometer contradict each other",))
+        lever = wrong_lever(as_read, mechanism.lever_arm)
+        if lever:
+            return Suspicion((lever,))
+    if not suspected:
+        now = as_it_is(datasets, mechanism, options)
+        if not now.faults and now.left < SUSPICIOUS:
+            return Suspicion()
+    now, found = find_remedies(datasets, mechanism, options, gear_ratio)
+    far = () if found else _far(datasets, mechanism, options)
+    if not found and not far:
+        return Suspicion()
+    most = (f"slow least squares leaves {100 * now.left:.0f} % of the torque",) * (now.left > MOST_LEFT)
+    return Suspicion(far or tuple(str(reading.remedy) for reading in found[:NAMED]), now.faults or most)
+
+
+def _far(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[str, ...]:
+    """Of joints that turn further than any that is identified, as counts of an encoder do."""
+    if mechanism.length_unit != "rad":
+        return ()
+    found = []
+    for j in range(int(options.sensors == "imu"), mechanism.n):
+        column = angle_column(mechanism, j)
+        span = max(float(np.nanmax(d[column]) - np.nanmin(d[column])) for d in datasets)
+        if span > MOST_SPAN:
+            found.append(f"{column} goes over {span:.3g} rad, {span / (2.0 * np.pi):.3g} turns: give its unit, or the "
+                         f'radians of a count as scale, with name = "{column}" under [columns.{column}]')
+    return tuple(found)
+
+
+def _with_imu(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float,
+              readings: Sequence[ImuReading]) -> tuple[str, ...]:
+    """The IMU's reading with which the knee's equation needs the fewest changes of its own."""
+    found: list[tuple[int, float, str]] = []
+    for imu in readings:
+        runs = [imu.applied(data) for data in datasets]
+        now, more = find_remedies(runs, mechanism, options, gear_ratio)
+        best: Reading = now if not now.faults and not more else more[0] if more else now
+        told = str(imu) if not best.remedy.changes else f"{imu}; {best.remedy}"
+        found.append((imu.changes + best.remedy.changes + 10 * bool(best.faults), best.left, told))
+    return tuple(told for _, _, told in sorted(found)[:1])

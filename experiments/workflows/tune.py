@@ -1,0 +1,256 @@
+"""`legid tune`: the set-up that predicts best what a fit has not seen, chosen entry by entry of rig.toml."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec import structs
+
+from daq import Dataset, FloatArray, InputError, Rig, set_values, write_file
+from daq.runs import read_csv
+from estimator import FitError
+from estimator.fitting import fit_admissible, measured_states, predict
+from experiments.console import text_table
+from experiments.rig import load_runs, setup_of
+from experiments.workflows.choices import LEVELS, Choice, choose_terms, with_choices
+from experiments.workflows.usable import SetAside, usable_runs
+
+GRIDS_HZ = (25.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
+MOST_SAMPLES = 60_000
+"""Of all runs together, on the finest grid that is tried."""
+FINEST_SEEN_HZ = 200.0
+"""Grid on which predictions are held against the record, whatever grid the fit was on."""
+HORIZON_S = 1.0
+GAIN = 0.03
+"""Share by which the prediction of runs not fitted must get better for an entry to change."""
+SAME = 0.01
+"""Share by which grids predict alike: then the finest is right, a coarse one blurs what is fast."""
+DISAGREE = 0.05
+"""Share of itself by which a parameter may differ between grids without a word."""
+RIGID = ("inertia", "gravity")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One set-up, fitted to some runs and held against the others."""
+
+    score: float
+    """Mean over the joints of the log of error over that of the last velocity kept; infinite where it blew up."""
+    rmse: FloatArray
+    """(n,) error after up to `HORIZON_S` on runs not fitted [rad]."""
+    rigid: Mapping[str, float]
+    """Inertias and gravity terms, mean of the fits."""
+    encoder: float | None
+    """The encoders' error that the fits found or took [rad]."""
+
+
+@dataclass
+class Tuning:
+    """What was chosen, what else was tried, and what is to be doubted."""
+
+    choices: list[Choice] = field(default_factory=list)
+    aside: tuple[SetAside, ...] = ()
+    before: Trial | None = None
+    after: Trial | None = None
+    tried: list[tuple[str, str, str]] = field(default_factory=list)
+    """Entry, value, error on runs not fitted."""
+    doubts: list[str] = field(default_factory=list)
+
+
+def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None, damaged: bool = False,
+              done: Callable[[str, float], None] = lambda what, share: None) -> Tuning:
+    """Entries of `rig` for these runs; those of `[terms]` that it states are kept. Raises `InputError`, `FitError`."""
+    bench = _Bench(paths, rig, sensors, damaged)
+    out = Tuning(aside=bench.aside)
+    done("terms", 0.05)
+    out.choices += choose_terms(bench.runs(rig), rig, sensors)
+    best_rig = with_choices(rig, out.choices)
+    out.before = bench.trial(rig)
+    best = bench.trial(best_rig) if out.choices else out.before
+    if best.score > out.before.score + np.log(1.0 + GAIN):
+        out.doubts.append("the terms chosen foretell runs not fitted worse than none: left out")
+        out.choices, best_rig, best = [], rig, out.before
+    entries = _entries(bench, rig, best)
+    grids: dict[float, Trial] = {}
+    for k, (table, key, values, why) in enumerate(entries):
+        done(f"{table}.{key}", 0.1 + 0.85 * k / len(entries))
+        now, start = getattr(getattr(best_rig, table), key), best
+        chosen: Any = None
+        for value in values(best):
+            if value == now:
+                continue
+            candidate = with_choices(best_rig, [Choice(table, key, value, "", "")])
+            trial = bench.trial(candidate)
+            out.tried.append((f"[{table}] {key}", _text(value), _errors(trial)))
+            if key == "rate_hz":
+                grids[value] = trial
+            if trial.score < best.score + np.log(1.0 - GAIN):
+                best, chosen = trial, value
+        if key == "rate_hz":
+            grids[now] = start
+            finest = max(rate for rate, t in grids.items() if t.score <= best.score + np.log(1.0 + SAME))
+            best, chosen = grids[finest], finest if finest != now else None
+        if chosen is not None:
+            change = f"error of runs not fitted {_errors(start)} -> {_errors(best)}"
+            out.choices.append(Choice(table, key, chosen, why, change))
+            best_rig = with_choices(best_rig, out.choices[-1:])
+    out.after = best
+    out.doubts += _disagreement(grids)
+    return out
+
+
+class _Bench:
+    """Runs by grid, halves of them to fit and to hold the fit against."""
+
+    def __init__(self, paths: Sequence[Path | str], rig: Rig, sensors: str | None, damaged: bool) -> None:
+        self.paths, self.sensors, self.damaged = list(paths), sensors, damaged
+        self.grids: dict[float, tuple[Dataset, ...]] = {}
+        self.names: frozenset[str] | None = None
+        bare = structs.replace(rig, terms=structs.replace(rig.terms, encoder_zero=()))
+        setup = setup_of(self.runs(rig), bare, sensors)
+        kept, self.aside = usable_runs(setup.datasets, setup.mechanism, setup.options)
+        self.grids = {rig.sampling.rate_hz: kept}
+        gone = {a.run for a in self.aside}
+        self.paths = [p for p in self.paths if Path(p).name not in gone]
+        self.own_rate = _own_rate(self.paths, rig)
+
+    def runs(self, rig: Rig) -> tuple[Dataset, ...]:
+        """On the grid of `rig`."""
+        rate = rig.sampling.rate_hz
+        if rate not in self.grids:
+            self.grids[rate] = load_runs(self.paths, rig, self.damaged)
+        return self.grids[rate]
+
+    def seen(self, rig: Rig) -> tuple[Dataset, ...]:
+        """On the grid of the comparison."""
+        rate = min(FINEST_SEEN_HZ, self.own_rate)
+        return self.runs(structs.replace(rig, sampling=structs.replace(rig.sampling, rate_hz=rate)))
+
+    def trial(self, rig: Rig) -> Trial:
+        """`rig` fitted to each half of the runs and held against the other."""
+        fitted, seen = self.runs(rig), self.seen(rig)
+        halves = [(_half(fitted, k), _half(seen, 1 - k)) for k in (0, 1)]
+        squares: list[FloatArray] = []
+        plain: list[FloatArray] = []
+        rigid: dict[str, list[float]] = {}
+        levels: list[float] = []
+        for train, held in halves:
+            try:
+                setup = setup_of(train, rig, self.sensors)
+                found = fit_admissible(setup.datasets, setup.mechanism, setup.options)
+                other = setup_of(held, rig, self.sensors, beta=found.beta)
+                states = measured_states(other.datasets, other.mechanism, replace(other.options, hold="linear"))
+                ahead = predict(states, found.mechanism, found.beta, "linear", HORIZON_S)
+            except (FitError, np.linalg.LinAlgError):
+                return Trial(np.inf, np.array([np.inf]), {}, None)
+            if not found.converged or found.inadmissible or ahead.blown or not ahead.pieces:
+                return Trial(np.inf, np.array([np.inf]), {}, found.noise.get("encoder_rad"))
+            squares.append(ahead.rmse**2)
+            plain.append(ahead.baseline**2)
+            levels += [found.noise["encoder_rad"]] if "encoder_rad" in found.noise else []
+            for p, value in zip(found.mechanism.parameters, found.beta):
+                if p.term in RIGID:
+                    rigid.setdefault(p.name, []).append(float(value))
+        rmse = np.sqrt(np.mean(squares, axis=0))
+        score = float(np.mean(np.log(np.maximum(rmse, 1e-12) / np.maximum(np.sqrt(np.mean(plain, axis=0)), 1e-12))))
+        return Trial(score, rmse, {name: float(np.mean(values)) for name, values in rigid.items()},
+                     float(np.mean(levels)) if levels else None)
+
+
+def _half(runs: Sequence[Dataset], k: int) -> list[Dataset]:
+    """Every other run, from the k-th; of a single one its first or its second half."""
+    if len(runs) > 1:
+        return list(runs[k::2])
+    middle = len(runs[0]) // 2
+    return [runs[0].part(slice(0, middle) if k == 0 else slice(middle, None))]
+
+
+def _own_rate(paths: Sequence[Path | str], rig: Rig) -> float:
+    """Samples a second of the first run as it was recorded [Hz]."""
+    path = Path(paths[0])
+    if path.name.lower().endswith((".csv", ".csv.gz")):
+        return float(1.0 / np.median(np.diff(read_csv(path, rig).time_s)))
+    return rig.devices.controller.rate_hz if rig.devices.controller is not None else FINEST_SEEN_HZ
+
+
+Entry = tuple[str, str, Callable[[Trial], Sequence[Any]], str]
+
+
+def _entries(bench: _Bench, rig: Rig, first: Trial) -> list[Entry]:
+    """Table, key, values to try given the best trial so far, and what they are for; entries stated stay."""
+    runs = bench.runs(rig)
+    seconds = sum(len(d) / d.rate_hz for d in runs)
+    grids = [g for g in GRIDS_HZ if g <= 1.001 * bench.own_rate and g * seconds <= MOST_SAMPLES]
+    entries: list[Entry] = [("sampling", "rate_hz", lambda best: grids, "the finest grid of those that predict best")]
+    if rig.noise.encoder_rad is None:
+        entries.append(("noise", "encoder_rad", lambda best: [float(f"{times * best.encoder:.1g}") for times in LEVELS]
+                        if best.encoder else [], "angles that err by more than their encoder shows"))
+    entries.append(("sampling", "hold", lambda best: ("linear", "average", "smooth", "zero"),
+                    "how torque acts between samples"))
+    if rig.filter.cutoff_hz is None:
+        entries.append(("filter", "cutoff_hz", lambda best: (3.0, 5.0), "the band of starting values and wls"))
+    return entries
+
+
+def _disagreement(grids: Mapping[float, Trial]) -> list[str]:
+    """Rigid parameters that depend on the grid, one sentence."""
+    sound = {rate: t for rate, t in grids.items() if np.isfinite(t.score)}
+    if len(sound) < 2:
+        return []
+    spread = {name: float(np.ptp([t.rigid[name] for t in sound.values()])
+                          / max(abs(float(np.mean([t.rigid[name] for t in sound.values()]))), 1e-300))
+              for name in next(iter(sound.values())).rigid}
+    off = {name: share for name, share in spread.items() if share > DISAGREE}
+    if not off:
+        return []
+    told = ", ".join(f"{name} by {100 * share:.0f} %" for name, share in off.items())
+    return [f"between grids of {min(sound):g} and {max(sound):g} Hz parameters differ, {told}: more than any interval "
+            "of one fit; something fast is missing in the model"]
+
+
+def _text(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(list(value) if isinstance(value, tuple) else value)
+
+
+def _errors(trial: Trial) -> str:
+    return "blows up" if not np.isfinite(trial.score) else " and ".join(f"{x:.3g}" for x in trial.rmse)
+
+
+def tuning_text(found: Tuning) -> str:
+    """What a person reads: one table, then what it is worth."""
+    rows = [[f"[{c.table}] {c.key}", _text(c.value), c.why, c.changes] for c in found.choices]
+    lines = [text_table(["entry", "chosen", "why", "what it changes"], rows, set())] if rows else [
+        "rig.toml as it is predicts best: nothing to change"]
+    if found.before is not None and found.after is not None:
+        lines += ["", f"error over pieces of {HORIZON_S:g} s of runs not fitted (rms, by joint): "
+                      f"{_errors(found.before)} before, {_errors(found.after)} after"]
+    lines += [f"warning: {run}" for run in found.aside]
+    lines += [f"warning: {doubt}" for doubt in found.doubts]
+    return "\n".join(lines)
+
+
+def tuning_document(found: Tuning) -> dict[str, Any]:
+    """`legid.tuning/1`."""
+    return {"schema": "legid.tuning/1",
+            "chosen": [choice.document for choice in found.choices],
+            "tried": [{"entry": entry, "value": value, "error": error} for entry, value, error in found.tried],
+            "error_before": None if found.before is None else found.before.rmse.tolist(),
+            "error_after": None if found.after is None else found.after.rmse.tolist(),
+            "horizon_s": HORIZON_S, "doubts": found.doubts,
+            "set_aside": [run.document for run in found.aside]}
+
+
+def write_choices(choices: Sequence[Choice], path: Path | str) -> None:
+    """Put the choices into the rig file at `path`, whole or not at all, comments kept. Raises `InputError`."""
+    tables: dict[str, dict[str, object]] = {}
+    for choice in choices:
+        tables.setdefault(choice.table, {})[choice.key] = choice.value
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "give a rig file that can be written") from None
+    write_file(path, set_values(text, tables, str(path)).encode(), changed=True)

@@ -1,0 +1,77 @@
+"""Whoever uses the table of terms knows each of them, and all get the same from it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimator.model.collocation import Collocation
+from estimator.model.mechanism import Mechanism, Parameter, biped3, chain, joint1, leg2
+from estimator.model.terms import TERMS, Motion
+from tests.support.assembly_numpy import evaluate
+
+EVERY = leg2(rotor_inertia=(1,), torque_offset=(0, 1))
+MECHANISMS = [EVERY, biped3(), chain(4), joint1()]
+
+
+def random(mechanism: Mechanism, seed: int, points: int = 130) -> tuple[Motion, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return Motion(*rng.normal(size=(5, mechanism.n, 2, points))), rng.normal(size=mechanism.p)
+
+
+def test_the_leg_that_stands_for_all_has_every_term() -> None:
+    assert {parameter.term for parameter in EVERY.parameters} == set(TERMS)
+
+
+@pytest.mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
+def test_inertia_matrix_and_bias_make_the_regressor(mechanism: Mechanism) -> None:
+    q, qd, qdd = np.random.default_rng(3).normal(size=(3, 6, mechanism.n))
+    beta = np.linspace(0.5, 1.5, mechanism.p)
+    parts = np.einsum("kij,kj->ki", mechanism.inertia_matrix(q, beta), qdd) + mechanism.bias_torque(q, qd, beta)
+    assert mechanism.inverse_dynamics(q, qd, qdd, beta) == pytest.approx(parts, rel=1e-12)
+
+
+@pytest.mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
+def test_collocation_has_the_regressor_where_the_rate_is_constant(mechanism: Mechanism) -> None:
+    motion, _ = random(mechanism, 5)
+    z = Collocation(mechanism, 0.01, "linear")
+    found = z.to_joint(z.terms(motion._replace(rate_from=motion.rate, rate_to=motion.rate))[0])
+    known = mechanism.regressor(*(np.moveaxis(x, 0, -1) for x in motion[:3]))  # (2, K, n, p)
+    np.testing.assert_allclose(found, known.transpose(3, 2, 0, 1), atol=1e-12)
+
+
+@pytest.mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
+def test_slopes_are_the_derivatives(mechanism: Mechanism) -> None:
+    motion, beta = random(mechanism, 6)
+    motion = Motion(*(np.where(np.abs(x) < 0.1, 0.1, x) for x in motion))  # of the sign by its slowest scale, 0.005
+    c, step = Collocation(mechanism, 0.01, "linear"), 1e-5
+    slopes = evaluate(c, motion, beta)[1]
+    for f in range(5):
+        for j in range(mechanism.n):
+            values = []
+            for way in (step, -step):
+                moved = [x.copy() for x in motion]
+                moved[f][j] += way
+                values.append(np.tensordot(beta, evaluate(c, Motion(*moved), beta)[0], axes=1))
+            np.testing.assert_allclose(slopes[:, :, f, j], (values[0] - values[1]) / (2 * step), atol=1e-5)
+
+
+@pytest.mark.parametrize("mechanism", MECHANISMS, ids=lambda m: m.name)
+def test_kernels_have_the_terms_of_the_table(mechanism: Mechanism) -> None:
+    motion, beta = random(mechanism, 4)
+    c = Collocation(mechanism, 0.01, "linear")
+    for known, found in zip(evaluate(c, motion, beta), c.fast(*motion, beta)):
+        np.testing.assert_allclose(found, known, rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_kernels_know_each_term_by_itself(term: str) -> None:
+    """A code that no kernel asks for would leave its row empty."""
+    parameters = Parameter("a", "", "", "inertia", (0, 0)), Parameter("b", "", "", term, (1, 1))
+    pair = Mechanism("pair", np.tril(np.ones((2, 2))), parameters, 9.81, (1,))
+    motion, beta = random(pair, 7)
+    c = Collocation(pair, 0.01, "linear")
+    z, own = c.fast(*motion, beta)
+    assert np.abs(z[1]).max() > 0.1
+    for known, found in zip(evaluate(c, motion, beta), (z, own)):
+        np.testing.assert_allclose(found, known, rtol=0.0, atol=1e-10)

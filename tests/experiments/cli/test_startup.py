@@ -1,0 +1,34 @@
+"""What a command does not use, it does not wait for."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from daq.runs import write_csv
+from tests.support.mujoco_leg import Leg, record
+from tests.support.paths import ROOT
+
+RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {lever}\n[sampling]\nhold = "linear"\n'
+"""The hold is given: to try that of a smooth torque takes SciPy's splines."""
+SLOW = ("scipy", "numba", "matplotlib", "jinja2", "mcap", "can", "pyarrow", "importlib.metadata")
+"""Packages each of which takes as long to import as a fit of thousands of samples."""
+CODE = """
+import sys
+from experiments.cli import main
+assert main(sys.argv[1:]) == 0
+print([name for name in {slow} if name in sys.modules])
+"""
+
+
+def test_a_fit_imports_nothing_that_it_does_not_use(tmp_path: Path) -> None:
+    leg = Leg()
+    write_csv(record(leg, np.random.default_rng(3), seconds=10), tmp_path / "run.csv")
+    (tmp_path / "rig.toml").write_text(RIG.format(lever=leg.lever))
+    command = ["fit", str(tmp_path / "run.csv"), "--rig", str(tmp_path / "rig.toml")]
+    done = subprocess.run([sys.executable, "-c", CODE.format(slow=SLOW), *command], capture_output=True, text=True,
+                          timeout=120, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert done.returncode == 0, done.stderr
+    assert "converged" in done.stdout and done.stdout.splitlines()[-1] == "[]", done.stdout

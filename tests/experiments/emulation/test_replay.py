@@ -1,0 +1,96 @@
+"""Committed recordings with one fault each: played back they are the same run and give the same fit, to the bit."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.runs.mcap_run import RawRun, read_run
+from daq.timing.align import recorded_rig
+from estimator.result import FitResult
+from experiments import cli
+from experiments.emulation.plant import LegBody
+from experiments.rig.setup import load_setup
+from experiments.workflows.fit import fit_setup
+from tests.support.paths import FIXTURES
+
+NAMES = ("healthy", "pulled-cable", "gap", "clock-reset", "saturated-gyro", "noisy")
+SAID = {"pulled-cable": "the connection is gone", "gap": "bus errors [errno 121]",
+        "clock-reset": "leg controller restarted", "saturated-gyro": "limit q1_speed_radps"}
+
+
+def recorded(name: str) -> Path:
+    return FIXTURES / f"{name}.mcap"
+
+
+def replayed(name: str, folder: Path, *more: object) -> Path:
+    out = folder / f"{name}-{len(list(folder.iterdir()))}.mcap"
+    assert cli.main(["record", "--replay", str(recorded(name)), "--out", str(out), *map(str, more)]) == 0
+    return out
+
+
+@cache
+def fit_of(path: Path) -> FitResult:
+    result = fit_setup(load_setup([path], recorded_rig(read_run(path))), "mle")
+    assert result.converged
+    return result
+
+
+def fitted(path: Path) -> bytes:
+    """Every number of the fit, and which way it came there."""
+    result = fit_of(path)
+    return result.beta.tobytes() + result.covariance.tobytes() + repr((result.iterations, result.noise)).encode()
+
+
+def same_streams(a: RawRun, b: RawRun) -> bool:
+    return all(a.streams[topic].tobytes() == b.streams[topic].tobytes() for topic in a.streams)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_fixture_comes_back_and_refits_to_the_bit_twice(name: str, tmp_path: Path) -> None:
+    first, second = (replayed(name, tmp_path) for _ in range(2))
+    original, once, twice = map(read_run, (recorded(name), first, second))
+    assert original.streams["/imu"].size > 300
+    assert same_streams(original, once)
+    assert once.events[1:] == original.events  # before them it is said that this is a replay
+    assert once.config == original.config
+    assert same_streams(once, twice) and once.events == twice.events and once.facts == twice.facts
+    assert fitted(recorded(name)) == fitted(first) == fitted(second)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_fixtures_hold_what_they_are_named_after_and_fit_the_leg(name: str) -> None:
+    run = read_run(recorded(name))
+    said = " ".join(f"{note.kind} {note.text}" for note in run.events)
+    assert all((text in said) == (name == other) for other, text in SAID.items())
+    clipped = np.abs(run.streams["/imu"]["gyro_z"].astype(int)) >= 32_767
+    assert clipped.any() == (name == "saturated-gyro")
+    found, truth = fit_of(recorded(name)).beta, np.array(LegBody().beta())
+    assert found[:5] == pytest.approx(truth[:5], rel=0.06 if name == "noisy" else 0.015)
+
+
+def test_a_replay_says_that_it_is_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = replayed("pulled-cable", tmp_path)
+    assert "REPLAY" in capsys.readouterr().out
+    assert read_run(out).facts["replay_of"] == "pulled-cable.mcap"
+    assert "REPLAY" in read_run(out).events[0].text
+    assert cli.main(["info", str(out)]) == 0
+    assert "REPLAY of pulled-cable.mcap" in capsys.readouterr().out
+
+
+def test_a_replay_under_other_limits_names_the_one_that_it_would_pass(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    replayed("healthy", tmp_path)
+    assert "limit" not in capsys.readouterr().out
+    tight = tmp_path / "tight.toml"
+    tight.write_text((FIXTURES / "rig.toml").read_text().replace("q2_rad = 3.0", "q2_rad = 0.3"))
+    replayed("healthy", tmp_path, "--rig", tight)
+    assert "limit q2_rad tripped" in capsys.readouterr().out
+
+
+def test_a_damaged_run_is_not_played_into_a_whole_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(recorded("healthy").read_bytes()[:200_000])
+    assert cli.main(["record", "--replay", str(cut), "--out", str(tmp_path / "out.mcap")]) == 2
+    assert "is damaged: its end is missing" in capsys.readouterr().err

@@ -1,0 +1,82 @@
+"""What runs disagree about, as a terminal, a page, the JSON and the first line say it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimator.result import FitResult, RunAgreement
+from experiments.models.schema import MechanismSettings
+from experiments.reports.fit_json import fit_document
+from experiments.reports.fit_page import fit_sections
+from experiments.reports.fit_text import fit_text
+from experiments.reports.html import render_page
+from experiments.reports.trust import fit_trust
+from tests.support.fits import synthetic_fit
+
+RUNS = ("a.csv", "b.csv", "c.csv")
+
+
+def with_runs(**more: Any) -> FitResult:
+    plain = synthetic_fit()
+    return replace(plain, agreement=RunAgreement(**{"runs": RUNS, "p_value": 0.3, "own_std": plain.std, **more}))
+
+
+@pytest.fixture
+def disputed() -> FitResult:
+    """The knee's Coulomb level is another in the third run."""
+    plain = synthetic_fit()
+    p = plain.mechanism.p
+    by_run = np.tile(plain.beta, (3, 1))
+    by_run[:, 8] = 0.10, 0.11, 0.14
+    quantile = np.full(p, 1.959964)
+    quantile[8] = 4.303
+    scatter, seen = np.full(p, 1e-6), np.zeros(p, dtype=bool)
+    scatter[8], seen[8] = 0.021, True
+    mean = by_run.mean(axis=0)
+    return with_runs(p_value=2e-5, disagree=True, quantile=quantile, mean=mean, scatter=scatter, by_run=by_run,
+                     seen=seen)
+
+
+def test_one_line_about_all_and_one_for_each_parameter(disputed: FitResult) -> None:
+    text = fit_text(disputed, "leg2")
+    assert ("3 runs disagree by more than their noise (p = 2e-05): intervals allow for it, 2.2 times as wide as by "
+            "noise alone\nruns disagree about beta9 (Coulomb friction, knee): 0.100 .. 0.140, scatter 0.021 about "
+            "0.117; interval widened 2.2 times") in text
+    low, high = disputed.ci95()[8]
+    assert high - low == pytest.approx(2 * 4.303 * disputed.std[8])
+
+
+def test_runs_that_agree_and_one_alone_say_so() -> None:
+    assert "3 runs agree within their noise (p = 0.3)" in fit_text(with_runs(), "leg2")
+    assert "one run cannot tell whether runs agree" in fit_text(with_runs(p_value=None, runs=RUNS[:1]), "leg2")
+    assert "runs" not in fit_text(synthetic_fit(), "leg2").replace("ran ", "")
+
+
+def test_the_json_says_what_each_run_says(disputed: FitResult) -> None:
+    settings = MechanismSettings(model="leg2", actuated=(2,), lever_arm_m=0.2)
+    found = fit_document(disputed, settings)["agreement"]
+    assert found["runs"] == list(RUNS) and found["disagree"] and found["p_value"] == 2e-5
+    knee = found["parameters"][8]
+    assert knee["name"] == "beta9" and knee["by_run"] == [0.10, 0.11, 0.14] and knee["seen"]
+    assert knee["widened"] == pytest.approx(4.303 / 1.959964)
+    given = replace(disputed, fixed={"beta9": 0.1})
+    assert "beta9" not in [p["name"] for p in fit_document(given, settings)["agreement"]["parameters"]]
+    assert fit_document(with_runs(), settings)["agreement"]["parameters"] == []
+    assert fit_document(synthetic_fit(), settings)["agreement"] is None
+
+
+def test_the_page_has_a_column_for_each_run(disputed: FitResult) -> None:
+    page = render_page("fit", "", fit_sections(disputed))
+    assert "Do the runs agree?" in page and all(run in page for run in RUNS)
+    assert "Do the runs agree?" not in render_page("fit", "", fit_sections(synthetic_fit()))
+
+
+def test_the_first_line_is_careful_where_runs_disagree(disputed: FitResult) -> None:
+    assert fit_trust(with_runs()).level == "good"
+    trust = fit_trust(disputed)
+    assert trust.level == "caution" and "which are wide because runs disagree" in trust.sentence
+    assert any(text.startswith("Runs disagree about beta9: ") for text in trust.reasons)

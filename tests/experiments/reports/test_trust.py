@@ -1,0 +1,194 @@
+"""The first line: trusted where nothing is hidden, doubted where something is, and the statistics behind it."""
+
+import io
+import json
+from contextlib import redirect_stdout
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.rig import load_rig
+from estimator import Combination
+from experiments import cli
+from experiments.emulation.emulated_rig import record_emulated
+from experiments.emulation.hidden_effects import EFFECTS, NOTHING
+from experiments.excite.multisine import random_multisine
+from experiments.models.free_runs import Prediction
+from experiments.reports.comparison import (
+    Comparison,
+    HorizonError,
+    comparison_document,
+    comparison_sections,
+    comparison_text,
+    comparison_trust,
+)
+from experiments.reports.html import render_page
+from experiments.reports.residual_tests import autocorrelation, cross_correlation, fit_percent
+from experiments.reports.trust import fit_trust, validation_trust
+from experiments.workflows.compare import _error
+from tests.support.fits import synthetic_fit
+from tests.support.paths import DEMO_RIG as RIG
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Runs of a leg with a spring that nobody told of, and of one without."""
+    out = tmp_path_factory.mktemp("trust")
+    for name, k in (("none", 0), ("none", 1), ("none", 2), ("joint_stiffness", 0), ("joint_stiffness", 1)):
+        record_emulated(out / f"{name}{k}.mcap", load_rig(RIG), RIG.read_text(), random_multisine(30 + k, 4.0, 0.6), k,
+                        hidden=EFFECTS.get(name, NOTHING))
+    return out
+
+
+@pytest.fixture(scope="module")
+def fits(folder: Path) -> dict[str, str]:
+    """Leg -> first line of the fit to its first two runs, whose model is beside them."""
+    said = {}
+    for name in ("none", "joint_stiffness"):
+        runs = [str(folder / f"{name}{k}.mcap") for k in (0, 1)]
+        with redirect_stdout(io.StringIO()) as out:
+            assert cli.main(["fit", *runs, "--model-out", str(folder / f"{name}.json")]) == 0
+        said[name] = out.getvalue().splitlines()[0]
+    return said
+
+
+def test_a_spring_that_nobody_told_of_is_doubted_and_a_plain_leg_trusted(fits: dict[str, str]) -> None:
+    assert fits["none"].startswith("TRUST the parameters within their intervals")
+    assert fits["joint_stiffness"].startswith("DO NOT TRUST the parameters: the torque left over at joint 2")
+
+
+def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
+        folder: Path, fits: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def said(*arguments: str) -> str:
+        assert cli.main(list(arguments)) == 0
+        return capsys.readouterr().out.splitlines()[0]
+
+    runs = [str(folder / f"none{k}.mcap") for k in range(3)]
+    model, page = str(folder / "none.json"), tmp_path / "p.html"
+    assert said("validate", model, runs[2]).startswith("TRUST for simulation over 5 s: fit 9")
+    assert said("validate", model, runs[0]).startswith("TRUST WITH CARE: none0.mcap was fitted")
+    other = tmp_path / "rig.toml"
+    other.write_text(RIG.read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.21"))
+    assert "lever_arm_m" in said("fit", *runs[:2], "--rig", str(other))
+    first = said("validate", model, runs[2], "--rig", str(other), "--html", str(page))
+    assert "fitted with lever_arm_m = 0.2, the rig says 0.21" in first
+    text = page.read_text()
+    assert "lever_arm_m = 0.2, the rig says 0.21" in text[text.index('class="verdict"'):text.index("<h2>")]
+    assert "Command: legid validate none.json none2.mcap --rig rig.toml --html p.html" in text
+
+
+def test_what_no_leg_can_be_is_not_to_be_used() -> None:
+    sound = synthetic_fit()
+    friction = sound.beta.copy()
+    friction[6] = -0.5
+    for beta in (-sound.beta, friction):
+        assert fit_trust(replace(sound, beta=beta)).sentence.startswith("NOT TO BE USED: no leg has")
+    assert fit_trust(replace(sound, converged=False)).level == "bad"
+    one = (Combination((("beta8", 1.0),)),)
+    assert "do not determine beta8" in fit_trust(replace(sound, undetermined=one)).sentence
+    every = tuple(Combination(((name, 1.0),)) for name in sound.mechanism.names)
+    assert "no parameter" in fit_trust(replace(sound, undetermined=every)).sentence
+    assert fit_trust(replace(sound, method="wls")).sentence.startswith("NOT TESTED")
+
+
+def test_what_sensors_and_the_undriven_joint_leave_over_is_asked_too() -> None:
+    """An encoder off centre left the driven torque white, and parameters 31 standard deviations off."""
+    sound = synthetic_fit()
+    assert fit_trust(sound).level == "good"
+    loud = replace(sound, noise={**sound.noise, "torque_nm": 0.02, "passive_joint_nm": 0.022})
+    assert "a joint that nothing drives is off by" in fit_trust(loud).sentence
+    paths = []
+    for path in sound.trajectories:
+        slow = 0.15 * np.sin(0.8 * path.time_s)
+        paths.append(replace(path, measured={**path.measured, "gyro_radps": path.measured["gyro_radps"] + slow}))
+    assert "left over of gyro_radps has structure" in fit_trust(replace(sound, trajectories=tuple(paths))).sentence
+
+
+def prediction(error: float, short: float | None, **more: object) -> Prediction:
+    t = np.arange(1000) / 100.0
+    measured = {"q1_rad": np.sin(t), "q2_rad": np.cos(t), "gyro_radps": np.cos(t)}
+    off = {n: v + error * np.std(v) * np.sign(np.sin(20 * t)) for n, v in measured.items()}
+    near = None if short is None else {n: v + short * np.std(v) * np.sign(np.sin(20 * t)) for n, v in measured.items()}
+    return Prediction("r", t, 10.0, measured, off, near, None)
+
+
+@pytest.mark.parametrize(("whole", "short", "level", "words"), [
+    (0.05, 0.01, "good", "TRUST for simulation over 10 s: fit 95"),
+    (0.2, 0.05, "caution", "TRUST for predictions of 1 s"),
+    (0.5, 0.2, "caution", "ROUGH"),
+    (0.9, 0.5, "bad", "DO NOT TRUST"),
+    (0.9, None, "bad", "DO NOT TRUST")])
+def test_validation_says_for_what(whole: float, short: float | None, level: str, words: str) -> None:
+    found = validation_trust([prediction(0.01, 0.01), prediction(whole, short)])
+    assert found.level == level and found.sentence.startswith(words)
+
+
+def test_bands_hold_what_chance_gives_and_show_what_is_there() -> None:
+    rng = np.random.default_rng(1)
+    u = [np.convolve(rng.standard_normal(4000), np.ones(5) / 5, "same") for _ in range(2)]
+    white = [rng.standard_normal(4000) for _ in u]
+    outside = np.mean([autocorrelation("e", [rng.standard_normal(2000)]).outside for _ in range(60)])
+    assert outside == pytest.approx(0.01, abs=0.01)
+    assert cross_correlation("e", white, u).outside < 0.06
+    late = [e + 0.5 * np.roll(x, 3) for e, x in zip(white, u)]
+    found = cross_correlation("e", late, u)
+    assert found.outside > 0.1 and found.lags[np.argmax(found.values)] == 3.0
+    coloured = [np.convolve(e, [1.0, 0.8], "same") for e in white]
+    assert autocorrelation("e", coloured).values[0] == pytest.approx(0.8 / 1.64, abs=0.03)
+    white[0][100:200] = np.nan
+    assert autocorrelation("e", white).largest < 0.1
+
+
+def test_fit_is_matlab_s() -> None:
+    y = np.array([1.0, 2.0, 3.0, 4.0])
+    assert fit_percent(y, y) == 100.0 and fit_percent(y, np.full(4, 2.5)) == pytest.approx(0.0)
+    assert fit_percent(y, y + 0.5) == pytest.approx(100 * (1 - 1.0 / np.sqrt(5.0)))
+
+
+def test_comparison_says_who_is_better_and_by_how_much(folder: Path, fits: dict[str, str], tmp_path: Path,
+                                                      capsys: pytest.CaptureFixture[str]) -> None:
+    runs = [str(folder / f"{name}.mcap") for name in ("none2", "joint_stiffness0")]
+    models = [str(folder / f"{name}.json") for name in fits]
+    out, page = tmp_path / "c.json", tmp_path / "c.html"
+    assert cli.main(["compare", *models, *runs, "--json", str(out), "--html", str(page)]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert "joint_stiffness.json was fitted to joint_stiffness0.mcap" in "".join(told[:3])
+    document = json.loads(out.read_text())
+    assert document["schema"] == "legid.comparison/1" and {e["column"] for e in document["errors"]} == {
+        "q1_rad", "q2_rad", "gyro_radps"}
+    beta1 = document["parameters"][0]
+    std = np.hypot(beta1["a"]["std"], beta1["b"]["std"])
+    assert beta1["z"] == pytest.approx((beta1["b"]["value"] - beta1["a"]["value"]) / std) and abs(beta1["z"]) > 5
+    assert "Coulomb friction, knee" in page.read_text() and "error of B" in page.read_text()
+
+
+def horizon(a: float, b: float, low: float | None = None, high: float = 0.0) -> HorizonError:
+    return HorizonError(1.0, "q1_rad", a, b, None if low is None else (low, high))
+
+
+@pytest.mark.parametrize(("errors", "words"), [
+    ([horizon(2.0, 1.0, 0.4, 0.6)] * 3 + [horizon(1.0, 1.0, 0.9, 1.1)], "B IS BETTER (b.json): at 3 of 4"),
+    ([horizon(1.0, 2.0, 1.5, 2.5)] * 2, "A IS BETTER (a.json): at 2 of 2"),
+    ([horizon(1.0, np.inf)] * 2, "A IS BETTER (a.json): at 2 of 2"),
+    ([horizon(1.0, 2.0, 1.5, 2.5), horizon(2.0, 1.0, 0.4, 0.6)], "NEITHER is better throughout"),
+    ([horizon(2.0, 1.0)] * 3, "NOT DECIDED: these runs are too short"),
+    ([horizon(2.0, 1.0, 0.4, 0.6)] + [horizon(1.0, 1.0, 0.9, 1.1)] * 9, "NEITHER is better: of 10")])
+def test_who_is_better(errors: list[HorizonError], words: str) -> None:
+    pair = prediction(0.1, 0.1), prediction(0.1, 0.1)
+    found = Comparison(("a.json", "b.json"), (), tuple(errors), pair, ("r",), ())
+    assert comparison_trust(found).sentence.startswith(words)
+    text, document = comparison_text(found), comparison_document(found)
+    assert "nan" not in text.replace("scan", "") and document["trust"]["sentence"].startswith(words)
+    assert "data-tone" in render_page("t", "s", comparison_sections(found), verdict=comparison_trust(found).verdict())
+
+
+def test_ratios_of_equal_models_hold_one_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(4)
+    held = 0
+    for _ in range(100):
+        a, b = ([rng.standard_normal(50) ** 2 for _ in range(30)] for _ in range(2))
+        low, high = _error(1.0, "q1_rad", a, b).ci95 or (0.0, 0.0)
+        held += low < 1.0 < high
+    assert 86 <= held <= 99

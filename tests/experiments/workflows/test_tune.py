@@ -1,0 +1,36 @@
+"""`legid tune` chooses by runs that were not fitted, says why, and writes into rig.toml without losing a comment."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from daq.rig import load_rig
+from experiments.cli import main
+from tests.support.prescribed import ARM_RIG, arm_run, written
+
+
+def test_what_is_chosen_is_told_and_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    runs = written([arm_run(k, seconds=5.0, offset=(0.15, 0.0)) for k in range(4)], tmp_path)
+    rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
+    text = f"# our arm\n{ARM_RIG}[noise]\nencoder_rad = 1e-4   # by its data sheet\n[filter]\ncutoff_hz = 8.0\n"
+    rig.write_text(text)
+    assert main(["tune", *runs, "--rig", str(rig), "--json", str(out)]) == 0
+    assert rig.read_text() == text  # not asked to
+    printed = capsys.readouterr().out
+    assert "[terms] torque_offset" in printed and "a constant in the measured torque" in printed
+    assert "of runs not fitted" in printed
+    found = json.loads(out.read_text())
+    assert found["error_after"][0] < 0.7 * found["error_before"][0]
+    tried = {t["entry"] for t in found["tried"]}
+    assert "[sampling] rate_hz" in tried and "[sampling] hold" in tried
+    assert "[noise] encoder_rad" not in tried and "[filter] cutoff_hz" not in tried  # stated: kept
+
+    assert main(["tune", *runs, "--rig", str(rig), "--write"]) == 0
+    written_text = rig.read_text()
+    assert written_text.startswith("# our arm\n") and "# by its data sheet" in written_text
+    assert load_rig(rig).terms.torque_offset == (1,)
+    assert main(["fit", *runs, "--rig", str(rig)]) == 0
+    assert "chosen, where rig.toml is silent: torque_offset" not in capsys.readouterr().out

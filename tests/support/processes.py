@@ -1,0 +1,64 @@
+"""Commands started to be killed, and what is left of them."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from tests.support.paths import ROOT
+
+PATIENCE_S = 60.0
+"""After which a process that should have gone is said to stay; a busy machine needs seconds."""
+
+
+def start_python(*arguments: str, cwd: Path = ROOT) -> subprocess.Popen:
+    """In a session of its own, by whose number everything that it starts is found again; it hears Ctrl-C also where
+    these tests run in the background of a script, which does not."""
+    def hear() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    return subprocess.Popen([sys.executable, *arguments], cwd=cwd, start_new_session=True, text=True, preexec_fn=hear,
+                            env={**os.environ, "PYTHONPATH": path},
+                            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+
+
+def of_session(leader: int) -> set[int]:
+    """Process ids of the session that live, the leader's own among them."""
+    return {int(stat.parent.name) for stat in Path("/proc").glob("[0-9]*/stat")
+            if (found := _status(stat))[3:4] == [str(leader)] and found[0] != "Z"}
+
+
+def until(true: Callable[[], object]) -> bool:
+    """Whether it came true before patience ended."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not true():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+@contextmanager
+def favoured() -> Iterator[None]:
+    """What is started meanwhile goes before other work of this machine, where that is granted: it is being timed."""
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, -15)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, before)
+
+
+def _status(stat: Path) -> list[str]:
+    """State, parent, group, session and so on; empty where the process is gone."""
+    try:
+        return stat.read_text().rsplit(")", 1)[1].split()
+    except OSError:
+        return []
