@@ -16,6 +16,9 @@ from drivers.serial_link import SerialLink
 from tests.support.c_firmware import (
     Served,
 )
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 
 @pytest.fixture

@@ -21,6 +21,9 @@ from drivers.mock.link import EmulatorLink
 from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig
 from drivers.protocol import Pong, State, Stop, Telemetry
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 PATIENCE_S = 10.0
 channels = (f"legid-{os.getpid()}-{n}" for n in itertools.count())

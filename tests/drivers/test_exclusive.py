@@ -18,6 +18,9 @@ from drivers.mock.i2c_server import I2cServer
 from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig
 from tests.support.paths import ROOT
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 HOLDER = """
 import sys

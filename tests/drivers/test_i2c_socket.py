@@ -10,6 +10,9 @@ from smbus2 import i2c_msg
 
 from drivers import i2c_socket
 from drivers.i2c_socket import REPLY, SocketBus
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 LATE, TRUE = 0x11, 0x22
 

@@ -16,6 +16,9 @@ from drivers.mock.pty_server import PtyServer
 from drivers.mock.rig import MockRig
 from drivers.protocol import Pong, State, Telemetry
 from drivers.serial_link import SerialLink
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 PATIENCE_S = 10.0
 

@@ -10,6 +10,9 @@ import pytest
 from tests.studies import kills
 from tests.studies.mutate import leg_run
 from tests.support.paths import ROOT
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Commands started to be killed, and what is left of them."""
+"""Commands started to be killed, and what is left of them; tests that run on the clock of this machine."""
 
 import os
 import signal
@@ -9,7 +9,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import pytest
+
 from tests.support.paths import ROOT
+
+REAL_CLOCK = pytest.mark.flaky(reruns=2, reruns_delay=5)
+"""Emulated devices and the program on the clock of this machine: one that gives its processors to others for a second
+starves both, and the program rightly says so. Such a test is begun again, which a defect fails as often."""
 
 PATIENCE_S = 60.0
 """After which a process that should have gone is said to stay; a busy machine needs seconds."""

@@ -15,6 +15,9 @@ from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig
 from drivers.protocol import State
 from experiments.cli import main
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 RIG = """[mechanism]
 model = "leg2"

@@ -28,6 +28,9 @@ from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings, ImuSettings
 from drivers.protocol import State, Telemetry
 from drivers.serial_link import SerialLink
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[sampling]\nrate_hz = 100.0\n[devices.controller]\n'
 CLEAN = WireFaults()

@@ -18,6 +18,9 @@ from daq.runs.mcap_run import read_run
 from drivers.protocol import Fault, State
 from tests.support.c_firmware import Change, Served
 from tests.support.paths import ROOT
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 RIG = """[mechanism]
 model = "leg2"

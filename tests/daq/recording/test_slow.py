@@ -19,6 +19,9 @@ from drivers.mock.lsm9ds1_mag import MockBus, MockMagnetometer
 from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig
 from experiments.reports.run_info import describe_mcap
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.imu]\nslow_hz = 10.0\nmagnetometer = 0x1E\n'
 

@@ -6,6 +6,9 @@ import threading
 import pytest
 
 from daq.recording.workers import hurry, real_time
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 
 def test_threads_started_meanwhile_have_it_and_it_is_given_back() -> None:

@@ -21,6 +21,9 @@ from drivers.mock.rig import MockRig
 from drivers.mock.settings import ImuSettings
 from experiments.calibrate.imu import record_still
 from experiments.cli import main
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 G = 9.81
 BIAS = np.array([0.25, -0.4, 0.1])

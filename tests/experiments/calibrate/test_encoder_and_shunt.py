@@ -19,6 +19,9 @@ from experiments.emulation.plant import LegBody, LegPlant
 from experiments.models.model_file import save_model
 from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 G = 9.81
 Fails = Callable[..., str]

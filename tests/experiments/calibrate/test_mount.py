@@ -14,6 +14,9 @@ from estimator.errors import FitError
 from experiments.cli import main
 from tests.support.motor_off_runs import IMU_HZ, RIG, TELEMETRY_HZ, write_off
 from tests.support.mujoco_leg import GRAVITY, Leg
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 SUBSTEPS = 5
 SECONDS = 10.0

@@ -16,6 +16,9 @@ from experiments.cli import main
 from experiments.emulation.served_rig import ServedRig
 from tests.support.motor_off_runs import RIG
 from tests.support.paths import ROOT
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 PATIENCE_S = 60.0
 

@@ -31,6 +31,9 @@ from experiments.reports.fit_json import model_of
 from tests.support.fits import synthetic_fit
 from tests.support.paths import DEMO_RIG as RIG
 from tests.support.paths import ROOT
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 HEAVY = {"numpy", "scipy", "matplotlib", "jinja2", "mcap", "serial", "smbus2", "msgspec"}
 

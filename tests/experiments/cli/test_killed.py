@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.processes import of_session, start_python, until
+from tests.support.processes import REAL_CLOCK, of_session, start_python, until
+
+pytestmark = REAL_CLOCK
 
 SLEEPERS = """
 import time

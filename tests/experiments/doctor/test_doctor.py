@@ -24,6 +24,9 @@ from drivers.protocol import Fault
 from drivers.serial_link import SerialLink
 from experiments.cli import main
 from experiments.doctor import bus, link, preflight
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 RIG = """[mechanism]
 model = "leg2"

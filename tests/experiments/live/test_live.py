@@ -23,6 +23,9 @@ from drivers.protocol import Fault, State
 from experiments.emulation.served_rig import ServedRig
 from experiments.excite.multisine import random_multisine
 from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser, Live, open_page
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 pytest.importorskip("nicegui")
 pytest.importorskip("selenium")

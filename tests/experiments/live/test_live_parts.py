@@ -40,6 +40,9 @@ from experiments.live.jobs import Tail, fit_verdict, past_jobs
 from experiments.live.readings import limit_rows, readings
 from experiments.live.session import Phase, Session
 from tests.support.paths import ROOT
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.imu]\n[devices.controller]\n'
 

@@ -12,6 +12,9 @@ from daq.recording.plan import Plan, write_plan
 from daq.runs.mcap_run import read_run
 from experiments.live.demo_rig import started_demo_rig
 from experiments.live.session import PAGE_SILENT_S, Phase, Session
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 PROMISED_S = 0.2
 PATIENCE_S = 20.0

@@ -13,6 +13,9 @@ from drivers.mock.settings import FirmwareSettings
 from experiments.cli import main
 from experiments.doctor import preflight
 from experiments.rig import discovery
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 
 @pytest.fixture

@@ -12,7 +12,9 @@ from experiments.studies.biped3 import store
 from experiments.studies.biped3.store import run_study
 from experiments.studies.biped3.study import CASES, FLOOR, blocks, run_block
 from experiments.workflows.executor import SerialExecutor
-from tests.support.processes import of_session, start_python, until
+from tests.support.processes import REAL_CLOCK, of_session, start_python, until
+
+pytestmark = REAL_CLOCK
 
 WORK = blocks(CASES[1:2], ["wls", FLOOR], 300, 4)
 

@@ -18,6 +18,9 @@ from experiments.studies.biped3.store import load_block
 from experiments.studies.biped3.study import CASES, FLOOR, blocks, run_block
 from experiments.workflows.executor import ClusterExecutor, LocalExecutor, SerialExecutor, choose_executor
 from tests.support.paths import ROOT
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = REAL_CLOCK
 
 
 def square(x: int) -> int:
