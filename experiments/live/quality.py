@@ -36,10 +36,9 @@ async def look_at(path: Path) -> Quality:
     """What `legid runs` says of it; a run of which nothing can be said is not sound."""
     with TemporaryDirectory() as folder:
         out = Path(folder) / "runs.json"
-        child = await children.start(["runs", str(path), "--json", str(out), "--quiet"], nice=True,
-                                     stderr=asyncio.subprocess.DEVNULL)
+        child = await children.start(["runs", str(path), "--json", str(out), "--quiet"], nice=True)
         try:
-            await child.wait()
+            _, said = await child.communicate()
         except asyncio.CancelledError:  # a recording begins: it has the machine to itself
             with suppress(ProcessLookupError):
                 child.kill()
@@ -47,7 +46,8 @@ async def look_at(path: Path) -> Quality:
         try:
             (line,) = msgspec.json.decode(out.read_bytes(), type=_Document).runs
         except (OSError, ValueError, msgspec.MsgspecError):
-            return Quality(False, "could not be looked at")
+            why = said.decode(errors="replace").strip().splitlines()[-1:] or ["its command ended without a word"]
+            return Quality(False, f"could not be read: {why[0]}")
     if line.flaws:
         return Quality(False, "; ".join(line.flaws))
     clock = "" if line.clock_bound_s is None else f", clock to {line.clock_bound_s * 1e6:.0f} µs"

@@ -45,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
     every = list_runs(args.folder)
     lines = choose(every, args.model, args.since, args.until, args.verdict, args.faulty)
     if args.json:
-        origin = origin_of([Path(args.folder, line.file) for line in lines], command=command_line())
+        folder = Path(args.folder) if Path(args.folder).is_dir() else Path(args.folder).parent
+        origin = origin_of([folder / line.file for line in lines], command=command_line())
         write_json(args.json, {**runs_document(lines), "provenance": origin})
     if lines:
         print(runs_text(lines))

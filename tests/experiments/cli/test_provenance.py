@@ -49,6 +49,7 @@ def test_every_result_names_its_files_and_verify_finds_them_changed(name: str, f
 
 @pytest.mark.parametrize(("command", "read"), [
     (["gains", "model.json", "--json"], {"model.json"}), (["runs", ".", "--json"], {"run.mcap"}),
+    (["runs", "run.mcap", "--json"], {"run.mcap"}),
     (["effects", "--json"], set()),
     (["monte-carlo", "biped3", "--runs", "2", "--cases", "1", "--methods", "wls", "--workers", "1", "--json"], set())])
 def test_every_other_document_says_what_it_was_made_from(
