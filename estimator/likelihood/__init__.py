@@ -1,7 +1,7 @@
 """The likelihood of a motion: normal equations, nominal and with effects, batches, free runs."""
 
 from estimator.likelihood.batch_likelihood import BatchProblem, Point, Records
-from estimator.likelihood.dry_friction import REST_SPREAD
+from estimator.likelihood.dry_friction import REST_SPREAD, held_variance
 from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage
 from estimator.likelihood.free_run import FreeRun, free_run
 from estimator.likelihood.normal_equations import Latents, Linearised
@@ -11,5 +11,6 @@ from estimator.likelihood.trajectory_likelihood import TIGHT, LatentProblem, Noi
 
 __all__ = [
     "REST_SPREAD", "TIGHT", "BatchProblem", "Candidate", "ExtendedProblem", "FreeRun", "LatentProblem", "Latents",
-    "Linearised", "Noise", "Point", "Records", "Stage", "State", "compile_kernels", "free_run"
+    "Linearised", "Noise", "Point", "Records", "Stage", "State", "compile_kernels", "free_run",
+    "held_variance"
 ]

@@ -13,7 +13,7 @@ from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines
 from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows
 from experiments.reports.html import Picture, Section, Table
 from experiments.reports.numbers import number
-from experiments.reports.residual_tests import LAGS, Correlation, fit_percent, residual_tests
+from experiments.reports.residual_tests import LAGS, Correlation, fit_percent, open_torque, residual_tests, torque_fit
 from experiments.reports.run_agreement import agreement_section
 
 FIGURE_SECONDS = 12.0
@@ -115,7 +115,8 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
             lines.append(Line("zero", np.zeros_like(path.time_s), GREY, 1.0, dashed=True))
         rms = float(result.torque_residual_rms[j])
         what = f"Torque of joint {j + 1}" + ("" if driven else ", which has no motor: it must be zero")
-        share = f"; fit {fit_percent(path.tau_measured[:, j], path.tau[:, j]):.1f} %" if driven else ""
+        rests = " where dry friction says what it is" if open_torque(result, path, j).any() else ""
+        share = f"; fit {torque_fit(result, j, [path]):.1f} %{rests}" if driven else ""
         pictures.append(picture_lines(path.time_s, lines, f"torque, joint {j + 1} [{force}]",
                                       f"{what}. Rms of measured minus model: {rms:.3g} {force}{share}.",
                                       FIGURE_SECONDS))

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator import FitResult, Trajectory
+from estimator.likelihood import held_variance
 
 LAGS = 25
 SHARE = 0.99
@@ -82,18 +84,41 @@ def cross_correlation(what: str, residuals: Sequence[FloatArray], inputs: Sequen
     return Correlation(what, lags, correlate(residuals, inputs, lags), band)
 
 
+def open_torque(result: FitResult, path: Trajectory, j: int) -> NDArray[np.bool_]:
+    """(n,) samples at which dry friction near rest may hold joint `j`, from 0, against more torque than its noise: the
+    model says nothing of the torque there, and what is left over does not judge it."""
+    m, found = result.mechanism, np.zeros(len(path.time_s), bool)
+    sigma = result.noise.get("torque_nm" if j in m.actuated else "passive_joint_nm",
+                             float(result.torque_residual_rms[j]))
+    for p, level in zip(m.parameters, result.beta):
+        if p.term == "coulomb" and p.at[0] == j and result.method == "mle":
+            found |= held_variance(path.qd[:, j], float(level), float(m.velocity_scales[j])) > sigma**2
+    return found
+
+
+def torque_fit(result: FitResult, j: int, paths: Sequence[Trajectory] | None = None) -> float:
+    """Fit [%] of the model's torque of joint `j`, from 0, to the measured one where the model says what it is."""
+    paths = result.trajectories if paths is None else paths
+    judged = np.concatenate([~open_torque(result, path, j) for path in paths])
+    measured, modelled = (np.concatenate([getattr(path, name)[:, j] for path in paths])
+                          for name in ("tau_measured", "tau"))
+    return fit_percent(np.where(judged, measured, np.nan), modelled)
+
+
 def residuals_of(result: FitResult) -> dict[str, list[FloatArray]]:
-    """Channel -> measured less estimated, by stretch: sensors, and the torque of every joint."""
+    """Channel -> measured less estimated, by stretch: sensors, and the torque of every joint, NaN where it is open;
+    a channel without any is left out."""
     def left(path: Trajectory) -> Mapping[str, FloatArray]:
         sensors = {name: path.measured[name] - path.predicted[name] for name in path.measured if name in path.predicted}
-        return sensors | {f"torque {j + 1}": path.tau_measured[:, j] - path.tau[:, j]
-                          for j in range(result.mechanism.n)}
+        return sensors | {
+            f"torque {j + 1}": np.where(open_torque(result, path, j), np.nan, path.tau_measured[:, j] - path.tau[:, j])
+            for j in range(result.mechanism.n)}
 
     found: dict[str, list[FloatArray]] = {}
     for path in result.trajectories:
         for name, values in left(path).items():
             found.setdefault(name, []).append(values)
-    return found
+    return {name: e for name, e in found.items() if np.isfinite(np.concatenate(e)).any()}
 
 
 def residual_tests(result: FitResult) -> tuple[list[Correlation], list[Correlation]]:

@@ -16,7 +16,7 @@ from estimator import FitResult
 from estimator.model import VELOCITY_SCALE
 from experiments.models import GYRO_COLUMN, SHORT_S, MechanismSettings, Prediction
 from experiments.reports.html import Verdict
-from experiments.reports.residual_tests import STRONG, autocorrelation, fit_percent, residuals_of
+from experiments.reports.residual_tests import STRONG, autocorrelation, fit_percent, residuals_of, torque_fit
 from experiments.reports.run_agreement import disputed
 
 STRUCTURE = 0.3
@@ -136,12 +136,9 @@ def _sensor_doubts(result: FitResult) -> list[str]:
 
 
 def _torque_fit(result: FitResult) -> dict[int, float]:
-    """Driven joint, from 1 -> fit of the model's torque to the measured one [%]."""
-    if not result.trajectories:
-        return {}
-    measured, modelled = (np.concatenate([getattr(path, name) for path in result.trajectories])
-                          for name in ("tau_measured", "tau"))
-    return {j + 1: fit_percent(measured[:, j], modelled[:, j]) for j in result.mechanism.actuated}
+    """Driven joint, from 1 -> fit of the model's torque to the measured one [%]; without those that hardly move."""
+    found = {j + 1: torque_fit(result, j) for j in result.mechanism.actuated} if result.trajectories else {}
+    return {j: share for j, share in found.items() if np.isfinite(share)}
 
 
 def _disputes(result: FitResult) -> str:
