@@ -33,7 +33,7 @@ from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
 from estimator.diagnosis.verdict import NOMINAL, decide
 from estimator.effects import SensorTimeSkew, battery, library
 from estimator.errors import FitError
-from estimator.fitting import likely_hold
+from estimator.fitting import between_samples, rounding_words
 from estimator.likelihood import Candidate
 from estimator.model import Mechanism
 from estimator.numerics import jit
@@ -54,18 +54,19 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     """
     start = time.perf_counter()
     say = progress or (lambda stage, fraction: None)
-    hold = options.hold
+    hold, stated = options.hold, mechanism
     try:
         with threadpool_limits(1), np.errstate(all="ignore"):  # a search may run off; where it ends is checked
-            options = replace(options, rounding="given")  # an effect near rest must not pass for a wider rounding
             split = split_runs(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
             kept_back = {split.names[i] for i in split.confirm}  # they choose nothing
-            hold = likely_hold([d for d in datasets if d.name not in kept_back], mechanism, options)
-            split = replace(split, options=replace(split.options, hold=hold))
+            hold, mechanism = between_samples([d for d in datasets if d.name not in kept_back], mechanism, options)
+            split = replace(split, mechanism=mechanism, options=replace(split.options, hold=hold, rounding="given"))
             found = _diagnose(split, np.random.default_rng(seed), say, reference, material)
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
-    return replace(found, hold=hold, wall_s=time.perf_counter() - start)
+    told = rounding_words(stated, mechanism)
+    return replace(found, hold=hold, mechanism=mechanism, wall_s=time.perf_counter() - start,
+                   warnings=(*found.warnings, *([told] if told else [])))
 
 
 def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,

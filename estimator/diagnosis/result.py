@@ -10,6 +10,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.effects import Effect
+from estimator.model import Mechanism
 
 
 @dataclass(frozen=True)
@@ -179,4 +180,6 @@ class Diagnosis:
     """Share of the rms error by which a cause that matters must lower it."""
     hold: str = ""
     """How torque was taken to act between samples; empty where nothing was fitted."""
+    mechanism: Mechanism | None = None
+    """With the speeds over which its friction's sign was rounded off, as stated or the likeliest."""
     wall_s: float = 0.0

@@ -1,10 +1,11 @@
 """The estimators mle, mle-free, wls, rls and hekf, their starts, their bounds, their validation."""
 
 from estimator.fitting.admissibility import faults, fit_admissible
-from estimator.fitting.fit import fit, likely_hold
+from estimator.fitting.fit import between_samples, fit
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, PASSIVE_SHARE, TORQUE_SHARE, iterate, mistakes_torque
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_state
+from estimator.fitting.mle import rounding_words
 from estimator.fitting.prediction import (
     HORIZONS_S,
     Horizons,
@@ -28,6 +29,7 @@ __all__ = [
     "Measured",
     "Predicted",
     "Validation",
+    "between_samples",
     "design_rows",
     "faults",
     "fit",
@@ -37,12 +39,12 @@ __all__ = [
     "gentle_start",
     "iterate",
     "known_noise",
-    "likely_hold",
     "measured_states",
     "mistakes_torque",
     "noise_floors",
     "predict",
     "prediction_score",
+    "rounding_words",
     "smoothed_states",
     "start_state",
     "validate",

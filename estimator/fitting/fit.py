@@ -55,14 +55,16 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
                                                    if not seen & {name for name, _ in found.amounts})))
 
 
-def likely_hold(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> str:
-    """`options.hold`, or the likeliest where it is auto; as a fit begins where none comes to an end."""
-    if options.hold != AUTO:
-        return options.hold
+def between_samples(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[str, Mechanism]:
+    """(hold, mechanism with its friction's rounding speeds), each as stated or the likeliest where `options` leave it
+    to the data; as a fit begins where none comes to an end."""
+    if AUTO not in (options.hold, options.rounding):
+        return options.hold, mechanism
     try:
-        return estimate(datasets, mechanism, replace(options, noise={}), "mle").hold
+        result = estimate(datasets, mechanism, replace(options, noise={}), "mle")
+        return result.hold, result.mechanism
     except FitError:
-        return FIRST
+        return FIRST if options.hold == AUTO else options.hold, mechanism
 
 
 def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str) -> FitResult:

@@ -62,11 +62,11 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
         result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
-    said = tuple(text for text in (_rounded(stated, mechanism), found) if text is not None)
+    said = tuple(text for text in (rounding_words(stated, mechanism), found) if text is not None)
     return replace(result, assumptions=(*result.assumptions, *said))
 
 
-def _rounded(stated: Mechanism, found: Mechanism) -> str | None:
+def rounding_words(stated: Mechanism, found: Mechanism) -> str | None:
     """What was found of the speed over which friction is rounded off; None where it is as stated."""
     wider = [j for j in range(found.n) if found.velocity_scales[j] > stated.velocity_scales[j]]
     if not wider:

@@ -68,6 +68,8 @@ def free_run(problem: ExtendedProblem, state: State, drive: FloatArray | None = 
     readings |= dict(zip(IMU_CHANNELS, imu))
     for channel, value in added(plant.pairs, view)[2].items():
         readings[channel] = readings[channel] + value
+    if not all(np.isfinite(values).all() for values in readings.values()):  # an effect on a motion that is far off
+        return None
     return FreeRun(q, v, readings)
 
 

@@ -10,7 +10,15 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
-from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, build_mechanism, effect_value
+from experiments.models import (
+    MechanismSettings,
+    Model,
+    ParameterValue,
+    Provenance,
+    build_mechanism,
+    effect_value,
+    fitted_settings,
+)
 from experiments.provenance import program_version
 from experiments.rig import Setup
 
@@ -101,7 +109,8 @@ def untestable(found: Diagnosis) -> list[tuple[str, int | None, str]]:
 
 def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, date: datetime | None = None) -> Model:
     """The extended model, or the nominal one where the verdict extends nothing."""
-    settings, mechanism = setup.settings, build_mechanism(setup.settings)
+    settings = setup.settings if found.mechanism is None else fitted_settings(setup.settings, found.mechanism)
+    mechanism = build_mechanism(settings)
     p = mechanism.p
     if found.effects:
         beta, covariance = found.extended_beta[:p], found.extended_covariance

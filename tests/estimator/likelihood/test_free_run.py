@@ -14,6 +14,7 @@ from estimator.effects.base import Effect
 from estimator.effects.derivatives import Laws
 from estimator.effects.drive import TorqueSaturation
 from estimator.effects.friction import StribeckFriction
+from estimator.effects.sensors import EncoderOffset
 from estimator.effects.structure import Backlash, BaseCompliance, RotorInertia
 from estimator.likelihood.extended_likelihood import ExtendedProblem, Stage
 from estimator.likelihood.free_run import free_run
@@ -115,6 +116,16 @@ def test_a_free_run_on_a_stand_near_its_resonance_settles() -> None:
     found = free_run(problem, State(Latents(q, v, tau), beta, noise, np.zeros((12, 12))), tau)
     assert found is not None and np.abs(q).max() > 0.8
     assert found.q == pytest.approx(q, abs=5e-3)
+
+
+def test_readings_beyond_all_numbers_are_no_free_run() -> None:
+    """They became a rehearsal without an encoder, and the diagnosis an internal error."""
+    tau = np.zeros((100, 2))
+    problem = problem_of(leg2(lever_arm=0.2), 100, tau, [EncoderOffset(1)])
+    noise, rest = Noise(np.full(2, 0.01), np.full(2, 1e-3)), Latents(np.zeros((100, 2)), np.zeros((100, 2)), tau)
+    for offset, runs in ((0.1, True), (np.inf, False)):
+        beta = np.array([*Leg().beta(), offset])
+        assert (free_run(problem, State(rest, beta, noise, np.zeros((10, 10))), tau) is not None) == runs
 
 
 @pytest.mark.parametrize("effect", [TorqueSaturation(), Backlash(1)], ids=lambda e: e.name)

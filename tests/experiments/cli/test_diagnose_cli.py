@@ -14,6 +14,7 @@ from daq.rig import load_rig
 from daq.runs.csv_run import write_csv
 from estimator.diagnosis.result import Diagnosis
 from estimator.effects.friction import StribeckFriction
+from estimator.model.mechanism import leg2
 from experiments import cli
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.hidden_effects import EFFECTS, NOTHING, LatePivot
@@ -83,7 +84,8 @@ def extended() -> Diagnosis:
     beta = np.array(LegBody().beta())
     return replace(synthetic(), effects=((StribeckFriction(1), np.array([0.05, 0.2])),),
                    extended_beta=np.concatenate([beta, [0.05, 0.2]]), extended_covariance=1e-8 * np.eye(11),
-                   noise={"torque_nm": 0.02}, angle_range=np.array([[-0.5, 0.4], [-1.0, 1.25]]))
+                   noise={"torque_nm": 0.02}, mechanism=leg2(velocity_scale=(0.005, 0.04)),
+                   angle_range=np.array([[-0.5, 0.4], [-1.0, 1.25]]))
 
 
 def test_what_is_written_and_said(runs: list[Path], rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
@@ -99,6 +101,7 @@ def test_what_is_written_and_said(runs: list[Path], rig: Path, tmp_path: Path, c
     assert (effect.name, effect.joint) == ("stribeck_friction", 2)
     assert effect.sizes == {"excess_torque": 0.05} and effect.shapes == {"stribeck_velocity": 0.2}
     assert model.gear_ratio == 50.0 and model.hold == "zero" and model.provenance.runs == ("r1.csv", "r3.csv", "r2.csv")
+    assert model.mechanism.friction_velocity_radps == (0.005, 0.04)
     assert model.reach == ((-0.5, 0.4), (-1.0, 1.25))
     assert asked["seed"] == 7 and asked["gear_ratio"] == 50.0 and asked["reference"] is None
     assert [d.name for d in asked["datasets"]] == [path.name for path in runs]
