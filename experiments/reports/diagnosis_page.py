@@ -40,7 +40,7 @@ from experiments.reports.diagnosis_text import (
     size_text,
 )
 from experiments.reports.html import Picture, Section, Table, Verdict, write_page
-from experiments.reports.numbers import number
+from experiments.reports.numbers import normal, number
 from experiments.reports.origin import origin_section
 
 ALPHA = 0.01
@@ -242,9 +242,7 @@ def _with_std(values: Mapping[str, float], std: Mapping[str, float]) -> dict[str
 
 
 def _interval(value: float, std: float) -> str:
-    if not 0 < std < float("inf"):
-        return ""
-    return f"{number(value - 1.96 * std, std)} .. {number(value + 1.96 * std, std)}"
+    return normal(value, std).interval
 
 
 def _next(found: Diagnosis) -> Section:

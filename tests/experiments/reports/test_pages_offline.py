@@ -17,10 +17,11 @@ from experiments.reports.diagnosis_page import diagnosis_sections, write_diagnos
 from experiments.reports.fit_json import model_of
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
 from experiments.reports.html import Section, write_page
+from experiments.reports.numbers import estimates_of
 from experiments.studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases
 from experiments.studies.casebook_page import write_casebook
 from tests.support.diagnoses import synthetic
-from tests.support.fits import estimates, synthetic_fit
+from tests.support.fits import synthetic_fit
 from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser
 from tests.support.paths import DEMO_RIG as RIG
 
@@ -41,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     truth = dict(zip(result.mechanism.names, LegBody().beta()))
     write_page(out / "demo.html", "The emulated leg: a cause is named", found.sentence,
                [Section("What was hidden", ["Something."]), *diagnosis_sections(found),
-                truth_section(result.mechanism, estimates(result), truth), *fit_sections(result)])
+                truth_section(result.mechanism, estimates_of(result), truth), *fit_sections(result)])
     fit = FitTask(title="all", rig="r.toml", runs=("a.csv",), published=dict(zip(result.mechanism.names, result.beta)))
     diagnose = DiagnoseTask(rig="r.toml", runs=("a.csv",), expected=("stribeck_friction",))
     write_casebook(out / "casebook.html", [Study(load_cases()[0], [Fitted(fit, result, "")], [],
