@@ -31,6 +31,7 @@ from experiments.reports.diagnosis_text import (
     detectable_text,
     effect_label,
     error_rows,
+    gain_text,
     gap_text,
     key_label,
     probability,
@@ -153,7 +154,7 @@ def _candidates(found: Diagnosis) -> Section:
         return Section("Candidates")
     header = ["effect", "score", "gain", "p", "size", "smallest detectable", "unit", "looks much like"]
     near = _neighbours(found)
-    rows = [[effect_label(c.effect, c.joint), f"{c.score:.1f}", f"{c.score**2:.3g}", probability(c.p_value),
+    rows = [[effect_label(c.effect, c.joint), f"{c.score:.1f}", gain_text(c.score**2), probability(c.p_value),
              size_text(c), detectable_text(c), c.unit, near.get((c.effect, c.joint), "")]
             for c in found.candidates]
     return Section(
@@ -193,8 +194,7 @@ def _traces(found: Diagnosis) -> Section:
     first = found.traces[0]
     seconds = min(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
     pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}, the first {seconds:.0f} s: measured, "
-                        "and simulated by the nominal and by the extended model; below, or dashed by the axis on the "
-                        "right, simulated less measured.",
+                        "and simulated by the nominal and by the extended model; below, simulated less measured.",
                         trace_chart(first, column))
                 for column in first.measured if column in first.before and column in first.after]
     return Section("Simulation against measurement, before and after", (), (), pictures)

@@ -19,7 +19,8 @@ from experiments.reports.html import Picture
 INK, GRID = "#010203", "#040506"
 """Stand-ins that `_themed` turns into the page's own colours."""
 BLUE, ORANGE, GREEN, GREY = "#3d85c6", "#e06c1f", "#2f9e62", "#8a8f98"
-WIDTH_IN, HEIGHT_IN = 5.2, 2.5
+WIDTH_IN, HEIGHT_IN = 4.6, 2.4
+"""So narrow that its letters can be read across a phone."""
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 10.0, "axes.edgecolor": INK,
     "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK, "axes.grid": True,
@@ -59,15 +60,16 @@ def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label:
 
 
 def plot_points(x: FloatArray, y: FloatArray, band: float, x_label: str, y_label: str, name: str) -> str:
-    """A correlation function (n,) as stems over the band [-band, band], as an `<svg>` element."""
+    """A correlation function (n,) as stems over the band [-band, band], as an `<svg>` element; `name` keeps its
+    identifiers apart from those of other figures."""
     with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
         axes = figure.add_subplot()
         axes.axhspan(-band, band, color=GREY, alpha=0.25, linewidth=0.0, label="99 % band")
         axes.vlines(x, 0.0, y, color=BLUE, linewidth=1.4)
-        axes.plot(x, y, "o", color=BLUE, markersize=3.0, label=name)
+        axes.plot(x, y, "o", color=BLUE, markersize=3.0)
         axes.axhline(0.0, color=INK, linewidth=0.6)
-        finish(axes, 2, x_label, y_label)
+        finish(axes, 1, x_label, y_label)
         return to_svg(figure)
 
 

@@ -13,7 +13,7 @@ from experiments.reports.diagnosis_figures import axis_label, signature_limits
 from experiments.reports.diagnosis_json import diagnosis_document
 from experiments.reports.diagnosis_page import diagnosis_sections, verdict_box, verdict_words
 from experiments.reports.diagnosis_text import diagnosis_text, key_label
-from experiments.reports.html import render_page
+from experiments.reports.html import render_page, typeset
 from tests.support.diagnoses import synthetic
 from tests.support.pages import Outside, allowed_script
 
@@ -75,7 +75,7 @@ def test_page_answers_in_the_order_of_the_questions(page: str) -> None:
 def test_page_shows_what_was_found(page: str) -> None:
     for words in ("0.04 .. 0.06", "few runs", "closes 81 %", "67 to 93 %", "p = 0.004", "&lt; 1e-6",
                   "presliding_friction, joint 2", "backlash, joint 1", "Slow reversals.", "noise alone", "0.006"):
-        assert words in page, words
+        assert typeset(words) in page, words
     assert page.count("<svg") == 1 + 1 + 2 + 2 + 1 + 1
 
 

@@ -16,7 +16,7 @@ from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, picture_lines, plot_lines, window
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
 from experiments.reports.fit_text import fit_text
-from experiments.reports.html import Picture, Section, Table, Verdict, render_page
+from experiments.reports.html import Picture, Section, Table, Verdict, render_page, typeset
 from experiments.reports.numbers import estimates_of, number
 from tests.support.fits import synthetic_fit
 from tests.support.pages import Outside, allowed_script
@@ -82,7 +82,7 @@ def test_hostile_name_in_a_figure_stays_text() -> None:
 def test_every_parameter_stands_with_interval_and_unit(page: str) -> None:
     result = synthetic_fit()
     for p, (low, high), std in zip(result.mechanism.parameters, result.ci95(), result.std):
-        assert p.name in page and p.meaning in page and p.unit in page
+        assert p.name in page and typeset(p.meaning) in page and typeset(p.unit) in page
         assert f"{number(low, std)} .. {number(high, std)}" in page
 
 
