@@ -93,7 +93,7 @@ def waterfall(budget: Sequence[BudgetRow]) -> str:
         axes.grid(visible=False, axis="y")
         axes.margins(x=0.14)
         axes.set_xlim(left=0.0)
-        finish(axes, 1, "mean squared error beyond noise alone [%]", "")
+        finish(axes, 1, "mean squared error beyond noise [%]", "")
 
     return draw("budget", 0.9 + 0.5 * len(parts), paint)
 

@@ -21,6 +21,8 @@ INK, GRID = "#010203", "#040506"
 BLUE, ORANGE, GREEN, GREY = "#3d85c6", "#e06c1f", "#2f9e62", "#8a8f98"
 WIDTH_IN, HEIGHT_IN = 4.6, 2.4
 """So narrow that its letters can be read across a phone."""
+LETTERS, BESIDE = 54, 5
+"""What fits into one line of a legend, and what an entry's mark takes of it."""
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 10.0, "axes.edgecolor": INK,
     "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK, "axes.grid": True,
@@ -77,8 +79,10 @@ def finish(axes: mpl.axes.Axes, entries: int, x_label: str, y_label: str) -> Non
     """Labels, and a legend of so many entries above the axes."""
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=entries if entries < 4 else 2, frameon=False,
-                borderaxespad=0.2, handlelength=1.6, columnspacing=1.4)
+    letters = sum(len(label) + BESIDE for label in axes.get_legend_handles_labels()[1])
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False, fontsize=9.0,
+                ncols=entries if entries < 4 and letters <= LETTERS else 2, borderaxespad=0.2, handlelength=1.3,
+                handletextpad=0.5, columnspacing=1.1)
 
 
 def to_svg(figure: Figure) -> str:
