@@ -134,25 +134,23 @@ def test_two_fingers_zoom_and_two_taps_show_all(folder: Path, browser: Browser) 
     browser.driver.get((folder / "diagnosis.html").as_uri())
     shown = ("(o => [...document.querySelectorAll('.plot .uplot')].length)()", "uPlot.sync('run').plots"
              ".map(u => [u.scales.x.min, u.scales.x.max])")
-    x, y, width = browser.js("(b => { b.scrollIntoView({block: 'center'}); const r = b.getBoundingClientRect(); "
-                             "return [r.x, r.y + r.height / 2, r.width] })(document.querySelector('.u-over'))")
+    browser.js("document.querySelector('.u-over').scrollIntoView({block: 'center'})")
 
     def touch(kind: str, *at: float) -> None:
-        browser.cdp("Input.dispatchTouchEvent", type=kind, touchPoints=[
-            {"x": x + share * width, "y": y, "id": k} for k, share in enumerate(at)])
+        browser.touch(kind, ".u-over", *at)
 
     whole = browser.js(shown[1])
     assert browser.js(shown[0]) == len(whole) and np.ptp(whole, axis=0).max() == 0.0
-    touch("touchStart", 0.45, 0.55)
-    touch("touchMove", 0.3, 0.7)
-    touch("touchMove", 0.05, 0.95)
-    touch("touchEnd")
+    touch("Start", 0.45, 0.55)
+    touch("Move", 0.3, 0.7)
+    touch("Move", 0.05, 0.95)
+    touch("End")
     near = np.array(browser.wait(lambda: [s for s in browser.js(shown[1]) if s != whole[0]], "the figures zoom"))
     assert len(near) == len(whole) and np.ptp(near, axis=0).max() == 0.0
     assert np.ptp(near[0]) == pytest.approx(np.ptp(whole[0]) / 9.0, rel=0.1)
     for _ in range(2):
-        touch("touchStart", 0.5)
-        touch("touchEnd")
+        touch("Start", 0.5)
+        touch("End")
     browser.wait(lambda: browser.js(shown[1]) == whole, "all is shown again")
 
 
