@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
@@ -154,7 +155,8 @@ def _candidates(found: Diagnosis) -> Section:
         return Section("Candidates")
     header = ["effect", "score", "gain", "p", "size", "smallest detectable", "unit", "looks much like"]
     near = _neighbours(found)
-    rows = [[effect_label(c.effect, c.joint), f"{c.score:.1f}", gain_text(c.score**2), probability(c.p_value),
+    labels = _labels(found)
+    rows = [[labels[c.effect, c.joint], f"{c.score:.1f}", gain_text(c.score**2), probability(c.p_value),
              size_text(c), detectable_text(c), c.unit, near.get((c.effect, c.joint), "")]
             for c in found.candidates]
     return Section(
@@ -164,6 +166,13 @@ def _candidates(found: Diagnosis) -> Section:
          "is named. The score is like a number of standard deviations; the gain is twice the log likelihood, over the "
          "scatter between runs; p counts all that was tried."],
         [Table(header, rows, right=frozenset({1, 2, 3, 4, 5}))])
+
+
+def _labels(found: Diagnosis) -> dict[tuple[str, int | None], str]:
+    """Of candidates: with the joint where two would be called alike, though it is one effect of the whole rig."""
+    alike = Counter(effect_label(c.effect, c.joint) for c in found.candidates)
+    return {(c.effect, c.joint): label if alike[label] == 1 or c.joint is None else f"{label}, joint {c.joint}"
+            for c in found.candidates for label in [effect_label(c.effect, c.joint)]}
 
 
 def _neighbours(found: Diagnosis, least: float = 0.7) -> dict[tuple[str, int | None], str]:
@@ -228,7 +237,9 @@ def _parameters(found: Diagnosis, mechanism: Mechanism | None) -> Section:
         rows.append([*row, *(meanings.get(name, ["", ""]) if meanings else [])])
     header = ["parameter", "nominal", "95 % interval"]
     if not extended:
-        return Section("Parameters", (), [Table([*header, *told], rows, right=frozenset({1, 2}))])
+        if not any(row[2] for row in rows):
+            header, rows = header[:2], [[*row[:2], *row[3:]] for row in rows]
+        return Section("Parameters", (), [Table([*header, *told], rows, right=frozenset(range(1, len(header))))])
     header += ["extended", "95 % interval", "shift / std"]
     return Section(
         "What the extension does to the parameters",
@@ -253,7 +264,8 @@ def _ruled_out(found: Diagnosis) -> Section:
     gone = [c for c in found.candidates if c.p_value > ALPHA]
     if not gone:
         return Section("Ruled out")
-    rows = [[effect_label(c.effect, c.joint), detectable_text(c), c.unit] for c in gone]
+    labels = _labels(found)
+    rows = [[labels[c.effect, c.joint], detectable_text(c), c.unit] for c in gone]
     return Section(
         "Ruled out",
         ["None of these shows beside the nominal model, down to the size given: smaller ones these runs would not "

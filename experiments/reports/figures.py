@@ -35,7 +35,8 @@ def picture_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, capti
                   group: str = "run", bands: Sequence[Band] = ()) -> Picture:
     """Curves over time (n,) [s]: their first `seconds` as a picture, all of them where a browser runs the page's
     script, as far as `MOST_SAMPLES` go."""
-    whole, part = time_s - time_s[0], window(time_s, seconds)
+    whole = time_s - time_s[0]
+    part = slice(0, min(window(time_s, seconds).stop, MOST_SAMPLES))
     shown = [replace(line, values=line.values[part]) for line in lines]
     under = [replace(band, low=band.low[part], high=band.high[part]) for band in bands]
     if whole.size > MOST_SAMPLES:

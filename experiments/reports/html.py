@@ -28,7 +28,7 @@ from experiments.reports.chart import Chart
 SCRIPT, STYLE = "uPlot.iife.js", "uPlot.min.css"
 """uPlot's, of the package `uplot-python` (extra `zoom`); without it the pages keep their still figures alone."""
 
-PRINTED = {"^2": "²", "^3": "³", "m/s2": "m/s²", "+-": "±", " %": "\u00a0%"}
+PRINTED = {"^2": "²", "^3": "³", "m/s2": "m/s²", "+-": "±", " %": "\u00a0%", "`": ""}
 """What a terminal may lack -> how a page has it."""
 
 if TYPE_CHECKING:

@@ -128,3 +128,17 @@ def test_verdicts_with_less_to_show(verdict: str) -> None:
 def test_sensor_names_carry_their_units() -> None:
     assert [axis_label(c) for c in ("q2_rad", "gyro_radps", "accel_x_mps2")] == ["q2 [rad]", "gyro [rad/s]",
                                                                                  "accel_x [m/s²]"]
+
+
+def test_no_column_is_empty_and_no_two_candidates_are_called_alike() -> None:
+    """Two motors have two rotors, though a contract counts them as one effect; a fit that does not settle has no
+    intervals."""
+    whole = synthetic()
+    rotor = next(c for c in whole.candidates if c.effect == "rotor_inertia")
+    found = replace(whole, candidates=(*whole.candidates, replace(rotor, joint=1)), extended={}, extended_std={},
+                    nominal_std=dict.fromkeys(whole.nominal, float("inf")))
+    sections = {s.title: s for s in diagnosis_sections(found, leg2(lever_arm=0.2))}
+    named = [row[0] for row in sections["Candidates"].tables[0].rows]
+    assert len(set(named)) == len(named) and "rotor_inertia, joint 1" in named
+    (table,) = sections["Parameters"].tables
+    assert list(table.header) == ["parameter", "nominal", "unit", "meaning"] and len(table.rows[0]) == 4
