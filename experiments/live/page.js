@@ -4,7 +4,7 @@
   const by = (id) => document.getElementById(id);
   let running = false, latched = false, run = -1, lastShown = 0, rows = [], due = false, pressed = 0;
 
-  const keyboard = matchMedia("(any-pointer: fine)").matches;
+  const keyboard = !matchMedia("(pointer: coarse)").matches;
 
   const put = (element, text) => { if (element && element.textContent !== text) element.textContent = text; };
 
