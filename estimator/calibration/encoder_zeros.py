@@ -89,9 +89,9 @@ def find_differing(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
     return Differing(tuple(joints), np.std(found.mean(axis=1), axis=0, ddof=1), p, left)
 
 
-def differing_text(found: Differing) -> str:
-    """One sentence: what differs, how sure that is, what to declare."""
-    joints = ", ".join(f"joint {j + 1} by {1e3 * spread:.0f}e-3 (p = {p:.1g})"
+def differing_text(found: Differing, unit: str = "rad") -> str:
+    """One sentence: what differs, how sure that is, what to declare; `unit` is the joints'."""
+    joints = ", ".join(f"joint {j + 1} by {spread:.2g} {unit} (p = {p:.1g})"
                        for j, spread, p in zip(found.joints, found.spread, found.p_value))
     shares = " and ".join(f"{100 * share:.0f} %" for share in found.left)
     declared = ", ".join(str(j + 1) for j in found.joints)

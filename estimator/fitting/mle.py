@@ -116,13 +116,18 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
         return state, None, (f"the IMU's time line is taken as it is, though known to {bound_s * 1e6:.0f} us only; the "
                              "motion does not place it better")
     if abs(skew) > bound_s:
-        return state, None, (f"the IMU would fit best {skew * 1e6:.0f} us late against the controller, more than the "
+        return state, None, (f"the IMU would fit best {_late(skew)} against the controller, more than the "
                              f"clocks' {bound_s * 1e6:.0f} us: not allowed for, for something else is wrong; see legid "
                              "diagnose")
-    told = (f"the IMU is {skew * 1e6:.0f} +- {1.96 * std * 1e6:.0f} us late against the controller, by this motion "
+    told = (f"the IMU is {_late(skew)} against the controller, +-{1.96 * std * 1e6:.0f} us, by this motion "
             f"(clocks: within {bound_s * 1e6:.0f} us); allowed for")
     return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
                  state.iterations + again.iterations), skew, told
+
+
+def _late(skew_s: float) -> str:
+    """In words, with the sign as a direction."""
+    return f"{abs(skew_s) * 1e6:.0f} us {'late' if skew_s >= 0.0 else 'early'}"
 
 
 def _skewed(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str) -> ExtendedProblem:

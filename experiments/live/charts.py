@@ -31,6 +31,8 @@ def options(chart: Chart) -> dict[str, Any]:
         "xAxis": {"type": "value", "name": "time [s]", "nameLocation": "middle", "nameGap": 22, "min": 0, "max": 20,
                   "axisLabel": {"hideOverlap": True}},
         "yAxis": {"type": "value", "scale": True, "splitNumber": 4},
+        # page.js moves it: by its own gestures it would take the wheel and one finger, which scroll the page
+        "dataZoom": [{"type": "inside", "filterMode": "none", "disabled": True}],
         "series": [{"type": "line", "name": name, "showSymbol": False, "silent": True, "data": [],
                     "lineStyle": {"width": 1.6, "type": "dashed" if name == "commanded" else "solid"}}
                    for name, _ in chart.series],

@@ -4,6 +4,8 @@
   const by = (id) => document.getElementById(id);
   let running = false, latched = false, run = -1, lastShown = 0, rows = [], due = false, pressed = 0;
 
+  const keyboard = !matchMedia("(pointer: coarse)").matches;
+
   const put = (element, text) => { if (element && element.textContent !== text) element.textContent = text; };
 
   // -- who this browser is: only who pressed the emergency stop releases it, unless at the machine
@@ -83,7 +85,7 @@
     if (s.rows.length) rows = rows.concat(s.rows).filter((row) => row[0] >= s.rows.at(-1)[0] - WINDOW_S);
     if (s.rows.length && !due) { due = true; requestAnimationFrame(draw); }
     if (!running) put(by("estop-said"), latched ? "Pressed. Release it above to go on." : "Ready.");
-    else if (performance.now() - pressed > 5000) put(by("estop-said"), "Ready. Esc or Space does the same.");
+    else if (performance.now() - pressed > 5000) put(by("estop-said"), keyboard ? "Ready. Esc or Space does the same." : "Ready.");
   }
 
   setInterval(() => {
@@ -93,11 +95,53 @@
     if (old) { by("drive").dataset.drive = "unknown"; put(by("drive-words"), "UNCLEAR"); }
   }, 500);
 
-  // -- plots
+  // -- plots: two fingers, or the wheel with Ctrl, zoom all of them; double-click or two taps show all again
+  let shown = [0, 100]; // per cent of the time axis
+
+  function zoom(start, end) {
+    const [from, to] = [Math.max(0, start), Math.min(100, end)];
+    if (to - from < 1) return;
+    shown = [from, to];
+    for (const { chart } of charts()) chart.dispatchAction({ type: "dataZoom", start: from, end: to });
+  }
+
+  // pixel -> share of the axes' width, from 0 to 1
+  function along(box, chart, clientX) {
+    const { left, right } = chart.getOption().grid[0], outer = box.querySelector(".nicegui-echart").getBoundingClientRect();
+    return (clientX - outer.left - left) / (outer.width - left - right);
+  }
+
+  function zoomable(box, chart) {
+    const time = (share) => shown[0] + share * (shown[1] - shown[0]);
+    const fingers = (event) => [...event.touches].map((t) => along(box, chart, t.clientX)).sort((a, b) => a - b);
+    let held = null, tapped = 0;
+    box.addEventListener("dblclick", () => zoom(0, 100));
+    box.addEventListener("wheel", (event) => {
+      if (!event.ctrlKey) return;
+      event.preventDefault();
+      const at = time(along(box, chart, event.clientX)), factor = Math.exp(event.deltaY / 300);
+      zoom(at - factor * (at - shown[0]), at + factor * (shown[1] - at));
+    }, { passive: false });
+    box.addEventListener("touchstart", (event) => {
+      held = event.touches.length === 2 ? fingers(event).map(time) : null;
+    }, { passive: true });
+    box.addEventListener("touchmove", (event) => {
+      if (!held || event.touches.length !== 2) return;
+      event.preventDefault();
+      const [left, right] = fingers(event), slope = (held[1] - held[0]) / Math.max(right - left, 0.02);
+      zoom(held[0] - slope * left, held[0] + slope * (1 - left));
+    }, { passive: false });
+    box.addEventListener("touchend", (event) => {
+      if (held || event.touches.length) { tapped = 0; return; }
+      if (event.timeStamp - tapped < 350) zoom(0, 100);
+      tapped = event.timeStamp;
+    }, { passive: true });
+  }
+
   const charts = () => [...document.querySelectorAll("[data-columns]")].map((box) => {
     const element = box.querySelector(".nicegui-echart");
     const chart = element && getElement(Number(element.id.replace(/^c/, "")))?.chart;
-    return chart && { chart, columns: box.dataset.columns.split(",").map(Number) };
+    return chart && { box, chart, columns: box.dataset.columns.split(",").map(Number) };
   }).filter(Boolean);
 
   function draw() {
@@ -115,8 +159,9 @@
   function paint() {
     const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue(name).trim();
     const found = charts();
-    for (const { chart } of found) {
-      const axis = { axisLabel: { color: color("--soft") }, nameTextStyle: { color: color("--soft") },
+    for (const { box, chart } of found) {
+      if (!box.dataset.zooms) { box.dataset.zooms = "yes"; zoomable(box, chart); }
+      const axis = { axisLabel: { color: color("--soft"), formatter: (value) => String(Number(value.toPrecision(3))) }, nameTextStyle: { color: color("--soft") },
         axisLine: { lineStyle: { color: color("--rule") } }, splitLine: { lineStyle: { color: color("--grid") } } };
       chart.setOption({ color: [color("--line1"), color("--line2")], legend: { textStyle: { color: color("--ink") } },
         xAxis: axis, yAxis: axis });

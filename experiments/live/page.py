@@ -94,7 +94,7 @@ class Page:
     def _limits(self) -> None:
         with _card("Limits", "last"):
             rows = "".join(
-                f'<tr><th scope="row">{html.escape(what)}<div class="track"><div id="{key}-bar"></div></div></th>'
+                f'<tr><th scope="row">{_quantity(what)}<div class="track"><div id="{key}-bar"></div></div></th>'
                 f'<td id="{key}"></td><td>{bound:g}</td></tr>'
                 for key, what, bound in limit_rows(self._bench.rig.limits))
             head = "".join(f'<th scope="col" class="{look}">{name}</th>' for name, look in
@@ -164,7 +164,8 @@ class Page:
         why_not, chosen = self._bench.why_not(), len(self._chosen())
         self._fit.set_enabled(not why_not and chosen > 0)
         self._diagnose.set_enabled(not why_not and chosen > 0)
-        text = f"Not now: {why_not}." if why_not else f"{chosen} runs chosen." if chosen != 1 else "1 run chosen."
+        count = f"{chosen} run{'s' * (chosen != 1)} chosen." if chosen else "Choose the runs to fit or diagnose."
+        text = f"Not now: {why_not}." if why_not else count
         self._why.set_text(text if self._checked else "No runs yet: start an experiment.")
 
     async def _look_for_plans(self) -> None:
@@ -291,6 +292,11 @@ def _check(line: str) -> str:
         return ""
     name, _, words = rest[0].partition("  ")
     return f'<div><b class="{status}">{status}</b> <b>{name}</b> {words.strip()}</div>'
+
+
+def _quantity(what: str) -> str:
+    """What is limited, so that no line ends between `in` and its unit."""
+    return html.escape(what.replace("degC", "°C")).replace(" in ", " in&nbsp;").replace("N m", "N&nbsp;m")
 
 
 def _html(text: str) -> None:

@@ -60,7 +60,7 @@ def drive_of(session: Session) -> tuple[str, str]:
 
 def _progress(session: Session) -> float:
     status = session.status
-    return status.done_s / status.total_s if session.running and status is not None and status.total_s else 0.0
+    return status.done_s / status.total_s if status is not None and status.total_s else 0.0
 
 
 def _devices(session: Session, rig: Rig) -> dict[str, str]:

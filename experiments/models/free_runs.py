@@ -13,6 +13,7 @@ from estimator import FitOptions
 from estimator.likelihood import FreeRun, free_run
 from estimator.model import Mechanism
 from estimator.signals import GYRO, IMU_COLUMNS, Channel, angle_column, encoder_of, split_signals
+from experiments.models.model_file import widening_of
 from experiments.models.schema import Model
 from experiments.models.with_effects import problem_of, smoothed_state
 
@@ -53,7 +54,9 @@ class FreeRuns:
         self._problem = problem_of(placed, mechanism, self._signals, session_s)
         self._state = smoothed_state(placed, self._problem, self._signals, options)
         self._drive = self._problem.torque - self._problem.torque_readings(self._state.x, self._state.beta)
-        self._covariance = np.array([[np.nan if c is None else c for c in row] for row in model.covariance])
+        wide = np.array(widening_of(model))
+        self._covariance = wide[:, None] * wide * np.array(
+            [[np.nan if c is None else c for c in row] for row in model.covariance])
         self.seconds = self._problem.total * self._problem.dt
         self.measured = {column: values for column, values in self._columns(mechanism).items()
                          if np.isfinite(values).any()}

@@ -12,6 +12,9 @@ from experiments.console import write_json
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import SCHEMA, Model
 
+NORMAL = 1.96
+"""Standard deviations to either side of a normal 95 % interval."""
+
 
 def values_of(model: Model) -> dict[str, tuple[float, float]]:
     """Parameter -> (value, standard deviation), infinite where it is not determined."""
@@ -20,6 +23,16 @@ def values_of(model: Model) -> dict[str, tuple[float, float]]:
         variance = model.covariance[k][k]
         found[parameter.name] = (parameter.value, math.inf if variance is None else math.sqrt(max(variance, 0.0)))
     return found
+
+
+def widening_of(model: Model) -> list[float]:
+    """How many times as wide as by its standard deviation alone the 95 % interval of each parameter and size is."""
+    out = [1.0] * len(model.covariance)
+    for k, (parameter, interval) in enumerate(zip(model.parameters, model.ci95)):
+        variance = model.covariance[k][k]
+        if interval is not None and variance and interval[0] < parameter.value:
+            out[k] = (interval[1] - interval[0]) / (2.0 * NORMAL * math.sqrt(variance))
+    return out
 
 
 def save_model(model: Model, path: Path | str) -> None:
@@ -69,6 +82,8 @@ def _fault(model: Model) -> str:
     count = len(names) + sum(len(e.sizes) + len(e.shapes) for e in model.effects)
     if len(model.covariance) != count or any(len(row) != count for row in model.covariance):
         return f"`covariance` is not {count} by {count}"
+    if model.ci95 and len(model.ci95) != len(names):
+        return f"`ci95` has not one interval for each of {len(names)} parameters"
     if any(not (math.isfinite(level) and level >= 0) for level in model.noise.values()):
         return "`noise` holds a level that is not a positive number"
     return ""

@@ -80,6 +80,9 @@ class Model(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     parameters: tuple[ParameterValue, ...]
     covariance: tuple[tuple[float | None, ...], ...]
     """In the order of `parameters`, then sizes and shapes of each of `effects`; null where not determined."""
+    ci95: tuple[tuple[float, float] | None, ...] = ()
+    """95 % intervals of `parameters`, null where not determined: wider than the covariance alone where runs disagreed.
+    Empty where they are by it, and in models of earlier versions."""
     noise: dict[str, float]
     """1 sigma by channel."""
     hold: Literal["zero", "linear", "average", "smooth"]

@@ -54,6 +54,9 @@ from .import_picture import GUESS_HEADER as GUESS_HEADER
 from .import_picture import guess_rows as guess_rows
 from .import_picture import guess_section as guess_section
 from .markdown import write_markdown as write_markdown
+from .numbers import Estimate as Estimate
+from .numbers import estimates_of as estimates_of
+from .numbers import normal as normal
 from .numbers import number as number
 from .origin import model_with_origin as model_with_origin
 from .origin import origin_section as origin_section

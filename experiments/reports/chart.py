@@ -25,8 +25,8 @@ class Line:
     colour: str
     width: float = 1.2
     dashed: bool = False
-    right: bool = False
-    """In a browser, by an axis of its own on the right: errors beside what they are errors of."""
+    below: bool = False
+    """In a browser, on axes of its own below the others: errors under what they are errors of."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,8 @@ class Chart:
     x_label: str = "time [s]"
     group: str = "run"
     bands: Sequence[Band] = ()
+    below: str = ""
+    """What the lines below are, with their unit."""
 
     @property
     def json(self) -> Markup:
@@ -61,9 +63,9 @@ class Chart:
                               "dashed": False, "band": True, "values": _numbers(values[part])})
             bands.append([len(lines) - 1, len(lines), f"{band.colour}33"])
         lines += [{"label": line.label, "colour": line.colour, "width": line.width, "dashed": line.dashed,
-                   "right": line.right, "values": _numbers(line.values[part])} for line in self.lines]
-        document = {"x": self.x_label, "y": self.y_label, "group": self.group, "bands": bands, "lines": lines,
-                    "time": np.round(self.time_s[part], 6).tolist()}
+                   "below": line.below, "values": _numbers(line.values[part])} for line in self.lines]
+        document = {"x": self.x_label, "y": self.y_label, "group": self.group, "below": self.below, "bands": bands,
+                    "lines": lines, "time": np.round(self.time_s[part], 6).tolist()}
         return Markup(msgspec.json.encode(document).decode().replace("<", "\\u003c"))
 
 

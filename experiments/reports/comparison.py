@@ -17,7 +17,7 @@ from experiments.reports.chart import Line
 from experiments.reports.diagnosis_figures import axis_label, draw
 from experiments.reports.figures import BLUE, GREEN, GREY, HEIGHT_IN, INK, ORANGE, finish, picture_lines
 from experiments.reports.html import Picture, Section, Table
-from experiments.reports.numbers import number
+from experiments.reports.numbers import Estimate, number
 from experiments.reports.trust import Trust
 
 SCHEMA = "legid.comparison/1"
@@ -32,13 +32,13 @@ ERROR_HEADER = ["horizon", "sensor", "rms error of A", "of B", "B / A", "95 % in
 
 @dataclass(frozen=True)
 class ParameterPair:
-    """One parameter, or size of an effect, in both models; (value, std), None where a model has none."""
+    """One parameter, or size of an effect, in both models; None where a model has none."""
 
     name: str
     unit: str
     meaning: str
-    a: tuple[float, float] | None
-    b: tuple[float, float] | None
+    a: Estimate | None
+    b: Estimate | None
 
     @property
     def z(self) -> float | None:
@@ -141,12 +141,8 @@ def parameter_rows(found: Comparison) -> list[list[str]]:
     return rows
 
 
-def _cells(side: tuple[float, float] | None) -> tuple[str, str]:
-    if side is None:
-        return "", ""
-    value, std = side
-    interval = f"{number(value - 1.96 * std, std)} .. {number(value + 1.96 * std, std)}" if 0 < std < math.inf else ""
-    return number(value, std), interval
+def _cells(side: Estimate | None) -> tuple[str, str]:
+    return ("", "") if side is None else (number(side.value, side.std), side.interval)
 
 
 def error_rows(found: Comparison) -> list[list[str]]:
@@ -170,8 +166,8 @@ def comparison_text(found: Comparison) -> str:
 
 def comparison_document(found: Comparison) -> dict[str, Any]:
     """`legid.comparison/1`; a horizon of null is a whole stretch, an error of null ran away."""
-    def side(pair: tuple[float, float] | None) -> dict[str, float] | None:
-        return None if pair is None else {"value": pair[0], "std": pair[1]}
+    def side(one: Estimate | None) -> dict[str, Any] | None:
+        return None if one is None else {"value": one.value, "std": one.std, "ci95": [one.low, one.high]}
 
     return {
         "schema": SCHEMA, "models": list(found.files), "runs": list(found.runs),

@@ -76,24 +76,24 @@ def waterfall(budget: Sequence[BudgetRow]) -> str:
         top = 1.0
         for k, row in enumerate(parts):
             begin = 0.0 if row.what != "cause" else top - row.share
-            axes.barh(k, row.share, 0.6, left=begin, color=colours[row.what], zorder=2)
+            axes.barh(k, 100.0 * row.share, 0.6, left=100.0 * begin, color=colours[row.what], zorder=2)
             right = begin + row.share
             if row.what != "nominal":
                 low, high = (right - c for c in row.ci95) if row.what == "cause" else row.ci95
-                axes.plot([low, high], [k, k], color=INK, linewidth=1.5, zorder=3)
+                axes.plot([100.0 * low, 100.0 * high], [k, k], color=INK, linewidth=1.5, zorder=3)
                 right = max(right, low, high)
-            axes.annotate(f"{100 * row.share:.1f} %", (right, k), xytext=(5, 0), fontsize=9.0, va="center",
+            axes.annotate(f"{100 * row.share:.1f} %", (100.0 * right, k), xytext=(5, 0), fontsize=9.0, va="center",
                           textcoords="offset points")
             top = begin if row.what == "cause" else top
-        axes.axvline(min(noise, 2.0), color=GREY, linestyle="--", zorder=1,
-                     label="noise alone" if noise < 2.0 else f"noise alone (at {noise:.1f}, not to scale)")
+        axes.axvline(100.0 * min(noise, 2.0), color=GREY, linestyle="--", zorder=1,
+                     label="noise alone" if noise < 2.0 else f"noise alone (at {100 * noise:.0f} %, not to scale)")
         axes.set_yticks(range(len(parts)), [names.get(r.what) or (r.effect or "").replace("_", " ") +
                                             (f" at joint {r.joint}" if r.joint else "") for r in parts])
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
         axes.margins(x=0.14)
         axes.set_xlim(left=0.0)
-        finish(axes, 1, "share of the mean squared error beyond noise alone", "")
+        finish(axes, 1, "mean squared error beyond noise [%]", "")
 
     return draw("budget", 0.9 + 0.5 * len(parts), paint)
 
@@ -150,7 +150,7 @@ def trace_plot(trace: Trace, column: str) -> str:
         lower.axhline(0.0, color=INK, linewidth=0.6)
         finish(upper, 3, "", axis_label(column))
         lower.set_xlabel("time [s]")
-        lower.set_ylabel("error")
+        lower.set_ylabel(f"error {axis_label(column).partition(' ')[2]}")
         lower.set_xlim(float(time_s[0]), float(time_s[-1]))
         return to_svg(figure)
 
@@ -160,8 +160,9 @@ def trace_chart(trace: Trace, column: str) -> Chart:
     measured, before, after = (of[column] for of in (trace.measured, trace.before, trace.after))
     return Chart(trace.time_s - trace.time_s[0], [
         Line("measured", measured, BLUE, 2.4), Line("nominal", before, GREEN), Line("extended", after, ORANGE),
-        Line("nominal less measured", before - measured, GREEN, 1.0, True, True),
-        Line("extended less measured", after - measured, ORANGE, 1.0, True, True)], axis_label(column))
+        Line("nominal less measured", before - measured, GREEN, 1.0, below=True),
+        Line("extended less measured", after - measured, ORANGE, 1.0, below=True)], axis_label(column),
+        below=f"error of {axis_label(column)}")
 
 
 def axis_label(column: str) -> str:
@@ -180,16 +181,18 @@ def heat_map(labels: Sequence[str], cosines: FloatArray) -> str:
                 value = float(cosines[i, j])
                 colour = (*to_rgba(ORANGE if value > 0 else BLUE)[:3], min(abs(value), 1.0))
                 axes.fill([j, j + 1, j + 1, j], [i, i, i + 1, i + 1], color=colour, linewidth=0.0)
-                axes.text(j + 0.5, i + 0.5, f"{value:.1f}".replace("-0.0", "0.0").replace("0.", "."), ha="center",
-                          va="center", fontsize=7.5)
+                if abs(value) >= 0.05:
+                    axes.text(j + 0.5, i + 0.5, f"{value:.1f}".replace("0.", "."), ha="center", va="center",
+                              fontsize=7.0)
         axes.set_xlim(0, max(k - 1, 1))
         axes.set_ylim(k, 1)
-        axes.set_xticks(np.arange(k - 1) + 0.5, [str(j + 1) for j in range(k - 1)])
-        axes.set_yticks(np.arange(1, k) + 0.5, [f"{label}  {i + 2}" for i, label in enumerate(labels[1:])])
+        axes.set_xticks(np.arange(k - 1) + 0.5, [str(j + 1) for j in range(k - 1)], fontsize=8.5)
+        axes.set_yticks(np.arange(1, k) + 0.5, [f"{label} ({i + 2})" for i, label in enumerate(labels[1:])],
+                        fontsize=8.5)
         axes.tick_params(length=0)
         axes.grid(visible=False)
         axes.spines[:].set_visible(False)
-        axes.set_title(f"1  {labels[0]}", loc="left", fontsize=10.0)
+        axes.set_title(f"{labels[0]} (1)", loc="left", fontsize=8.5)
 
     return draw("separability", 0.8 + 0.26 * k, paint)
 
@@ -209,7 +212,7 @@ def shift_plot(nominal: Mapping[str, tuple[float, float]], extended: Mapping[str
         axes.errorbar(shift, rows + 0.14, xerr=1.96 * spread, fmt="s", color=ORANGE, markersize=4.0, label="extended")
         axes.set_yticks(rows, names)
         axes.invert_yaxis()
-        finish(axes, 2, "shift, in standard deviations of the nominal estimate; bars: 95 %", "")
+        finish(axes, 2, "shift [standard deviations of the nominal]; bars: 95 %", "")
 
     return draw("shifts", 1.0 + ROW_IN * len(names), paint)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
@@ -31,6 +32,7 @@ from experiments.reports.diagnosis_text import (
     detectable_text,
     effect_label,
     error_rows,
+    gain_text,
     gap_text,
     key_label,
     probability,
@@ -40,7 +42,7 @@ from experiments.reports.diagnosis_text import (
     size_text,
 )
 from experiments.reports.html import Picture, Section, Table, Verdict, write_page
-from experiments.reports.numbers import number
+from experiments.reports.numbers import normal, number
 from experiments.reports.origin import origin_section
 
 ALPHA = 0.01
@@ -153,7 +155,8 @@ def _candidates(found: Diagnosis) -> Section:
         return Section("Candidates")
     header = ["effect", "score", "gain", "p", "size", "smallest detectable", "unit", "looks much like"]
     near = _neighbours(found)
-    rows = [[effect_label(c.effect, c.joint), f"{c.score:.1f}", f"{c.score**2:.3g}", probability(c.p_value),
+    labels = _labels(found)
+    rows = [[labels[c.effect, c.joint], f"{c.score:.1f}", gain_text(c.score**2), probability(c.p_value),
              size_text(c), detectable_text(c), c.unit, near.get((c.effect, c.joint), "")]
             for c in found.candidates]
     return Section(
@@ -163,6 +166,13 @@ def _candidates(found: Diagnosis) -> Section:
          "is named. The score is like a number of standard deviations; the gain is twice the log likelihood, over the "
          "scatter between runs; p counts all that was tried."],
         [Table(header, rows, right=frozenset({1, 2, 3, 4, 5}))])
+
+
+def _labels(found: Diagnosis) -> dict[tuple[str, int | None], str]:
+    """Of candidates: with the joint where two would be called alike, though it is one effect of the whole rig."""
+    alike = Counter(effect_label(c.effect, c.joint) for c in found.candidates)
+    return {(c.effect, c.joint): label if alike[label] == 1 or c.joint is None else f"{label}, joint {c.joint}"
+            for c in found.candidates for label in [effect_label(c.effect, c.joint)]}
 
 
 def _neighbours(found: Diagnosis, least: float = 0.7) -> dict[tuple[str, int | None], str]:
@@ -193,8 +203,7 @@ def _traces(found: Diagnosis) -> Section:
     first = found.traces[0]
     seconds = min(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
     pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}, the first {seconds:.0f} s: measured, "
-                        "and simulated by the nominal and by the extended model; below, or dashed by the axis on the "
-                        "right, simulated less measured.",
+                        "and simulated by the nominal and by the extended model; below, simulated less measured.",
                         trace_chart(first, column))
                 for column in first.measured if column in first.before and column in first.after]
     return Section("Simulation against measurement, before and after", (), (), pictures)
@@ -228,7 +237,9 @@ def _parameters(found: Diagnosis, mechanism: Mechanism | None) -> Section:
         rows.append([*row, *(meanings.get(name, ["", ""]) if meanings else [])])
     header = ["parameter", "nominal", "95 % interval"]
     if not extended:
-        return Section("Parameters", (), [Table([*header, *told], rows, right=frozenset({1, 2}))])
+        if not any(row[2] for row in rows):
+            header, rows = header[:2], [[*row[:2], *row[3:]] for row in rows]
+        return Section("Parameters", (), [Table([*header, *told], rows, right=frozenset(range(1, len(header))))])
     header += ["extended", "95 % interval", "shift / std"]
     return Section(
         "What the extension does to the parameters",
@@ -242,9 +253,7 @@ def _with_std(values: Mapping[str, float], std: Mapping[str, float]) -> dict[str
 
 
 def _interval(value: float, std: float) -> str:
-    if not 0 < std < float("inf"):
-        return ""
-    return f"{number(value - 1.96 * std, std)} .. {number(value + 1.96 * std, std)}"
+    return normal(value, std).interval
 
 
 def _next(found: Diagnosis) -> Section:
@@ -255,7 +264,8 @@ def _ruled_out(found: Diagnosis) -> Section:
     gone = [c for c in found.candidates if c.p_value > ALPHA]
     if not gone:
         return Section("Ruled out")
-    rows = [[effect_label(c.effect, c.joint), detectable_text(c), c.unit] for c in gone]
+    labels = _labels(found)
+    rows = [[labels[c.effect, c.joint], detectable_text(c), c.unit] for c in gone]
     return Section(
         "Ruled out",
         ["None of these shows beside the nominal model, down to the size given: smaller ones these runs would not "

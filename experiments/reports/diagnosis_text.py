@@ -29,6 +29,11 @@ def probability(p: float) -> str:
     return "< 1e-6" if p < 1e-6 else f"{p:.2g}"
 
 
+def gain_text(gain: float) -> str:
+    """A gain in log likelihood to three digits, without an exponent."""
+    return f"{gain:.3g}" if gain < 999.5 else f"{gain:.0f}"
+
+
 def size_rows(cause: Cause) -> list[list[str]]:
     """effect, size, value, interval, unit; the name only in the first row."""
     rows = []

@@ -19,7 +19,10 @@ from experiments.reports.html import Picture
 INK, GRID = "#010203", "#040506"
 """Stand-ins that `_themed` turns into the page's own colours."""
 BLUE, ORANGE, GREEN, GREY = "#3d85c6", "#e06c1f", "#2f9e62", "#8a8f98"
-WIDTH_IN, HEIGHT_IN = 5.2, 2.5
+WIDTH_IN, HEIGHT_IN = 4.6, 2.4
+"""So narrow that its letters can be read across a phone."""
+LETTERS, BESIDE = 54, 5
+"""What fits into one line of a legend, and what an entry's mark takes of it."""
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 10.0, "axes.edgecolor": INK,
     "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK, "axes.grid": True,
@@ -32,7 +35,8 @@ def picture_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, capti
                   group: str = "run", bands: Sequence[Band] = ()) -> Picture:
     """Curves over time (n,) [s]: their first `seconds` as a picture, all of them where a browser runs the page's
     script, as far as `MOST_SAMPLES` go."""
-    whole, part = time_s - time_s[0], window(time_s, seconds)
+    whole = time_s - time_s[0]
+    part = slice(0, min(window(time_s, seconds).stop, MOST_SAMPLES))
     shown = [replace(line, values=line.values[part]) for line in lines]
     under = [replace(band, low=band.low[part], high=band.high[part]) for band in bands]
     if whole.size > MOST_SAMPLES:
@@ -59,15 +63,16 @@ def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label:
 
 
 def plot_points(x: FloatArray, y: FloatArray, band: float, x_label: str, y_label: str, name: str) -> str:
-    """A correlation function (n,) as stems over the band [-band, band], as an `<svg>` element."""
+    """A correlation function (n,) as stems over the band [-band, band], as an `<svg>` element; `name` keeps its
+    identifiers apart from those of other figures."""
     with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
         axes = figure.add_subplot()
         axes.axhspan(-band, band, color=GREY, alpha=0.25, linewidth=0.0, label="99 % band")
         axes.vlines(x, 0.0, y, color=BLUE, linewidth=1.4)
-        axes.plot(x, y, "o", color=BLUE, markersize=3.0, label=name)
+        axes.plot(x, y, "o", color=BLUE, markersize=3.0)
         axes.axhline(0.0, color=INK, linewidth=0.6)
-        finish(axes, 2, x_label, y_label)
+        finish(axes, 1, x_label, y_label)
         return to_svg(figure)
 
 
@@ -75,8 +80,10 @@ def finish(axes: mpl.axes.Axes, entries: int, x_label: str, y_label: str) -> Non
     """Labels, and a legend of so many entries above the axes."""
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=entries if entries < 4 else 2, frameon=False,
-                borderaxespad=0.2, handlelength=1.6, columnspacing=1.4)
+    letters = sum(len(label) + BESIDE for label in axes.get_legend_handles_labels()[1])
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False, fontsize=9.0,
+                ncols=entries if entries < 4 and letters <= LETTERS else 2, borderaxespad=0.2, handlelength=1.3,
+                handletextpad=0.5, columnspacing=1.1)
 
 
 def to_svg(figure: Figure) -> str:

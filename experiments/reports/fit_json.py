@@ -77,9 +77,17 @@ def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Se
         schema="legid.model/1", mechanism=fitted_settings(settings, result.mechanism),
         parameters=tuple(ParameterValue(name=p.name, meaning=p.meaning, unit=p.unit, value=float(value))
                          for p, value in zip(result.mechanism.parameters, result.beta)),
-        covariance=covariance, noise={name: float(level) for name, level in result.noise.items()},
+        covariance=covariance, ci95=_intervals(result),
+        noise={name: float(level) for name, level in result.noise.items()},
         hold=result.hold if hold == "auto" else hold,  # type: ignore[arg-type]
         provenance=Provenance(runs=tuple(runs), method=result.method,
                               sensors=result.sensors,  # type: ignore[arg-type]
                               date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
                               version=program_version()))
+
+
+def _intervals(result: FitResult) -> tuple[tuple[float, float] | None, ...]:
+    """Empty where they are by the standard deviations alone."""
+    if not result.at_bound and (result.agreement is None or not result.agreement.disagree):
+        return ()
+    return tuple((float(low), float(high)) if np.isfinite([low, high]).all() else None for low, high in result.ci95())

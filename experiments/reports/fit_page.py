@@ -12,7 +12,7 @@ from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points, window
 from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows
 from experiments.reports.html import Picture, Section, Table
-from experiments.reports.numbers import number
+from experiments.reports.numbers import Estimate, number
 from experiments.reports.residual_tests import LAGS, Correlation, fit_percent, open_torque, residual_tests, torque_fit
 from experiments.reports.run_agreement import agreement_section
 
@@ -43,21 +43,19 @@ def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[
     return [*sections, _limits(result)]
 
 
-def truth_section(mechanism: Mechanism, found: Mapping[str, tuple[float, float]],
-                  truth: Mapping[str, float]) -> Section:
-    """Emulated rigs only: what was found, (value, std) by parameter, against the plant's physics."""
+def truth_section(mechanism: Mechanism, found: Mapping[str, Estimate], truth: Mapping[str, float]) -> Section:
+    """Emulated rigs only: what was found, by parameter, against the plant's physics."""
     rows = []
     for p in mechanism.parameters:
-        value, std = found[p.name]
-        error = value - truth[p.name]
-        rows.append([p.name, number(truth[p.name], std), number(value, std), f"{error / std:+.2f}",
-                     "yes" if abs(error) <= 1.96 * std else "no", p.unit, p.meaning])
+        one = found[p.name]
+        rows.append([p.name, number(truth[p.name], one.std), number(one.value, one.std), one.interval,
+                     "yes" if one.holds(truth[p.name]) else "no", p.unit, p.meaning])
     inside = sum(row[4] == "yes" for row in rows)
     return Section(
         "Against the truth",
         [f"The rig was emulated, so its parameters are known: {inside} of {len(rows)} lie inside their 95 % intervals. "
          "The plant computes its motion from masses and lengths and shares no code with the estimator."],
-        [Table(["parameter", "truth", "found", "error / std", "inside 95 %", "unit", "meaning"], rows,
+        [Table(["parameter", "truth", "found", "95 % interval", "inside", "unit", "meaning"], rows,
                right=frozenset({1, 2, 3}))])
 
 

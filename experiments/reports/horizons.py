@@ -19,7 +19,7 @@ def horizons_rows(found: Horizons) -> tuple[list[str], list[list[str]]]:
     rows = []
     for k, p in enumerate(found.model):
         blown = [str(x.blown) for x in (p, *against[k : k + 1])]
-        cells = [f"{p.horizon_s:g} s", str(p.pieces), " / ".join(blown)]
+        cells = [f"{p.horizon_s:.3g} s", str(p.pieces), " / ".join(blown)]
         for j in range(len(found.columns)):
             cells += [f"{x.rmse[j]:.3g}" for x in (p, *against[k : k + 1])] + [f"{p.baseline[j]:.3g}"]
         rows.append(cells)

@@ -28,6 +28,9 @@ from experiments.reports.chart import Chart
 SCRIPT, STYLE = "uPlot.iife.js", "uPlot.min.css"
 """uPlot's, of the package `uplot-python` (extra `zoom`); without it the pages keep their still figures alone."""
 
+PRINTED = {"^2": "²", "^3": "³", "m/s2": "m/s²", "+-": "±", " %": "\u00a0%", "`": ""}
+"""What a terminal may lack -> how a page has it."""
+
 if TYPE_CHECKING:
     from markupsafe import Markup
 
@@ -103,6 +106,14 @@ def script_hash() -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(page_script().encode()).digest()).decode()
 
 
+def typeset(text: str) -> str:
+    """Text for a terminal as a page has it: powers and signs as such, and no line ends between a number and its per
+    cent sign."""
+    for plain, printed in PRINTED.items():
+        text = text.replace(plain, printed)
+    return text
+
+
 def render_page(title: str, summary: str, sections: Sequence[Section], date: datetime | None = None,
                 origin: Origin | None = None, verdict: Verdict | None = None) -> str:
     """The page as HTML text; all text is escaped."""
@@ -111,6 +122,7 @@ def render_page(title: str, summary: str, sections: Sequence[Section], date: dat
 
     environment = Environment(loader=PackageLoader(__package__), autoescape=select_autoescape(["html"]),
                               undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["typeset"] = typeset
     folder = uplot_folder()
     live = folder is not None and any(picture.chart for section in sections for picture in section.pictures)
     sheets = [(folder / STYLE).read_text(encoding="utf-8")] if live and folder is not None else []

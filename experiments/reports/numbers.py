@@ -1,8 +1,14 @@
-"""`number`: the format of numbers that reports share."""
+"""`number`, the format of numbers that reports share, and `Estimate`, a value with its interval."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+from estimator import FitResult
+
+TWO_SIDED = 1.96
+"""Standard deviations to either side of a normal 95 % interval."""
 
 
 def number(value: float, std: float = 0.0) -> str:
@@ -13,3 +19,34 @@ def number(value: float, std: float = 0.0) -> str:
         return f"{value:.5g}"
     decimals = min(max(1 - math.floor(math.log10(std)), 0), 9)
     return f"{value:.{decimals}f}"
+
+
+class Estimate(NamedTuple):
+    """A parameter as it was found, in its unit."""
+
+    value: float
+    std: float
+    low: float
+    """Of its 95 % interval, as `high`."""
+    high: float
+
+    @property
+    def interval(self) -> str:
+        """Both ends as text; empty where they are not known."""
+        known = 0.0 < self.std < math.inf
+        return f"{number(self.low, self.std)} .. {number(self.high, self.std)}" if known else ""
+
+    def holds(self, truth: float) -> bool:
+        """Whether `truth` lies in the interval."""
+        return self.low <= truth <= self.high
+
+
+def normal(value: float, std: float) -> Estimate:
+    """One whose interval is by its standard deviation alone."""
+    return Estimate(value, std, value - TWO_SIDED * std, value + TWO_SIDED * std)
+
+
+def estimates_of(result: FitResult) -> dict[str, Estimate]:
+    """Parameter -> estimate of a fit: wider where its runs disagree, one-sided where a level is held at zero."""
+    rows = zip(result.mechanism.names, result.beta, result.std, result.ci95())
+    return {name: Estimate(float(value), float(std), float(low), float(high)) for name, value, std, (low, high) in rows}

@@ -56,19 +56,22 @@ def agreement_section(result: FitResult) -> list[Section]:
             "above. A run's own value is drawn to the mean by what that run does not know. Where the scatter stands in "
             "brackets, most of it is not seen: it may belong to another parameter."]
     each = len(found.runs) <= MOST_RUNS
-    header = ["parameter", "mean", "scatter", "interval widened", *(found.runs if each else ("lowest", "highest")),
-              "unit", "meaning"]
-    rows = []
+    over, by_run = [], []
     for k, p in enumerate(result.mechanism.parameters):
         scatter = float(found.scatter[k])
         if p.name in result.fixed or p.name in result.at_bound or p.name in result.open_parameters:
             continue
         told = number(scatter, scatter)
         own = found.by_run[:, k] if each else np.array([found.by_run[:, k].min(), found.by_run[:, k].max()])
-        rows.append([p.name, number(float(found.mean[k]), scatter), told if found.seen[k] else f"({told})",
-                     f"{result.widening[k]:.1f} times", *(number(float(x), scatter) for x in own), p.unit, p.meaning])
-    numbers = frozenset(range(1, len(header) - 2))
-    return [Section("Do the runs agree?", text, [Table(header, rows, right=numbers)])]
+        over.append([p.name, number(float(found.mean[k]), scatter), told if found.seen[k] else f"({told})",
+                     f"{result.widening[k]:.1f} times", p.unit, p.meaning])
+        by_run.append([p.name, *(number(float(x), scatter) for x in own), p.unit])
+    runs = list(found.runs) if each else ["lowest", "highest"]
+    return [Section("Do the runs agree?", text, [
+        Table(["parameter", "mean", "scatter", "interval widened", "unit", "meaning"], over, "Over all runs",
+              frozenset({1, 2, 3})),
+        Table(["parameter", *runs, "unit"], by_run, "Run by run" if each else "The runs furthest apart",
+              frozenset(range(1, len(runs) + 1)))])]
 
 
 def agreement_document(result: FitResult) -> dict[str, Any] | None:

@@ -180,7 +180,7 @@ def validation_trust(predictions: Sequence[Prediction], seen: Sequence[str] = ()
     (whole, where), (short, where_short) = worst("whole"), worst("short")
     seconds = min(p.longest_s for p in predictions)
     level, sentence = _for_what(whole, where, short, where_short, seconds)
-    doubts = [f"{run} was fitted, so it shows nothing of other motion" for run in seen]
+    doubts = [f"run {run} was fitted, so it shows nothing of other motion" for run in seen]
     doubts += list(contradictions)
     if doubts and level == "good":
         return Trust("caution", f"TRUST WITH CARE: {'; '.join(doubts)}. {sentence}")

@@ -105,23 +105,25 @@ def validation_section(validations: Sequence[Validation], predictions: Sequence[
         q = first.q[:, j]
         lines = [Line("measured", first.reference_q[:, j], BLUE, 2.2), Line("simulated", q, ORANGE, 0.9)]
         half = bands[name][:first.time_s.size] if name in bands else None
+        shade = "" if half is None else "; shaded, its 95 % band by the parameters' uncertainty"
         shaded = [] if half is None else [Band("95 % by parameters", q - half, q + half, ORANGE)]
         pictures += [
             picture_lines(first.time_s, lines, f"q{j + 1} [{unit}]", f"Joint {j + 1} in run {first.run}: measured, and "
-                          "simulated from its first state and the measured torque alone.", FIGURE_SECONDS,
+                          f"simulated from its first state and the measured torque alone{shade}.", FIGURE_SECONDS,
                           bands=shaded),
             picture_lines(first.time_s, [Line("simulated less measured", q - first.reference_q[:, j],
                                               ORANGE)], f"error of q{j + 1} [{unit}]",
-                          f"Joint {j + 1}: the error" + (", and what the parameters' uncertainty explains of it."
+                          f"Joint {j + 1}: the error" + ("; shaded, what the parameters' uncertainty explains of it."
                                                         if half is not None else "."), FIGURE_SECONDS,
                           bands=[] if half is None else [Band("95 % by parameters", -half, half, GREY)])]
     notes = [f"{v.run}: the simulation ran away from the measurement." for v in validations if v.diverged]
     tables = [Table(header, rows, right=frozenset(range(1, len(header))))]
     if predictions:
         tables.insert(0, Table(FIT_HEADER, fit_rows(predictions), "Fit: 100 % is exact, 0 % no better than the mean; "
-                               "the band is the rms of its half width", frozenset({2, 3, 4})))
+                               "the band is the rms of its half width, in the sensor's unit", frozenset({2, 3, 4})))
     return Section(
         "Free-run simulation against validation data",
-        ["The identified model is started in the measured state and then driven by the measured torque alone, on runs "
-         f"that the fit has not seen. SSE is the summed squared error of the paper's Table V, [{unit}²] and, for "
+        ["The identified model is started in the measured state and then driven by the measured torque alone. Of other "
+         "motion that tells something only on runs that the fit has not seen. "
+         f"SSE is the summed squared error of the paper's Table V, [{unit}²] and, for "
          f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."], tables, pictures, notes)

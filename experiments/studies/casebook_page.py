@@ -145,7 +145,7 @@ def _fit_section(title: str, f: Fitted) -> Section:
         given = p.name in f.task.fix
         rows.append([p.name, f"{published:.5g}" if known else "", number(value, float(std)),
                      "given" if given else number(float(std), float(std)),
-                     f"{100 * (value / published - 1):+.2f} %" if published else "", p.unit, p.meaning])
+                     f"{100 * (value / published - 1):+z.2f} %" if published else "", p.unit, p.meaning])
     header = ["parameter", "published", "found", "std", "departure", "unit", "meaning"]
     shown = [k for k, name in enumerate(header) if f.task.published or name not in ("published", "departure")]
     tables = [Table([header[k] for k in shown], [[row[k] for k in shown] for row in rows],

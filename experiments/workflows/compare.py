@@ -10,7 +10,7 @@ import numpy as np
 from daq import Dataset, FloatArray, InputError, Rig
 from experiments.console import progress
 from experiments.models import FreeRuns, Model, build_mechanism, known_effects
-from experiments.reports import Comparison, HorizonError, ParameterPair, model_contradictions
+from experiments.reports import Comparison, Estimate, HorizonError, ParameterPair, model_contradictions, normal
 from experiments.rig import setup_of
 from experiments.workflows.suspicion import require_sound
 
@@ -29,7 +29,7 @@ def compare_models(models: tuple[Model, Model], files: tuple[str, str], runs: Se
     traces = sides[0][0].prediction(), sides[1][0].prediction()
     errors = [error for horizon in HORIZONS_S if np.isinf(horizon) or any(p.longest_s > horizon for p in traces)
               for error in _errors(sides, horizon)]
-    return Comparison(files, _parameters(models), tuple(errors), traces, tuple(data.name for data in runs),
+    return Comparison(files, parameter_pairs(models), tuple(errors), traces, tuple(data.name for data in runs),
                       (*warnings, *_doubts(models, files, [data.name for data in runs])),
                       _notes(models))
 
@@ -78,20 +78,20 @@ def _error(horizon_s: float, column: str, a: list[FloatArray] | None, b: list[Fl
     return HorizonError(horizon_s, column, rms[0], rms[1], (float(low), float(high)))
 
 
-def _parameters(models: tuple[Model, Model]) -> tuple[ParameterPair, ...]:
+def parameter_pairs(models: tuple[Model, Model]) -> tuple[ParameterPair, ...]:
     """Parameters by name, then sizes and shapes of effects; the first model's order goes first."""
     sides = [_entries(model) for model in models]
     names = dict.fromkeys([*sides[0], *sides[1]])
     out = []
     for name in names:
         a, b = sides[0].get(name), sides[1].get(name)
-        unit, meaning = (a or b or ("", "", 0.0, 0.0))[:2]
-        out.append(ParameterPair(name, unit, meaning, None if a is None else a[2:], None if b is None else b[2:]))
+        unit, meaning, _ = a or b or ("", "", None)
+        out.append(ParameterPair(name, unit, meaning, None if a is None else a[2], None if b is None else b[2]))
     return tuple(out)
 
 
-def _entries(model: Model) -> dict[str, tuple[str, str, float, float]]:
-    """Name -> (unit, meaning, value, std) in the order of the covariance."""
+def _entries(model: Model) -> dict[str, tuple[str, str, Estimate]]:
+    """Name -> (unit, meaning, estimate) in the order of the covariance."""
     found = [(p.name, p.unit, p.meaning, p.value) for p in model.parameters]
     known = known_effects()
     for effect in model.effects:
@@ -102,7 +102,9 @@ def _entries(model: Model) -> dict[str, tuple[str, str, float, float]]:
     out = {}
     for k, (name, unit, meaning, value) in enumerate(found):
         variance = model.covariance[k][k]
-        out[name] = unit, meaning, value, np.inf if variance is None else max(variance, 0.0) ** 0.5
+        one = normal(value, np.inf if variance is None else max(variance, 0.0) ** 0.5)
+        told = model.ci95[k] if k < len(model.ci95) else None
+        out[name] = unit, meaning, one if told is None else one._replace(low=told[0], high=told[1])
     return out
 
 

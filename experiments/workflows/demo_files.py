@@ -12,6 +12,7 @@ from experiments.reports import (
     Section,
     diagnosis_document,
     diagnosis_sections,
+    estimates_of,
     fit_document,
     fit_sections,
     fit_summary,
@@ -48,8 +49,7 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult) -> dict[str, Path
     write_json(written["validation"], with_origin(validation_document(demo.after, setup.options.sensors), origin))
     write_text(written["picture"], standalone(validation_picture(demo.after[0])))
     sections = fit_sections(result, benchmark)
-    nominal = {name: (float(v), float(s)) for name, v, s in zip(demo.truth, result.beta, result.std)}
-    sections[1:1] = [truth_section(result.mechanism, nominal, demo.truth)]
+    sections[1:1] = [truth_section(result.mechanism, estimates_of(result), demo.truth)]
     sections[-3:-3] = [validation_section(demo.before)]
     write_page(written["fit report"], "The emulated leg: the nominal fit", fit_summary(result, setup.settings.model),
                [*sections, origin_section(origin)], origin, fit_trust(result).verdict(result.warnings))

@@ -11,6 +11,7 @@ from estimator.diagnosis import Diagnosis
 from estimator.fitting import Validation
 from experiments.emulation import Hidden
 from experiments.models import Model
+from experiments.reports import Estimate, estimates_of, normal
 from experiments.rig import Setup
 
 
@@ -33,12 +34,12 @@ class Demo:
     """What -> path, in the order in which they were written."""
     wall_s: float
 
-    def estimates(self) -> dict[str, tuple[float, float]]:
-        """Parameter -> (value, std) of `model`."""
+    def estimates(self) -> dict[str, Estimate]:
+        """Parameter -> what `model` has for it."""
         if self.model.effects:
-            return {n: (v, self.diagnosis.extended_std[n]) for n, v in self.diagnosis.extended.items()}
-        return dict(zip(self.result.mechanism.names, zip(map(float, self.result.beta), map(float, self.result.std))))
+            return {n: normal(v, self.diagnosis.extended_std[n]) for n, v in self.diagnosis.extended.items()}
+        return estimates_of(self.result)
 
     def inside(self) -> int:
         """How many parameters of the plant lie inside their 95 % intervals."""
-        return sum(abs(value - self.truth[name]) <= 1.96 * std for name, (value, std) in self.estimates().items())
+        return sum(one.holds(self.truth[name]) for name, one in self.estimates().items())

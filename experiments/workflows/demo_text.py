@@ -23,10 +23,10 @@ def demo_text(demo: Demo) -> str:
     lines += [text for text in (gap_text(found),) if text]
     lines += [_free_run("nominal", demo.before)] + ([_free_run("extended", demo.after)] if extended else [])
     rows = []
-    for p, (value, std) in zip(mechanism.parameters, demo.estimates().values()):
-        low, high, truth = value - 1.96 * std, value + 1.96 * std, demo.truth[p.name]
-        rows.append([p.name, number(truth, std), number(value, std), f"{number(low, std)} .. {number(high, std)}",
-                     "" if low <= truth <= high else "outside", p.unit, p.meaning])
+    for p, one in zip(mechanism.parameters, demo.estimates().values()):
+        truth = demo.truth[p.name]
+        rows.append([p.name, number(truth, one.std), number(one.value, one.std), one.interval,
+                     "" if one.holds(truth) else "outside", p.unit, p.meaning])
     lines += ["", f"Parameters of the {'extended' if extended else 'nominal'} model:",
               text_table(["parameter", "truth", "found", "95 % interval", "", "unit", "meaning"], rows, {1, 2, 3}), "",
               f"{demo.inside()} of {len(rows)} parameters of the plant lie inside their 95 % intervals.", ""]

@@ -37,7 +37,7 @@ def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str
     found = diagnose(setup.datasets, setup.mechanism, setup.options, gear_ratio=rig.motor.gear_ratio, seed=seed,
                      progress=progress, reference=reference, workers=workers, material=material)
     differing = None if rig.terms.encoder_zero else find_differing(setup.datasets, setup.mechanism, setup.options)
-    told = () if differing is None else (differing_text(differing),)
+    told = () if differing is None else (differing_text(differing, setup.mechanism.length_unit),)
     return replace(found, warnings=(*found.warnings, *setup.notes, *told))
 
 

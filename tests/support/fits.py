@@ -25,7 +25,3 @@ def synthetic_fit() -> FitResult:
     covariance = np.diag((0.01 * beta + 1e-4) ** 2)
     return FitResult(mechanism, "mle", "imu", beta, covariance, {"gyro_radps": 0.005, "accel_mps2": 0.05},
                      np.array([0.02, 0.021]), True, 7, 1500, 0.4, (), ("noise is white",), (), (path,))
-
-
-def estimates(result: FitResult) -> dict[str, tuple[float, float]]:
-    return dict(zip(result.mechanism.names, zip(map(float, result.beta), map(float, result.std))))

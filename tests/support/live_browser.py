@@ -93,6 +93,13 @@ class Browser:
         for kind in ("mousePressed", "mouseReleased"):
             self.cdp("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
+    def touch(self, kind: str, element: str, *shares: float) -> None:
+        """Fingers on the first element of this selector, by their shares of its width; `kind` is Start, Move or End."""
+        x, y, width = self.js("(r => [r.x, r.y + r.height / 2, r.width])"
+                              "(document.querySelector(arguments[0]).getBoundingClientRect())", element)
+        self.cdp("Input.dispatchTouchEvent", type=f"touch{kind}", touchPoints=[
+            {"x": x + share * width, "y": y, "id": k} for k, share in enumerate(shares)])
+
     def key(self, key: str, code: str, number: int) -> None:
         """Press and release a key."""
         for kind in ("rawKeyDown", "keyUp"):

@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         from experiments.reports import comparison_sections, comparison_trust, origin_section, write_page
 
         write_page(args.html, f"{found.files[0]} (A) against {found.files[1]} (B)",
-                   f"Two models of {models[0].mechanism.model} on {len(runs)} runs.",
+                   f"Two models of {models[0].mechanism.model} on {len(runs)} run{'s' * (len(runs) != 1)}.",
                    [*comparison_sections(found), origin_section(origin, runs)], origin,
                    comparison_trust(found).verdict())
     return 0

@@ -81,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
 
         write_page(args.html, f"Validation of {args.model}",
                    f"{model.mechanism.model}, fitted by {model.provenance.method} to "
-                   f"{', '.join(model.provenance.runs)}, simulated against {len(validations)} runs.",
+                   f"{', '.join(model.provenance.runs)}, simulated against {len(validations)} "
+                   f"run{'s' * (len(validations) != 1)}.",
                    [validation_section(validations, predictions),
                     *([horizons_section(horizons)] if horizons is not None else []),
                     origin_section(origin, setup.datasets)], origin, trust.verdict())

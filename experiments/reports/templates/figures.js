@@ -1,4 +1,5 @@
-// Figures that zoom: drag over one to zoom in, double-click to see all. Those of one group share their time.
+// Figures that zoom: drag over one, or spread two fingers on it; double-click or tap twice to see all. Those of one group
+// share their time.
 (() => {
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const groups = {}, drawn = [];
@@ -10,31 +11,60 @@
       if (other !== u && (other.scales.x.min !== min || other.scales.x.max !== max)) other.setScale("x", { min, max });
   }
 
-  function draw(figure) {
-    const given = JSON.parse(figure.querySelector("script").textContent), box = document.createElement("div");
+  // two fingers hold the times that they were put on; one finger scrolls the page
+  function pinch(u, time) {
+    const all = { min: time[0], max: time.at(-1) };
+    const fingers = (event) => [...event.touches].map((t) => t.clientX - u.over.getBoundingClientRect().left).sort((a, b) => a - b);
+    let held = null, tapped = 0;
+    u.over.addEventListener("touchstart", (event) => {
+      held = event.touches.length === 2 ? fingers(event).map((x) => u.posToVal(x, "x")) : null;
+    }, { passive: true });
+    u.over.addEventListener("touchmove", (event) => {
+      if (!held || event.touches.length !== 2) return;
+      event.preventDefault();
+      const [left, right] = fingers(event), slope = (held[1] - held[0]) / (right - left), begin = held[0] - slope * left;
+      const min = Math.max(all.min, begin), max = Math.min(all.max, begin + slope * u.over.clientWidth);
+      if (right - left > 8 && max - min > 1e-3) u.setScale("x", { min, max });
+    }, { passive: false });
+    u.over.addEventListener("touchend", (event) => {
+      if (held || event.touches.length) { tapped = 0; return; }
+      if (event.timeStamp - tapped < 350) u.setScale("x", all);
+      tapped = event.timeStamp;
+    }, { passive: true });
+  }
+
+  function panel(box, given, lines, y, height) {
     const axis = (label, size) => ({ label, size, labelSize: 22, stroke: () => css("--soft"), labelFont: "12px system-ui",
       grid: { stroke: () => css("--grid"), width: 1 }, ticks: { stroke: () => css("--grid"), width: 1 }, font: "12px system-ui" });
-    const size = () => ({ width: Math.max(box.clientWidth, 200), height: 280 });
+    const size = () => ({ width: Math.max(box.clientWidth, 200), height });
     const number = (u, value) => (value == null ? "–" : String(Number(value.toPrecision(4))));
-    box.className = "plot";
-    figure.prepend(box);
-    figure.classList.add("drawn");
     const group = given.group;
     const u = new uPlot({
       ...size(),
       cursor: { sync: { key: group }, drag: { x: true, y: false }, points: { size: 6 } },
       scales: { x: { time: false } },
-      axes: [axis(given.x, 44), axis(given.y, 62), ...(given.lines.some((line) => line.right)
-        ? [{ ...axis("error", 56), scale: "right", side: 1, grid: { show: false } }] : [])],
-      series: [{ label: given.x, value: number }, ...given.lines.map((line) => ({
-        label: line.label, class: line.band ? "band" : undefined, scale: line.right ? "right" : "y", stroke: line.colour, width: line.width, dash: line.dashed ? [6, 4] : undefined,
-        value: number, points: { show: false }, spanGaps: false }))],
-      bands: given.bands.map(([high, low, fill]) => ({ series: [high, low], fill })),
+      axes: [axis(given.x, 44), axis(y, 62)],
+      series: [{ label: given.x, value: number }, ...lines.map((line) => ({
+        label: line.label, class: line.band ? "band" : undefined, stroke: line.colour, width: line.width,
+        dash: line.dashed ? [6, 4] : undefined, value: number, points: { show: false }, spanGaps: false }))],
+      bands: given.bands.filter(([high, low]) => Math.max(high, low) <= lines.length)
+        .map(([high, low, fill]) => ({ series: [high, low], fill })),
       hooks: { setScale: [(plot, key) => follow(plot, key, group)] },
-    }, [given.time, ...given.lines.map((line) => line.values)], box);
+    }, [given.time, ...lines.map((line) => line.values)], box);
     (groups[group] ??= []).push(u);
     drawn.push(u);
+    pinch(u, given.time);
     new ResizeObserver(() => { if (box.clientWidth && Math.abs(u.width - box.clientWidth) > 1) u.setSize(size()); }).observe(box);
+  }
+
+  function draw(figure) {
+    const given = JSON.parse(figure.querySelector("script").textContent), box = document.createElement("div");
+    const below = given.lines.filter((line) => line.below);
+    box.className = "plot";
+    figure.prepend(box);
+    figure.classList.add("drawn");
+    panel(box, given, given.lines.filter((line) => !line.below), given.y, 280);
+    if (below.length) panel(box, { ...given, bands: [] }, below, given.below, 190);
   }
 
   document.querySelectorAll("figure.chart").forEach(draw);

@@ -101,10 +101,15 @@ def study_summary(table: Table) -> str:
     found = claims(table) if table.protocol == OURS else []
     missed = [claim.demand for claim in found if not claim.met]
     verdict = "All that was demanded is met." if not missed else f"Not met: {'; '.join(missed)}."
-    return (f"{table.runs} noisy records of one step of the three-link walker in each of {len(table.cases)} cases, "
-            f"each identified by {len([m for m in table.methods if m != FLOOR])} methods; seed {table.seed}, protocol "
+    cases, methods = len(table.cases), len([m for m in table.methods if m != FLOOR])
+    return (f"{table.runs} noisy records of one step of the three-link walker in {_each(cases, 'case')}, "
+            f"identified by {_each(methods, 'method')}; seed {table.seed}, protocol "
             f"{table.protocol.name} (true parameters leave {figure(table.true_error)} rad²). "
             + (verdict if found else ""))
+
+
+def _each(count: int, what: str) -> str:
+    return f"one {what}" if count == 1 else f"each of {count} {what}s"
 
 
 def study_sections(table: Table, machine: str, note: str = "") -> list[Section]:

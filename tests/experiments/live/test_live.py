@@ -300,6 +300,27 @@ def test_nothing_is_wider_than_the_window_or_hidden_by_the_bar(page: Browser, si
         page.resize(LAPTOP)
 
 
+@needs_browser
+def test_two_fingers_zoom_all_plots_and_two_taps_show_all(page: Browser) -> None:
+    plot = ".plots .nicegui-echart"
+    zoomed = ("[...document.querySelectorAll(arguments[0])].map(e => getElement(Number(e.id.replace(/^c/, '')))"
+              ".chart.getOption().dataZoom[0]).map(z => z.end - z.start)")
+    page.resize(PHONE)
+    try:
+        page.js(f"document.querySelector('{plot}').scrollIntoView({{block: 'center'}})")
+        page.touch("Start", plot, 0.5, 0.6)
+        page.touch("Move", plot, 0.3, 0.8)
+        page.touch("End", plot)
+        assert page.js(zoomed, plot) == pytest.approx(4 * [20.0], rel=0.05)
+        assert page.js("visualViewport.scale") == 1.0
+        for _ in range(2):
+            page.touch("Start", plot, 0.5)
+            page.touch("End", plot)
+        assert page.js(zoomed, plot) == 4 * [100.0]
+    finally:
+        page.resize(LAPTOP)
+
+
 def test_another_host_needs_the_token(rig: Rig) -> None:
     live = rig.start("--host", "0.0.0.0")
     try:

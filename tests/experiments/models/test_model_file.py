@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,13 @@ import pytest
 from daq.errors import InputError
 from daq.rig import parse_rig
 from estimator.model import leg2
+from estimator.result import RunAgreement
 from experiments.models.mechanism_settings import build_mechanism, mechanism_settings
-from experiments.models.model_file import load_model, save_model
+from experiments.models.model_file import load_model, save_model, widening_of
 from experiments.models.schema import MechanismSettings, Model
 from experiments.reports.fit_json import fit_document, model_of
 from experiments.rig.setup import choose_sensors
+from experiments.workflows.compare import parameter_pairs
 from tests.support.fits import synthetic_fit
 from tests.support.paths import ROOT
 
@@ -75,6 +78,24 @@ def test_unknown_variance_is_null(tmp_path: Path) -> None:
     assert load_model(tmp_path / "m.json").covariance[8][8] is None
 
 
+def test_intervals_that_runs_widened_are_kept(tmp_path: Path) -> None:
+    """By the covariance alone they would be narrower: Student's quantile is in no matrix."""
+    plain = synthetic_fit()
+    p = plain.std.size
+    agreement = RunAgreement(("a", "b"), 1e-4, plain.std / 2.0, True, np.full(p, 4.0))
+    wide = replace(plain, agreement=agreement, at_bound={"beta9": 0.5})
+    save_model(model_of(wide, mechanism_settings(RIG), "zero", []), tmp_path / "wide.json")
+    save_model(model_of(plain, mechanism_settings(RIG), "zero", []), tmp_path / "plain.json")
+    kept, without = load_model(tmp_path / "wide.json"), load_model(tmp_path / "plain.json")
+    assert np.array(kept.ci95) == pytest.approx(wide.ci95()) and without.ci95 == ()
+    assert widening_of(kept)[:8] == pytest.approx([4.0 / 1.96] * 8) and widening_of(without) == [1.0] * p
+    pairs = parameter_pairs((kept, without))
+    for k, pair in enumerate(pairs):
+        assert pair.a is not None and pair.b is not None
+        assert (pair.a.low, pair.a.high) == pytest.approx(wide.ci95()[k])
+        assert pair.b.high - pair.b.low == pytest.approx(2 * 1.96 * plain.std[k])
+
+
 def document() -> dict[str, Any]:
     found: dict[str, Any] = json.loads(msgspec.json.encode(leg_model()))
     return found
@@ -98,6 +119,7 @@ def changed(path: list[Any], value: Any) -> dict[str, Any]:
     (json.dumps(changed(["parameters"], [])), "parameters"),
     (json.dumps(changed(["parameters", 0, "name"], "beta2")), "parameters"),
     (json.dumps(changed(["covariance"], [[1.0]])), "9 by 9"),
+    (json.dumps(changed(["ci95"], [[0.0, 1.0]])), "ci95"),
     (json.dumps(changed(["noise", "gyro_radps"], -1.0)), "noise"),
     (json.dumps(changed(["mechanism", "actuated"], [7])), "above 2"),
     (json.dumps(changed(["hold"], "cubic")), "hold"),

@@ -10,15 +10,15 @@ import pytest
 
 from estimator import Combination
 from estimator.model.mechanism import Mechanism, joint1
-from estimator.result import FitResult
+from estimator.result import FitResult, RunAgreement
 from experiments.emulation.plant import LegBody
 from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, picture_lines, plot_lines, window
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
 from experiments.reports.fit_text import fit_text
-from experiments.reports.html import Picture, Section, Table, Verdict, render_page
-from experiments.reports.numbers import number
-from tests.support.fits import estimates, synthetic_fit
+from experiments.reports.html import Picture, Section, Table, Verdict, render_page, typeset
+from experiments.reports.numbers import estimates_of, number
+from tests.support.fits import synthetic_fit
 from tests.support.pages import Outside, allowed_script
 
 
@@ -27,7 +27,7 @@ def page() -> str:
     result = synthetic_fit()
     truth = dict(zip(result.mechanism.names, LegBody().beta()))
     return render_page("Leg <A> & co", fit_summary(result, "leg2"),
-                       [*fit_sections(result), truth_section(result.mechanism, estimates(result), truth)])
+                       [*fit_sections(result), truth_section(result.mechanism, estimates_of(result), truth)])
 
 
 def test_page_fetches_nothing_and_runs_its_own_script_alone(page: str) -> None:
@@ -82,7 +82,7 @@ def test_hostile_name_in_a_figure_stays_text() -> None:
 def test_every_parameter_stands_with_interval_and_unit(page: str) -> None:
     result = synthetic_fit()
     for p, (low, high), std in zip(result.mechanism.parameters, result.ci95(), result.std):
-        assert p.name in page and p.meaning in page and p.unit in page
+        assert p.name in page and typeset(p.meaning) in page and typeset(p.unit) in page
         assert f"{number(low, std)} .. {number(high, std)}" in page
 
 
@@ -122,9 +122,23 @@ def test_a_truth_outside_its_interval_is_counted_as_such() -> None:
     result = synthetic_fit()
     truth = dict(zip(result.mechanism.names, LegBody().beta()))
     truth["beta1"] *= 1.2
-    section = truth_section(result.mechanism, estimates(result), truth)
+    section = truth_section(result.mechanism, estimates_of(result), truth)
     assert "8 of 9" in section.paragraphs[0]
     assert section.tables[0].rows[0][4] == "no"
+
+
+def test_intervals_against_the_truth_are_those_of_the_fit() -> None:
+    """As wide as what runs disagree about makes them, and from zero upwards where a level is held there."""
+    result, k = synthetic_fit(), 0
+    names, std = result.mechanism.names, result.std
+    truth = dict(zip(names, map(float, result.beta))) | {names[k]: float(result.beta[k] + 3.0 * std[k])}
+    agreement = RunAgreement(("a", "b"), 1e-4, std / 2.0, True, np.full(std.size, 4.0))
+    narrow, wide = (truth_section(result.mechanism, estimates_of(one), truth).tables[0].rows
+                    for one in (result, replace(result, agreement=agreement, at_bound={names[7]: 0.5})))
+    assert [row[4] for row in (narrow[k], wide[k])] == ["no", "yes"]
+    low, high = (float(text) for text in wide[k][3].split(" .. "))
+    assert high - low == pytest.approx(8.0 * std[k], rel=0.05)
+    assert float(wide[7][3].split(" .. ")[0]) == 0.0 and float(wide[7][3].split(" .. ")[1]) == 0.5
 
 
 def test_units_follow_the_joint_and_its_input() -> None:

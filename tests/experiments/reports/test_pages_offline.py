@@ -1,6 +1,7 @@
 """Every HTML page that the program writes, opened from the disk in a real browser: nothing fetched, nothing wrong."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from daq.recording.plan import write_plan
 from daq.rig import load_rig
+from estimator.result import RunAgreement
 from experiments import cli
 from experiments.emulation.plant import LegBody
 from experiments.excite.multisine import random_multisine
@@ -17,10 +19,12 @@ from experiments.reports.diagnosis_page import diagnosis_sections, write_diagnos
 from experiments.reports.fit_json import model_of
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
 from experiments.reports.html import Section, write_page
+from experiments.reports.numbers import estimates_of
+from experiments.reports.run_agreement import MOST_RUNS
 from experiments.studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases
 from experiments.studies.casebook_page import write_casebook
 from tests.support.diagnoses import synthetic
-from tests.support.fits import estimates, synthetic_fit
+from tests.support.fits import synthetic_fit
 from tests.support.live_browser import CHROMIUM, DRIVER, LAPTOP, PHONE, Browser
 from tests.support.paths import DEMO_RIG as RIG
 
@@ -41,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     truth = dict(zip(result.mechanism.names, LegBody().beta()))
     write_page(out / "demo.html", "The emulated leg: a cause is named", found.sentence,
                [Section("What was hidden", ["Something."]), *diagnosis_sections(found),
-                truth_section(result.mechanism, estimates(result), truth), *fit_sections(result)])
+                truth_section(result.mechanism, estimates_of(result), truth), *fit_sections(result)])
     fit = FitTask(title="all", rig="r.toml", runs=("a.csv",), published=dict(zip(result.mechanism.names, result.beta)))
     diagnose = DiagnoseTask(rig="r.toml", runs=("a.csv",), expected=("stribeck_friction",))
     write_casebook(out / "casebook.html", [Study(load_cases()[0], [Fitted(fit, result, "")], [],
@@ -123,6 +127,61 @@ def test_figures_zoom_together_and_are_pictures_on_paper_and_without_scripts(fol
     assert np.min(browser.js("[...document.querySelectorAll('figure svg')].map(s => s.getBoundingClientRect().width)")
                   ) > 200
     assert browser.complaints() == []
+
+
+def test_two_fingers_zoom_and_two_taps_show_all(folder: Path, browser: Browser) -> None:
+    browser.resize(PHONE)
+    browser.driver.get((folder / "diagnosis.html").as_uri())
+    shown = ("(o => [...document.querySelectorAll('.plot .uplot')].length)()", "uPlot.sync('run').plots"
+             ".map(u => [u.scales.x.min, u.scales.x.max])")
+    browser.js("document.querySelector('.u-over').scrollIntoView({block: 'center'})")
+
+    def touch(kind: str, *at: float) -> None:
+        browser.touch(kind, ".u-over", *at)
+
+    whole = browser.js(shown[1])
+    assert browser.js(shown[0]) == len(whole) and np.ptp(whole, axis=0).max() == 0.0
+    touch("Start", 0.45, 0.55)
+    touch("Move", 0.3, 0.7)
+    touch("Move", 0.05, 0.95)
+    touch("End")
+    near = np.array(browser.wait(lambda: [s for s in browser.js(shown[1]) if s != whole[0]], "the figures zoom"))
+    assert len(near) == len(whole) and np.ptp(near, axis=0).max() == 0.0
+    assert np.ptp(near[0]) == pytest.approx(np.ptp(whole[0]) / 9.0, rel=0.1)
+    for _ in range(2):
+        touch("Start", 0.5)
+        touch("End")
+    browser.wait(lambda: browser.js(shown[1]) == whole, "all is shown again")
+
+
+def test_errors_have_axes_of_their_own_below(folder: Path, browser: Browser) -> None:
+    browser.resize(LAPTOP)
+    browser.driver.get((folder / "diagnosis.html").as_uri())
+    labels = browser.js("[...document.querySelectorAll('figure.chart')].map(f => [...f.querySelectorAll('.u-legend')]"
+                        ".map(l => l.textContent))")
+    assert labels
+    for upper, lower in labels:
+        assert "less measured" not in upper and lower.count("less measured") == 2
+
+
+def test_many_runs_that_disagree_stay_within_the_page(tmp_path: Path, browser: Browser) -> None:
+    plain, runs = synthetic_fit(), tuple(f"recording-{k}.mcap" for k in range(MOST_RUNS))
+    p = plain.mechanism.p
+    agreement = RunAgreement(runs, 1e-4, plain.std, True, np.full(p, 2.4), plain.beta, np.full(p, 1.234e-4),
+                             np.tile(plain.beta, (len(runs), 1)), np.ones(p, dtype=bool))
+    write_page(tmp_path / "fit.html", "Fit", "", fit_sections(replace(plain, agreement=agreement)))
+    for width in (1400, 1180, 1130, 900):
+        browser.resize((width, 900))
+        browser.driver.get((tmp_path / "fit.html").as_uri())
+        over = browser.js("Math.max(...[...document.querySelectorAll('table')].map(t => "
+                          "t.getBoundingClientRect().right - t.parentElement.getBoundingClientRect().right))")
+        assert over <= 0.5, width
+    browser.resize((680, 900))
+    browser.cdp("Emulation.setEmulatedMedia", media="print")
+    lines = browser.js("[...document.querySelectorAll('td.unit')].map(cell => { const r = document.createRange(); "
+                       "r.selectNodeContents(cell); return r.getClientRects().length })")
+    browser.cdp("Emulation.setEmulatedMedia", media="")
+    assert lines and max(lines) == 1
 
 
 def test_a_page_that_does_otherwise_is_noticed(tmp_path: Path, browser: Browser) -> None:

@@ -68,7 +68,7 @@ def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
     runs = [str(folder / f"none{k}.mcap") for k in range(3)]
     model, page = str(folder / "none.json"), tmp_path / "p.html"
     assert said("validate", model, runs[2]).startswith("TRUST for simulation over 5 s: fit 9")
-    assert said("validate", model, runs[0]).startswith("TRUST WITH CARE: none0.mcap was fitted")
+    assert said("validate", model, runs[0]).startswith("TRUST WITH CARE: run none0.mcap was fitted")
     other = tmp_path / "rig.toml"
     other.write_text(RIG.read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.21"))
     assert "lever_arm_m" in said("fit", *runs[:2], "--rig", str(other))
