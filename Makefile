@@ -11,7 +11,7 @@ LOCKED := $(BIN)/python -m pip install --quiet --disable-pip-version-check --req
 TOOLS  := build/tools
 
 .PHONY: install demo test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs untuned \
-	table5 replication seven-links bench blind family port fuzz tutorial screenshots wheel arm64 lock docs clean
+	table5 replication seven-links bench blind family port fuzz tutorial screenshots wheel arm64 lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed"; exit 1; }
@@ -166,10 +166,17 @@ $(TOOLS)/.installed: requirements-release.lock
 lock: $(STAMP) $(TOOLS)/.installed
 	$(BIN)/python -m tests.studies.lock --uv $(TOOLS)/bin/uv $(if $(UPGRADE),--upgrade)
 
+# CycloneDX: every package that is installed in .venv, with its version, licence and package URL.
+SBOM ?= sbom.cdx.json
+sbom: $(STAMP) $(TOOLS)/.installed
+	$(TOOLS)/bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-format JSON \
+		--output-file $(SBOM) $(BIN)/python
+	@echo "the bill of materials is in $(SBOM)"
+
 docs: $(STAMP)
 	$(LOCKED) requirements-docs.lock
 	$(BIN)/python -m sphinx -W -q -b html -d build/doctrees docs site
 	@echo "open site/index.html in a browser"
 
 clean:
-	rm -rf $(VENV) $(OUT) dist site docs/generated build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(OUT) $(SBOM) dist site docs/generated build *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -1,5 +1,6 @@
 """Lock files: each version pinned and hashed, each dependency of pyproject.toml among them, no place named."""
 
+import json
 import re
 import subprocess
 import sys
@@ -103,3 +104,21 @@ def test_everything_that_make_installs_is_locked() -> None:
     installs = [line for line in (ROOT / "Makefile").read_text(encoding="utf-8").splitlines() if "pip install" in line]
     assert len(installs) == 3
     assert all("--require-hashes" in line or "--no-deps -e ." in line for line in installs)
+
+
+@pytest.mark.slow
+def test_the_bill_of_materials_lists_what_is_installed(tmp_path: Path) -> None:
+    """The tool from its own lock, on the environment that runs this test."""
+    tools, bill = tmp_path / "tools", tmp_path / "sbom.json"
+    subprocess.run([sys.executable, "-m", "venv", tools], check=True)
+    subprocess.run([tools / "bin/python", "-m", "pip", "install", "--quiet", "--require-hashes",
+                    "-r", ROOT / "requirements-release.lock"], check=True)
+    subprocess.run([tools / "bin/cyclonedx-py", "environment", "--pyproject", ROOT / "pyproject.toml",
+                    "--output-reproducible", "--output-format", "JSON", "--output-file", bill, sys.executable],
+                   check=True)
+    found = json.loads(bill.read_text(encoding="utf-8"))
+    assert found["bomFormat"] == "CycloneDX" and found["metadata"]["component"]["name"] == "legid"
+    parts = {part["name"].lower().replace("_", "-"): part for part in found["components"]}
+    assert {"numpy", "scipy", "mcap", "pyserial"} <= parts.keys()
+    assert parts["numpy"]["purl"] == f"pkg:pypi/numpy@{parts['numpy']['version']}"
+    assert str(ROOT) not in bill.read_text(encoding="utf-8")
