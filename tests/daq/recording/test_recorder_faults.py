@@ -34,6 +34,7 @@ pytestmark = REAL_CLOCK
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[sampling]\nrate_hz = 100.0\n[devices.controller]\n'
 CLEAN = WireFaults()
+FULL = r"r\.mcap: cannot be written \(No space left on device\); free space on the disk"
 
 
 class Swing:
@@ -179,13 +180,21 @@ def test_a_full_disk_ends_the_run_with_the_motor_off_and_what_fitted_kept(tmp_pa
     mocks: list[MockRig] = []
     original = MockRig.__init__
     monkeypatch.setattr(MockRig, "__init__", lambda self, *a, **k: (mocks.append(self), original(self, *a, **k))[1])
-    with pytest.raises(WorkError, match=r"r\.mcap: cannot be written \(No space left on device\); free space"):
+    with pytest.raises(WorkError, match=FULL + "; legid recover makes"):
         threaded(tmp_path / "r.mcap", Plan(t, 0.1 * np.sin(t)), monkeypatch, room=150_000)
     assert mocks[0].firmware.drive.torque_nm == 0.0
     assert mocks[0].firmware.drive.state != State.ARMED
     raw = read_run(tmp_path / "r.mcap")
     assert not raw.complete
     assert raw.streams["/leg/telemetry"].size > 300
+
+
+def test_a_disk_that_is_full_from_the_start_leaves_no_file_and_the_name_free(tmp_path: Path,
+                                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    t = np.arange(0, 1.0, 0.01)
+    with pytest.raises(WorkError, match=FULL + "$"):
+        threaded(tmp_path / "r.mcap", Plan(t, 0.1 * np.sin(t)), monkeypatch, room=100)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_faulty_disk_is_the_file_otherwise() -> None:
