@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,11 +29,14 @@ from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings, ImuSettings
 from drivers.protocol import State, Telemetry
 from drivers.serial_link import SerialLink
+from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
 
 pytestmark = REAL_CLOCK
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[sampling]\nrate_hz = 100.0\n[devices.controller]\n'
+DATED = {"daq/runs/mcap_run.py", "daq/recording/facts.py"}
+"""Where a recording says when it was made."""
 CLEAN = WireFaults()
 FULL = r"r\.mcap: cannot be written \(No space left on device\); free space on the disk"
 
@@ -147,6 +151,14 @@ def test_a_wall_clock_that_steps_changes_nothing(tmp_path: Path, monkeypatch: py
     raw = bench.record(tmp_path / "r.mcap", 1.0)
     assert raw.complete
     assert not check_truth(bench, tmp_path / "r.mcap").any()
+
+
+def test_no_interval_of_a_recording_is_of_the_wall_clock() -> None:
+    """It steps; where it stands at all it is a date for people."""
+    asks = re.compile(r"\btime\.time(_ns)?\b|datetime\.(now|utcnow|today)|CLOCK_REALTIME|from time import .*\btime\b")
+    found = {str(path.relative_to(ROOT)) for floor in ("drivers", "daq") for path in (ROOT / floor).rglob("*.py")
+             if asks.search(path.read_text(encoding="utf-8"))}
+    assert found == DATED
 
 
 def threaded(path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch, **disk) -> MockRig:
