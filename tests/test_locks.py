@@ -120,5 +120,5 @@ def test_the_bill_of_materials_lists_what_is_installed(tmp_path: Path) -> None:
     assert found["bomFormat"] == "CycloneDX" and found["metadata"]["component"]["name"] == "legid"
     parts = {part["name"].lower().replace("_", "-"): part for part in found["components"]}
     assert {"numpy", "scipy", "mcap", "pyserial"} <= parts.keys()
-    assert parts["numpy"]["purl"] == f"pkg:pypi/numpy@{parts['numpy']['version']}"
+    assert parts["numpy"]["purl"].endswith(f"/numpy@{parts['numpy']['version']}")
     assert str(ROOT) not in bill.read_text(encoding="utf-8")
