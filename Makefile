@@ -1,19 +1,24 @@
 # Two commands: `make demo` and `make test`. Each makes its own environment in .venv first,
-# from the exact versions in requirements.lock; nothing else is needed but Python 3.11+ and make.
+# from the exact files whose hashes are in requirements.lock; nothing else is needed but Python 3.11+ and make.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 OUT    ?= demo-out
+# What is not what a lock file has the hash of is refused. No build has an environment of its own, which no lock knows.
+LOCKED := $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-build-isolation -r
+# Makes lock files and the bill of materials; apart, so that neither lists its own tools.
+TOOLS  := build/tools
 
 .PHONY: install demo test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs untuned \
-	table5 replication seven-links bench blind family port fuzz tutorial screenshots wheel arm64 docs clean
+	table5 replication seven-links bench blind family port fuzz tutorial screenshots wheel arm64 lock sbom docs clean
 
-$(STAMP): requirements.lock pyproject.toml
+$(STAMP): requirements.lock requirements-build.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed"; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	$(LOCKED) requirements-build.lock
+	$(LOCKED) requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
 	@echo "compiling kernels, once on a machine"
 	$(BIN)/python -c "from estimator.likelihood import compile_kernels; print('kernels are in', compile_kernels())"
 	touch $@
@@ -39,7 +44,7 @@ test-kernel: $(STAMP)
 	$(BIN)/python -m tests.kernel
 
 bench: $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-bench.lock
+	$(LOCKED) requirements-bench.lock
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.bench.speed --page
 
 # Called again it goes on where it stopped; after a change of the program give it a new BLIND_OUT. Without SEEDS and
@@ -58,7 +63,7 @@ BLIND_RUN  = $(BIN)/python -m tests.blind.run --out $(BLIND_OUT) \
 	--workers $(WORKERS) --levels $(LEVELS) --effects "$(EFFECTS)"
 
 blind: $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-blind.lock
+	$(LOCKED) requirements-blind.lock
 	$(BLIND_RUN) $(BLIND_PART)
 	$(if $(BLIND_REST),$(BLIND_RUN) $(BLIND_REST))
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.blind.baselines $(BLIND_OUT)
@@ -151,10 +156,27 @@ wheel: $(STAMP)
 arm64: $(STAMP)
 	$(BIN)/python -m tests.studies.arm64
 
+$(TOOLS)/.installed: requirements-release.lock
+	$(PYTHON) -m venv --clear $(TOOLS)
+	$(TOOLS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-release.lock
+	touch $@
+
+# After a change of the dependencies in pyproject.toml: all lock files, with the versions that they have where those are
+# still allowed; UPGRADE=1 takes the newest. A minute or two of waiting for the index.
+lock: $(STAMP) $(TOOLS)/.installed
+	$(BIN)/python -m tests.studies.lock --uv $(TOOLS)/bin/uv $(if $(UPGRADE),--upgrade)
+
+# CycloneDX: every package that is installed in .venv, with its version, licence and package URL.
+SBOM ?= sbom.cdx.json
+sbom: $(STAMP) $(TOOLS)/.installed
+	$(TOOLS)/bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-format JSON \
+		--output-file $(SBOM) $(BIN)/python
+	@echo "the bill of materials is in $(SBOM)"
+
 docs: $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-docs.lock
+	$(LOCKED) requirements-docs.lock
 	$(BIN)/python -m sphinx -W -q -b html -d build/doctrees docs site
 	@echo "open site/index.html in a browser"
 
 clean:
-	rm -rf $(VENV) $(OUT) dist site docs/generated build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(OUT) $(SBOM) dist site docs/generated build *.egg-info .pytest_cache .mypy_cache .ruff_cache

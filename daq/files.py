@@ -1,5 +1,5 @@
-"""Every file that this program writes beside a recording goes through `write_file`: whole or not at all, and never
-over a measurement.
+"""Every file that this program writes beside a recording goes through `write_file`, or `new_run` where it is a run:
+whole or not at all, and never over a measurement.
 
 What a file is, is told from its content, that of a file on the disk and that of a new one alike, so that nobody has
 to declare it: a run (of our own or of anybody else's), or one of our documents.
@@ -7,6 +7,7 @@ to declare it: a run (of our own or of anybody else's), or one of our documents.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import secrets
@@ -16,6 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
+from typing import BinaryIO
 
 from daq.errors import InputError
 
@@ -66,7 +68,34 @@ def write_file(path: Path | str, data: bytes, changed: bool = False) -> None:
             check_place(path, kind_of_bytes(data))
         _replace(Path(os.path.realpath(path)), data)
     except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "give a place that can be written") from None
+        raise _refused(path, error) from None
+
+
+@contextmanager
+def new_run(path: Path | str) -> Iterator[BinaryIO]:
+    """A file to write a run into that is copied from another: it comes to `path` whole, at the end, or not at all.
+
+    Raises `InputError` where something is there already, or the disk refuses.
+    """
+    path = Path(path)
+    part = _part_of(path)
+    try:
+        if os.path.lexists(path):
+            raise FileExistsError
+        try:
+            with open(part, "xb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            _put(part, path)
+        finally:
+            with suppress(OSError):
+                part.unlink()
+    except FileExistsError:
+        raise InputError(str(path), "exists already", "give a new name: a run is never overwritten") from None
+    except OSError as error:
+        raise _refused(path, error) from None
+    _sync_folder(path.parent)
 
 
 def check_place(path: Path | str, kind: str) -> None:
@@ -139,8 +168,30 @@ def _words(kind: str) -> str:
             "mujoco": "an MJCF model", "robot": "a URDF model", "study": "a study's table"}.get(kind, f"a {kind}")
 
 
+def _refused(path: Path, error: OSError) -> InputError:
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    return InputError(str(path), error.strerror or str(error),
+                      "free space there, or give another place" if full else "give a place that can be written")
+
+
+def _part_of(path: Path) -> Path:
+    return path.with_name(f".{path.name[:200]}.{secrets.token_hex(4)}.part")
+
+
+def _put(part: Path, path: Path) -> None:
+    """`part` under the name `path`, over nothing that came there meanwhile. Raises `FileExistsError`, `OSError`."""
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links, as a memory card's
+        if os.path.lexists(path):
+            raise FileExistsError from None
+        part.rename(path)
+
+
 def _replace(path: Path, data: bytes) -> None:
-    part = path.with_name(f".{path.name[:200]}.{secrets.token_hex(4)}.part")
+    part = _part_of(path)
     try:
         before = path.stat() if path.exists() else None
         with open(part, "xb") as file:

@@ -5,6 +5,7 @@ from .can_link import CanLink as CanLink
 from .errors import DeviceAbsent as DeviceAbsent
 from .errors import DriverError as DriverError
 from .errors import LinkLost as LinkLost
+from .fault_remedy import fault_remedy as fault_remedy
 from .i2c_bus import I2CBus as I2CBus
 from .i2c_bus import claim as claim
 from .i2c_bus import explain as explain

@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 from drivers.errors import DeviceAbsent, DeviceFault, DriverError, LinkLost, ProtocolMismatch
+from drivers.fault_remedy import fault_remedy
 from drivers.link import Codec, Link
 from drivers.protocol import (
     VERSION,
@@ -141,7 +142,7 @@ class LegController:
         if self.telemetry is not None and self.telemetry.faults:
             self.stop()
             raise DeviceFault(f"leg controller has latched: {describe_faults(self.telemetry.faults)}; "
-                              "remove the cause, then clear the faults")
+                              f"{fault_remedy(self.telemetry.faults)}")
         self._send(LimitsRequest())
         self._send(Arm(watchdog_ms))
 

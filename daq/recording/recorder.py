@@ -22,7 +22,7 @@ from daq.recording.supervisor import Sample, Supervisor, Trip, may_ramp
 from daq.recording.workers import QueuedSink, Workers, in_time, noted_signals, real_time
 from daq.rig import ControllerDevice, Rig
 from daq.runs import RunWriter
-from drivers import DriverError, LegController, Lsm9ds1, State, describe_faults
+from drivers import DriverError, LegController, Lsm9ds1, State, describe_faults, fault_remedy
 
 LEAD_IN_S, LEAD_OUT_S, RAMP_S = 1.0, 0.3, 0.08
 ARM_TIMEOUT_S = 0.5
@@ -159,7 +159,7 @@ class Recorder:
         self._command(0.0)
         while not self._armed():
             if self._now_ns() > deadline:
-                raise WorkError("leg controller: did not arm; clear its faults, then start again")
+                raise WorkError("leg controller: did not arm and names no fault; legid doctor --rig RIG says more")
             self._keep(self._now_ns() + _ns(_TURN_S))
             self._command(0.0)
         self._driving = True
@@ -295,7 +295,8 @@ class Recorder:
             raise WorkError("leg controller: restarted during the run; check its supply")
         telemetry = self._leg.telemetry
         if telemetry is not None and telemetry.faults and (self._driving or telemetry.state == State.FAULT):
-            raise WorkError(f"leg controller: fault latched: {describe_faults(telemetry.faults)}; remove the cause")
+            raise WorkError(f"leg controller: fault latched: {describe_faults(telemetry.faults)}; "
+                            f"{fault_remedy(telemetry.faults)}")
         if self._driving and not self._armed():
             raise WorkError("leg controller: disarmed itself during the run")
 

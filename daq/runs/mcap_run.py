@@ -23,6 +23,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from daq.errors import InputError, WorkError
+from daq.files import new_run
 from daq.runs.damage import damage_of, hole_texts
 from daq.runs.mcap_scan import Scan
 from daq.runs.streams import CDR_HEADER, NOTE_SCHEMA, NOTE_TEXT, NOTE_TOPICS, STREAMS, Note, pack_note, read_notes
@@ -64,8 +65,22 @@ class RunWriter:
         self._synced_at = time.monotonic()
         self._closed = False
         self._file = _create(self.path)
+        try:
+            self._begin(files, facts or {})
+        except BaseException as error:
+            with suppress(OSError):  # no file without a measurement, which would keep its name from the next try
+                if not self._problem():
+                    self.path.unlink()
+            with suppress(OSError):
+                self._file.close()
+            if isinstance(error, OSError):
+                raise self._refused(error) from None
+            raise
+
+    def _begin(self, files: Mapping[str, str], facts: Mapping[str, str]) -> None:
+        """Everything that stands before the first message, onto the disk."""
         self._writer = new_writer(self._file)
-        self._writer.add_metadata(FACTS, {"format": "legid.run/1", "version": _version(), **(facts or {})})
+        self._writer.add_metadata(FACTS, {"format": "legid.run/1", "version": _version(), **facts})
         for name, text in files.items():
             self._writer.add_attachment(time.time_ns(), time.time_ns(), name, "text/plain", text.encode())
         self._channels: dict[str, int] = {}
@@ -149,7 +164,8 @@ class RunWriter:
         self._synced_at = time.monotonic()
 
     def _refused(self, error: OSError) -> WorkError:
-        return WorkError(f"{self.path}: cannot be written ({error.strerror or error}); free space on the disk")
+        kept = "; legid recover makes a whole run of what is there" if self.messages else ""
+        return WorkError(f"{self.path}: cannot be written ({error.strerror or error}); free space on the disk{kept}")
 
     def close(self) -> None:
         """Finish the file: index, footer, disk; then see that it is there, whole. May be called twice.
@@ -275,7 +291,7 @@ class RecoverReport:
 
 
 def recover(path: Path | str, out: Path | str) -> RecoverReport:
-    """Write everything that is whole in `path` to a clean, indexed file `out`, which must not exist.
+    """Write everything that is whole in `path` to a clean, indexed file `out`, which must not exist and comes whole.
 
     A run whose end was cut off is then whole, only shorter. What is missing within it stays known of the new file.
     Raises `InputError` when `path` is no MCAP file or `out` cannot be written.
@@ -284,7 +300,7 @@ def recover(path: Path | str, out: Path | str) -> RecoverReport:
     records = iter(scan)
     first = next(records, None)  # refuses what is no MCAP file before anything is written
     messages = 0
-    with _create(Path(out)) as file:
+    with new_run(out) as file:
         writer = new_writer(file)
         schemas: dict[int, int] = {}
         channels: dict[int, int] = {}

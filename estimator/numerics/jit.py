@@ -13,6 +13,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from threading import RLock
@@ -132,13 +133,12 @@ def _read(path: Path) -> bytes | None:
 
 def _keep(path: Path, code: bytes) -> None:
     """For the next process, at once or not at all; where nothing can be written that process compiles again."""
-    try:
+    with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(hashlib.sha256(code).digest() + code)
-        os.replace(file.name, path)
-    except OSError:
-        return
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:  # which a full disk leaves nothing of
+            with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
+                file.write(hashlib.sha256(code).digest() + code)
+            os.replace(file.name, path)
 
 
 def _compile(function: Callable[..., None], kinds: list[str], exact: bool, name: str) -> bytes:

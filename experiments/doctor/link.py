@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from daq import ControllerDevice, Rig
-from drivers import VERSION, LegController, State, describe_faults
+from drivers import VERSION, LegController, State, describe_faults, fault_remedy
 from experiments.doctor.check import Check
 from experiments.reports import GOOD_TIMER_MS
 
@@ -151,6 +151,6 @@ def _faults(controller: LegController) -> Check:
     if telemetry is None:
         return Check("drive", "FAIL", "answers, but sends no telemetry; check the firmware")
     if telemetry.faults or telemetry.state == State.FAULT:
-        return Check("drive", "FAIL", f"has latched: {describe_faults(telemetry.faults)}; remove the cause, then "
-                                      "legid doctor --clear-faults, or power-cycle the drive")
+        return Check("drive", "FAIL", f"has latched: {describe_faults(telemetry.faults)}; "
+                                      f"{fault_remedy(telemetry.faults)}")
     return Check("drive", "ok", f"disarmed, no fault, supply {telemetry.bus_v:.1f} V")

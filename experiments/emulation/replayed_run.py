@@ -86,7 +86,7 @@ class _Player:
 
     def __init__(self, raw: RawRun, rig: Rig) -> None:
         self._raw, self._rig = raw, rig
-        self.first_ns = min(int(raw.streams["/leg/telemetry"]["host_ns"][0]), *(n.host_ns for n in raw.config))
+        self.first_ns = min([int(raw.streams["/leg/telemetry"]["host_ns"][0]), *(n.host_ns for n in raw.config)])
         self._hello = _hello(raw)
         self._clock = VirtualClock(max(0, self.first_ns - LEAD_NS))
         self._link = ReplayLink(self._hello, self._clock)

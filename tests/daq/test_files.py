@@ -1,6 +1,7 @@
 """Files are written whole or not at all, and never over a measurement."""
 
 import ast
+import errno
 import gzip
 import os
 import resource
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from daq.errors import InputError
-from daq.files import kind_of_bytes, replacing_anything, write_file
+from daq.files import kind_of_bytes, new_run, replacing_anything, write_file
 from tests.support.paths import DEMO_RIG, ROOT
 
 OURS = b'{\n  "schema": "legid.fit/1",\n  "model": "leg2"\n}\n'
@@ -83,21 +84,49 @@ def test_a_folder_and_a_place_that_is_none_are_named(tmp_path: Path) -> None:
         write_file(tmp_path / "no" / "where.json", OURS)
 
 
-@pytest.mark.parametrize("command", [
-    ["calibrate", "shunt", "still.mcap", "--rig", "rig.toml"], ["init", "new.toml", "--defaults"]])
-def test_a_full_disk_leaves_the_rig_file_whole(command: list[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(("command", "status"), [
+    ("calibrate shunt still.mcap --rig rig.toml", 2), ("init new.toml --defaults", 2),
+    ("recover still.mcap", 2), ("record --emulate --rig rig.toml --plan plan.csv --out new.mcap", 1),
+    ("export still.mcap --out still.csv", 2),
+    ("excite --rig rig.toml --peak 0.5 --seconds 5 --out plan.csv", 2), ("runs . --json runs.json", 2)])
+def test_a_full_disk_leaves_what_is_there_whole_and_no_half_a_file(command: str, status: int, tmp_path: Path) -> None:
     """As full as a limit of 100 bytes on every file makes it; the commands run in a process of their own."""
     from tests.support.motor_off_runs import write_off
 
-    before = DEMO_RIG.read_bytes()
-    (tmp_path / "rig.toml").write_bytes(before)
+    (tmp_path / "rig.toml").write_bytes(DEMO_RIG.read_bytes())
+    (tmp_path / "plan.csv").write_text("time_s,tau2_cmd_nm\n0.0,0.1\n0.5,0.1\n")
     write_off(tmp_path / "still.mcap")
-    done = subprocess.run([sys.executable, "-m", "experiments.cli", *command], cwd=tmp_path, text=True, check=False,
-                          env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True,
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    done = subprocess.run([sys.executable, "-m", "experiments.cli", *command.split()], cwd=tmp_path, text=True,
+                          check=False, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True,
                           preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)))
-    assert done.returncode == 2 and "too large" in done.stderr and "Traceback" not in done.stderr
-    assert (tmp_path / "rig.toml").read_bytes() == before
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["rig.toml", "still.mcap"]
+    said = done.stderr.splitlines()[-1]
+    assert done.returncode == status and "too large" in said and "internal error" not in said
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_copied_run_comes_whole_or_not_at_all(links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    if not links:  # as on a memory card's file system
+        monkeypatch.setattr(os, "link", refused)
+    path = tmp_path / "r.mcap"
+    with new_run(path) as file:
+        file.write(b"whole")
+        assert not path.exists()
+    assert path.read_bytes() == b"whole"
+    with pytest.raises(InputError, match="never overwritten"), new_run(path):
+        pass
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(InputError, match=r"No space left on device; free space there"), new_run(tmp_path / "n") as file:
+        file.write(b"half")
+        raise full
+    with pytest.raises(InputError, match="never overwritten"), new_run(tmp_path / "late") as file:
+        file.write(b"ours")
+        (tmp_path / "late").write_bytes(b"theirs")  # came while ours was being copied
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == {"r.mcap": b"whole", "late": b"theirs"}
 
 
 def opens_for_writing(path: Path) -> bool:

@@ -227,7 +227,7 @@ def test_unplugged_is_link_lost_and_the_watchdog_stops_the_motor(driven: Bench) 
 
 def test_arming_over_a_latched_fault_is_refused_by_name(driven: Bench) -> None:
     driven.run(0.2)  # nobody feeds the watchdog
-    with pytest.raises(DeviceFault, match="watchdog"):
+    with pytest.raises(DeviceFault, match=r"watchdog; .*; then legid doctor --clear-faults"):
         driven.controller.arm(100)
     driven.controller.clear_faults()
     driven.run(0.05)

@@ -60,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
     reference = None if earlier is None else reference_values(earlier, args.reference, setup)
     with stages("diagnosing") as show:
         found = diagnose_setup(setup, rig, args.seed, reference, show, args.workers, args.material)
+    if found.verdict != "fit_failed":
+        print(diagnosis_text(found), flush=True)  # before any file: a full disk must not take minutes of work with it
     if args.json:
         write_json(args.json, with_origin(
             {**diagnosis_document(found), "set_aside": [run.document for run in aside]}, origin,
@@ -71,7 +73,6 @@ def run(args: argparse.Namespace) -> int:
                         chosen.warnings)
     if found.verdict == "fit_failed":
         raise WorkError(found.sentence)
-    print(diagnosis_text(found))
     if args.model_out:
         model = diagnosed_model(found, setup, rig.motor.gear_ratio)
         save_model(model_with_origin(model, origin, setup.datasets), args.model_out)

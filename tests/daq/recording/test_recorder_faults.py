@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,12 +29,16 @@ from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings, ImuSettings
 from drivers.protocol import State, Telemetry
 from drivers.serial_link import SerialLink
+from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
 
 pytestmark = REAL_CLOCK
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[sampling]\nrate_hz = 100.0\n[devices.controller]\n'
+DATED = {"daq/runs/mcap_run.py", "daq/recording/facts.py"}
+"""Where a recording says when it was made."""
 CLEAN = WireFaults()
+FULL = r"r\.mcap: cannot be written \(No space left on device\); free space on the disk"
 
 
 class Swing:
@@ -148,6 +153,14 @@ def test_a_wall_clock_that_steps_changes_nothing(tmp_path: Path, monkeypatch: py
     assert not check_truth(bench, tmp_path / "r.mcap").any()
 
 
+def test_no_interval_of_a_recording_is_of_the_wall_clock() -> None:
+    """It steps; where it stands at all it is a date for people."""
+    asks = re.compile(r"\btime\.time(_ns)?\b|datetime\.(now|utcnow|today)|CLOCK_REALTIME|from time import .*\btime\b")
+    found = {str(path.relative_to(ROOT)) for floor in ("drivers", "daq") for path in (ROOT / floor).rglob("*.py")
+             if asks.search(path.read_text(encoding="utf-8"))}
+    assert found == DATED
+
+
 def threaded(path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch, **disk) -> MockRig:
     """A recording on the real clock whose file is on a faulty disk."""
     create = mcap_run._create
@@ -179,13 +192,21 @@ def test_a_full_disk_ends_the_run_with_the_motor_off_and_what_fitted_kept(tmp_pa
     mocks: list[MockRig] = []
     original = MockRig.__init__
     monkeypatch.setattr(MockRig, "__init__", lambda self, *a, **k: (mocks.append(self), original(self, *a, **k))[1])
-    with pytest.raises(WorkError, match=r"r\.mcap: cannot be written \(No space left on device\); free space"):
+    with pytest.raises(WorkError, match=FULL + "; legid recover makes"):
         threaded(tmp_path / "r.mcap", Plan(t, 0.1 * np.sin(t)), monkeypatch, room=150_000)
     assert mocks[0].firmware.drive.torque_nm == 0.0
     assert mocks[0].firmware.drive.state != State.ARMED
     raw = read_run(tmp_path / "r.mcap")
     assert not raw.complete
     assert raw.streams["/leg/telemetry"].size > 300
+
+
+def test_a_disk_that_is_full_from_the_start_leaves_no_file_and_the_name_free(tmp_path: Path,
+                                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    t = np.arange(0, 1.0, 0.01)
+    with pytest.raises(WorkError, match=FULL + "$"):
+        threaded(tmp_path / "r.mcap", Plan(t, 0.1 * np.sin(t)), monkeypatch, room=100)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_faulty_disk_is_the_file_otherwise() -> None:

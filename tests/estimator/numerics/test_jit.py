@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -68,6 +69,16 @@ def test_without_a_place_to_keep_it_a_kernel_works_all_the_same(tmp_path: Path,
     (tmp_path / "file").write_text("")
     monkeypatch.setenv(jit.HOME_VARIABLE, str(tmp_path / "file" / "below"))
     assert sum_of(scaled(4.0)) == 54.0
+
+
+def test_a_full_disk_keeps_nothing_of_a_kernel(tmp_path: Path) -> None:
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, limit[1]))
+    try:
+        jit._keep(tmp_path / "k.o", b"code" * 100)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("wrong", [np.zeros((2, 3), dtype=np.float32), np.zeros(6), np.zeros((3, 2)).T,

@@ -107,6 +107,18 @@ def test_what_is_written_and_said(runs: list[Path], rig: Path, tmp_path: Path, c
     assert [d.name for d in asked["datasets"]] == [path.name for path in runs]
 
 
+@pytest.mark.parametrize("output", ["--json", "--html", "--model-out"])
+def test_a_full_disk_does_not_take_the_diagnosis_with_it(output: str, runs: list[Path], rig: Path,
+                                                         capsys: pytest.CaptureFixture[str],
+                                                         pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
+    pipeline(extended())
+    assert diagnose(*runs, "--rig", rig, output, "/dev/full") == 2
+    said = capsys.readouterr()
+    assert said.out.startswith(synthetic().sentence)
+    assert said.err.splitlines()[-1] == ("legid diagnose: /dev/full: No space left on device; free space there, or "
+                                         "give another place")
+
+
 def test_the_pivots_encoder_is_not_seen_beside_an_imu(runs: list[Path], rig: Path, tmp_path: Path,
                                                       pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
     asked = pipeline(synthetic())

@@ -233,7 +233,8 @@ def test_firmware(firmware: dict[str, float], check: str, words: str, tmp_path: 
 def test_a_latched_fault(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
     bench.mock.firmware.drive.trip(Fault.OVERTEMPERATURE, 95.0)
     assert bench.check() == 1
-    assert "overtemperature" in lines(capsys)["drive"]
+    found = lines(capsys)["drive"]
+    assert "overtemperature; let the motor cool" in found and "then legid doctor --clear-faults --rig RIG" in found
     assert bench.check("--clear-faults") == 0
     assert "no fault" in lines(capsys)["drive"]
     bench.mock.firmware.gate_driver_ok = False

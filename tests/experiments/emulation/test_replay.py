@@ -94,3 +94,13 @@ def test_a_damaged_run_is_not_played_into_a_whole_one(tmp_path: Path, capsys: py
     cut.write_bytes(recorded("healthy").read_bytes()[:200_000])
     assert cli.main(["record", "--replay", str(cut), "--out", str(tmp_path / "out.mcap")]) == 2
     assert "is damaged: its end is missing" in capsys.readouterr().err
+
+
+def test_a_run_of_another_kind_of_recorder_is_refused_by_name(tmp_path: Path,
+                                                              capsys: pytest.CaptureFixture[str]) -> None:
+    from tests.support.motor_off_runs import write_off
+
+    write_off(tmp_path / "still.mcap")  # no device said in it what it is
+    assert cli.main(["record", "--replay", str(tmp_path / "still.mcap"), "--out", str(tmp_path / "n.mcap")]) == 2
+    assert "does not say which firmware it is of" in capsys.readouterr().err
+    assert not (tmp_path / "n.mcap").exists()
