@@ -119,7 +119,9 @@ def detected(context: DiagnosisContext, tests: Tests) -> bool:
 
 
 def p_of(context: DiagnosisContext, tests: Tests, i: int) -> float:
-    """p-value of candidate i over all that were tried."""
+    """p-value of candidate i over all that were tried; 1 of what counts for nothing."""
+    if context.gain(tests, i) <= 0.0:
+        return 1.0
     return min(1.0, tests.p_value(context.columns[i]) * context.trials)
 
 

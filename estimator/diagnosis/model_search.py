@@ -58,11 +58,10 @@ RIVAL = 0.5
 """An explanation with less than this share of the best one's gain leaves the rest of it unexplained: not a rival."""
 
 
-def explain(context: DiagnosisContext, tests: Tests, say: Progress,
+def explain(context: DiagnosisContext, tests: Tests, singles: list[Explanation], say: Progress,
             promise: Callable[[Sequence[Explanation]], bool]) -> list[Explanation]:
-    """Fitted explanations; more effects only where no single closes, and where singles `promise` that they matter. Then
-    the best that closes, parts exchanged."""
-    singles = fit_singles(context, tests, say)
+    """Fitted explanations; more effects only where none of the `singles` closes, and where they `promise` that they
+    matter. Then the best that closes, parts exchanged."""
     if not singles or not promise(singles):
         return singles
     found = combine(context, singles, say)

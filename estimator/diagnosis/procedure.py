@@ -20,10 +20,11 @@ from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shap
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, SUFFICES
 from estimator.diagnosis.error_budget import budget, measure_errors
-from estimator.diagnosis.model_search import Progress, explain
+from estimator.diagnosis.model_search import Progress, explain, fit_singles
 from estimator.diagnosis.refit import (
     bootstrap_scores,
     fit_nominal,
+    likeliest_rounding,
     refit,
     score_discover,
     tests_of,
@@ -37,7 +38,7 @@ from estimator.fitting import between_samples, rounding_words
 from estimator.likelihood import Candidate
 from estimator.model import Mechanism
 from estimator.numerics import jit
-from estimator.options import FitOptions
+from estimator.options import AUTO, FitOptions
 from estimator.parallel import cores
 
 
@@ -60,8 +61,10 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
             split = split_runs(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
             kept_back = {split.names[i] for i in split.confirm}  # they choose nothing
             hold, mechanism = between_samples([d for d in datasets if d.name not in kept_back], mechanism, options)
+            seeks = options.rounding == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
             split = replace(split, mechanism=mechanism, options=replace(split.options, hold=hold, rounding="given"))
-            found = _diagnose(split, np.random.default_rng(seed), say, reference, material)
+            found = _diagnose(split, seed, say, reference, material, stated if seeks else None)
+            mechanism = found.mechanism or mechanism
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
     told = rounding_words(stated, mechanism)
@@ -69,9 +72,12 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
                    warnings=(*found.warnings, *([told] if told else [])))
 
 
-def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,
-              reference: Mapping[str, tuple[float, float]] | None, material: float) -> Diagnosis:
+def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str, tuple[float, float]] | None,
+              material: float, stated: Mechanism | None) -> Diagnosis:
+    """The diagnosis; beside the best explanation friction's rounding is sought again, from what is `stated`, and where
+    it is another there, all is done again with that."""
     say("fitting the nominal model", 0.02)
+    rng = np.random.default_rng(seed)
     jit.expect()
     nominal = fit_nominal(split)
     effects, refused = library(split.mechanism, split.has_imu)
@@ -98,9 +104,26 @@ def _diagnose(split: RunSplit, rng: np.random.Generator, say: Progress,
             return conclusion.nothing(replace(base, error=None if error is None else (error, error)), context.split,
                                       nominal)
     say("re-fitting the best explanations", 0.4)
-    options = explain(context, tests, say, lambda singles: promise(context, singles, material, rng))
+    options = fit_singles(context, tests, say)
+    other = rounding_beside(split, options, stated)
+    if other is None:
+        options = explain(context, tests, options, say, lambda singles: promise(context, singles, material, rng))
+        other = rounding_beside(split, [e for e in options if len(e.model.effects) > 1], stated)
+    if other is not None:
+        return _diagnose(replace(split, mechanism=other, stiction={}), seed, say, reference, material, None)
     say("opening the confirm runs", 0.85)
-    return conclude(context, base, tests, options, rng, material)
+    return replace(conclude(context, base, tests, options, rng, material), mechanism=split.mechanism)
+
+
+def rounding_beside(split: RunSplit, options: Sequence[Explanation], stated: Mechanism | None) -> Mechanism | None:
+    """The mechanism, where friction has another rounding beside the best of `options`, sought from what is `stated`."""
+    if stated is None or not options:
+        return None
+    try:
+        found = likeliest_rounding(split, max(options, key=lambda e: (e.adequate, e.gain)).model, stated)
+    except FitError:
+        return None
+    return None if np.array_equal(found.velocity_scales, split.mechanism.velocity_scales) else found
 
 
 def rank(context: DiagnosisContext, tests: Tests) -> tuple[CandidateScore, ...]:
@@ -108,10 +131,11 @@ def rank(context: DiagnosisContext, tests: Tests) -> tuple[CandidateScore, ...]:
     out = []
     for i in best_shapes(context, tests):
         effect, columns = context.candidates[i].effect, context.columns[i]
+        open_size = context.split.clock_bound_s if effect.name == SensorTimeSkew.name else 0.0
+        detectable = tests.detectable(int(columns[0]), ALPHA / context.trials, least_gain(context, i))
         out.append(CandidateScore(effect.name, None if effect.joint is None else effect.joint + 1,
                           float(np.sqrt(max(context.gain(tests, i), 0.0))), p_of(context, tests, i),
-                          float(tests.size(columns)[0]),
-                          tests.detectable(int(columns[0]), ALPHA / context.trials, least_gain(context, i)),
+                          float(tests.size(columns)[0]), max(detectable, open_size),
                           context.split.mechanism.unit(effect.sizes[0].unit)))
     return tuple(out)
 

@@ -15,6 +15,7 @@ from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import MAX_ITERATIONS, free_mask, gentle_start, iterate, mistakes_torque, start_state
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
+from estimator.model import Mechanism
 from estimator.parallel import parallel_map
 
 REPLICATES = (2, 16)
@@ -33,6 +34,8 @@ BAD = 3.0
 """Sum of squares over samples times channels above which a motion is doubted: about 1 where all is well."""
 
 
+ROUNDING_STEPS = 12
+"""Steps within which the speeds of friction's rounding are found from where a fit has ended."""
 FIRST = 12
 """Steps of a gentle start in which beta is held, so that motion and noise levels come to it first."""
 
@@ -133,6 +136,22 @@ def refit(split: RunSplit, start: Model, effects: Sequence[tuple[Effect, FloatAr
     if floors is not None and mistakes_torque(problem, state, floors):
         raise FitError("the fit takes the torque for noise")
     return Model(tuple(e for e, _ in effects), state, problem)
+
+
+def likeliest_rounding(split: RunSplit, model: Model, stated: Mechanism) -> Mechanism:
+    """`stated` with the speeds of friction's rounding that fit the discover runs best beside the effects of `model`.
+
+    Without them a wider rounding takes up a part of what they do. Raises `FitError`.
+    """
+    bare = replace(split, mechanism=stated, stiction={})
+    problem = bare.problem(split.discover, model.problem.stage.angle_range, model.effects)
+    problem.seeks_rounding = True
+    x = model.state.x
+    state = replace(model.state, x=Latents(x.q.copy(), x.v.copy(), x.u.copy()), beta=model.state.beta.copy())
+    free = np.ones(state.beta.size, dtype=bool)
+    free[: stated.p] = free_mask(stated, split.options)[0]
+    iterate(problem, state, free, split.options, split.floors(problem, state.beta[: stated.p]), ROUNDING_STEPS)
+    return problem.mechanism
 
 
 def misfit(model: Model) -> float:
