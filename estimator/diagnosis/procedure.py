@@ -60,7 +60,9 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
         with threadpool_limits(1), np.errstate(all="ignore"):  # a search may run off; where it ends is checked
             split = split_runs(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
             kept_back = {split.names[i] for i in split.confirm}  # they choose nothing
-            hold, mechanism = between_samples([d for d in datasets if d.name not in kept_back], mechanism, options)
+            place = {name: k for k, name in enumerate(split.names)}  # nothing hangs on the order in which runs came
+            seen = sorted((d for d in datasets if d.name not in kept_back), key=lambda d: place.get(d.name, 0))
+            hold, mechanism = between_samples(seen, mechanism, options)
             seeks = options.rounding == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
             split = replace(split, mechanism=mechanism, options=replace(split.options, hold=hold, rounding="given"))
             found = _diagnose(split, seed, say, reference, material, stated if seeks else None)

@@ -139,6 +139,16 @@ def test_the_order_of_files_changes_nothing(runs: tuple[Leg, list[Dataset]]) -> 
     assert sorted(name for part in fits[0][0] for name in part) == [run.name for run in data]
 
 
+def test_hold_and_rounding_are_chosen_alike_in_any_order(runs: tuple[Leg, list[Dataset]]) -> None:
+    leg, data = runs
+    options = FitOptions(sensors="imu", hold="auto", rounding="auto")
+    one, other = (diagnose([data[k] for k in order], leg2(lever_arm=leg.lever), options, seed=1)
+                  for order in ([0, 1, 2, 3], [2, 0, 3, 1]))
+    assert one.hold == other.hold != "" and one.mechanism is not None and other.mechanism is not None
+    assert one.mechanism.velocity_scale == other.mechanism.velocity_scale
+    assert one.verdict == other.verdict and one.nominal == other.nominal
+
+
 def test_nothing_hidden_is_never_named(runs: tuple[Leg, list[Dataset]]) -> None:
     leg, data = runs
     found = diagnose(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), seed=1)
