@@ -20,6 +20,10 @@ from estimator.errors import FitError
 NOMINAL = 0
 """Row of the nominal model in the table of errors."""
 
+UNCHANGED = "the free run of runs that it has not seen errs as much as before"
+UNSURE = ("the free run of runs that it has not seen errs less, but not surely so over their pieces, or not every one "
+          "of these runs is likelier with it")
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -79,8 +83,7 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
             return replace(decision, verdict="unexplained", generic=own, terms=generic,
                            why="the error that terms without a name take away stays with it")
         if whole > EDGE:
-            return replace(decision, verdict="unexplained",
-                           why="the free run of runs that it has not seen errs as much as before")
+            return replace(decision, verdict="unexplained", why=shortfall(table, row, least))
         small = table.lowers(row, NOMINAL, 0.0, draws) >= SURE and bool(np.all(table.agreement[row] > 0.0))
         return replace(decision, verdict="none", best=tuple(best) if small else ())
     left = table.error(row) - min(table.error(more), table.error(own) if own else np.inf)
@@ -120,6 +123,11 @@ def matters(table: ErrorTable, model: int, than: int, least: float, draws: NDArr
         return False
     surely = np.mean([table.error(than, d) - table.error(model, d) > least for d in draws]) >= SURE
     return bool(surely and np.all(table.agreement[model] > table.agreement[than]))
+
+
+def shortfall(table: ErrorTable, model: int, least: float) -> str:
+    """Why a `model` of a large error does not matter: the error does not fall by `least`, or not for sure."""
+    return UNCHANGED if table.error(NOMINAL) - table.error(model) < least else UNSURE
 
 
 def without_each(context: DiagnosisContext, model: Model) -> list[Model]:

@@ -15,7 +15,7 @@ from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.diagnosis.error_budget import ErrorTable, budget
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.score_statistics import Tests
-from estimator.diagnosis.verdict import choose, matters
+from estimator.diagnosis.verdict import choose, matters, shortfall
 from estimator.errors import FitError
 
 BLOCKS, RUNS = 20, 2
@@ -62,6 +62,13 @@ def test_a_cause_matters_where_the_error_falls_and_every_run_agrees(
     table = table_of(*errors, agreement=agreement)
     draws = table.draws(np.random.default_rng(1))
     assert matters(table, 1, 0, MATERIAL * table.error(0), draws) is is_material
+
+
+def test_an_error_that_falls_on_one_run_alone_is_not_said_to_stay() -> None:
+    """A wrong gyro scale took the error from 23.5 to 0.8, and was said to leave it as it was."""
+    for after, words in ((0.8, "errs less, but not surely"), (23.0, "errs as much as before")):
+        table = table_of(23.5, after, agreement=[[0, 0], [900, -20]])
+        assert words in shortfall(table, 1, MATERIAL * table.error(0))
 
 
 def test_a_second_law_that_takes_up_a_difference_of_form_is_not_named() -> None:
