@@ -10,6 +10,7 @@ from .methods import Method as Method
 from .options import FitOptions as FitOptions
 from .parallel import cores as cores
 from .parallel import worker_pool as worker_pool
+from .result import TWO_SIDED as TWO_SIDED
 from .result import Combination as Combination
 from .result import FitResult as FitResult
 from .result import RunAgreement as RunAgreement

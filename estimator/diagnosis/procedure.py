@@ -1,8 +1,8 @@
 """`diagnose`: what the simulation gets wrong, what that is, and what extending it gains.
 
-Nominal fit, detection without names, scores of the library with the nominal parameters projected out, full
-re-fits of the best singles, then pairs, then one triple, closure on what was seen, and last, once, closure and
-gain on the confirm runs. A cause is named only where nothing detectable is left over on runs opened once.
+Hold and friction's rounding, nominal fit, detection without names, scores of the library with the nominal parameters
+projected out, full re-fits of the best singles, then pairs, then one triple, and last, once, what each changes in the
+free runs of the confirm runs. A cause is named only where their error falls by it by what matters.
 """
 
 from __future__ import annotations

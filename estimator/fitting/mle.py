@@ -29,7 +29,7 @@ from estimator.fitting.wls import free_mask
 from estimator.likelihood import BatchProblem, ExtendedProblem, LatentProblem, Latents, Noise, Records, Stage, State
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
-from estimator.result import FitResult, Trajectory
+from estimator.result import TWO_SIDED, FitResult, Trajectory
 from estimator.signals import SignalSet, accelerometer, angle_column, split_signals
 
 
@@ -119,7 +119,7 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
         return state, None, (f"the IMU would fit best {_late(skew)} against the controller, more than the "
                              f"clocks' {bound_s * 1e6:.0f} us: not allowed for, for something else is wrong; see legid "
                              "diagnose")
-    told = (f"the IMU is {_late(skew)} against the controller, +-{1.96 * std * 1e6:.0f} us, by this motion "
+    told = (f"the IMU is {_late(skew)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by this motion "
             f"(clocks: within {bound_s * 1e6:.0f} us); allowed for")
     return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
                  state.iterations + again.iterations), skew, told

@@ -19,12 +19,12 @@ from daq.calibration import (
     straight_zero,
 )
 from daq.runs import RawRun, mean_interval
+from estimator import TWO_SIDED
 from experiments.calibrate.motor_off import Wanted
 from experiments.calibrate.outcome import Outcome, friction_of, rounded
 from experiments.models import Model
 
 STOPS = 6
-NORMAL = 1.96
 
 
 def straight_wishes(records: int) -> list[Wanted]:
@@ -45,7 +45,7 @@ def shunt_wishes() -> list[Wanted]:
 
 def calibrate_knee(raws: Sequence[RawRun], rig: Rig, straight: bool, model: Model | None = None) -> Outcome:
     """Knee zero from records at rest. Raises `InputError` or `WorkError`."""
-    step = NORMAL * (rig.noise.encoder_rad or 0.0)
+    step = TWO_SIDED * (rig.noise.encoder_rad or 0.0)
     c, g = rig.calibration, rig.mechanism.gravity_mps2
     if straight:
         stops = [Stop(raw.name, resting_knee(raw)) for raw in raws]

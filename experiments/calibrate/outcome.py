@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from daq import set_values, write_file
+from estimator import TWO_SIDED
 from experiments.models import Model, values_of
 
 DIGITS = 6
@@ -44,4 +45,4 @@ def friction_of(model: Model) -> dict[str, float]:
     """beta4, beta5 [kg m] and beta8, beta9 [N m] of a leg's model, friction at the upper end of its interval."""
     values = values_of(model)
     found = {name: values[name][0] for name in ("beta4", "beta5")}
-    return found | {name: max(values[name][0], 0.0) + 1.96 * values[name][1] for name in ("beta8", "beta9")}
+    return found | {name: max(values[name][0], 0.0) + TWO_SIDED * values[name][1] for name in ("beta8", "beta9")}

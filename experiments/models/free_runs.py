@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator import FitOptions
+from estimator import TWO_SIDED, FitOptions
 from estimator.likelihood import FreeRun, free_run
 from estimator.model import Mechanism
 from estimator.signals import GYRO, IMU_COLUMNS, Channel, angle_column, encoder_of, split_signals
@@ -68,7 +68,7 @@ class FreeRuns:
         found = free_run(self._problem, self._state, self._drive, horizon_s)
         return None if found is None else self._read(found)
 
-    def band(self, sigmas: float = 1.96) -> dict[str, FloatArray] | None:
+    def band(self, sigmas: float = TWO_SIDED) -> dict[str, FloatArray] | None:
         """Column -> (N,) half width by which the parameters' covariance moves the free run of whole stretches, to first
         order; None where parameters are not determined or the free run moves away."""
         base = self.simulated()

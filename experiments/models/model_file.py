@@ -8,12 +8,10 @@ from pathlib import Path
 import msgspec
 
 from daq import InputError
+from estimator import TWO_SIDED
 from experiments.console import write_json
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import SCHEMA, Model
-
-NORMAL = 1.96
-"""Standard deviations to either side of a normal 95 % interval."""
 
 
 def values_of(model: Model) -> dict[str, tuple[float, float]]:
@@ -31,7 +29,7 @@ def widening_of(model: Model) -> list[float]:
     for k, (parameter, interval) in enumerate(zip(model.parameters, model.ci95)):
         variance = model.covariance[k][k]
         if interval is not None and variance and interval[0] < parameter.value:
-            out[k] = (interval[1] - interval[0]) / (2.0 * NORMAL * math.sqrt(variance))
+            out[k] = (interval[1] - interval[0]) / (2.0 * TWO_SIDED * math.sqrt(variance))
     return out
 
 

@@ -11,6 +11,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from daq import FloatArray
+from estimator import TWO_SIDED
 from estimator.diagnosis import BudgetRow, SensorGain, Signature, Trace
 from experiments.reports.chart import Chart, Line
 from experiments.reports.figures import (
@@ -207,9 +208,10 @@ def shift_plot(nominal: Mapping[str, tuple[float, float]], extended: Mapping[str
         shift = np.array([extended[n][0] - nominal[n][0] for n in names]) / unit
         spread = np.array([extended[n][1] for n in names]) / unit
         axes.axvline(0.0, color=INK, linewidth=0.6)
-        axes.errorbar(np.zeros(len(names)), rows - 0.14, xerr=1.96, fmt="o", color=BLUE, markersize=4.0,
+        axes.errorbar(np.zeros(len(names)), rows - 0.14, xerr=TWO_SIDED, fmt="o", color=BLUE, markersize=4.0,
                       label="nominal")
-        axes.errorbar(shift, rows + 0.14, xerr=1.96 * spread, fmt="s", color=ORANGE, markersize=4.0, label="extended")
+        axes.errorbar(shift, rows + 0.14, xerr=TWO_SIDED * spread, fmt="s", color=ORANGE, markersize=4.0,
+                      label="extended")
         axes.set_yticks(rows, names)
         axes.invert_yaxis()
         finish(axes, 2, "shift [standard deviations of the nominal]; bars: 95 %", "")

@@ -5,10 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from estimator import FitResult
-
-TWO_SIDED = 1.96
-"""Standard deviations to either side of a normal 95 % interval."""
+from estimator import TWO_SIDED, FitResult
 
 
 def number(value: float, std: float = 0.0) -> str:

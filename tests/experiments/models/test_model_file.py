@@ -88,12 +88,12 @@ def test_intervals_that_runs_widened_are_kept(tmp_path: Path) -> None:
     save_model(model_of(plain, mechanism_settings(RIG), "zero", []), tmp_path / "plain.json")
     kept, without = load_model(tmp_path / "wide.json"), load_model(tmp_path / "plain.json")
     assert np.array(kept.ci95) == pytest.approx(wide.ci95()) and without.ci95 == ()
-    assert widening_of(kept)[:8] == pytest.approx([4.0 / 1.96] * 8) and widening_of(without) == [1.0] * p
+    assert widening_of(kept)[:8] == pytest.approx([4.0 / 1.959964] * 8) and widening_of(without) == [1.0] * p
     pairs = parameter_pairs((kept, without))
     for k, pair in enumerate(pairs):
         assert pair.a is not None and pair.b is not None
         assert (pair.a.low, pair.a.high) == pytest.approx(wide.ci95()[k])
-        assert pair.b.high - pair.b.low == pytest.approx(2 * 1.96 * plain.std[k])
+        assert pair.b.high - pair.b.low == pytest.approx(2 * 1.959964 * plain.std[k])
 
 
 def document() -> dict[str, Any]:
