@@ -8,6 +8,7 @@ from estimator.diagnosis.result import (
     Cause,
     Diagnosis,
     Remainder,
+    Rotation,
     SensorGain,
     ShortRuns,
     Signature,
@@ -15,6 +16,6 @@ from estimator.diagnosis.result import (
 )
 
 __all__ = [
-    "MATERIAL", "BudgetRow", "CandidateScore", "Cause", "Diagnosis", "Remainder", "SensorGain", "ShortRuns",
+    "MATERIAL", "BudgetRow", "CandidateScore", "Cause", "Diagnosis", "Remainder", "Rotation", "SensorGain", "ShortRuns",
     "Signature", "Trace", "diagnose",
 ]

@@ -111,13 +111,13 @@ def resimulate(split: RunSplit, fitted: tuple[ExtendedProblem, State], run: int,
     """Free run of a run `fitted` by `smooth`, whole or in pieces of `horizon_s`; the pivot's angle q1 is taken for
     measured.
 
-    Where it diverges raises `FitError`, or with `or_still` takes every sensor's mean instead: whose error a
-    simulation that diverges exceeds.
+    Where it diverges raises `FitError`, or with `or_still` takes every sensor's mean instead, whose error a simulation
+    that diverges exceeds; of several pieces one that diverges stays where it began.
     """
     problem, state = fitted
     measured = sensors_of(problem, q1)
     drive = problem.torque - problem.torque_readings(state.x, state.beta)
-    found = free_run(problem, state, drive, horizon_s)
+    found = free_run(problem, state, drive, horizon_s, or_still)
     if found is None and not or_still:
         raise FitError("the free run diverges")
     still = {k: np.full_like(y, y.mean()) for k, y in measured.items()}
@@ -248,8 +248,8 @@ def nothing(found: Diagnosis, split: RunSplit, nominal: Model, small: Explanatio
     immaterial = () if small is None else tuple(causes_of(small, 1.0, found))
     if immaterial:
         told = " with ".join(label(c.effect, c.joint) for c in immaterial)
-        sentence = (f"Nothing that matters beyond noise: {told} is there, but the rms error of free runs falls by less "
-                    f"than {100 * found.material:.0f} % with it")
+        sentence = (f"Nothing that matters beyond noise: {told} is there, but the rms error of free runs does not fall "
+                    f"for sure by {100 * found.material:.0f} % with it")
     if found.error is not None and found.error[0] > 1.0 / (1.0 - found.material):
         found = replace(found, warnings=(*found.warnings, (
             f"free runs err {found.error[0]:.1f} times what white noise alone leaves, and nothing that was tried "
@@ -322,8 +322,8 @@ def with_gain(found: Diagnosis, split: RunSplit, nominal: Model, best: Explanati
     except FitError as error:
         return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
     if gain.ci95 is None or gain.ci95[0] <= 0.0:
-        found = replace(found, warnings=(*found.warnings, NO_GAP if gain.closed is None else UNSURE_GAP),
-                        short=in_pieces(split, nominal, model))
+        doubt = () if found.rotations else (NO_GAP if gain.closed is None else UNSURE_GAP,)  # all runs have said
+        found = replace(found, warnings=(*found.warnings, *doubt), short=in_pieces(split, nominal, model))
     return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
 

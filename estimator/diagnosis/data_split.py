@@ -118,13 +118,21 @@ def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
                        "runs of 20 s")
     starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
     order = by_excitation(runs)
-    confirm = [k for k in range(len(order)) if k % 4 == KEPT_BACK[k // 4 % 2]] or [len(order) - 1]
+    groups = kept_back(len(order))
+    confirm = groups[0]
     screen = [k for k in range(len(order)) if k % 4 == 3 - KEPT_BACK[k // 4 % 2] and k not in confirm]
     fit = [k for k in range(len(order)) if k not in confirm and k not in screen]
     return RunSplit(mechanism, options, tuple(datasets[i].name for i in order), tuple(runs[i] for i in order),
                     tuple(float(starts[i]) for i in order),
                    tuple(fit), tuple(screen), tuple(confirm), gear_ratio, single,
                    max(d.clock_bound_s for d in datasets), known, workers)
+
+
+def kept_back(count: int) -> list[tuple[int, ...]]:
+    """Groups of `count` runs, by falling excitation, that are kept back in turn: the first is the one that chooses
+    nothing. Of four neighbours one is in each."""
+    groups = [tuple(k for k in range(count) if k % 4 == (KEPT_BACK[k // 4 % 2] + turn) % 4) for turn in range(4)]
+    return [g for g in groups if g] if groups[0] else [(count - 1,), *((k,) for k in range(count - 1))]
 
 
 def by_excitation(runs: Sequence[Sequence[SignalSet]]) -> list[int]:

@@ -27,4 +27,5 @@ DRAWS = 400
 EDGE = 3.0
 """Error of the nominal free run, in units of what white noise alone leaves, beyond which it is not put down to a
 disturbance with memory: such a disturbance adds up over a free run. Beyond it explanations are sought even where no
-term is detected, and where none lowers the error the verdict is `unexplained`; below it `none`, with a warning."""
+term is detected, and where none lowers the error the verdict is `unexplained`; below it `none`, with a warning. What
+surely errs more beside a cause, and by more than what matters, leaves it `partial`."""

@@ -68,7 +68,7 @@ def settled(ties: list[Explanation]) -> list[Explanation]:
     if set_apart(best):
         return [best, *(o for o in others if not equivalent(o, best) or set_apart(o))]
     plain = [o for o in ties if all(e.distinguishing_size is None for e in o.model.effects if e.equivalence_class)]
-    return [o for o in ties if set_apart(o) or o in plain or not any(nested(p, o) for p in plain)]
+    return [o for o in ties if set_apart(o) or any(o is p for p in plain) or not any(nested(p, o) for p in plain)]
 
 
 def set_apart(explanation: Explanation) -> bool:

@@ -19,8 +19,9 @@ from estimator.diagnosis import conclusion
 from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, SUFFICES
-from estimator.diagnosis.error_budget import budget, measure_errors
-from estimator.diagnosis.model_search import Progress, explain, fit_singles
+from estimator.diagnosis.error_budget import budget
+from estimator.diagnosis.error_table import ErrorTable, measure_errors
+from estimator.diagnosis.model_search import MOST_ASSESSED, Progress, assess_residuals, explain, fit_singles
 from estimator.diagnosis.refit import (
     bootstrap_scores,
     fit_nominal,
@@ -30,6 +31,7 @@ from estimator.diagnosis.refit import (
     tests_of,
 )
 from estimator.diagnosis.result import CandidateScore, Diagnosis
+from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
 from estimator.diagnosis.verdict import NOMINAL, decide
 from estimator.effects import SensorTimeSkew, battery, library
@@ -105,16 +107,20 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
         if error is None or error <= EDGE:
             return conclusion.nothing(replace(base, error=None if error is None else (error, error)), context.split,
                                       nominal)
+    known: list[ErrorTable] = []
     say("re-fitting the best explanations", 0.4)
-    options = fit_singles(context, tests, say)
+    options = fit_singles(context, tests)
     other = rounding_beside(split, options, stated)
     if other is None:
-        options = explain(context, tests, options, say, lambda singles: promise(context, singles, material, rng))
+        say("looking at what they leave over", 0.6)
+        options = assess_residuals(context, options[:MOST_ASSESSED])
+        options = explain(context, tests, options, say,
+                          lambda singles: promise(context, singles, material, rng, known))
         other = rounding_beside(split, [e for e in options if len(e.model.effects) > 1], stated)
     if other is not None:
         return _diagnose(replace(split, mechanism=other, stiction={}), seed, say, reference, material, None)
     say("opening the confirm runs", 0.85)
-    return replace(conclude(context, base, tests, options, rng, material), mechanism=split.mechanism)
+    return replace(conclude(context, base, tests, options, rng, material, known), mechanism=split.mechanism)
 
 
 def rounding_beside(split: RunSplit, options: Sequence[Explanation], stated: Mechanism | None) -> Mechanism | None:
@@ -162,26 +168,27 @@ def nominal_error(context: DiagnosisContext, rng: np.random.Generator) -> float 
     return table.error(NOMINAL)
 
 
-def promise(context: DiagnosisContext, singles: Sequence[Explanation], material: float, rng: np.random.Generator
-            ) -> bool:
+def promise(context: DiagnosisContext, singles: Sequence[Explanation], material: float, rng: np.random.Generator,
+            known: list[ErrorTable]) -> bool:
     """Whether several effects together could matter: there is error enough, and a single one takes away a good part of
-    what must fall, or the error is beyond what a disturbance makes."""
+    what must fall, or the error is beyond what a disturbance makes. What is measured is `known` then."""
     split, models = context.split, [context.nominal, *(s.model for s in singles[:2])]
     try:
         table = measure_errors(split, models, models[1], rng.integers(2**63, size=len(split.confirm)))
     except FitError:
         return True
+    known.append(table)
     whole = table.error(NOMINAL)
     least = min(table.error(k) for k in range(1, len(models)))
     return whole * (1.0 - material) > 1.0 and (whole > EDGE or least < whole * (1.0 - SUFFICES * material))
 
 
 def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: Sequence[Explanation],
-             rng: np.random.Generator, material: float = MATERIAL) -> Diagnosis:
-    """Verdict, gain and budget by the confirm runs, and what a report draws."""
+             rng: np.random.Generator, material: float = MATERIAL, known: Sequence[ErrorTable] = ()) -> Diagnosis:
+    """Verdict, gain and budget by the confirm runs, and what a report draws; errors that are `known` already."""
     split = context.split
     try:
-        decision = decide(context, tests, options, material, rng)
+        decision = decide(context, tests, options, material, rng, known)
     except FitError as error:  # something was detected, or nothing would be decided here
         return conclusion.unexplained(base, split, context.nominal, None,
                                       f"no simulation of the runs kept back can be carried through ({error})")
@@ -192,7 +199,8 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
     base = replace(base, material=material, budget=budget(decision.table, decision.row, decision.without,
                                                           decision.best[0].model if decision.best else None,
                                                           decision.draws),
-                   error=(decision.table.error(NOMINAL), decision.table.error(decision.row)))
+                   error=(decision.table.error(NOMINAL), decision.table.error(decision.row)),
+                   rotations=account(split, decision.turns, decision.table, decision.row, material))
     if decision.verdict in ("partial", "unexplained") and decision.terms is not None:
         base = replace(base, remainder=conclusion.remainder_of(decision.terms))
     best = decision.best[0] if decision.best else None

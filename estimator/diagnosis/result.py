@@ -131,6 +131,18 @@ class Remainder:
 
 
 @dataclass(frozen=True)
+class Rotation:
+    """Other runs kept back, the models fitted to the rest."""
+
+    runs: tuple[str, ...]
+    """Kept back"""
+    sizes: Mapping[str, float]
+    """Of the effects that were tried, by `effect@joint.size`"""
+    falls: bool
+    """Whether the error on these runs falls by what matters."""
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The whole answer; see docs/formats.md, diagnosis JSON."""
 
@@ -176,6 +188,9 @@ class Diagnosis:
     immaterial: tuple[Cause, ...] = ()
     """Present, but the simulation's error hardly falls by them."""
     remainder: Remainder | None = None
+    rotations: tuple[Rotation, ...] = ()
+    """Only where the runs kept back left open whether the error falls; the first are those themselves. Then budget and
+    error are of all runs, each out of the fit that it judges."""
     material: float = MATERIAL
     """Share of the rms error by which a cause that matters must lower it."""
     hold: str = ""
@@ -183,3 +198,8 @@ class Diagnosis:
     mechanism: Mechanism | None = None
     """With the speeds over which its friction's sign was rounded off, as stated or the likeliest."""
     wall_s: float = 0.0
+
+    @property
+    def stability(self) -> float | None:
+        """Share of the rotations in which the error falls by what matters; None where there were none."""
+        return sum(r.falls for r in self.rotations) / len(self.rotations) if self.rotations else None

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from estimator.diagnosis.context import DiagnosisContext, Explanation
 from estimator.diagnosis.decision_rule import EDGE, SHORTLIST, SUFFICES, SURE
-from estimator.diagnosis.error_budget import ErrorTable, extend_errors, generic_extension, measure_errors
+from estimator.diagnosis.error_budget import generic_extension
+from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors
 from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.model_search import presence
+from estimator.diagnosis.model_search import keys_of, presence
 from estimator.diagnosis.refit import Model, refit
+from estimator.diagnosis.rotation import Turn, rotate
 from estimator.diagnosis.score_statistics import Tests
 from estimator.errors import FitError
 
@@ -21,8 +23,8 @@ NOMINAL = 0
 """Row of the nominal model in the table of errors."""
 
 UNCHANGED = "the free run of runs that it has not seen errs as much as before"
-UNSURE = ("the free run of runs that it has not seen errs less, but not surely so over their pieces, or not every one "
-          "of these runs is likelier with it")
+UNSURE = ("the free run of runs that it has not seen errs less, but not surely so over their pieces, or more on one of "
+          "them, or these runs are no likelier with it")
 
 
 @dataclass(frozen=True)
@@ -38,17 +40,21 @@ class Decision:
     """Row of the first of `best` in the table; NOMINAL where there is none"""
     without: tuple[int, ...]
     """Row of the same less each of its effects, where it has several"""
-    generic: int
-    """Row of what the best one leaves with terms without a name beside it; its own where there are none"""
+    beside: int
+    """Row of the same with terms without a name beside it; its own where it leaves none"""
+    own: int
+    """Row of such terms beside the nominal model; NOMINAL where there are none"""
     terms: Model | None
     draws: NDArray[np.intp]
     why: str = ""
     """Why the closest explanation does not stand."""
+    turns: tuple[Turn, ...] = ()
+    """Of the other runs, where those kept back left it open."""
 
 
 def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanation], material: float,
-           rng: np.random.Generator) -> Decision | None:
-    """The verdict by errors on the confirm runs, opened here for the first and only time.
+           rng: np.random.Generator, known: Sequence[ErrorTable] = ()) -> Decision | None:
+    """The verdict by errors on the confirm runs, which no fit has seen; some of them are `known` already.
 
     None where nothing could be fitted, neither a listed effect nor a term without a name. Raises `FitError` where no
     model's free run can be carried through.
@@ -58,45 +64,90 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
     if not shortlist and generic is None:
         return None
     models = [context.nominal, *(o.model for o in shortlist), *([generic] if generic is not None else [])]
-    table = measure_errors(context.split, models, models[1], rng.integers(2**63, size=len(context.split.confirm)))
+    table = measured_beside(context, models, rng, known)
     draws = table.draws(rng)
     whole = table.error(NOMINAL)
     least = material * whole
     possible = [(o, k) for k, o in enumerate(shortlist, 1) if admissible(o)]
     own = len(models) - 1 if generic is not None else NOMINAL
     if not possible:
-        found = generic is not None and matters(table, own, NOMINAL, least, draws)
-        closest = tuple(shortlist[:1])
-        return Decision("unexplained" if found or whole > EDGE else "none", closest if found else (), table,
-                        1 if found and closest else NOMINAL, (), own, generic, draws,
+        nameless = generic is not None and matters(table, own, NOMINAL, material, draws)
+        closest = tuple(shortlist[:1]) if nameless else ()
+        return Decision("unexplained" if nameless or whole > EDGE else "none", closest, table,
+                        1 if closest else NOMINAL, (), NOMINAL, own, generic, draws,
                         "a size that makes it what it is could as well be nil, or has a sign that it cannot have")
     best, row = choose(possible, table, least)
     beside = generic_extension(context, best[0].model, best[0].left)
     pieces = without_each(context, best[0].model)
-    table = extend_errors(table, context.split, context.nominal, [*pieces, *([beside] if beside is not None else [])])
+    table = extend_errors(table, context.split, [*pieces, *([beside] if beside is not None else [])])
     first = len(models)
     without = tuple(range(first, first + len(pieces)))
     more = first + len(pieces) if beside is not None else row
-    decision = Decision("named", tuple(best), table, row, without, more, beside or best[0].model, draws)
-    if not matters(table, row, NOMINAL, least, draws):
-        if generic is not None and matters(table, own, NOMINAL, least, draws):
-            return replace(decision, verdict="unexplained", generic=own, terms=generic,
+    asked = Decision("named", tuple(best), table, row, without, more, own, beside or best[0].model, draws)
+    found = judge(asked, generic, material)
+    if found.verdict in ("named", "partial") or not is_open(table, row, material, draws):
+        return found
+    rows = list(dict.fromkeys([NOMINAL, row, *without, more, own]))
+    turned = rotate(context.split, choose_rows(table, rows), rng)
+    if turned is None:
+        return found
+    place = {k: rows.index(k) for k in rows}
+    return judge(replace(asked, table=turned[0], row=place[row], without=tuple(place[k] for k in without),
+                         beside=place[more], own=place[own], draws=turned[0].draws(rng), turns=turned[1]),
+                 generic, material)
+
+
+def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
+    """The verdict on the best explanation that is `asked` about, by its table alone; `generic` are the terms without a
+    name beside the nominal model."""
+    table, row, more, own, draws = asked.table, asked.row, asked.beside, asked.own, asked.draws
+    whole = table.error(NOMINAL)
+    if not matters(table, row, NOMINAL, material, draws):
+        if generic is not None and matters(table, own, NOMINAL, material, draws):
+            return replace(asked, verdict="unexplained", terms=generic,
                            why="the error that terms without a name take away stays with it")
         if whole > EDGE:
-            return replace(decision, verdict="unexplained", why=shortfall(table, row, least))
+            return replace(asked, verdict="unexplained", why=shortfall(table, row, material))
         small = table.lowers(row, NOMINAL, 0.0, draws) >= SURE and bool(np.all(table.agreement[row] > 0.0))
-        return replace(decision, verdict="none", best=tuple(best) if small else ())
+        return replace(asked, verdict="none", best=asked.best if small else ())
     left = table.error(row) - min(table.error(more), table.error(own) if own else np.inf)
     if (whole - table.error(row)) < SUFFICES * (whole - table.error(row) + max(left, 0.0)):
-        return replace(decision, verdict="unexplained", why="terms without a name take away more of the error than it")
-    if matters(table, more, row, least, draws):
-        return replace(decision, verdict="partial")
-    return decision
+        return replace(asked, verdict="unexplained", why="terms without a name take away more of the error than it")
+    beyond = [table.error(row, d) > max(EDGE, 1.0 + material * table.error(NOMINAL, d)) for d in draws]
+    if np.mean(beyond) >= SURE or matters(table, more, row, material, draws):  # what the model of all causes would gain
+        return replace(asked, verdict="partial")
+    return asked
+
+
+def is_open(table: ErrorTable, model: int, material: float, draws: NDArray[np.intp]) -> bool:
+    """Whether the error neither surely falls by what matters with `model` nor surely does not, while the runs are
+    likelier with it: one free run that strays makes most of either error."""
+    return bool(table.lowers(model, NOMINAL, material, draws) > 1.0 - SURE and table.agreement[model].sum() > 0.0)
+
+
+def measured_beside(context: DiagnosisContext, models: Sequence[Model], rng: np.random.Generator,
+                    known: Sequence[ErrorTable] = ()) -> ErrorTable:
+    """Errors in units of the noise of the likeliest explanation whose simulations can be carried through, of the
+    nominal model, which comes first, where there is none; what is `known` of them is taken over. Raises `FitError`
+    where not even that can."""
+    for table in known:
+        if table.unit.reference is models[1]:
+            more = [m for m in models if not any(m is k for k in table.models)]
+            place = {id(m): k for k, m in enumerate((*table.models, *more))}
+            return choose_rows(extend_errors(table, context.split, more), [place[id(m)] for m in models])
+    seeds = rng.integers(2**63, size=len(context.split.confirm))
+    for reference in models[1:]:
+        try:
+            return measure_errors(context.split, models, reference, seeds)
+        except FitError:
+            continue
+    return measure_errors(context.split, models, models[NOMINAL], seeds)
 
 
 def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
-    """The likeliest explanations, of each number of effects at least two."""
-    ranked = sorted(options, key=lambda o: -o.gain)
+    """The likeliest explanations, of each number of effects at least two, and each set of effects once."""
+    every = sorted(options, key=lambda o: -o.gain)
+    ranked = [o for k, o in enumerate(every) if not any(keys_of(o) == keys_of(e) for e in every[:k])]
     counts = sorted({len(o.model.effects) for o in options})
     first = [o for n in counts for o in [o for o in ranked if len(o.model.effects) == n][:2]]
     return [*first, *(o for o in ranked if not any(o is f for f in first))][: max(SHORTLIST, len(first))]
@@ -117,17 +168,24 @@ def choose(possible: Sequence[tuple[Explanation, int]], table: ErrorTable, least
     return best, next(k for o, k in near if o is best[0])
 
 
-def matters(table: ErrorTable, model: int, than: int, least: float, draws: NDArray[np.intp]) -> bool:
-    """Whether `model` surely has less rms error than `than` by `least`, and is likelier on every run."""
-    if model == than:
+def matters(table: ErrorTable, model: int, than: int, material: float, draws: NDArray[np.intp]) -> bool:
+    """Whether `model` has less rms error than `than` by the share `material` of the nominal model's, surely so, errs
+    more by as much on none of the runs, and makes them likelier together.
+
+    A law of another form than nature's can make a run that hardly shows the effect less likely: the error says whether
+    that is of consequence.
+    """
+    falls = table.error(than) - table.error(model) > material * table.error(NOMINAL)
+    if model == than or not falls or table.raises(model, than, material):
         return False
-    surely = np.mean([table.error(than, d) - table.error(model, d) > least for d in draws]) >= SURE
-    return bool(surely and np.all(table.agreement[model] > table.agreement[than]))
+    return bool(table.lowers(model, than, material, draws) >= SURE
+                and table.agreement[model].sum() > table.agreement[than].sum())
 
 
-def shortfall(table: ErrorTable, model: int, least: float) -> str:
-    """Why a `model` of a large error does not matter: the error does not fall by `least`, or not for sure."""
-    return UNCHANGED if table.error(NOMINAL) - table.error(model) < least else UNSURE
+def shortfall(table: ErrorTable, model: int, material: float) -> str:
+    """Why a `model` of a large error does not matter: the error does not fall by `material`, or not for sure."""
+    falls = table.error(NOMINAL) - table.error(model) > material * table.error(NOMINAL)
+    return UNSURE if falls else UNCHANGED
 
 
 def without_each(context: DiagnosisContext, model: Model) -> list[Model]:

@@ -178,6 +178,8 @@ class Effect(ABC):
     """By how much it may act later than its law says: a delay of less, found beside it, is no second cause."""
     near_rest: ClassVar[bool] = False
     """It acts where a joint reverses: there no rounded sign is right, and tests find a little of it in every leg."""
+    strict: ClassVar[bool] = False
+    """With a shape at a limit of its range it is another thing than its name says."""
     rough: ClassVar[Mapping[str, float]] = {}
     """Channel, as `noise_check` begins its name, to how much louder than usual it may stay beside this effect,
     whose law is not exact there."""

@@ -16,6 +16,7 @@ class StribeckFriction(TorqueEffect):
     name = "stribeck_friction"
     family = "friction"
     near_rest = True
+    strict = True
     positive = 1
     sizes = (Size("excess_torque", "N m", 0.01),)
     shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.2, 0.4, 0.8), 1.25),)
@@ -62,6 +63,7 @@ class LoadDependentFriction(TorqueEffect):
     name = "load_dependent_friction"
     family = "friction"
     near_rest = True
+    strict = True
     positive = 1
     sizes = (Size("load_coefficient", "1", 0.01),)
     sentence = "friction grows with the torque that the joint transmits"
@@ -134,6 +136,7 @@ class PreslidingFriction(Effect):
     name = "presliding_friction"
     family = "friction"
     near_rest = True
+    strict = True
     positive = 2  # bristles that drove would give back more than they took: a hysteresis that fades does
     defining = 1
     sizes = (Size("level", "N m", 0.01), Size("bristle_damping", "N m s/rad", 0.005))

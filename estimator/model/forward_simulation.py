@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.model.collocation import Collocation
@@ -37,24 +38,28 @@ class Law(Protocol):
 
 def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatArray, tau: FloatArray, dt_s: float,
              hold: str = "linear", guess: tuple[FloatArray, FloatArray] | None = None,
-             taken: FloatArray | None = None,
-             law: Law | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
+             taken: FloatArray | None = None, law: Law | None = None,
+             restarts: NDArray[np.intp] | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(q, qd, qdd), each (N, n), from the state q0, qd0 (n,) under torque samples tau (N, n).
 
     `guess` is a motion (q, qd) near the solution, such as the measured one. `taken` (n, 2, N - 1) is torque
     that something outside the mechanism takes at the Gauss points of each interval, `law` what it takes by the
-    motion; qdd is without either. From the sample on where no solution is found (the parameters are not those of a
-    mechanism, or the motion leaves all bounds) it is NaN.
+    motion; qdd is without either. At the samples `restarts` the motion begins anew, from the guess: many short
+    simulations for the price of one; where they do not settle together all is NaN. From the sample on where no solution
+    is found (the parameters are not those of a mechanism, or the motion leaves all bounds) it is NaN.
     """
-    equation = _Equation(Collocation(mechanism, dt_s, hold), beta, tau, taken, law)
     n = tau.shape[0]
+    held = None if restarts is None else np.isin(np.arange(1, n), restarts)
+    equation = _Equation(Collocation(mechanism, dt_s, hold), beta, tau, taken, law, held)
     q, v = np.full((n, mechanism.n), np.nan), np.full((n, mechanism.n), np.nan)
     q[0], v[0] = q0, qd0
     if guess is not None and n > 1:
         found = _newton(equation, slice(0, n - 1), *_pinned(guess, q0, qd0))
         if found is not None:
             q, v = found
-    if not np.isfinite(q).all():
+            if restarts is not None:  # to the last bit
+                q[restarts], v[restarts] = guess[0][restarts], guess[1][restarts]
+    if held is None and not np.isfinite(q).all():
         _march(equation, q, v)
     with np.errstate(invalid="ignore"):
         good = np.isfinite(q).all(axis=1)
@@ -72,6 +77,8 @@ class _Equation:
     tau: FloatArray
     taken: FloatArray | None
     law: Law | None
+    held: NDArray[np.bool_] | None = None
+    """(K,) intervals whose later end is given: no equation, but that it stays."""
 
     def torque(self, where: slice) -> FloatArray:
         """(n, 2, K) on the intervals `where`, without what the law takes."""
@@ -90,13 +97,23 @@ class _Equation:
         motion = c.motion(q, v, np.arange(len(q) - 1))
         z, slopes = c.terms(motion)
         left = np.tensordot(self.beta, c.to_joint(z), axes=1) - torque
-        return left if self.law is None else left + self.law.torque(motion, where), (motion, slopes)
+        if self.law is not None:
+            left = left + self.law.torque(motion, where)
+        if self.held is not None:
+            left[:, :, self.held[where]] = 0.0
+        return left, (motion, slopes)
 
     def jacobian(self, where: slice, terms: _Terms) -> FloatArray:
         """(n, 2, 4, n, K) its derivatives by both ends of each interval."""
         motion, slopes = terms
         added = None if self.law is None else self.law.slopes(motion, where)
-        return self.collocation.jacobian(slopes, self.beta, motion.angle.shape[1:], added)
+        found = self.collocation.jacobian(slopes, self.beta, motion.angle.shape[1:], added)
+        if self.held is not None:
+            given = np.flatnonzero(self.held[where])
+            found[..., given] = 0.0
+            for j, point in np.ndindex(found.shape[:2]):  # a row for the angle, one for the rate of the later end
+                found[j, point, 2 + point, j, given] = 1.0
+        return found
 
 
 def _pinned(guess: tuple[FloatArray, FloatArray], q0: FloatArray, qd0: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -62,4 +62,5 @@ def effects_text() -> str:
 
 
 def _row(label: str, text: str) -> str:
-    return textwrap.fill(text, 110, initial_indent=f"  {label + ':':15}", subsequent_indent=" " * 17)
+    return textwrap.fill(text, 110, initial_indent=f"  {label + ':':15}", subsequent_indent=" " * 17,
+                         break_on_hyphens=False, break_long_words=False)

@@ -94,9 +94,9 @@ def waterfall(budget: Sequence[BudgetRow]) -> str:
         axes.grid(visible=False, axis="y")
         axes.margins(x=0.14)
         axes.set_xlim(left=0.0)
-        finish(axes, 1, "mean squared error beyond noise [%]", "")
+        finish(axes, 1, "mean squared error\nbeyond noise [%]", "")  # long names leave the axes narrow
 
-    return draw("budget", 0.9 + 0.5 * len(parts), paint)
+    return draw("budget", 1.05 + 0.5 * len(parts), paint)
 
 
 def signature_limits(signatures: Sequence[Signature]) -> dict[tuple[str, str], tuple[Limits, Limits]]:

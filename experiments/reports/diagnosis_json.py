@@ -49,6 +49,9 @@ def diagnosis_document(found: Diagnosis) -> dict[str, Any]:
         "remainder": None if found.remainder is None else {
             "joint": found.remainder.joint, "channel": found.remainder.channel,
             "depends_on": found.remainder.depends_on},
+        "stability": found.stability,
+        "rotations": [{"confirm_runs": list(r.runs), "sizes": dict(r.sizes), "falls": r.falls}
+                      for r in found.rotations],
         "error": None if found.error is None else {"before": found.error[0], "after": found.error[1]},
         "parameters": {"nominal": dict(found.nominal), "extended": dict(found.extended)},
         "not_testable": [{"effect": effect, "joint": contract_joint(effect, joint), "why": why}

@@ -26,6 +26,7 @@ from experiments.reports.diagnosis_json import untestable
 from experiments.reports.diagnosis_text import (
     BUDGET_HEADER,
     ERROR_HEADER,
+    ROTATION_HEADER,
     budget_rows,
     budget_words,
     causes_title,
@@ -36,6 +37,8 @@ from experiments.reports.diagnosis_text import (
     gap_text,
     key_label,
     probability,
+    rotation_rows,
+    rotation_words,
     share_text,
     short_title,
     size_rows,
@@ -62,8 +65,11 @@ def write_diagnosis(path: Path | str, found: Diagnosis, model: str, origin: Orig
 def confirm_words(found: Diagnosis) -> str:
     """What the answer rests on."""
     used = sum(len(names) for names in found.runs.values())
-    return (f"From {used} runs, {len(found.confirm_runs)} of which chose nothing: {', '.join(found.confirm_runs)}."
-            if found.confirm_runs else f"From {used} runs." if used else "")
+    if not found.confirm_runs:
+        return f"From {used} runs." if used else ""
+    turns = " These left it open; then each was kept back in its turn." if found.rotations else ""
+    kept = ", ".join(found.confirm_runs)
+    return f"From {used} runs, {len(found.confirm_runs)} of which chose nothing: {kept}.{turns}"
 
 
 TONES: dict[str, Literal["good", "caution", "bad"]] = {"none": "good", "named": "good", "fit_failed": "bad"}
@@ -111,7 +117,11 @@ def _budget(found: Diagnosis) -> Section:
                             "present, below what matters", frozenset({2, 3})))
     left = found.remainder
     where = [] if left is None else [f"What is left shows most in {left.channel}, as a function of {left.depends_on}."]
-    return Section("What the error consists of", [budget_words(found), *where], tables,
+    turns = []
+    if found.rotations:
+        turns.append(rotation_words(found))
+        tables.append(Table(ROTATION_HEADER, rotation_rows(found), "every run kept back in its turn", frozenset({2})))
+    return Section("What the error consists of", [budget_words(found), *turns, *where], tables,
                    [Picture(waterfall(found.budget), "Mean squared free-run error beyond noise alone, from the nominal "
                             "model to the extended one: what each cause takes away, and what is left.")])
 

@@ -112,11 +112,28 @@ BUDGET_HEADER = ["part of the simulation's error", "share", "95 % interval"]
 
 def budget_words(found: Diagnosis) -> str:
     """What the budget's shares are of, and by how much the error fell."""
-    words = "Where the free runs' mean squared error beyond noise alone comes from, on runs that chose nothing"
+    where = "all runs, each out of the fit that it judges" if found.rotations else "runs that chose nothing"
+    words = f"Where the free runs' mean squared error beyond noise alone comes from, on {where}"
     if found.error is None:
         return f"{words}:"
     return (f"{words} (rms error {found.error[0]:.2f} times what noise alone leaves, {found.error[1]:.2f} with what "
             "was found):")
+
+
+ROTATION_HEADER = ["runs kept back", "size, fitted to the others", "value", "error falls"]
+
+
+def rotation_words(found: Diagnosis) -> str:
+    """Why every run was kept back in its turn, and in how many turns the error falls."""
+    return (f"The runs kept back left open whether the error falls by {100 * found.material:.0f} %, so every run was "
+            f"kept back in its turn: it falls so in {sum(r.falls for r in found.rotations)} of {len(found.rotations)} "
+            "turns.")
+
+
+def rotation_rows(found: Diagnosis) -> list[list[str]]:
+    """One row of ROTATION_HEADER a size and turn."""
+    return [[", ".join(turn.runs), f"{key_label(name.rpartition('.')[0])}: {name.rpartition('.')[2]}", f"{value:.4g}",
+             "yes" if turn.falls else "no"] for turn in found.rotations for name, value in turn.sizes.items()]
 
 
 def budget_rows(found: Diagnosis) -> list[list[str]]:
@@ -138,6 +155,8 @@ def diagnosis_text(found: Diagnosis) -> str:
     blocks = [found.sentence]
     if found.budget:
         blocks.append(f"{budget_words(found)}\n" + text_table(BUDGET_HEADER, budget_rows(found), {1, 2}))
+        if found.rotations:
+            blocks.append(f"{rotation_words(found)}\n" + text_table(ROTATION_HEADER, rotation_rows(found), {2}))
     if found.immaterial:
         rows = [row for cause in found.immaterial for row in size_rows(cause)]
         blocks.append("Present, below what matters:\n" + text_table(

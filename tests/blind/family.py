@@ -17,15 +17,16 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.blind import servo, stickslip
+from tests.blind import records, servo, several_faults, stickslip
 from tests.blind.page import describe_machine
 from tests.blind.run import diagnose, parse_seeds
-from tests.blind.score import Outcome, Rate, load
+from tests.blind.score import PRESENT, Outcome, Rate, load
 
 Maker = Callable[[str, int, Path], None]
 FAMILIES: dict[str, tuple[Maker, Sequence[str]]] = {
-    "servo": (servo.make_case, tuple(servo.MAKERS)), "stickslip": (stickslip.make_case, tuple(stickslip.MAKERS))}
-PRESENT = ("named", "partial", "one_of")
+    "servo": (servo.make_case, tuple(servo.MAKERS)), "stickslip": (stickslip.make_case, tuple(stickslip.MAKERS)),
+    "small_faults": (several_faults.make_case, several_faults.NAMES),
+    "pairs": (several_faults.make_pair, several_faults.PAIRS), "records": (records.make_case, records.NAMES)}
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def rates(outcomes: Sequence[Outcome]) -> dict[str, Rate]:
     counts neither as named nor as wrong."""
     healthy = [o for o in outcomes if o.truth["name"].startswith("none-")]
     outside = [o for o in outcomes if o.truth["name"].startswith("outside_")]
-    single = [o for o in outcomes if o.hidden]
+    single, pair = ([o for o in outcomes if len(o.hidden) == n] for n in (1, 2))
 
     def share(of: list[Outcome], hit: Callable[[Outcome], bool]) -> Rate:
         return Rate(sum(map(hit, of)), len(of))
@@ -53,19 +54,24 @@ def rates(outcomes: Sequence[Outcome]) -> dict[str, Rate]:
             "single: wrong name": share(single, lambda o: o.wrong_name),
             "single: unexplained": share(single, lambda o: o.verdict == "unexplained"),
             "single: none": share(single, lambda o: o.verdict == "none"),
+            "pair: both named, nothing else": share(pair, lambda o: o.exact),
+            "pair: wrong name": share(pair, lambda o: o.wrong_name),
             "outside the library: wrong name": share(outside, lambda o: o.verdict in PRESENT)}
 
 
 def page(family: str, seeds: Sequence[int], root: Path) -> str:
     """The page's text: rates with Wilson's intervals, then every case."""
     outcomes, missing = load(root / "diagnoses", root / "cases")
-    lines = [f"# Diagnosis of plants of another make: {family}", "",
-             f"`make family FAMILY={family}`, seeds {min(seeds)} to {max(seeds)}, {len(outcomes)} cases, each "
-             f"answered by `legid diagnose` as typed; {datetime.now(UTC):%Y-%m-%d}, {describe_machine()}.", "",
-             "| | measured |", "| --- | --- |"]
-    lines += [f"| {name} | {rate} |" for name, rate in rates(outcomes).items()]
     names = [o.truth["name"] for o in outcomes]
     answers = {n: json.loads((root / "diagnoses" / f"{n}.json").read_text()) for n in names}
+    lines = [f"# Diagnosis of plants of another make: {family}", "",
+             f"`make family FAMILY={family}`, seeds {min(seeds)} to {max(seeds)}, {len(outcomes)} cases, each "
+             f"answered by `legid diagnose` as typed; {datetime.now(UTC):%Y-%m-%d}, {describe_machine()}.", ""]
+    if family == "records":
+        lines += records.compare(outcomes, answers)
+    else:
+        lines += ["| | measured |", "| --- | --- |"]
+        lines += [f"| {name} | {rate} |" for name, rate in rates(outcomes).items() if rate.count]
     wall = [a["bench"]["wall_s"] for a in answers.values()]
     lines += ["", f"Time: median {np.median(wall):.0f} s, 95th percentile {np.quantile(wall, 0.95):.0f} s.", "",
               "| hidden | answers | rms error before, after |", "| --- | --- | --- |"]

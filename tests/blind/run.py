@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from tests.blind.bench import generate
-from tests.blind.cases import CLASSES, RUNS, TARGETS, Case, catalogue
+from tests.blind.cases import CLASSES, TARGETS, Case, catalogue
 from tests.blind.effects import MAKERS
 
 BATCH = 32
@@ -80,7 +80,7 @@ def command_of(case: Diagnosable, cases: Path, answer: Path, share: int = 1) -> 
     """The command line that diagnoses a case on `share` processes."""
     folder = cases / case.name
     without = [sys.executable, "-c", WITHOUT, case.effects[0]] if case.kind == "deleted" else list(COMMAND)
-    runs = [str(folder / f"r{k}.csv") for k in range(1, RUNS + 1)]
+    runs = [str(folder / f"r{k}.csv") for k in range(1, len(list(folder.glob("r*.csv"))) + 1)]
     return [*without, "diagnose", *runs, "--rig", str(folder / "rig.toml"), "--json", str(answer),
             "--workers", str(share)]
 

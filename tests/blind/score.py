@@ -19,6 +19,8 @@ from typing import Any
 MODERATE = (2.0, 5.0)
 NAMES = ("named", "partial")
 """Verdicts that say each of their causes is present."""
+PRESENT = (*NAMES, "one_of")
+"""... or one of them."""
 OTHER_FORMS = frozenset((
     "stribeck_friction", "presliding_friction", "friction_drift", "joint_elasticity", "backlash", "end_stop_contact",
     "base_compliance", "torque_ripple", "torque_saturation"))
@@ -65,11 +67,11 @@ class Outcome:
         return tuple(self.truth["effects"])
 
     def found(self, effect: Mapping[str, Any]) -> bool:
-        return any(_same(cause, effect) for cause in self.causes)
+        return any(same(cause, effect) for cause in self.causes)
 
     def true_cause(self, cause: Mapping[str, Any]) -> bool:
         """The cause was hidden, or is truly there beside what was hidden."""
-        return any(_same(cause, e) or any(_same(cause, a) for a in e["also"]) for e in self.hidden)
+        return any(same(cause, e) or any(same(cause, a) for a in e["also"]) for e in self.hidden)
 
     @property
     def names_truth(self) -> bool:
@@ -81,7 +83,7 @@ class Outcome:
 
     @property
     def inside(self) -> bool:
-        return self.verdict in (*NAMES, "one_of") and self.names_truth
+        return self.verdict in PRESENT and self.names_truth
 
     @property
     def wrong_name(self) -> bool:
@@ -97,7 +99,8 @@ class Outcome:
         return self.verdict
 
 
-def _same(cause: Mapping[str, Any], effect: Mapping[str, Any]) -> bool:
+def same(cause: Mapping[str, Any], effect: Mapping[str, Any]) -> bool:
+    """Whether both are one effect at one joint."""
     joints = cause.get("joint"), effect.get("joint")
     return bool(cause["effect"] == effect["effect"] and (None in joints or joints[0] == joints[1]))
 
@@ -181,14 +184,14 @@ def _sizes_inside(outcome: Outcome) -> list[bool]:
     """
     inside = []
     for effect in (e for e in outcome.hidden if e["effect"] not in OTHER_FORMS):
-        stated = [s for c in outcome.causes if _same(c, effect) for s in c["size"]]
+        stated = [s for c in outcome.causes if same(c, effect) for s in c["size"]]
         for size in effect["size"]:
-            same = [s for s in stated if s["name"] == size["name"]]
+            matching = [s for s in stated if s["name"] == size["name"]]
             unit = [s for s in stated if s["unit"] == size["unit"]]
-            if not same and len(unit) == 1 and sum(s["unit"] == size["unit"] for s in effect["size"]) == 1:
-                same = unit
-            if same and same[0].get("ci95"):
-                low, high = same[0]["ci95"]
+            if not matching and len(unit) == 1 and sum(s["unit"] == size["unit"] for s in effect["size"]) == 1:
+                matching = unit
+            if matching and matching[0].get("ci95"):
+                low, high = matching[0]["ci95"]
                 inside.append(bool(low <= size["value"] <= high))
     return inside
 

@@ -27,6 +27,7 @@ COLUMNS = ("time_s", "q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y
 NOISE = {"gyro_radps": 0.004, "accel_x_mps2": 0.04, "accel_y_mps2": 0.04, "tau2_nm": 0.01}
 XML = """
 <mujoco>
+  <compiler angle="radian"/>
   <option timestep="{step}" gravity="0 0 -{g}" integrator="RK4"/>
   <worldbody>
     <body name="base">

@@ -7,6 +7,7 @@ import pytest
 
 from estimator import FitError
 from estimator.effects import Perturbation, library
+from estimator.effects.structure import EndStopContact
 from estimator.model import chain
 
 
@@ -21,3 +22,12 @@ def test_every_signature_is_drawn_against_its_own_joint() -> None:
     found = {e.key: e for e in library(m, False)[0]}
     assert found["torque_ripple@1"].shown_at(m) == 0 and found["torque_ripple@2"].shown_at(m) == 1
     assert found["torque_offset"].shown_at(m) == 1 and found["torque_offset"].depends_on == "v"
+
+
+@pytest.mark.parametrize(("share", "is_stop"), [(0.42, False), (-0.75, True), (0.93, True), (-1.0, False)])
+def test_a_stop_begins_in_the_outer_half_of_the_range_and_is_touched(share: float, is_stop: bool) -> None:
+    """From 0.42 on it is a spring that hardens; at the very end the rounding of its law alone acts, a constant."""
+    stop = EndStopContact(1)
+    kept = stop.clipped(np.array([5.0, share]))
+    assert stop.strict and bool(stop.at_limits(kept).any()) is not is_stop
+    assert 0.49 < abs(kept[1]) < 1.0 and np.sign(kept[1]) == np.sign(share)

@@ -8,6 +8,7 @@ from estimator.diagnosis.result import (
     Cause,
     Diagnosis,
     Remainder,
+    Rotation,
     SensorGain,
     Signature,
     SizeEstimate,
@@ -55,4 +56,7 @@ def synthetic() -> Diagnosis:
                 BudgetRow("remainder", 0.1, (0.03, 0.2)), BudgetRow("noise", 0.125, (0.1, 0.2))),
         error=(3.0, 1.2), remainder=Remainder(1, "torque1", "q v"),
         immaterial=(Cause("sensor_time_skew", None, "the IMU is late against encoder and torque",
-                          (SizeEstimate("skew", "s", 1e-4, (8e-5, 1.2e-4)),), 1e-9, 40.0, ()),))
+                          (SizeEstimate("skew", "s", 1e-4, (8e-5, 1.2e-4)),), 1e-9, 40.0, ()),),
+        rotations=(Rotation(("r4.csv", "r8.csv"), {"stribeck_friction@2.excess_torque": 0.05}, True),
+                   Rotation(("r1.csv", "r3.csv"), {"stribeck_friction@2.excess_torque": 0.0471}, True),
+                   Rotation(("r2.csv",), {"stribeck_friction@2.excess_torque": 0.0522}, False)))

@@ -15,6 +15,7 @@ from daq.dataset import Dataset
 from estimator.diagnosis import refit
 from estimator.diagnosis.conclusion import base
 from estimator.diagnosis.data_split import split_runs
+from estimator.diagnosis.error_table import extend_errors, measure_errors
 from estimator.diagnosis.procedure import diagnose
 from estimator.diagnosis.refit import fit_nominal
 from estimator.diagnosis.score_statistics import RunScore, own_inflation, project
@@ -270,3 +271,18 @@ def test_a_combination_that_the_confirm_runs_hardly_know_is_not_tested_on_them()
     assert project(few, 1, scatter=lender).gain(columns) < 1.0
     same = runs(0.0, 2, np.array([0.0, 1.0, -1.0]))
     assert project(same, 1, scatter=lender).gain(columns) == pytest.approx(4.0 / lender.inflation[0])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_rows_that_are_measured_later_have_the_weights_of_the_first(runs: tuple[Leg, list[Dataset]],
+                                                                    workers: int) -> None:
+    """Where a joint rests is found by the process that measures a run first, and handed back to this one: the same
+    model, measured again beside others, is as likely as before."""
+    leg, data = runs
+    split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(), workers=workers)
+    split = replace(split, confirm=split.confirm + split.screen, screen=())
+    nominal = fit_nominal(split)
+    table = measure_errors(split, [nominal], nominal, np.arange(len(split.confirm)))
+    assert len(split.confirm) > 1 and set(split.confirm) <= set(split.stiction)
+    again = extend_errors(table, split, [nominal])
+    assert again.agreement[1] == pytest.approx(0.0, abs=1e-3) and again.error(1) == pytest.approx(again.error(0))

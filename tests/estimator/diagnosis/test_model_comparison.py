@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from daq import FloatArray
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.model_comparison import indistinguishable_set
 from estimator.diagnosis.model_search import presence
@@ -39,6 +40,21 @@ def test_runs_that_disagree_make_a_tie() -> None:
     scale = explanation(EncoderScale(1), 1546.0, [0.0] * 6)
     rotor = explanation(RotorInertia(1), 1504.0, [-75.0, 81.0, 60.0, -40.0, 55.0, -12.0])
     assert names(indistinguishable_set([rotor, scale])) == ["encoder_scale", "rotor_inertia"]
+
+
+def test_two_fits_of_one_set_of_effects_are_compared_as_such() -> None:
+    """Their arrays are not: that was an internal error."""
+    @dataclass
+    class Model:
+        effects: tuple[Effect, ...]
+        beta: FloatArray
+
+    Model.__getattr__ = lambda self, name: getattr(like, name)  # type: ignore[attr-defined]
+    offset = TorqueOffset()
+    one, two = (explanation(offset, gain, [k, -k] * 3, [20.0]) for gain, k in ((1500.0, 0.0), (1499.0, 40.0)))
+    like = one.model
+    both = [replace(e, model=Model((offset,), np.ones(3))) for e in (one, two)]
+    assert len(indistinguishable_set(both)) == 2
 
 
 @pytest.mark.parametrize(("gain", "by_run"), [

@@ -1,0 +1,163 @@
+"""How far free runs of several models are off, on runs that chose nothing.
+
+A free run starts from the fitted motion and is driven by the measured torque alone, over pieces of `HORIZONS_S`. Its
+squared errors, in units of what noise alone leaves in a rehearsal of the same piece, are comparable over channels and
+horizons; their mean over all of them is the error of a model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import FloatArray
+from estimator.diagnosis.conclusion import BLOCK_S, floor_errors, resimulate, sensors_of
+from estimator.diagnosis.data_split import RunSplit
+from estimator.diagnosis.decision_rule import DRAWS
+from estimator.diagnosis.refit import Model, smooth
+from estimator.likelihood import ExtendedProblem, State
+from estimator.parallel import parallel_map
+
+HORIZONS_S = (0.1, 1.0, np.inf)
+"""What a controller looks ahead, a swing, and the whole run: long free runs of a leg that sticks are chaotic, and tell
+nothing of friction near rest; short ones do not add up what is slow."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What errors are counted in: the noise alone of one model, and the motion that it takes for measured."""
+
+    reference: Model
+    floor: FloatArray
+    """(C,) mean squared error that noise alone leaves in each column"""
+    pivots: tuple[FloatArray, ...]
+    """Angle of the pivot in each run, where no encoder measures it"""
+    misfits: FloatArray
+    """(R,) -2 log likelihood of each run under the nominal model and the noise of the reference"""
+
+
+@dataclass(frozen=True)
+class ErrorTable:
+    """Squared free-run errors of several models on runs that chose nothing."""
+
+    columns: tuple[tuple[str, float], ...]
+    """(sensor column, horizon [s])"""
+    values: FloatArray
+    """(M, B, C) mean over a block, in units of what noise alone leaves in that column"""
+    agreement: FloatArray
+    """(M, R) fall of -2 log likelihood of each run from the first model to this one, both under one noise"""
+    runs: NDArray[np.intp]
+    """(B,) the run that each block belongs to, counted from 0"""
+    models: tuple[Model, ...]
+    """(M,) whose errors these are; the first is the nominal one"""
+    unit: Unit
+
+    def error(self, model: int, blocks: NDArray[np.intp] | None = None) -> float:
+        """Root mean square of a model's error over all columns, inf where it is no number; 1 is noise alone."""
+        values = self.values[model] if blocks is None else self.values[model][blocks]
+        found = float(np.sqrt(values.mean()))
+        return found if np.isfinite(found) else np.inf
+
+    def excess(self, model: int, blocks: NDArray[np.intp] | None = None) -> float:
+        """Mean square beyond noise alone."""
+        return max(self.error(model, blocks) ** 2 - 1.0, 0.0)
+
+    def draws(self, rng: np.random.Generator) -> NDArray[np.intp]:
+        """(DRAWS, B) blocks of resampled runs."""
+        count = self.values.shape[1]
+        return rng.integers(0, count, (DRAWS, count), dtype=np.intp)
+
+    def lowers(self, model: int, than: int, by: float, draws: NDArray[np.intp]) -> float:
+        """Share of resamplings in which `model` has less error than `than` by more than the share `by` of the first
+        model's. Both are of one resampling: a free run that strays once makes most of the error, and a fall that is
+        asked for in its units would not be seen wherever that piece is not drawn."""
+        return float(np.mean([self.error(than, d) - self.error(model, d) > by * self.error(0, d) for d in draws]))
+
+    def raises(self, model: int, than: int, by: float) -> bool:
+        """Whether any run's error is more with `model` than with `than` by the share `by` of the first model's over all
+        runs: a run that hardly errs may err a little more."""
+        each = [np.flatnonzero(self.runs == k) for k in np.unique(self.runs)]
+        return any(self.error(model, d) - self.error(than, d) > by * self.error(0) for d in each)
+
+
+def measure_errors(split: RunSplit, models: Sequence[Model], reference: Model, seeds: NDArray[np.int64]) -> ErrorTable:
+    """Errors of `models`, the nominal one first, on the confirm runs, one of `seeds` each, in units of the noise of
+    `reference`.
+
+    Where a simulation runs off, every sensor's mean stands in for it. Raises `FitError` where the reference's does.
+    """
+    best = next((k for k, m in enumerate(models) if m is reference), len(models))
+    every = [*models, *([reference] if best == len(models) else [])]
+
+    def measured(k: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray | None]:
+        run = split.confirm[k]
+        fitted = [smooth(split, model, run) for model in every]
+        q1 = fitted[best][1].x.q[:, 0]
+        floors = floor_errors(split, reference, fitted[best], run, np.random.default_rng(seeds[k]), HORIZONS_S)
+        floor = np.array([f[c].mean() for f in floors for c in sorted(f)])
+        return (_squares(split, fitted[: len(models)], run, q1), floor, _misfits(fitted, reference)[: len(models)], q1,
+                split.stiction.get(run))
+
+    parts = parallel_map(measured, len(split.confirm), split.workers)
+    for run, part in zip(split.confirm, parts):  # another process found it; later rows are to have the same weights
+        if part[4] is not None:
+            split.stiction.setdefault(run, part[4])
+    lengths = [p[0].shape[1] for p in parts]
+    floor = np.average([p[1] for p in parts], axis=0, weights=lengths)
+    misfits = np.stack([p[2] for p in parts], axis=-1)
+    return ErrorTable(_columns_of(split, reference), np.concatenate([p[0] for p in parts], axis=1) / floor,
+                      misfits[0] - misfits, np.repeat(np.arange(len(parts)), lengths), tuple(models),
+                      Unit(reference, floor, tuple(p[3] for p in parts), misfits[0]))
+
+
+def extend_errors(table: ErrorTable, split: RunSplit, more: Sequence[Model]) -> ErrorTable:
+    """`table` with rows for `more` models."""
+    def measured(k: int) -> tuple[FloatArray, FloatArray]:
+        fitted = [smooth(split, model, split.confirm[k]) for model in more]
+        return (_squares(split, fitted, split.confirm[k], table.unit.pivots[k]),
+                table.unit.misfits[k] - _misfits(fitted, table.unit.reference))
+
+    if not more:
+        return table
+    parts = parallel_map(measured, len(split.confirm), split.workers)
+    values = np.concatenate([p[0] for p in parts], axis=1) / table.unit.floor
+    agreement = np.stack([p[1] for p in parts], axis=-1)
+    return replace(table, values=np.concatenate([table.values, values]), models=(*table.models, *more),
+                   agreement=np.concatenate([table.agreement, agreement]))
+
+
+def choose_rows(table: ErrorTable, rows: Sequence[int]) -> ErrorTable:
+    """`table` with these rows alone, in this order."""
+    return replace(table, values=table.values[list(rows)], agreement=table.agreement[list(rows)],
+                   models=tuple(table.models[k] for k in rows))
+
+
+def _columns_of(split: RunSplit, model: Model) -> tuple[tuple[str, float], ...]:
+    """Sensors, alphabetically, at each horizon."""
+    problem = split.problem(split.confirm[:1], model.problem.stage.angle_range, model.effects)
+    names = sensors_of(problem, np.zeros(problem.total))
+    return tuple((c, horizon) for horizon in HORIZONS_S for c in names)
+
+
+def _squares(split: RunSplit, fitted: Sequence[tuple[ExtendedProblem, State]], run: int, q1: FloatArray) -> FloatArray:
+    """(M, B, C) mean squared errors over blocks of a run that the models are `fitted` to."""
+    size = max(10, int(BLOCK_S * split.runs[run][0].rate_hz))
+    errors: list[list[FloatArray]] = [[] for _ in fitted]
+    for horizon in HORIZONS_S:
+        for row, one in zip(errors, fitted):
+            found = resimulate(split, one, run, q1, True, horizon)
+            row += [_blocks((found.simulated[c] - y) ** 2, size) for c, y in found.measured.items()]
+    return np.stack([np.stack(row, axis=-1) for row in errors])
+
+
+def _misfits(fitted: Sequence[tuple[ExtendedProblem, State]], reference: Model) -> FloatArray:
+    """(M,) -2 log likelihood up to a constant, all under the noise of the reference."""
+    return np.array([problem.linearise(state.x, state.beta, reference.state.noise).objective
+                     for problem, state in fitted])
+
+
+def _blocks(squares: FloatArray, size: int) -> FloatArray:
+    return np.array([part.mean() for part in np.array_split(squares, max(1, len(squares) // size))])

@@ -1,0 +1,76 @@
+"""A recording on virtual time that somebody watches."""
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from daq.recording.plan import Plan
+from daq.recording.recorder import record_run
+from daq.recording.remote import ALIVE, PACKET_BYTES, Ended, Heard, Remote, Status, watched_by
+from daq.rig import parse_rig
+from drivers.leg_controller import LegController
+from drivers.lsm9ds1 import Lsm9ds1
+from drivers.mock.clock import VirtualClock
+from drivers.mock.link import EmulatorLink
+from drivers.mock.plant import StillPlant
+from drivers.mock.rig import MockRig
+
+RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.imu]\n[devices.controller]\n'
+
+
+class Bench:
+    """A recording on virtual time with a watcher at the other end of the line."""
+
+    def __init__(self, folder: Path, seconds: float = 2.0) -> None:
+        self.clock = VirtualClock()
+        self.mock = MockRig(StillPlant(), self.clock)
+        self.controller = LegController(EmulatorLink(self.mock.firmware, self.clock), self.clock.now_ns)
+        self.controller.open()
+        self.imu = Lsm9ds1(self.mock.imu, now_ns=self.clock.now_ns, sleep=self.clock.sleep)
+        self.imu.open()
+        t = np.arange(0.0, seconds, 0.01)
+        self.plan = Plan(t, np.full(t.size, 0.4))
+        self.path = folder / "run.mcap"
+        self.watcher, self.line = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.watcher.setblocking(False)
+        self.packets: list[Status | Heard | Ended] = []
+
+    def record(self, happens: Callable[[float, Remote], None] = lambda now_s, remote: None) -> None:
+        """Under `watched_by`, as the command does it; `happens` is called before every command of the plan."""
+        descriptor = self.line.detach()
+        self.beating = True
+        threading.Thread(target=self._beat, daemon=True).start()
+        with watched_by(descriptor) as remote:
+            assert remote is not None
+
+            def progress(now_s: float, _: float) -> None:
+                happens(now_s, remote)
+
+            record_run(self.path, parse_rig(RIG), RIG, self.plan, self.imu, self.controller, self.clock.now_ns,
+                       threaded=False, progress=progress, remote=remote)
+
+    def _beat(self) -> None:
+        with suppress(OSError):  # a test may have closed it
+            while True:
+                if self.beating:
+                    with suppress(BlockingIOError):
+                        self.watcher.send(ALIVE)
+                self.beat_ns = time.monotonic_ns() if self.beating else self.beat_ns
+                time.sleep(0.02)
+
+    def read(self) -> list[Status | Heard | Ended]:
+        """Everything that the watcher was told."""
+        while True:
+            try:
+                packet = self.watcher.recv(PACKET_BYTES)
+            except BlockingIOError:
+                return self.packets
+            if not packet:
+                return self.packets
+            self.packets.append(msgspec.json.decode(packet, type=Status | Heard | Ended))
