@@ -91,7 +91,15 @@ class Noise(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     gyro_radps: Positive | None = None
     accel_mps2: Positive | None = None
     torque_nm: Positive | None = None
-    encoder_rad: Positive | None = None
+    encoder_rad: Positive | tuple[Positive, ...] | None = None
+    """Of every encoder, or of each joint's."""
+    passive_nm: Positive | None = None
+    """Torque that the model may lack at a joint without a motor."""
+
+    def encoder_of(self, joint: int) -> float | None:
+        """Of one joint's encoder (0-based, -1 the last); None where it is to be estimated."""
+        known = self.encoder_rad
+        return known[joint] if isinstance(known, tuple) else known
 
 
 class Sampling(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -297,6 +305,10 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
             raise InputError(where, f"{key} names joint {bad[0]}, {rig.mechanism.model} has {n}", "correct the list")
         if len(set(joints)) < len(joints):
             raise InputError(where, f"{key} names a joint twice", "correct the list")
+    levels = rig.noise.encoder_rad
+    if isinstance(levels, tuple) and len(levels) != n:
+        raise InputError(where, f"noise.encoder_rad has {len(levels)} levels, {rig.mechanism.model} has {n} joints",
+                         "give one number for all encoders, or one for each joint")
     return rig
 
 
@@ -306,8 +318,10 @@ def _check_finite(table: Struct, where: str, path: str = "") -> None:
         value = getattr(table, name)
         if isinstance(value, Struct):
             _check_finite(value, where, f"{path}{name}.")
-        elif isinstance(value, float) and not math.isfinite(value):
-            raise InputError(where, f"{path}{name} is {value:g}", "give a number that the rig really has")
+            continue
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, float) and not math.isfinite(number):
+                raise InputError(where, f"{path}{name} is {number:g}", "give a number that the rig really has")
 
 
 def _check_mount(rig: Rig, where: str) -> None:

@@ -323,7 +323,8 @@ class Recorder:
 
     def _show(self, remote: Remote, sample: Sample) -> None:
         """What a watcher sees of this turn."""
-        remote.see(self._now_ns(), sample, self._imu.accel_mps2 if self._imu else None, self.supervisor.watched(sample))
+        remote.see(self._now_ns(), sample, self._imu.accel_mps2 if self._imu else None, self.supervisor.watched(sample),
+                   self._senses.hall_seen)
 
     def _status(self) -> Status:
         """For a watcher: how far the run is, how the controller is, what was lost."""

@@ -41,13 +41,15 @@ class Row(NamedTuple):
     time_s: float
     """Since the recording began."""
     q1_rad: float | None
-    """From the pivot's Hall sensor."""
+    """From the pivot's Hall sensor; None where the rig has none."""
     q2_rad: float | None
     torque_nm: float | None
     torque_cmd_nm: float | None
     gyro_radps: float | None
     accel_x_mps2: float | None
     accel_y_mps2: float | None
+    q1_imu_rad: float | None = None
+    """Estimated from gyro and gravity, good to some degrees, where the pivot has no sensor of its own."""
 
 
 class Status(Struct, tag="status"):
@@ -123,14 +125,18 @@ class Remote:
         """Hear the watcher ahead of other programs from now on: an emergency stop is as urgent as a command."""
         hurry(self._thread)
 
-    def see(self, now_ns: int, sample: Sample, accel_mps2: tuple[float, float] | None, watched: Iterator[Trip]) -> None:
-        """The rig now; costs next to nothing unless something is due."""
+    def see(self, now_ns: int, sample: Sample, accel_mps2: tuple[float, float] | None, watched: Iterator[Trip],
+            pivot_sensed: bool = True) -> None:
+        """The rig now; costs next to nothing unless something is due. Without `pivot_sensed` the sample's q1 is the
+        IMU's."""
         if now_ns < self._row_due_ns:
             return
         self._row_due_ns = now_ns + ROW_EVERY_NS
         self._first_ns = self._first_ns or now_ns
-        self._rows.append(Row((now_ns - self._first_ns) * 1e-9, sample.q1_rad, sample.q2_rad, sample.torque_nm,
-                              sample.torque_cmd_nm, sample.q1_speed_radps, *(accel_mps2 or (None, None))))
+        hall, imu = (sample.q1_rad, None) if pivot_sensed else (None, sample.q1_rad)
+        x, y = accel_mps2 or (None, None)
+        self._rows.append(Row((now_ns - self._first_ns) * 1e-9, hall, sample.q2_rad, sample.torque_nm,
+                              sample.torque_cmd_nm, sample.q1_speed_radps, x, y, imu))
         if now_ns >= self._status_due_ns:
             self._status_due_ns = now_ns + STATUS_EVERY_NS
             status = self._status()

@@ -26,7 +26,8 @@ class Senses:
                  now_ns: int) -> None:
         self._rig, self._leg, self._imu, self._imu_hz = rig, leg, imu, imu_hz
         self._plausible = Plausibility(rig.limits, rig.calibration, hello, imu_hz if imu else None, now_ns)
-        self._hall_seen = False
+        self.hall_seen = False
+        """The pivot's Hall sensor has said something; until then q1 is the IMU's."""
         self.commanded = self._plausible.commanded
         """A torque was asked for: (host time [ns], [N m])."""
 
@@ -71,8 +72,8 @@ class Senses:
     def _pivot_rad(self, telemetry: Telemetry) -> float | None:
         """q1 [rad] by the Hall sensor where the rig has one, else by the IMU. NaN: it is lost, or neither is there."""
         hall = telemetry.pivot_hall_rad
-        self._hall_seen = self._hall_seen or math.isfinite(hall)
-        if self._hall_seen or self._imu is None:
+        self.hall_seen = self.hall_seen or math.isfinite(hall)
+        if self.hall_seen or self._imu is None:
             return hall
         return self._imu.pivot_rad if self._imu.samples else None  # without a sample the motor is not armed
 

@@ -141,8 +141,12 @@ def choose_sensors(rig: Rig, datasets: Sequence[Dataset], wanted: str | None) ->
 
 def fit_options(rig: Rig, sensors: str, fixed: Mapping[str, float], latent: str = "trajectory") -> FitOptions:
     """What the rig file knows, as the estimator's options."""
-    noise = {name: level for name in ("gyro_radps", "accel_mps2", "torque_nm", "encoder_rad")
+    noise = {name: level for name in ("gyro_radps", "accel_mps2", "torque_nm", "passive_nm")
              if (level := getattr(rig.noise, name)) is not None}
+    if isinstance(rig.noise.encoder_rad, tuple):
+        noise |= {f"encoder{j + 1}_rad": level for j, level in enumerate(rig.noise.encoder_rad)}
+    elif rig.noise.encoder_rad is not None:
+        noise["encoder_rad"] = rig.noise.encoder_rad
     rounding = "auto" if rig.terms.friction_velocity_radps is None else "given"
     return FitOptions(sensors=sensors, hold=rig.sampling.hold, rounding=rounding, noise=noise,
                       cutoff_hz=rig.filter.cutoff_hz, filter_order=rig.filter.order, fixed=dict(fixed), latent=latent)

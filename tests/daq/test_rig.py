@@ -85,6 +85,8 @@ MOUNT = "[calibration]\nimu_mount = "
     (MOUNT + "[[1, 0, 0], [1, 0, 0], [0, 0, 1]]", "imu_mount"),
     (MOUNT + "[[2, 0, 0], [0, 2, 0], [0, 0, 2]]", "imu_mount"),
     ("[calibration]\naccel_matrix = [[1, 0, 0], [1, 0, 0], [0, 0, 1]]", "accel_matrix"),
+    ("[noise]\nencoder_rad = [0.001, inf]", "encoder_rad"), ("[noise]\nencoder_rad = [0.001]", "1 levels"),
+    ("[noise]\nencoder_rad = [0.001, -1]", "encoder_rad"), ("[noise]\npassive_nm = 0", "passive_nm"),
     ("[terms]\nrotor_inertia = [2, 2]", "twice"), ("x = " + "[" * 100_000, "nested"),
     ("x = " + "{a=" * 100_000, "nested"),
 ])
