@@ -45,7 +45,7 @@ def shunt_wishes() -> list[Wanted]:
 
 def calibrate_knee(raws: Sequence[RawRun], rig: Rig, straight: bool, model: Model | None = None) -> Outcome:
     """Knee zero from records at rest. Raises `InputError` or `WorkError`."""
-    step = TWO_SIDED * (rig.noise.encoder_rad or 0.0)
+    step = TWO_SIDED * (rig.noise.encoder_of(-1) or 0.0)
     c, g = rig.calibration, rig.mechanism.gravity_mps2
     if straight:
         stops = [Stop(raw.name, resting_knee(raw)) for raw in raws]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import textwrap
 import time
 from collections.abc import Sequence
 from contextlib import redirect_stdout
@@ -39,8 +40,21 @@ exit status: 0 done, 1 could not be done on this data, 2 bad arguments or bad in
 """
 
 
+class Words(argparse.HelpFormatter):
+    """Lines of help end at spaces alone, so that no option is parted at a hyphen."""
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False, break_long_words=False)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return "\n".join(indent + line for line in self._split_lines(text, width - len(indent)))
+
+
 class Parser(argparse.ArgumentParser):
     """argparse, with errors of one line that name what was probably meant."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**{"formatter_class": Words, **settings})
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As argparse does, with a suggestion for an option that there is not."""

@@ -13,3 +13,4 @@ from .reading import load_to_convert as load_to_convert
 from .reading import mapped as mapped
 from .reading import read_foreign as read_foreign
 from .ros2_export import export_ros2 as export_ros2
+from .units import si_unit as si_unit

@@ -41,7 +41,7 @@ def read_delimited(path: Path) -> Foreign:
                          "give a text file with a header line and one row a sample")
     names = _names(lines, dialect)
     columns: list[list[float]] = [[] for _ in names]
-    bad: set[int] = set()
+    bad: dict[int, str] = {}
     for number, line in enumerate(lines[dialect.first:], dialect.first + 1):
         if not line.strip():
             continue
@@ -52,11 +52,11 @@ def read_delimited(path: Path) -> Foreign:
         for k in range(len(names)):
             value = _number(cells[k], dialect.decimal) if k < len(cells) else math.nan
             if value is None:
-                bad.add(k)
+                bad.setdefault(k, f"holds {cells[k].strip()[:40]!r} in line {number}")
                 value = math.nan
             columns[k].append(value)
     kept: dict[str, FloatArray] = {name: np.array(columns[k]) for k, name in enumerate(names) if k not in bad}
-    return Foreign(path.name, (Table(kept),))
+    return Foreign(path.name, (Table(kept),), left_out={names[k]: what for k, what in bad.items()})
 
 
 def _lines(path: Path) -> list[str]:

@@ -29,6 +29,8 @@ class Foreign:
     tables: tuple[Table, ...]
     facts: Mapping[str, str] = field(default_factory=dict)
     """What the file says of itself: the rate and clock of an own export."""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """Columns that are no numbers -> what they hold instead, and where."""
 
     @property
     def names(self) -> list[str]:
@@ -40,6 +42,8 @@ class Foreign:
         for table in self.tables:
             if column in table.columns:
                 return table
+        if column in self.left_out:
+            raise InputError(self.name, f"column {column!r} {self.left_out[column]}", "mend that cell, or blank it")
         close = difflib.get_close_matches(column, self.names, 1, 0.6)
         some = ", ".join(self.names[:12]) + (", ..." if len(self.names) > 12 else "")
         raise InputError(self.name, f"has no column {column!r}", f"did you mean {close[0]!r}?" if close

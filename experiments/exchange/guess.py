@@ -10,15 +10,16 @@ Names say what kind of signal a column is. What units and signs it has is left t
   motion, linear in its nine parameters (eq. (62) of Dolinsky and Celikovsky, IEEE TCST 26(4), 2018), leaves the
   smallest residual, and positive inertias, under the right unit and signs.
 
-What physics does not show stays as the file has it: the torque's scale, which scales every parameter alike, and whether
-the leg is seen from its left or its right, which nothing depends on.
+What no unit and sign explains is said to be so (`Guess.unexplained`). What physics does not show stays as the file has
+it: the torque's scale, which scales every parameter alike, and whether the leg is seen from its left or its right, on
+which nothing depends.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,17 +28,22 @@ from daq.runs import IMU
 from experiments.exchange.column_map import TIME, apply_map
 from experiments.exchange.foreign import Foreign
 from experiments.exchange.guess_physics import Pose, find_imu, find_knee
-from experiments.exchange.units import unit_in_name
+from experiments.exchange.units import BRACKETED, unit_in_name
 
 PATTERNS = {
-    "gyro": r"gyr|angular_?vel|omega|ang_?rate|\bw[xyz]\b|imu.*rate",
-    "accel": r"acc|linear_accel|\ba[xyz]\b",
-    "tau": r"torque|effort|\btau|_tau|trq|moment|\btq|current|iq_|_iq|\biq\b",
+    "gyro": r"gyr|angular_?vel|omega|ang_?rate|(?<![a-z])[gw][xyz](?![a-z])|imu.*rate",
+    "accel": r"acc|linear_accel|(?<![a-z])a[xyz](?![a-z])",
+    "tau": r"torque|effort|\btau|_tau|trq|moment|\btq|current|strom|iq_|_iq|\biq\b",
     "q1": r"\bq1|q_?1_|hip|pivot|joint_?1\b|shoulder|joint_?0\b",
-    "q2": r"\bq2|q_?2_|knee|joint_?2\b|elbow|pos|angle|enc|theta|\bq\b",
+    "q2": r"\bq2|q_?2_|knee|knie|joint_?2\b|elbow|pos|angle|winkel|enc(?![ey])|theta|\bq\b",
 }
 """Kind of signal -> how columns that hold it are called; of several kinds the first one counts."""
 NOT_MEASURED = r"cmd|command|set_?point|desired|target|ref|goal|input_"
+WORDS = {"gyro": "gyro, omega, wz or gz", "accel": "acc, ax", "tau2_nm": "torque, effort, tau, current or iq",
+         "q2_rad": "knee, q2, angle, position or encoder", "q1_rad": "hip, q1 or pivot", TIME: "time, t or stamp"}
+"""What a person is told to call them."""
+MOST_RIVALS = 4
+"""Columns that are looked at beside the most likely one."""
 NOT_AN_ANGLE = r"vel|speed|rate|dot|temp|volt|setpoint|err|status|fault|acc"
 TIME_NAMES = r"^_*(time|t|timestamp|stamp|sec|seconds|zeit|clock|millis|micros|time_.*|t_.*|.*timestamp.*|.*time)$"
 STEP_S = (0.0002, 0.1)
@@ -53,6 +59,8 @@ class Guess:
     notes: dict[str, str]
     """Why, by column of the contract."""
     warnings: list[str]
+    unexplained: list[str]
+    """What no unit and sign makes fit; with any, the guess is not to be used as it is."""
     run: Dataset
     """The file as it reads by the guess."""
     curves: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
@@ -61,63 +69,102 @@ class Guess:
 
 def guess_map(foreign: Foreign, gravity_mps2: float = 9.81) -> Guess:
     """Columns of `foreign` with units and signs, for a leg hanging from its pivot. Raises `InputError`."""
-    columns, notes = _by_name(foreign)
+    columns, notes, rivals = _by_name(foreign)
     if "q2_rad" not in columns or "tau2_nm" not in columns:
         lacking = [name for name in ("q2_rad", "tau2_nm") if name not in columns]
-        raise InputError(foreign.name, f"has no column that looks like {' or '.join(lacking)}: "
-                                       + ", ".join(foreign.names[:20]), "write the map by hand, see docs/exchange.md")
+        kinds = {"q2_rad": "q2", "tau2_nm": "tau"}
+        raise _lacking(foreign, " and ".join(lacking), {kinds[name]: WORDS[name] for name in lacking})
     triads = {kind: _triad(foreign, kind) for kind in ("gyro", "accel")}
-    raw = apply_map(foreign, {**columns, **{f"q{k + 3}_rad": Column(name=name) for k, name in enumerate(
-        [*triads["gyro"], *triads["accel"]])}})
-    warnings: list[str] = []
+    axes = [Column(name=name) for name in (*triads["gyro"], *triads["accel"])]
+    spare = {column.name: f"q{k + 3}_rad" for k, column in enumerate([*axes, *rivals])}
+    raw = apply_map(foreign, {**columns, **{spare[column.name]: column for column in (*axes, *rivals)}})
+    warnings, unexplained = [], []
     pose: Pose | None = None
     curves: dict[str, tuple[FloatArray, FloatArray]] = {}
-    read = {name: raw[f"q{k + 3}_rad"] for k, name in enumerate([*triads["gyro"], *triads["accel"]])}
+    read = {column.name: raw[spare[column.name]] for column in axes}
     if triads["gyro"] and len(triads["accel"]) >= 2:
         imu = find_imu(raw.rate_hz, {n: read[n] for n in triads["gyro"]}, {n: read[n] for n in triads["accel"]},
                        gravity_mps2)
         columns |= imu.columns
         notes |= imu.notes
         warnings += imu.warnings
+        unexplained += imu.unexplained
         pose = imu.pose
         curves["accel_x_mps2: read, and as gyro and gravity make it [m/s²]"] = imu.check
     elif "q1_rad" not in columns:
-        raise InputError(foreign.name, "has neither a gyro and an accelerometer nor an angle of the pivot",
-                         "write the map by hand, see docs/exchange.md")
-    knee = find_knee(raw, columns, pose, gravity_mps2)
+        raise _lacking(foreign, "a gyro and two axes of an accelerometer, or an angle of the pivot",
+                       {kind: WORDS[kind] for kind in ("gyro", "accel")} | {"q1": WORDS["q1_rad"]})
+    knees = [find_knee(raw, columns, pose, gravity_mps2)]
+    for rival in rivals:
+        swapped = replace(raw, columns={**raw.columns, "q2_rad": raw[spare[rival.name]]})
+        knees.append(find_knee(swapped, {**columns, "q2_rad": rival}, pose, gravity_mps2))
+    knee = min(knees, key=lambda one: one.left)
+    if rivals:
+        left = (f"{one.columns['q2_rad'].name!r} leaves {100 * one.left:.0f} %" for one in knees)
+        notes["q2_rad"] = f"of the columns that may be the knee's angle: {', '.join(left)}"
     columns |= knee.columns
     notes |= {name: "\n".join(filter(None, (notes.get(name, ""), text))) for name, text in knee.notes.items()}
     curves["tau2_nm: read, and as the motion makes it [N m]"] = knee.check
     warnings += knee.warnings
+    unexplained += knee.unexplained
     if pose is not None and "q1_rad" in columns and not columns["q1_rad"].unit:
         del columns["q1_rad"]  # a benchmark only: without a unit it is of no use
         notes.pop("q1_rad", None)
     order = [TIME, *IMU, "q1_rad", "q2_rad", "tau2_nm", "tau2_cmd_nm"]
     columns = {name: columns[name] for name in order if name in columns}
-    return Guess(columns, notes, warnings, apply_map(foreign, columns), curves)
+    return Guess(columns, notes, warnings, unexplained, apply_map(foreign, columns), curves)
 
 
-def _by_name(foreign: Foreign) -> tuple[dict[str, Column], dict[str, str]]:
-    """Time, angles and torques, with the units that names state."""
+def _by_name(foreign: Foreign) -> tuple[dict[str, Column], dict[str, str], list[Column]]:
+    """Time, angles and torques, with the units that names state; others that are the knee's angle by their names."""
     columns, notes = {}, {}
-    found = {"q1_rad": _best(foreign, "q1"), "q2_rad": _best(foreign, "q2"), "tau2_nm": _best(foreign, "tau"),
-             "tau2_cmd_nm": _best(foreign, "tau", measured=False)}
-    for name, theirs in found.items():
-        if theirs:
+    rivals: list[Column] = []
+    kinds = {"q1_rad": ("q1", True), "q2_rad": ("q2", True), "tau2_nm": ("tau", True), "tau2_cmd_nm": ("tau", False)}
+    for name, kind in kinds.items():
+        fitting = _fitting(foreign, *kind)
+        if fitting:
+            theirs, *others = fitting
             unit = unit_in_name(theirs, name)
             columns[name] = Column(name=theirs, unit=unit)
             notes[name] = "by its name" + (f", which says {unit}" if unit else "")
+            if name == "q2_rad":
+                rivals = [Column(name=other, unit=unit_in_name(other, name)) for other in others[:MOST_RIVALS]]
+            elif others:
+                notes[name] += f" (as {', '.join(map(repr, others[:MOST_RIVALS]))} could be)"
     if any(table.time_s is None for table in foreign.tables):
         columns[TIME], notes[TIME] = _time(foreign)
-    return columns, notes
+    return columns, notes, rivals
 
 
 def _kind(name: str) -> str:
     return next((kind for kind, pattern in PATTERNS.items() if re.search(pattern, name, re.IGNORECASE)), "")
 
 
-def _best(foreign: Foreign, kind: str, measured: bool = True) -> str:
-    """The column that is most likely of this kind, by its name; empty where none is."""
+def _lacking(foreign: Foreign, what: str, words: Mapping[str, str]) -> InputError:
+    """The error for a file without `what`; `words`: kind of signal -> how such columns are called.
+
+    A column that is called so and cannot be used is named with the reason."""
+    useless = [f"{name!r} {why}" for name, why in foreign.left_out.items() if _kind(name) in words]
+    for name in foreign.names:
+        values = foreign.table_of(name).columns[name]
+        if _kind(name) in words and not _changes(values):
+            useless.append(f"{name!r} {'never changes' if np.isfinite(values).any() else 'is blank'}")
+    if useless:
+        return InputError(foreign.name, f"lacks {what}: {', '.join(useless[:6])}",
+                          "mend those cells, or map another column by hand, see docs/exchange.md")
+    names = ", ".join(map(repr, foreign.names[:20]))
+    return InputError(foreign.name, f"lacks {what} by the names of its columns: {names}",
+                      f"name it by a word such as {'; '.join(words.values())}, or write the map by hand, see "
+                      "docs/exchange.md")
+
+
+def _changes(values: FloatArray) -> bool:
+    known = values[np.isfinite(values)]
+    return bool(known.size > 2 and np.ptp(known) > 0.0)
+
+
+def _fitting(foreign: Foreign, kind: str, measured: bool) -> list[str]:
+    """The columns that may be of this kind by their names, the most likely first."""
     fitting: list[tuple[bool, bool, int, str]] = []
     for name in foreign.names:
         commanded = bool(re.search(NOT_MEASURED, name, re.IGNORECASE))
@@ -125,28 +172,31 @@ def _best(foreign: Foreign, kind: str, measured: bool = True) -> str:
             continue
         if kind in ("q1", "q2") and re.search(NOT_AN_ANGLE, name, re.IGNORECASE):
             continue
-        values = foreign.table_of(name).columns[name]
-        known = values[np.isfinite(values)]
-        if known.size > 2 and np.ptp(known) > 0.0:
-            knee = bool(re.search("knee|2", name, re.IGNORECASE))
-            current = bool(re.search("current|iq", name, re.IGNORECASE))
+        if _changes(foreign.table_of(name).columns[name]):
+            knee = bool(re.search("knee|knie|2", name, re.IGNORECASE))
+            current = bool(re.search("current|strom|iq", name, re.IGNORECASE))
             fitting.append((knee, not current, -len(fitting), name))
-    return max(fitting)[-1] if fitting else ""
+    return [name for *_, name in sorted(fitting, reverse=True)]
 
 
 def _triad(foreign: Foreign, kind: str) -> list[str]:
     """Columns of a sensor with up to three axes."""
-    names = [name for name in foreign.names if _kind(name) == kind and "bias" not in name.lower()]
+    names = [name for name in foreign.names if _kind(name) == kind and "bias" not in name.lower()
+             and np.isfinite(foreign.table_of(name).columns[name]).sum() > 2]
     axes = [name for name in names if AXIS.search(name)]
     return (axes or names)[:3]
 
 
 def _time(foreign: Foreign) -> tuple[Column, str]:
     """The column that increases and is called so; its unit by its name, else by the step."""
-    for name in sorted(foreign.names, key=lambda n: not re.match(TIME_NAMES, n, re.IGNORECASE)):
+    useless = [f"{name!r} {why}" for name, why in foreign.left_out.items() if _called_time(name)]
+    for name in sorted(foreign.names, key=lambda n: not _called_time(n)):
         values = foreign.table_of(name).columns[name]
-        steps = np.diff(values)
-        if not (np.isfinite(values).all() and (steps >= 0).mean() > 0.99 and np.median(steps) > 0):
+        known = np.flatnonzero(np.isfinite(values))
+        steps = np.diff(values[known])
+        if known.size < 0.99 * values.size or (steps >= 0).mean() <= 0.99 or np.median(steps) <= 0:
+            if _called_time(name):
+                useless.append(f"{name!r} {_not_a_clock(values)}")
             continue
         unit = unit_in_name(name, TIME)
         if unit:
@@ -154,7 +204,25 @@ def _time(foreign: Foreign) -> tuple[Column, str]:
         step = float(np.median(steps[steps > 0]))
         scales = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
         units = [unit for unit, scale in scales.items() if STEP_S[0] <= step * scale <= STEP_S[1]]
-        if units:
+        if units and (_called_time(name) or step != 1.0):  # a count of rows has no unit
             return Column(name=name, unit=units[0]), f"it increases, in steps of {step:g} {units[0] or 's'}"
-    raise InputError(foreign.name, "has no column that looks like time: " + ", ".join(foreign.names[:20]),
-                     "write the map by hand, see docs/exchange.md")
+    if useless:
+        raise InputError(foreign.name, f"lacks a time: {', '.join(useless[:3])}",
+                         "sort the rows by time, one row a sample, each with its time")
+    raise _lacking(foreign, "a time", {TIME: WORDS[TIME]})
+
+
+def _called_time(name: str) -> bool:
+    return bool(re.match(TIME_NAMES, BRACKETED.sub("", name).strip(), re.IGNORECASE))
+
+
+def _not_a_clock(values: FloatArray) -> str:
+    """Why no run has this column (n,) for its time, in few words."""
+    known = np.flatnonzero(np.isfinite(values))
+    if known.size < 0.99 * values.size:
+        return f"is blank in {values.size - known.size} of {values.size} rows"
+    steps = np.diff(values[known])
+    backwards = np.flatnonzero(steps < 0)
+    if backwards.size:
+        return f"runs backwards in {backwards.size} of {values.size} rows, first in row {known[backwards[0] + 1] + 1}"
+    return f"stands still in {int((steps == 0).sum())} of {values.size} rows"

@@ -2,26 +2,38 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from itertools import product
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import Column, Dataset, FloatArray
 from estimator.model import leg2
 from estimator.signals import lowpass
-from experiments.exchange.units import DEGREE, TURN
+from experiments.exchange.units import DEGREE, TURN, factor, unit_in_name
 
 SLOW_HZ = 0.3
 """Below this the accelerometer gives the pivot's angle, above it the gyro's integral."""
 FAST_HZ = 8.0
-ANGLE_UNITS = {"": 1.0, "deg": DEGREE, "turn": TURN}
-RATE_UNITS = {"": 1.0, "deg/s": DEGREE, "turn/s": TURN}
+ANGLE_UNITS = {"": 1.0, "deg": DEGREE, "turn": TURN, "mrad": 1e-3}
+RATE_UNITS = {"": 1.0, "deg/s": DEGREE, "turn/s": TURN, "rpm": TURN / 60.0, "mdps": 1e-3 * DEGREE}
 ACCEL_UNITS = {"": 1.0, "g": 9.80665, "mg": 9.80665e-3}
 CLEAR = 1.5
 """A guess whose runner-up leaves less than so many times its residual is called unsure."""
+NOT_SURE = "NOT SURE: "
+EXPLAINS = 0.5
+"""What leaves a larger share is no explanation. Right units and signs leave 11 to 35 % of the torque of a moving leg
+(up to two thirds of one that hardly moves), an absolute angle for a relative one about 56 %, a motor's angle 81 %."""
+
+
+BRIDGED_S = 0.05
+"""A longer gap is no straight line."""
+RING_S = 0.3
+"""So far beside such a gap filters still feel it."""
 
 
 class Pose(NamedTuple):
@@ -37,128 +49,229 @@ class Found(NamedTuple):
     columns: dict[str, Column]
     notes: dict[str, str]
     warnings: list[str]
+    unexplained: list[str]
+    """What no unit and sign makes fit: whatever stands in `columns` for it is not to be used."""
     check: tuple[FloatArray, FloatArray]
     """(n,) measured, and as physics makes it of the others."""
     pose: Pose | None = None
+    left: float = 0.0
+    """The share of the torque that the knee's best unit and sign leaves."""
+
+
+class _Reading(NamedTuple):
+    """A signal read in one unit and sign, and what that leaves."""
+
+    left: float
+    unit: str
+    sign: int
+    made: FloatArray
 
 
 def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str, FloatArray], gravity: float) -> Found:
     """Axes, units and signs of gyro and accelerometer, each axis (n,) as the file has it."""
-    turning = max(gyro, key=lambda name: float(np.nanstd(gyro[name])))
-    along = max(accel, key=lambda name: abs(float(np.nanmedian(accel[name]))))
-    length = float(np.nanmedian(np.sqrt(sum(values**2 for values in accel.values()))))
+    gyro, accel = ({name: filled(values) for name, values in axes.items()} for axes in (gyro, accel))
+    turning = max(gyro, key=lambda name: float(np.std(gyro[name])))
+    along = max(accel, key=lambda name: abs(float(np.median(accel[name]))))
+    length = float(np.median(np.sqrt(sum(values**2 for values in accel.values()))))
     accel_unit = min(ACCEL_UNITS, key=lambda unit: abs(np.log(max(length, 1e-12) * ACCEL_UNITS[unit] / gravity)))
-    out_sign = -int(np.sign(np.nanmedian(accel[along])))
-    warnings = []
-    off = abs(length * ACCEL_UNITS[accel_unit] / gravity - 1.0)
-    if off > 0.2:
-        warnings.append(f"the accelerometer's median length is {length:.4g}, not gravity in m/s2, g or mg")
+    out_sign = -int(np.sign(np.median(accel[along])))
+    warnings, unexplained = [], []
+    heavy = abs(length * ACCEL_UNITS[accel_unit] / gravity - 1.0) <= 0.2
+    if not heavy:
+        unexplained.append(f"the accelerometer's median length is {length:.4g}, not gravity in m/s2, g or mg: it may "
+                           "be in counts, or have gravity taken off")
+    said = unit_in_name(along, "accel_y_mps2")
+    if heavy and said and not _same(said, accel_unit, "accel_y_mps2"):
+        warnings.append(f"the name of {along!r} says {said}, but its gravity is that of {accel_unit or 'm/s2'}")
     a_y = out_sign * ACCEL_UNITS[accel_unit] * accel[along]
-    best: list[tuple[float, str, str, int, FloatArray, FloatArray, Pose, float]] = []
+    best: list[tuple[_Reading, str, FloatArray, Pose, float]] = []
     for side, (unit, scale), sign in product([name for name in accel if name != along], RATE_UNITS.items(), (1, -1)):
         a_x = ACCEL_UNITS[accel_unit] * accel[side]
-        omega = sign * scale * gyro[turning]
-        made, lever, pose = _tangential(a_x, a_y, omega, rate_hz, gravity)
+        made, lever, pose = _tangential(a_x, a_y, sign * scale * gyro[turning], rate_hz, gravity)
         read = _band(a_x, rate_hz)
-        share = float(np.sqrt(np.nanmean((read - made) ** 2) / max(float(np.nanmean(read**2)), 1e-30)))
+        share = float(np.sqrt(np.mean((read - made) ** 2) / max(float(np.mean(read**2)), 1e-30)))
         # the axis across the plane of motion is explained by nothing, and by nothing well: only a live axis counts
-        live = float(np.nanstd(a_x)) / max(float(np.nanstd(np.stack(list(accel.values())), axis=1).max()), 1e-30)
-        best.append((share / max(live, 1e-6), side, unit, sign, read, made, pose, lever))
-    best.sort(key=lambda row: row[0])
-    score, side, unit, sign, read, made, pose, lever = best[0]
-    if best[1][0] < CLEAR * score:
-        warnings.append(f"the gyro's unit and sign are a close call: {unit or 'rad/s'}, sign {sign}, leaves "
-                        f"{100 * score:.0f} % of accel_x, {best[1][2] or 'rad/s'}, sign {best[1][3]}, "
-                        f"{100 * best[1][0]:.0f} %")
-    named = accel_unit or "m/s2"
-    columns = {"gyro_radps": Column(name=turning, unit=unit, sign=1 if sign > 0 else -1),
+        live = float(np.std(accel[side])) / max(float(np.std(np.stack(list(accel.values())), axis=1).max()), 1e-30)
+        best.append((_Reading(share / max(live, 1e-6), unit, sign, made), side, read, pose, lever))
+    best.sort(key=lambda row: row[0].left)
+    (first, side, read, pose, lever), (second, *_) = best[0], best[1]
+    unit, sign, said = first.unit or "rad/s", first.sign, unit_in_name(turning, "gyro_radps")
+    fits = f"in {unit}, sign {sign:+d}, its integral explains accel_x but for {100 * first.left:.1f} %"
+    known, unsure = first.left <= EXPLAINS and heavy, second.left < CLEAR * first.left
+    if first.left > EXPLAINS:
+        unexplained.append(f"no unit and sign of {turning!r} explains the accelerometer (the best leaves "
+                           f"{100 * first.left:.0f} % of {side!r}): another axis or sensor, an IMU that is turned "
+                           "against the link, or a time in another unit")
+    elif unsure:
+        warnings.append(f"the gyro's unit and sign are a close call: {unit}, sign {sign:+d}, leaves "
+                        f"{100 * first.left:.0f} % of accel_x, {second.unit or 'rad/s'}, sign {second.sign:+d}, "
+                        f"{100 * second.left:.0f} %")
+    if known and said and not _same(said, first.unit, "gyro_radps"):
+        warnings.append(f"the name of {turning!r} says {said}, but {fits}: {unit} is taken")
+    columns = {"gyro_radps": Column(name=turning, unit=first.unit, sign=1 if sign > 0 else -1),
                "accel_x_mps2": Column(name=side, unit=accel_unit),
                "accel_y_mps2": Column(name=along, unit=accel_unit, sign=1 if out_sign > 0 else -1)}
-    notes = {"gyro_radps": f"the axis that turns most; in {unit or 'rad/s'}, sign {sign:+d}, its integral explains "
-                           f"accel_x but for {100 * score:.1f} % (next best: {100 * best[1][0]:.0f} %)",
-             "accel_x_mps2": f"across the link, in the plane of motion; the IMU's lever arm would be {lever:.3f} m",
-             "accel_y_mps2": f"the axis that carries gravity, {length:.4g} {named} in the median"}
-    return Found(columns, notes, warnings, (read, made), pose)
+    notes = {"gyro_radps": "NOT KNOWN: the axis that turns most, but it does not fit the accelerometer",
+             "accel_x_mps2": "NOT KNOWN: it does not fit the gyro",
+             "accel_y_mps2": f"NOT KNOWN: no gravity in it, {length:.4g} in the median"}
+    if heavy:
+        notes["accel_y_mps2"] = f"the axis that carries gravity, {length:.4g} {accel_unit or 'm/s2'} in the median"
+    if known:
+        notes["gyro_radps"] = (f"{NOT_SURE if unsure else ''}the axis that turns most; {fits} (next best: "
+                               f"{100 * second.left:.0f} %)")
+        notes["accel_x_mps2"] = (f"across the link, in the plane of motion; the IMU's lever arm would be {lever:.3f} m")
+    return Found(columns, notes, warnings, unexplained, (read, first.made), pose)
+
+
+def _same(one: str, other: str, column: str) -> bool:
+    """Two names of one unit."""
+    return bool(np.isclose(factor(one, column, ""), factor(other, column, "")))
+
+
+def filled(x: FloatArray) -> FloatArray:
+    """(n,) with straight lines over what is missing."""
+    known = np.isfinite(x)
+    return x if known.all() else np.interp(np.arange(x.size), np.flatnonzero(known), x[known])
 
 
 def _band(x: FloatArray, rate_hz: float) -> FloatArray:
-    """Without what drifts and what only rings (n, ...)."""
-    known = np.where(np.isfinite(x), x, np.nanmean(x, axis=0))
-    return lowpass(known, min(FAST_HZ, 0.2 * rate_hz), rate_hz) - lowpass(known, SLOW_HZ, rate_hz)
+    """(n,) without what drifts and what only rings."""
+    return lowpass(x, min(FAST_HZ, 0.2 * rate_hz), rate_hz) - lowpass(x, SLOW_HZ, rate_hz)
 
 
 def _tangential(a_x: FloatArray, a_y: FloatArray, omega: FloatArray, rate_hz: float, gravity: float
                 ) -> tuple[FloatArray, float, Pose]:
     """accel_x (n,) as gyro and gravity make it, band-passed; the lever arm that fits it, not negative; the motion."""
-    omega = np.where(np.isfinite(omega), omega, 0.0)
     turned = np.cumsum(omega - omega.mean()) / rate_hz
-    tilt = np.unwrap(np.arctan2(np.where(np.isfinite(a_x), a_x, 0.0), np.where(np.isfinite(a_y), -a_y, gravity)))
+    tilt = np.unwrap(np.arctan2(a_x, -a_y))
     q1 = turned - lowpass(turned, SLOW_HZ, rate_hz) + lowpass(tilt, SLOW_HZ, rate_hz)
     swing, sine = (_band(x, rate_hz) for x in (np.gradient(omega, 1.0 / rate_hz), gravity * np.sin(q1)))
     lever = max(float(swing @ (_band(a_x, rate_hz) - sine) / max(float(swing @ swing), 1e-30)), 0.0)
     return lever * swing + sine, lever, Pose(q1, omega)
 
 
+class _Knee(NamedTuple):
+    """Angles in one unit and sign, and what the equation of motion leaves of the torque."""
+
+    left: float
+    unit: str
+    hip_unit: str
+    sign: int
+    works: int
+    made: FloatArray
+
+
 def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gravity: float) -> Found:
     """Unit and sign of the knee's angle, sign of its torque; with an encoder on the pivot, its unit too.
 
-    `raw` has the columns as the file has them but for units that names state.
+    `raw` has the columns as the file has them but for units that names state. A name's unit is kept unless another one
+    explains the torque, and far better.
     """
     knee, torque = columns["q2_rad"], columns["tau2_nm"]
-    angle, push = raw["q2_rad"], raw["tau2_nm"]  # in the unit that a name states, else as in the file
-    fixed = {"": 1.0}
-    ranked = []
-    for (unit, scale), sign in product((fixed if knee.unit else ANGLE_UNITS).items(), (1, -1)):
-        if pose is not None:
-            share, beta, made = _equation(pose, sign * scale * angle, push, raw.rate_hz, gravity)
+    push = filled(raw["tau2_nm"])
+    ranked = _knees(raw, columns, pose, push, gravity)
+    by_name = [one for one in ranked if one.unit == knee.unit]
+    warnings, unexplained = [], []
+    first = ranked[0]
+    if knee.unit and first.unit != knee.unit:
+        if first.left <= EXPLAINS and CLEAR * first.left < by_name[0].left:
+            warnings.append(f"the name of {knee.name!r} says {knee.unit}, but in {first.unit or 'rad'} the equation of "
+                            f"motion leaves {100 * first.left:.0f} % of the torque, not {100 * by_name[0].left:.0f} %: "
+                            f"{first.unit or 'rad'} is taken")
         else:
-            hip = Pose(scale * raw["q1_rad"], np.gradient(_known(scale * raw["q1_rad"]), 1.0 / raw.rate_hz))
-            share, beta, made = _equation(hip, sign * scale * angle, push, raw.rate_hz, gravity)
-        ranked.append((share, unit, sign, 1 if beta[0] > 0 else -1, made))
-    ranked.sort(key=lambda row: row[0])
-    share, unit, sign, works, made = ranked[0]
-    warnings = []
-    if ranked[1][0] < CLEAR * share:
-        warnings.append(f"the knee's unit and sign are a close call: {100 * share:.0f} % of the torque left against "
-                        f"{100 * ranked[1][0]:.0f} %; look at the plot")
-    shown = knee.unit or unit
-    out = {"q2_rad": msgspec.structs.replace(knee, unit=shown, sign=1 if sign > 0 else -1),
-           "tau2_nm": msgspec.structs.replace(torque, sign=1 if works > 0 else -1)}
-    if "tau2_cmd_nm" in columns:
-        out["tau2_cmd_nm"] = msgspec.structs.replace(columns["tau2_cmd_nm"], sign=1 if works > 0 else -1)
+            ranked, first = by_name, by_name[0]
+    second, unit = ranked[1], first.unit or "rad"
+    known, unsure = first.left <= EXPLAINS, second.left < CLEAR * first.left
+    if not known:
+        unexplained.append(
+            f"no unit and sign of {knee.name!r} explains the torque {torque.name!r} (the best leaves "
+            f"{100 * first.left:.0f} %): too little motion, the motor's angle (scale = 1 / gear ratio), an absolute "
+            "angle, another joint's, or late" + ("" if pose is None else ", or the IMU turned against the link"))
+    elif unsure:
+        warnings.append(f"the knee's unit and sign are a close call: {unit}, sign {first.sign:+d}, leaves "
+                        f"{100 * first.left:.0f} % of the torque, {second.unit or 'rad'}, sign {second.sign:+d}, "
+                        f"{100 * second.left:.0f} %; look at the plot")
+    out = {"q2_rad": msgspec.structs.replace(knee, unit=first.unit, sign=1 if first.sign > 0 else -1)}
+    for name in ("tau2_nm", "tau2_cmd_nm"):
+        if name in columns:
+            out[name] = msgspec.structs.replace(columns[name], sign=1 if first.works > 0 else -1)
     if pose is None and "q1_rad" in columns:
-        out["q1_rad"] = msgspec.structs.replace(columns["q1_rad"], unit=columns["q1_rad"].unit or unit)
-    notes = {"q2_rad": f"in {shown or 'rad'}, sign {sign:+d}, the equation of motion leaves {100 * share:.1f} % of the "
-                       f"torque (next best: {100 * ranked[1][0]:.0f} %)",
-             "tau2_nm": f"with sign {works:+d} inertias are positive, and it does the knee's work"}
+        out["q1_rad"] = msgspec.structs.replace(columns["q1_rad"], unit=first.hip_unit)
+    notes = {"q2_rad": "NOT KNOWN: no unit and sign explains the torque",
+             "tau2_nm": "NOT KNOWN: its sign does not show"}
+    if known:
+        doubt = NOT_SURE if unsure else ""
+        notes = {"q2_rad": f"{doubt}in {unit}, sign {first.sign:+d}, the equation of motion leaves "
+                           f"{100 * first.left:.1f} % of the torque (next best: {100 * second.left:.0f} %)",
+                 "tau2_nm": f"{doubt}with sign {first.works:+d} inertias are positive, and it does the knee's work"}
     if torque.unit.lower() in ("a", "ma") or not torque.unit:
-        warnings.append(f"the scale of tau2_nm cannot be seen: set scale to N m per "
-                        f"{torque.unit or 'unit'} of {torque.name!r} if it is not in N m at the joint")
-    return Found(out, notes, warnings, (works * lowpass(_known(push), min(FAST_HZ, 0.2 * raw.rate_hz), raw.rate_hz),
-                                        works * made))
+        warnings.append(f"the scale of tau2_nm cannot be seen: set scale to N m per {torque.unit or 'unit'} of "
+                        f"{torque.name!r}" + ("" if torque.unit else " if it is not in N m at the joint"))
+    if not knee.unit and re.search("motor", knee.name, re.IGNORECASE):
+        warnings.append(f"{knee.name!r} sounds like the motor's angle: then set unit, scale (1 / gear ratio) by hand")
+    read = first.works * lowpass(push, min(FAST_HZ, 0.2 * raw.rate_hz), raw.rate_hz)
+    return Found(out, notes, warnings, unexplained, (read, first.works * first.made), left=first.left)
 
 
-def _known(x: FloatArray) -> FloatArray:
-    return np.where(np.isfinite(x), x, np.nanmean(x))
+def _knees(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, push: FloatArray, gravity: float
+           ) -> list[_Knee]:
+    """What every unit and sign leaves, the least first. A pivot's encoder without a unit of its own has the knee's."""
+    knee, hip = columns["q2_rad"], columns.get("q1_rad", Column(name=""))
+    angles = _in_units(knee, raw["q2_rad"])
+    if pose is not None or "q1_rad" not in columns:
+        poses = {hip.unit: pose} if pose is not None else {}
+    else:
+        hips = _in_units(hip, raw["q1_rad"])
+        poses = {unit: Pose(q1, np.gradient(q1, 1.0 / raw.rate_hz)) for unit, q1 in hips.items()
+                 if not hip.unit or unit == hip.unit}
+    measured = [name for name in ("q1_rad", "q2_rad", "tau2_nm") if name in raw]
+    counts = ~_near_gaps(raw.gap(measured if pose is None else measured[-2:]), raw.rate_hz)
+    out = []
+    for (hip_unit, link), (unit, angle), sign in product(poses.items(), angles.items(), (1, -1)):
+        if pose is None and not (hip.unit or knee.unit) and unit != hip_unit:
+            continue
+        left, beta, made = _equation(link, sign * angle, push, counts, raw.rate_hz, gravity)
+        out.append(_Knee(left, unit, hip_unit, sign, 1 if beta[0] > 0 else -1, made))
+    return sorted(out, key=lambda one: one.left)
 
 
-def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, rate_hz: float, gravity: float
+def _in_units(column: Column, values: FloatArray) -> dict[str, FloatArray]:
+    """An angle (n,) in rad under every unit that it may have; `values` are read by that of its name."""
+    stated = factor(column.unit, "q2_rad", column.name)
+    others = {unit: scale / stated for unit, scale in ANGLE_UNITS.items() if not np.isclose(scale, stated)}
+    return {unit: scale * filled(values) for unit, scale in ({column.unit: 1.0} | others).items()}
+
+
+def _near_gaps(gap: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
+    """(n,) True in and beside gaps that are too long for a straight line."""
+    def reached(where: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
+        reach = round(seconds * rate_hz)
+        return np.convolve(where, np.ones(2 * reach + 1))[reach:reach + where.size] > 0.5
+
+    inner = ~reached(~gap, 0.5 * BRIDGED_S)
+    return reached(inner, 0.5 * BRIDGED_S + RING_S)
+
+
+def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, counts: NDArray[np.bool_], rate_hz: float, gravity: float
               ) -> tuple[float, FloatArray, FloatArray]:
     """What tau = Z beta with least squares leaves of the torque, as a share; beta (9,); the torque that it makes (n,).
+
+    Only samples of `counts` (n,) do.
 
     A beta without positive inertias is no leg's: its residual counts as the whole torque.
     """
     mechanism = leg2(gravity_mps2=gravity, velocity_scale=0.05)
     cutoff = min(FAST_HZ, 0.2 * rate_hz)
-    q = lowpass(np.stack([hip.q1, _known(q2)], axis=-1), cutoff, rate_hz)
-    rate = lowpass(np.stack([hip.rate, np.gradient(_known(q2), 1.0 / rate_hz)], axis=-1), cutoff, rate_hz)
+    q = lowpass(np.stack([hip.q1, q2], axis=-1), cutoff, rate_hz)
+    rate = lowpass(np.stack([hip.rate, np.gradient(q2, 1.0 / rate_hz)], axis=-1), cutoff, rate_hz)
     z = mechanism.regressor(q, rate, np.gradient(rate, 1.0 / rate_hz, axis=0))
-    trim = slice(int(rate_hz), -int(rate_hz)) if len(q) > 6 * rate_hz else slice(None)
-    tau = lowpass(_known(torque), cutoff, rate_hz)
-    rows = np.concatenate([z[trim, 0], z[trim, 1]])
-    wanted = np.concatenate([np.zeros(len(z[trim])), tau[trim]])
+    use = counts.copy()
+    if len(q) > 6 * rate_hz:
+        use[:int(rate_hz)] = use[-int(rate_hz):] = False
+    tau = lowpass(torque, cutoff, rate_hz)
+    rows = np.concatenate([z[use, 0], z[use, 1]])
+    wanted = np.concatenate([np.zeros(int(use.sum())), tau[use]])
     beta = np.linalg.lstsq(rows, wanted, rcond=None)[0]
     left = float(np.sqrt(np.sum((rows @ beta - wanted) ** 2) / max(float(np.sum(wanted**2)), 1e-30)))
     sane = beta[0] * beta[1] > 0 and beta[2] ** 2 < beta[0] * beta[1]
     return left if sane else max(left, 1.0), beta, np.asarray(z[:, 1] @ beta)
-

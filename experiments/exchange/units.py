@@ -25,7 +25,7 @@ UNITS: dict[str, dict[str, float]] = {
     "volts": {"v": 1.0, "mv": 1e-3},
 }
 """Ending of a contract column -> unit (small letters) -> factor. A torque in A has its constant as scale."""
-_BRACKETED = re.compile(r"[\[({]\s*([^\])}]+?)\s*[\])}]\s*$")
+BRACKETED = re.compile(r"[\[({]\s*([^\])}]+?)\s*[\])}]\s*$")
 
 
 def kind_of(column: str) -> str:
@@ -45,11 +45,20 @@ def factor(unit: str, column: str, where: str) -> float:
     return known[unit.strip().lower()]
 
 
+def si_unit(column: str) -> str:
+    """The contract's unit of `column`, for a person."""
+    kind = kind_of(column)
+    return {"nm": "N m", "n": "N"}.get(kind, next(iter(UNITS[kind])))
+
+
 def unit_in_name(name: str, column: str) -> str:
-    """The unit that a file's own name for `column` states: `knee angle [deg]`, `q2_deg`, `t (ms)`; else empty."""
+    """The unit that a file's own name for `column` states: `knee angle [deg]`, `q2_deg`, `t (ms)`, `iq_A`; else empty.
+
+    Of single letters only A, g and s are units; others number axes and motors.
+    """
     known = UNITS[kind_of(column)]
-    match = _BRACKETED.search(name)
+    match = BRACKETED.search(name)
     if match:
         return match[1] if match[1].lower() in known else ""
-    last = re.split(r"[_\s./]", name)[-1].lower()
-    return last if last in known and len(last) > 1 and last != name.lower() else ""
+    last = re.split(r"[_\s./]", name)[-1]
+    return last if last.lower() in known and (len(last) > 1 or last in "Ags") and last != name else ""

@@ -13,8 +13,11 @@ class Chart(NamedTuple):
     """(name, index into `Row`)."""
 
 
+ESTIMATED = "q1 from the IMU, estimated"
+"""Of a rig whose pivot has no sensor: the recorder's own, by which it keeps the limit."""
+DASHED = {"commanded", ESTIMATED}
 CHARTS = (
-    Chart("Joint angles [rad]", (("q1, pivot (Hall)", 1), ("q2, knee", 2))),
+    Chart("Joint angles [rad]", (("q1, pivot (Hall)", 1), ("q2, knee", 2), (ESTIMATED, 8))),
     Chart("Knee torque [N m]", (("measured", 3), ("commanded", 4))),
     Chart("Gyro: speed of link 1 [rad/s]", (("q1 rate", 5),)),
     Chart("Accelerometer [m/s²]", (("x, tangential", 6), ("y, along link 1", 7))),
@@ -34,6 +37,6 @@ def options(chart: Chart) -> dict[str, Any]:
         # page.js moves it: by its own gestures it would take the wheel and one finger, which scroll the page
         "dataZoom": [{"type": "inside", "filterMode": "none", "disabled": True}],
         "series": [{"type": "line", "name": name, "showSymbol": False, "silent": True, "data": [],
-                    "lineStyle": {"width": 1.6, "type": "dashed" if name == "commanded" else "solid"}}
+                    "lineStyle": {"width": 1.6, "type": "dashed" if name in DASHED else "solid"}}
                    for name, _ in chart.series],
     }

@@ -6,7 +6,14 @@
 
   const keyboard = !matchMedia("(pointer: coarse)").matches;
 
-  const put = (element, text) => { if (element && element.textContent !== text) element.textContent = text; };
+  // an option is not parted at its hyphens: commands are copied from here
+  const put = (element, text) => {
+    if (!element || element.textContent === text) return;
+    const whole = (option) => Object.assign(document.createElement("span"), { className: "whole", textContent: option });
+    const parts = text.split(/((?<![\w-])--[a-z][\w-]*)/);
+    if (parts.length > 1) element.replaceChildren(...parts.map((part, k) => (k % 2 ? whole(part) : part)));
+    else element.textContent = text;
+  };
 
   // -- who this browser is: only who pressed the emergency stop releases it, unless at the machine
   const who = (() => {
@@ -141,15 +148,17 @@
   const charts = () => [...document.querySelectorAll("[data-columns]")].map((box) => {
     const element = box.querySelector(".nicegui-echart");
     const chart = element && getElement(Number(element.id.replace(/^c/, "")))?.chart;
-    return chart && { box, chart, columns: box.dataset.columns.split(",").map(Number) };
+    return chart && { box, chart, columns: box.dataset.columns.split(",").map(Number), names: box.dataset.names.split("|") };
   }).filter(Boolean);
 
   function draw() {
     due = false;
     const last = rows.length ? rows.at(-1)[0] : 0;
     const min = Math.max(0, Math.ceil(last - WINDOW_S)), max = Math.max(WINDOW_S, Math.ceil(last));
-    for (const { chart, columns } of charts()) {
+    for (const { chart, columns, names } of charts()) {
+      const measured = columns.map((column) => rows.some((row) => row[column] != null)); // of the others no legend speaks
       chart.setOption({
+        legend: { data: measured.includes(true) ? names.filter((_, k) => measured[k]) : names },
         xAxis: { min, max },
         series: columns.map((column) => ({ data: rows.map((row) => [row[0], row[column]]) })),
       }, { lazyUpdate: true, silent: true });
@@ -163,7 +172,7 @@
       if (!box.dataset.zooms) { box.dataset.zooms = "yes"; zoomable(box, chart); }
       const axis = { axisLabel: { color: color("--soft"), formatter: (value) => String(Number(value.toPrecision(3))) }, nameTextStyle: { color: color("--soft") },
         axisLine: { lineStyle: { color: color("--rule") } }, splitLine: { lineStyle: { color: color("--grid") } } };
-      chart.setOption({ color: [color("--line1"), color("--line2")], legend: { textStyle: { color: color("--ink") } },
+      chart.setOption({ color: [color("--line1"), color("--line2"), color("--line1")], legend: { textStyle: { color: color("--ink") } },
         xAxis: axis, yAxis: axis });
     }
     if (found.length < document.querySelectorAll("[data-columns]").length) setTimeout(paint, 100);

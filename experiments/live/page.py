@@ -15,6 +15,7 @@ from experiments.live.jobs import Job
 from experiments.live.quality import Quality
 from experiments.live.readings import limit_rows, readings
 from experiments.live.session import Phase
+from experiments.reports import whole_options
 
 SHOW_EVERY_S = 0.22
 """At most five times a second."""
@@ -105,7 +106,8 @@ class Page:
         with _card("Signals, the last 20 s"), ui.element("div").classes("plots"):
             for chart in CHARTS:
                 columns = ",".join(str(column) for _, column in chart.series)
-                with ui.element("div").props(f'data-columns="{columns}"'):
+                names = "|".join(name for name, _ in chart.series)
+                with ui.element("div").props(f'data-columns="{columns}" data-names="{names}"'):
                     _html(f"<h3>{chart.title}</h3>")
                     ui.echart(options(chart))
 
@@ -239,7 +241,7 @@ class JobView:
         self._complete = False
         with ui.element("div").classes("job").props('role="status"') as self.box:
             self._title = ui.label().style("font-weight: 600")
-            self._words = ui.label()
+            self._words = _html("")
             self._bar = ui.linear_progress(0.0, show_value=False).props("instant-feedback")
 
     def draw(self) -> None:
@@ -251,12 +253,12 @@ class JobView:
         took = job.when or f"{job.seconds:.0f} s"
         self._title.set_text(f"{job.name}{count}: {job.state}, {took}")
         if job.state == "running":
-            self._words.set_text(job.progress)
+            self._words.set_content(html.escape(job.progress))
             self._bar.set_value(job.fraction or 0.0)
             self._bar.props(add="indeterminate") if job.fraction is None else self._bar.props(remove="indeterminate")
             return
         self._complete = True
-        self._words.set_text(job.verdict)
+        self._words.set_content(whole_options(html.escape(job.verdict)))
         self._bar.set_visibility(False)
         with self.box:
             if job.report is not None:
@@ -291,7 +293,7 @@ def _check(line: str) -> str:
     if status not in ("ok", "warn", "FAIL") or not rest:
         return ""
     name, _, words = rest[0].partition("  ")
-    return f'<div><b class="{status}">{status}</b> <b>{name}</b> {words.strip()}</div>'
+    return f'<div><b class="{status}">{status}</b> <b>{name}</b> {whole_options(words.strip())}</div>'
 
 
 def _quantity(what: str) -> str:
@@ -299,6 +301,6 @@ def _quantity(what: str) -> str:
     return html.escape(what.replace("degC", "°C")).replace(" in ", " in&nbsp;").replace("N m", "N&nbsp;m")
 
 
-def _html(text: str) -> None:
+def _html(text: str) -> ui.html:
     """Markup of our own; everything put into it is escaped."""
-    ui.html(text, sanitize=False)
+    return ui.html(text, sanitize=False)

@@ -53,13 +53,14 @@ def run(args: argparse.Namespace) -> int:
 
 def _guess(args: argparse.Namespace) -> int:
     """Write the map and its page; nothing is imported before somebody has looked at it."""
+    import shlex
     import sys
     from pathlib import Path
 
-    from daq import InputError
+    from daq import InputError, WorkError
     from experiments.console import text_table, write_text
     from experiments.exchange import guess_map, map_text, read_foreign
-    from experiments.reports import GUESS_HEADER, guess_rows, guess_section, write_page
+    from experiments.reports import GUESS_HEADER, guess_rows, guess_section, guess_verdict, write_page
 
     target, page = Path(args.map), Path(args.map).with_suffix(".html")
     if target.exists():
@@ -68,8 +69,12 @@ def _guess(args: argparse.Namespace) -> int:
     print(text_table(GUESS_HEADER, guess_rows(found), set()))
     write_text(target, map_text(found.columns, found.notes))
     write_page(page, f"Columns of {Path(args.files[0]).name}", "A guess: look at it before it is used.",
-               [guess_section(found, args.files[0])])
-    for warning in found.warnings:
+               [guess_section(found, args.files[0])], verdict=guess_verdict(found))
+    for warning in [*found.unexplained, *found.warnings]:
         print(f"warning: {warning}", file=sys.stderr)
-    print(f"{target} written, and {page} to judge it by; then: legid import {' '.join(args.files)} --map {target}")
+    if found.unexplained:
+        raise WorkError(f"{args.files[0]}: no units and signs explain its columns; {target} is written all the same: "
+                        f"correct it, with {page} to judge it by, before you import with it")
+    print(f"{target} written, and {page} to judge it by; then:\n"
+          f"legid import {shlex.join(args.files)} --map {shlex.quote(str(target))}")
     return 0

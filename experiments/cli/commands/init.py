@@ -23,6 +23,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Ask or probe, write."""
+    import shlex
     from pathlib import Path
 
     from daq import ASSUMED, InputError
@@ -42,5 +43,5 @@ def run(args: argparse.Namespace) -> int:
         facts = ask_facts(facts)
     text = write_rig(path, facts)
     print(f"{path}: written; {text.count(ASSUMED)} values are assumed and marked so. "
-          f"Next: legid doctor --rig {path}")
+          f"Next: legid doctor --rig {shlex.quote(str(path))}")
     return 0

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from experiments import cli, console
+from experiments.cli.main import build_parser
 from tests.support.paths import DEMO_RIG, ROOT
 
 
@@ -30,6 +31,18 @@ def test_a_misspelt_key_gets_a_suggestion(tmp_path: Path, capsys: pytest.Capture
     assert "did you mean lever_arm_m?" in said(capsys, 2, "fit", "a.csv", "--rig", tmp_path / "rig.toml")
     (tmp_path / "rig.toml").write_text(DEMO_RIG.read_text().replace("[limits]", "[limit]"))
     assert "did you mean limits?" in said(capsys, 2, "fit", "a.csv", "--rig", tmp_path / "rig.toml")
+
+
+@pytest.mark.parametrize("columns", [50, 80, 100])
+def test_no_option_is_parted_at_a_hyphen(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    commands = build_parser()._commands()
+    assert "diagnose" in commands
+    for name, command in commands.items():
+        text = command.format_help()
+        assert not [line for line in text.splitlines() if line.endswith("-")], name
+        for option in (o for o in command._option_string_actions if f"{o} " in (command.description or "")):
+            assert option in text
 
 
 def test_names_from_files_cannot_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

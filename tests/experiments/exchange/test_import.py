@@ -82,6 +82,91 @@ def test_the_map_in_the_rig_file_does_the_same(run: Dataset, tmp_path: Path) -> 
     assert own.clock_bound_s == 1e-4 and set(own.columns) == set(run.columns)
 
 
+def as_csv(columns: dict[str, np.ndarray], path: Path) -> Path:
+    rows = (",".join("" if np.isnan(v) else f"{v:.9g}" for v in row) for row in zip(*columns.values()))
+    path.write_text("\n".join([",".join(columns), *rows, ""]))
+    return path
+
+
+def logged(run: Dataset, **others: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns as somebody's logger may call them; `others` replace or join them."""
+    own = {"t": run.time_s, "knee": run["q2_rad"], "torque": run["tau2_nm"], "gz": run["gyro_radps"],
+           "ax": run["accel_x_mps2"], "ay": run["accel_y_mps2"]}
+    return own | others
+
+
+def guessed(columns: dict[str, np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+            ) -> tuple[int, dict[str, Column], str]:
+    """Exit status, the map, and what was printed."""
+    status = main(["import", str(as_csv(columns, tmp_path / "x.csv")), "--guess", "--map", str(tmp_path / "m.toml")])
+    said = capsys.readouterr()
+    return status, load_map(tmp_path / "m.toml"), said.out + said.err
+
+
+def test_what_no_unit_explains_is_not_guessed(run: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A motor's angle, an absolute one, interchanged joints, an accelerometer without gravity."""
+    q1, q2 = run["q1_rad"], run["q2_rad"]
+    free = {"ax": run["accel_x_mps2"] - 9.81 * np.sin(q1), "ay": run["accel_y_mps2"] + 9.81 * np.cos(q1)}
+    swapped = {"t": run.time_s, "knee": q1, "hip": q2, "torque": run["tau2_nm"]}
+    files = [logged(run, knee=50.0 * q2 / (2.0 * np.pi)), logged(run, knee=q1 + q2), swapped, logged(run, **free)]
+    for k, columns in enumerate(files):
+        (tmp_path / str(k)).mkdir()
+        status, _, said = guessed(columns, tmp_path / str(k), capsys)
+        assert status == 1 and "NOT KNOWN" in said and "inertias are positive" not in said, said
+        page = (tmp_path / str(k) / "m.html").read_text()
+        assert 'data-tone="bad"' in page and page.index("NOT TO BE USED") < page.index("<table")
+
+
+def test_units_by_physics_where_names_are_silent_or_wrong(run: Dataset, tmp_path: Path,
+                                                          capsys: pytest.CaptureFixture[str]) -> None:
+    said = {}
+    for k, (columns, units) in enumerate([
+            (logged(run, knee=1e3 * run["q2_rad"], gz=np.rad2deg(1e3 * run["gyro_radps"])), ("mrad", "mdps")),
+            ({"t": run.time_s, "hip_deg": np.rad2deg(run["q1_rad"]), "knee": np.rad2deg(run["q2_rad"]),
+              "iq_A": run["tau2_nm"]}, ("deg", "deg")),
+            (logged(run) | {"knee_rad": np.rad2deg(run["q2_rad"]), "knee": np.ones(len(run))}, ("deg", ""))]):
+        (tmp_path / str(k)).mkdir()
+        status, found, said[k] = guessed(columns, tmp_path / str(k), capsys)
+        other = found["gyro_radps"] if "gyro_radps" in found else found["q1_rad"]
+        assert status == 0 and (found["q2_rad"].unit, other.unit) == units, said[k]
+    assert "N m per A of 'iq_A'" in said[1] and "says rad, but in deg" in said[2]
+
+
+def test_gaps_and_a_second_angle_do_not_mislead(run: Dataset, tmp_path: Path,
+                                                capsys: pytest.CaptureFixture[str]) -> None:
+    knee = run["q2_rad"].copy()
+    knee[::17] = knee[100:130] = np.nan
+    columns = logged(run) | {"motor_pos": 50.0 * run["q2_rad"], "load_pos": knee}
+    del columns["knee"]
+    columns["t"] = np.where(np.arange(len(run)) == 40, np.nan, run.time_s)
+    status, found, said = guessed(columns, tmp_path, capsys)
+    assert status == 0 and found["q2_rad"] == Column(name="load_pos"), said
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"knee": None}, "'knee' holds 'ERR' in line 61"), ({"torque": np.zeros(1)}, "'torque' never changes"),
+    ({"gz": np.full(1, np.nan)}, "'gz' is blank"), ({"t": np.array([0.0, -1.0])}, "'t' runs backwards"),
+    ({"t": np.zeros(1)}, "'t' stands still")])
+def test_a_column_that_cannot_be_used_is_named(change: dict[str, np.ndarray | None], words: str, run: Dataset,
+                                               tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ((name, values),) = change.items()
+    columns = logged(run, **{name: np.resize(run["q2_rad"] if values is None else values, len(run))})
+    text = as_csv(columns, tmp_path / "x.csv").read_text().splitlines()
+    if values is None:
+        text[60] = re.sub(r"^([^,]*),[^,]*", r"\1,ERR", text[60])
+    (tmp_path / "x.csv").write_text("\n".join(text))
+    assert main(["import", str(tmp_path / "x.csv"), "--guess", "--map", str(tmp_path / "m.toml")]) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1, error
+
+
+def test_a_count_of_rows_is_no_time(run: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    columns = {"sample": np.arange(float(len(run))), **logged(run)}
+    del columns["t"]
+    assert main(["import", str(as_csv(columns, tmp_path / "x.csv")), "--guess", "--map", str(tmp_path / "m")]) == 2
+    assert "lacks a time" in capsys.readouterr().err
+
+
 def test_scale_sign_offset_and_delay(tmp_path: Path) -> None:
     t = np.arange(300) / 100.0
     lines = ["t,i,w", *(f"{a:.3f},{2 * a:.9g},{np.sin(a - 0.02):.9g}" for a in t)]

@@ -7,10 +7,8 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -20,19 +18,14 @@ from smbus2 import i2c_msg
 
 from daq.errors import WorkError
 from daq.recording.host_load import HostLoad, busy_words
-from daq.recording.plan import Plan
-from daq.recording.recorder import record_run
-from daq.recording.remote import ALIVE, EMERGENCY, PACKET_BYTES, STOP, Ended, Heard, Remote, Row, Status, watched_by
+from daq.recording.remote import EMERGENCY, STOP, Ended, Heard, Remote, Row, Status
 from daq.rig import parse_rig
 from daq.runs.mcap_run import read_run
 from drivers.errors import DeviceAbsent
 from drivers.i2c_bus import open_bus
 from drivers.i2c_socket import SocketBus
-from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import Lsm9ds1
-from drivers.mock.clock import VirtualClock
 from drivers.mock.i2c_server import I2cServer
-from drivers.mock.link import EmulatorLink
 from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig
 from experiments.live.charts import CHARTS
@@ -41,63 +34,9 @@ from experiments.live.readings import limit_rows, readings
 from experiments.live.session import Phase, Session
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
+from tests.support.watched_bench import RIG, Bench
 
 pytestmark = REAL_CLOCK
-
-RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[devices.imu]\n[devices.controller]\n'
-
-
-class Bench:
-    """A recording on virtual time with a watcher at the other end of the line."""
-
-    def __init__(self, folder: Path, seconds: float = 2.0) -> None:
-        self.clock = VirtualClock()
-        self.mock = MockRig(StillPlant(), self.clock)
-        self.controller = LegController(EmulatorLink(self.mock.firmware, self.clock), self.clock.now_ns)
-        self.controller.open()
-        self.imu = Lsm9ds1(self.mock.imu, now_ns=self.clock.now_ns, sleep=self.clock.sleep)
-        self.imu.open()
-        t = np.arange(0.0, seconds, 0.01)
-        self.plan = Plan(t, np.full(t.size, 0.4))
-        self.path = folder / "run.mcap"
-        self.watcher, self.line = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.watcher.setblocking(False)
-        self.packets: list[Status | Heard | Ended] = []
-
-    def record(self, happens: Callable[[float, Remote], None] = lambda now_s, remote: None) -> None:
-        """Under `watched_by`, as the command does it; `happens` is called before every command of the plan."""
-        descriptor = self.line.detach()
-        self.beating = True
-        threading.Thread(target=self._beat, daemon=True).start()
-        with watched_by(descriptor) as remote:
-            assert remote is not None
-
-            def progress(now_s: float, _: float) -> None:
-                happens(now_s, remote)
-
-            record_run(self.path, parse_rig(RIG), RIG, self.plan, self.imu, self.controller, self.clock.now_ns,
-                       threaded=False, progress=progress, remote=remote)
-
-    def _beat(self) -> None:
-        with suppress(OSError):  # a test may have closed it
-            while True:
-                if self.beating:
-                    with suppress(BlockingIOError):
-                        self.watcher.send(ALIVE)
-                self.beat_ns = time.monotonic_ns() if self.beating else self.beat_ns
-                time.sleep(0.02)
-
-    def read(self) -> list[Status | Heard | Ended]:
-        """Everything that the watcher was told."""
-        while True:
-            try:
-                packet = self.watcher.recv(PACKET_BYTES)
-            except BlockingIOError:
-                return self.packets
-            if not packet:
-                return self.packets
-            self.packets.append(msgspec.json.decode(packet, type=Status | Heard | Ended))
-
 
 def until(condition: Callable[[], object]) -> None:
     """The listening thread runs on the machine's own clock."""
@@ -126,6 +65,21 @@ def test_a_watcher_sees_the_whole_run_at_most_five_times_a_second(tmp_path: Path
     assert driving.controller == "armed" and driving.total_s == pytest.approx(3.0) and driving.imu_samples > 500
     assert ("torque_nm", "commanded torque in N m", 0.4, 2.0) in driving.watched
     assert read_run(bench.path).complete
+
+
+@pytest.mark.parametrize("hall", [True, False])
+def test_a_watcher_is_told_whether_q1_is_measured_or_estimated(hall: bool, tmp_path: Path) -> None:
+    """Without a sensor at the pivot q1 is the IMU's, and stands in a column of its own."""
+    bench = Bench(tmp_path)
+    bench.mock.firmware.pivot_hall_ok = hall
+    bench.clock.sleep(0.02)
+    bench.controller.poll()  # what was under way before
+    bench.record()
+    rows = [row for one in bench.read() if isinstance(one, Status) for row in one.rows][5:]
+    assert len(rows) > 30
+    assert {row.q1_rad is not None for row in rows} == {hall} and {row.q1_imu_rad is None for row in rows} == {hall}
+    told = np.array([row.q1_rad if hall else row.q1_imu_rad for row in rows])
+    assert np.abs(told).max() < 0.05
 
 
 def test_a_watcher_that_reads_nothing_delays_and_loses_nothing(tmp_path: Path) -> None:
@@ -281,7 +235,7 @@ def test_readings_follow_the_recorder(tmp_path: Path) -> None:
         watched=[("speed_radps", "knee speed in rad/s", -12.0, 15.0), ("clock_bound_s", "clock uncertainty in s", 7e-5,
                                                                       0.005)])))
     shown = readings(session, rig, 1)
-    assert shown["rows"] == [[1.0, None, 0.12346, None, 0.0, 0.0, 0.0, 0.0]]
+    assert shown["rows"] == [[1.0, None, 0.12346, None, 0.0, 0.0, 0.0, 0.0, None]]
     assert shown["progress"] == 0.25 and shown["running"]
     text = shown["text"]
     assert text["controller"] == "armed, heard 2 ms ago" and text["imu"] == "476 samples, heard 11 ms ago"

@@ -27,13 +27,15 @@ def test_document_is_the_contract() -> None:
     found = msgspec.json.decode(msgspec.json.encode(diagnosis_document(synthetic())))
     assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
             "sentence", "next_experiment", "warnings", "material", "budget", "immaterial", "remainder",
-            "error"} == set(found)
+            "error", "stability", "rotations"} == set(found)
     assert [row["what"] for row in found["budget"]] == ["nominal", "cause", "remainder", "noise"]
     assert found["budget"][1] == {"what": "cause", "effect": "stribeck_friction", "joint": 2, "share": 0.9,
                                   "ci95": [0.8, 0.97]}
     assert found["remainder"] == {"joint": 1, "channel": "torque1", "depends_on": "q v"}
     assert found["immaterial"][0]["effect"] == "sensor_time_skew" and found["error"] == {"before": 3.0, "after": 1.2}
-    assert found["schema"] == "legid.diagnosis/1"
+    assert found["schema"] == "legid.diagnosis/1" and found["stability"] == pytest.approx(2.0 / 3.0)
+    assert found["rotations"][2] == {"confirm_runs": ["r2.csv"], "falls": False,
+                                     "sizes": {"stribeck_friction@2.excess_torque": 0.0522}}
     (cause,) = found["causes"]
     assert cause["effect"] == "stribeck_friction" and cause["joint"] == 2 and cause["p_value"] == 0.004
     assert cause["size"][0] == {"name": "excess_torque", "unit": "N m", "value": 0.05, "ci95": [0.04, 0.06]}
@@ -104,7 +106,9 @@ def test_signatures_of_rivals_share_their_axes() -> None:
 def test_text_begins_with_the_verdict_and_ends_with_what_next() -> None:
     text = diagnosis_text(synthetic())
     assert text.startswith(synthetic().sentence)
-    order = ["Causes:", "0.04 .. 0.06", "Free-run error", "Runners-up", "Cannot be tested", "warning: few runs",
+    assert "falls so in 2 of 3 turns" in text and "on all runs, each out of the fit that it judges" in text
+    order = ["kept back in its turn", "stribeck_friction, joint 2: excess_torque  0.0471", "Causes:", "0.04 .. 0.06",
+             "Free-run error", "Runners-up", "Cannot be tested", "warning: few runs",
              "Next experiment: Slow reversals.", "Runs: fit r1.csv, r3.csv"]
     assert [text.index(words) for words in order] == sorted(text.index(words) for words in order)
     runners = text[text.index("Runners-up"):text.index("Cannot")]

@@ -161,6 +161,42 @@ def test_numbers_carry_the_digits_that_mean_something() -> None:
     assert number(float("nan"), 1.0) == "not determined"
 
 
+def at_rest_first(ringing: float) -> FitResult:
+    """A fit of a leg that rests for two seconds, in which the model's torque of both joints rings."""
+    result = synthetic_fit()
+    path, rest = result.trajectories[0], slice(0, 200)
+    qd, tau = path.qd.copy(), path.tau.copy()
+    qd[rest] = 0.0
+    tau[rest] += ringing * np.array([1.0, -1.0])[np.arange(200) % 2][:, None]
+    tau[:, 0] *= np.where(np.arange(len(tau)) < 200, 1.0, 0.1)
+    return replace(result, trajectories=(replace(path, qd=qd, tau=tau),), noise={**result.noise, "torque_nm": 0.02,
+                                                                                 "passive_joint_nm": 0.002})
+
+
+def test_what_rings_at_rest_does_not_set_the_axis() -> None:
+    """Dry friction may hold a resting joint against anything, so the model's torque is not known there."""
+    for ringing in (5.0, 0.0):
+        result = at_rest_first(ringing)
+        (section,) = [s for s in fit_sections(result) if s.title == "Torques"]
+        for j, picture in enumerate(section.pictures):
+            assert picture.chart is not None
+            lines = {line.label: line.values for line in picture.chart.lines}
+            known, faint = lines["model (mle)"], lines["model near rest, not known"]
+            assert np.isnan(known[:200]).all() and np.isfinite(faint[:200]).all()
+            assert np.isnan(faint[np.isfinite(known)]).mean() > 0.7
+            assert "where dry friction says what it is" in picture.caption
+            if ringing:
+                assert picture.chart.y_range is not None and "The axis is cut" in picture.caption
+                low, high = picture.chart.y_range
+                level = float(result.beta[7 + j])
+                assert low < min(np.nanmin(known), -level) and max(np.nanmax(known), level) < high < 2.0
+                assert json.loads(picture.chart.json)["range"] == pytest.approx([low, high])
+            elif j == 1:
+                assert picture.chart.y_range is None and "cut" not in picture.caption
+    page = render_page("x", "y", fit_sections(at_rest_first(5.0)))
+    assert "scatters to 5" in page
+
+
 def test_window_takes_the_beginning() -> None:
     t = np.arange(100) / 10.0 + 5.0
     assert window(t, 2.0) == slice(0, 21)

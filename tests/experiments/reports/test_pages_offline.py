@@ -15,10 +15,12 @@ from experiments.emulation.plant import LegBody
 from experiments.excite.multisine import random_multisine
 from experiments.models.mechanism_settings import mechanism_settings
 from experiments.models.model_file import save_model
+from experiments.reports.chart import Line
 from experiments.reports.diagnosis_page import diagnosis_sections, write_diagnosis
+from experiments.reports.figures import BLUE, picture_lines
 from experiments.reports.fit_json import model_of
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
-from experiments.reports.html import Section, write_page
+from experiments.reports.html import Section, Table, write_page
 from experiments.reports.numbers import estimates_of
 from experiments.reports.run_agreement import MOST_RUNS
 from experiments.studies.casebook import Diagnosed, DiagnoseTask, FitTask, Fitted, Study, load_cases
@@ -182,6 +184,48 @@ def test_many_runs_that_disagree_stay_within_the_page(tmp_path: Path, browser: B
                        "r.selectNodeContents(cell); return r.getClientRects().length })")
     browser.cdp("Emulation.setEmulatedMedia", media="")
     assert lines and max(lines) == 1
+
+
+def test_an_axis_that_is_cut_shows_all_to_who_zooms_in(tmp_path: Path, browser: Browser) -> None:
+    t = np.arange(1000) / 100.0
+    line = Line("a", np.where(t < 1.0, 30.0, np.sin(t)), BLUE)
+    picture = picture_lines(t, [line], "y", "c", 5.0, y_range=(-1.5, 1.5))
+    write_page(tmp_path / "p.html", "x", "y", [Section("s", pictures=[picture])])
+    browser.resize(LAPTOP)
+    browser.driver.get((tmp_path / "p.html").as_uri())
+
+    def axis(first: float, last: float) -> list[float]:
+        browser.js(f"uPlot.sync('run').plots[0].setScale('x', {{min: {first}, max: {last}}})")
+        return list(browser.js("(y => [y.min, y.max])(uPlot.sync('run').plots[0].scales.y)"))
+
+    whole = (0.0, float(t[-1]))
+    browser.js("uPlot.sync('run').plots[0].setScale('x', {min: 0, max: 0.5})")
+    assert browser.wait(lambda: axis(0.0, 2.0)[1] > 30.0, "the axis follows")
+    assert browser.wait(lambda: axis(*whole) == [-1.5, 1.5], "the axis is cut again")
+
+
+def test_commands_break_at_spaces_alone_and_are_copied_as_typed(tmp_path: Path, browser: Browser) -> None:
+    """On a phone, where `--model-out` met the end of a line, a browser broke it behind a hyphen."""
+    files = " ".join(f"2026-11-23-left-leg-after-service-{k}.mcap" for k in range(3))
+    typed = f"legid fit {files} --rig 'my rig.toml' --model-out \"m^2 % `x`.json\" --html <page>.html --clear-faults"
+    words = [f"{'x' * k} use --six-positions or legid monte-carlo --clear-faults --model-out" for k in range(12)]
+    table = Table(["a", "b"], [["y", text] for text in words])
+    write_page(tmp_path / "p.html", "x", words[3], [Section("s", words, [table], notes=words, command=typed)])
+    copied = ("(s => { s.selectAllChildren(document.querySelector('.command')); const text = s.toString(); "
+              "s.removeAllRanges(); return text })(getSelection())")
+    for size in (PHONE, (320, 700), LAPTOP):
+        browser.resize(size)
+        browser.driver.get((tmp_path / "p.html").as_uri())
+        assert browser.js(copied) == typed
+        lines = browser.js("[...document.querySelectorAll('.whole')].map(e => [e.textContent, "
+                           "e.getClientRects().length])")
+        assert len(lines) == len(typed.split(" ")) + 4 * 37 and {n for _, n in lines} == {1}
+        assert {"--six-positions", "monte-carlo", "--model-out"} < {text for text, _ in lines}
+        assert browser.sideways() <= 0
+    browser.cdp("Emulation.setEmulatedMedia", media="print")
+    cut = browser.js("(c => c.scrollWidth - c.clientWidth)(document.querySelector('.command'))")
+    browser.cdp("Emulation.setEmulatedMedia", media="")
+    assert cut <= 0
 
 
 def test_a_page_that_does_otherwise_is_noticed(tmp_path: Path, browser: Browser) -> None:
