@@ -69,7 +69,8 @@ blind: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.blind.baselines $(BLIND_OUT)
 	$(BIN)/python -m tests.blind.page $(BLIND_OUT) $(if $(PAGE),--page $(PAGE))
 
-# Plants of another make: FAMILY=servo or stickslip
+# Plants of another make: FAMILY=servo, stickslip, small_faults (ten of them always there), pairs, or records (real ones
+# from ../shared/realdata with a fault put in)
 family: $(STAMP)
 	$(BIN)/python -m tests.blind.family --family $(FAMILY) --seeds $(or $(SEEDS),1000-1003) --effects "$(EFFECTS)" \
 		--out $(BLIND_OUT)-$(FAMILY) $(if $(PAGE),--page $(PAGE))

@@ -49,10 +49,12 @@ from .html import Section as Section
 from .html import Table as Table
 from .html import Verdict as Verdict
 from .html import script_hash as script_hash
+from .html import whole_options as whole_options
 from .html import write_page as write_page
 from .import_picture import GUESS_HEADER as GUESS_HEADER
 from .import_picture import guess_rows as guess_rows
 from .import_picture import guess_section as guess_section
+from .import_picture import guess_verdict as guess_verdict
 from .markdown import write_markdown as write_markdown
 from .numbers import Estimate as Estimate
 from .numbers import estimates_of as estimates_of

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from daq import FloatArray
 from estimator import FitResult, Trajectory
 from estimator.model import Mechanism
 from experiments.reports.chart import Line
@@ -13,10 +15,22 @@ from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines
 from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows
 from experiments.reports.html import Picture, Section, Table
 from experiments.reports.numbers import Estimate, number
-from experiments.reports.residual_tests import LAGS, Correlation, fit_percent, open_torque, residual_tests, torque_fit
+from experiments.reports.residual_tests import (
+    LAGS,
+    Correlation,
+    fit_percent,
+    friction_level,
+    open_torque,
+    residual_tests,
+    torque_fit,
+)
 from experiments.reports.run_agreement import agreement_section
 
 FIGURE_SECONDS = 12.0
+WORTH_CUTTING = 1.2
+"""An axis that would be so many times as long is cut."""
+FAINT = f"{ORANGE}55"
+BoolArray = NDArray[np.bool_]
 SENSOR_LABELS = {
     "gyro_radps": "gyro [rad/s]", "accel_x_mps2": "accelerometer x [m/s²]", "accel_y_mps2": "accelerometer y [m/s²]",
 }
@@ -108,17 +122,49 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
         lines = [Line("measured", path.tau_measured[:, j], BLUE, 2.2)] if driven else []
         if other is not None and benchmark is not None:
             lines.append(Line(f"{benchmark.method} ({benchmark.sensors})", other.tau[:, j], GREEN, 0.9))
-        lines.append(Line(f"model ({result.method})", path.tau[:, j], ORANGE, 0.9))
+        unknown = open_torque(result, path, j)
+        told = [*(line.values for line in lines), np.where(unknown, np.nan, path.tau[:, j])]
+        if unknown.any():
+            beside = np.convolve(unknown, np.ones(3), mode="same") > 0.0  # so that the two curves meet
+            lines.append(Line("model near rest, not known", np.where(beside, path.tau[:, j], np.nan), FAINT, 0.6))
+        lines.append(Line(f"model ({result.method})", told[-1], ORANGE, 0.9))
         if not driven:
             lines.append(Line("zero", np.zeros_like(path.time_s), GREY, 1.0, dashed=True))
-        rms = float(result.torque_residual_rms[j])
-        what = f"Torque of joint {j + 1}" + ("" if driven else ", which has no motor: it must be zero")
-        rests = " where dry friction says what it is" if open_torque(result, path, j).any() else ""
-        share = f"; fit {torque_fit(result, j, [path]):.1f} %{rests}" if driven else ""
+        cut = torque_range(told, path.tau[:, j], friction_level(result, j))
         pictures.append(picture_lines(path.time_s, lines, f"torque, joint {j + 1} [{force}]",
-                                      f"{what}. Rms of measured minus model: {rms:.3g} {force}{share}.",
-                                      FIGURE_SECONDS))
+                                      _torque_caption(result, path, j, unknown, cut is not None), FIGURE_SECONDS,
+                                      y_range=cut))
     return [Section("Torques", [_excerpt(path, part, "Fig. 5")], pictures=pictures)]
+
+
+def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolArray, cut: bool) -> str:
+    driven, force = j in result.mechanism.actuated, result.mechanism.force_unit
+    text = f"Torque of joint {j + 1}" + ("" if driven else ", which has no motor: it must be zero")
+    text += f". Rms of measured minus model: {float(result.torque_residual_rms[j]):.3g} {force}"
+    left = (path.tau_measured[:, j] - path.tau[:, j])[~unknown]
+    if unknown.any() and left.size:
+        text += f", {float(np.sqrt(np.mean(left**2))):.3g} {force} where dry friction says what it is"
+    if driven:
+        text += f"; fit {torque_fit(result, j, [path]):.1f} %" + (" there" if unknown.any() else "")
+    text += "."
+    if cut:
+        text += (f" The axis is cut: near rest, where dry friction may hold the joint against any torque, the model's "
+                 f"is not known, and scatters to {float(np.max(np.abs(path.tau[unknown, j]))):.2g} {force}.")
+    return text
+
+
+def torque_range(told: Sequence[FloatArray], modelled: FloatArray, least: float) -> tuple[float, float] | None:
+    """An axis that shows all of the curves `told`, NaN where they are not known, and `least` at either side of zero.
+
+    None where that cuts next to nothing off `modelled`, the model's torque known or not, and where nothing is known.
+    """
+    known = np.concatenate([*told, [-least, least]])
+    low, high = float(np.nanmin(known)), float(np.nanmax(known))
+    longest = max(high, float(np.nanmax(modelled))) - min(low, float(np.nanmin(modelled)))
+    if not high > low or longest < WORTH_CUTTING * (high - low):
+        return None
+    margin = 0.05 * (high - low)
+    return low - margin, high + margin
 
 
 def _match(benchmark: FitResult | None, path: Trajectory) -> Trajectory | None:

@@ -31,6 +31,9 @@ SCRIPT, STYLE = "uPlot.iife.js", "uPlot.min.css"
 PRINTED = {"^2": "²", "^3": "³", "m/s2": "m/s²", "+-": "±", " %": "\u00a0%", "`": ""}
 """What a terminal may lack -> how a page has it."""
 
+OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*|(?<=\blegid )[a-z]+(?:-[a-z]+)+")
+"""What a browser would part at a hyphen, and a person types."""
+
 if TYPE_CHECKING:
     from markupsafe import Markup
 
@@ -72,6 +75,8 @@ class Section:
     pictures: Sequence[Picture] = ()
     notes: Sequence[str] = field(default_factory=tuple)
     """A list of short sentences, after the figures."""
+    command: str = ""
+    """A command line to be copied, after the paragraphs."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +119,26 @@ def typeset(text: str) -> str:
     return text
 
 
+def whole_options(escaped: str) -> str:
+    """Escaped text in whose lines no option, and no command of two words, is parted at a hyphen."""
+    return OPTION.sub(r'<span class="whole">\g<0></span>', escaped)
+
+
+def _prose(text: str) -> Markup:
+    """Text as a page has it, in a paragraph or a cell."""
+    from markupsafe import Markup, escape
+
+    return Markup(whole_options(str(escape(typeset(text)))))
+
+
+def _cell(text: str) -> Markup:
+    """The same as one element, since on a phone a cell lays out its children one beside the other."""
+    from markupsafe import Markup
+
+    words = _prose(text)
+    return Markup("<span>") + words + Markup("</span>") if "<span" in words else words
+
+
 def render_page(title: str, summary: str, sections: Sequence[Section], date: datetime | None = None,
                 origin: Origin | None = None, verdict: Verdict | None = None) -> str:
     """The page as HTML text; all text is escaped."""
@@ -122,7 +147,7 @@ def render_page(title: str, summary: str, sections: Sequence[Section], date: dat
 
     environment = Environment(loader=PackageLoader(__package__), autoescape=select_autoescape(["html"]),
                               undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["typeset"] = typeset
+    environment.filters |= {"typeset": typeset, "prose": _prose, "cell": _cell}
     folder = uplot_folder()
     live = folder is not None and any(picture.chart for section in sections for picture in section.pictures)
     sheets = [(folder / STYLE).read_text(encoding="utf-8")] if live and folder is not None else []

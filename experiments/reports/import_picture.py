@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.exchange import Guess
+from experiments.exchange import Guess, si_unit
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, ORANGE, picture_lines
-from experiments.reports.html import Section, Table
+from experiments.reports.html import Section, Table, Verdict
 
 SECONDS = 15.0
 GUESS_HEADER = ["run's column", "file's column", "unit", "sign", "why"]
@@ -15,8 +15,19 @@ GUESS_HEADER = ["run's column", "file's column", "unit", "sign", "why"]
 
 def guess_rows(guess: Guess) -> list[list[str]]:
     """One row of GUESS_HEADER a column."""
-    return [[name, column.name, column.unit or "SI", f"{column.sign:+d}", guess.notes.get(name, "").replace("\n", "; ")]
-            for name, column in guess.columns.items()]
+    return [[name, column.name, column.unit or si_unit(name), f"{column.sign:+d}",
+             guess.notes.get(name, "").replace("\n", "; ")] for name, column in guess.columns.items()]
+
+
+def guess_verdict(guess: Guess) -> Verdict:
+    """Whether the guess explains the data, and what to look at before it is used."""
+    if guess.unexplained:
+        return Verdict("bad", "NOT TO BE USED AS IT IS: these columns do not explain each other.",
+                       ["What the table calls NOT KNOWN stands in the map as the file has it. Correct it there."],
+                       [*guess.unexplained, *guess.warnings])
+    if guess.warnings:
+        return Verdict("caution", "Look at this before you use the guess.", warnings=guess.warnings)
+    return Verdict("good", "Units and signs explain the readings.")
 
 
 def guess_section(guess: Guess, file: str) -> Section:
@@ -25,6 +36,7 @@ def guess_section(guess: Guess, file: str) -> Section:
     for title, (read, made) in guess.curves.items():
         time_s = np.arange(read.size) / guess.run.rate_hz
         lines = [Line("read", read, BLUE, 2.0), Line("made", made, ORANGE, 1.0)]
-        pictures.append(picture_lines(time_s, lines, title.split(":")[0], title, SECONDS))
-    return Section("Columns", [f"Guessed from {file}. Where a figure's two curves agree, unit and sign are right."],
-                   [Table(GUESS_HEADER, guess_rows(guess))], pictures, guess.warnings)
+        column, unit = title.split(":")[0], title[title.rindex("["):]
+        pictures.append(picture_lines(time_s, lines, f"{column} {unit}", title, SECONDS))
+    return Section("Columns", [f"Guessed from {file}. Where a figure's two curves agree, unit and sign are right; no "
+                               "figure shows the torque's scale."], [Table(GUESS_HEADER, guess_rows(guess))], pictures)

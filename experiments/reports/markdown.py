@@ -19,7 +19,7 @@ def write_markdown(path: Path | str, title: str, summary: str, sections: Sequenc
     make_directory(page.parent)
     blocks, pictures = [f"# {title}", MARK, summary], 0
     for section in sections:
-        blocks += [f"## {section.title}", *section.paragraphs, *map(markdown_table, section.tables)]
+        blocks += [f"## {section.title}", *section.paragraphs, *_command(section), *map(markdown_table, section.tables)]
         for picture in section.pictures:
             pictures += 1
             name = f"{page.stem}-{pictures}.svg"
@@ -28,6 +28,10 @@ def write_markdown(path: Path | str, title: str, summary: str, sections: Sequenc
         if section.notes:
             blocks.append("\n".join(f"- {note}" for note in section.notes))
     write_text(page, "\n\n".join(blocks) + "\n")
+
+
+def _command(section: Section) -> list[str]:
+    return [f"```sh\n{section.command}\n```"] if section.command else []
 
 
 def markdown_table(table: Table) -> str:

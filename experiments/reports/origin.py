@@ -32,9 +32,9 @@ def origin_section(origin: Origin, runs: Sequence[Dataset] = ()) -> Section:
     """The last section of a page."""
     rows = [[source.file + (f" in {source.inside}" if source.inside else ""), source.sha256]
             for source in origin.sources]
-    how = [f"Command: {origin.command}"] if origin.command else []
+    how = ["Command:"] if origin.command else []
     seed = [] if origin.seed is None else [f"Random numbers are drawn from seed {origin.seed}."]
     return Section("Where this comes from",
                    [f"legid {origin.version}, commit {origin.commit}. legid verify checks these files against this "
-                    "page.", *how, *seed], [Table(["file", "SHA-256"], rows)],
+                    "page.", *seed, *how], [Table(["file", "SHA-256"], rows)], command=origin.command,
                    notes=[f"{d['run']} is damaged: {d['what']}" for d in damaged_runs(runs)])

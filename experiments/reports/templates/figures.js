@@ -33,6 +33,13 @@
     }, { passive: true });
   }
 
+  // an axis that is cut shows all of it to whoever zooms in
+  const cut = (given) => (u, min, max) => {
+    const { min: from, max: to } = u.series[0];
+    if (from === given.time[0] && to === given.time.at(-1)) return given.range;
+    return min == null ? [null, null] : uPlot.rangeNum(min, max, 0.1, true);
+  };
+
   function panel(box, given, lines, y, height) {
     const axis = (label, size) => ({ label, size, labelSize: 22, stroke: () => css("--soft"), labelFont: "12px system-ui",
       grid: { stroke: () => css("--grid"), width: 1 }, ticks: { stroke: () => css("--grid"), width: 1 }, font: "12px system-ui" });
@@ -42,7 +49,7 @@
     const u = new uPlot({
       ...size(),
       cursor: { sync: { key: group }, drag: { x: true, y: false }, points: { size: 6 } },
-      scales: { x: { time: false } },
+      scales: { x: { time: false }, ...(given.range && { y: { range: cut(given) } }) },
       axes: [axis(given.x, 44), axis(y, 62)],
       series: [{ label: given.x, value: number }, ...lines.map((line) => ({
         label: line.label, class: line.band ? "band" : undefined, stroke: line.colour, width: line.width,
@@ -64,7 +71,7 @@
     figure.prepend(box);
     figure.classList.add("drawn");
     panel(box, given, given.lines.filter((line) => !line.below), given.y, 280);
-    if (below.length) panel(box, { ...given, bands: [] }, below, given.below, 190);
+    if (below.length) panel(box, { ...given, bands: [], range: null }, below, given.below, 190);
   }
 
   document.querySelectorAll("figure.chart").forEach(draw);
