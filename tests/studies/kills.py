@@ -81,13 +81,16 @@ def served_rig(folder: Path) -> Iterator[Path]:
         rig.wait(PATIENCE_S)
 
 
-def start(arguments: Sequence[str], said: Path, counts: mmap.mmap | None = None) -> int:
-    """`legid ARGUMENTS` in a forked process: as from a shell, without the seconds of an interpreter's start."""
+def start(arguments: Sequence[str], said: Path, counts: mmap.mmap | None = None, without: Sequence[int] = ()) -> int:
+    """`legid ARGUMENTS` in a forked process: as from a shell, without the seconds of an interpreter's start, and
+    without these descriptors."""
     pid = os.fork()
     if pid:
         return pid
     status = 70
     try:
+        for descriptor in without:
+            os.close(descriptor)
         with said.open("w") as file, redirect_stdout(file), redirect_stderr(file):
             if counts is not None:
                 _count(counts)

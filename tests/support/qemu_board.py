@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import pytest
 
@@ -67,6 +67,17 @@ def ahead_of_everything() -> Iterator[None]:
         os.sched_setscheduler(0, *before)
 
 
+class Trace(NamedTuple):
+    """Ticks of the board [us]; 0: not since power-up."""
+
+    loop_us: int
+    """The last current loop."""
+    driven_us: int
+    """The last that gave the bridge a torque."""
+    first_us: int
+    """The first that did."""
+
+
 class Board:
     """One board, powered up; ahead of other programs where that is granted, for its watchdog knows no excuse."""
 
@@ -84,7 +95,9 @@ class Board:
         self.path = said[0]
         """The UART's port."""
         self.resets = 0
-        """Since power-up; only the hardware watchdog makes them."""
+        """Since power-up; by the hardware watchdog, or by `reset`."""
+        self.reset_at_s = 0.0
+        """When the emulator made the last of them, on the clock of `time.time`."""
         self._line = self._connect("qmp").makefile("rw")
         self._line.readline()
         self._do("qmp_capabilities")
@@ -107,7 +120,9 @@ class Board:
         self._line.flush()
         while True:
             answer = json.loads(self._line.readline())
-            self.resets += answer.get("event") == "RESET"
+            if answer.get("event") == "RESET":
+                self.resets += 1
+                self.reset_at_s = answer["timestamp"]["seconds"] + answer["timestamp"]["microseconds"] * 1e-6
             if "return" in answer:
                 return answer["return"]
             assert "event" in answer, answer
@@ -118,10 +133,29 @@ class Board:
             key = {"type": "key", "data": {"down": down, "key": {"type": "qcode", "data": "ctrl"}}}
             self._do("input-send-event", events=[key])
 
+    def _words(self, symbol: str, count: int) -> list[int]:
+        said = self._do("human-monitor-command", **{"command-line": f"xp /{count}wd {symbols()[symbol]:#x}"})
+        return [int(word) for word in said.split()[1:count + 1]]
+
     def bridge_nm(self) -> float:
         """Torque that the bridge is given now, out of the board's memory [N m]."""
-        said = self._do("human-monitor-command", **{"command-line": f"xp /1wd {symbols()['bridge_torque_unm']:#x}"})
-        return int(said.split()[-1]) * 1e-6
+        return self._words("bridge_torque_unm", 1)[0] * 1e-6
+
+    def trace(self) -> Trace:
+        """What the current loop left in memory that a reset keeps."""
+        return Trace(*(word % 2**32 for word in self._words("trace", 3)))
+
+    def reset(self) -> None:
+        """The reset pin."""
+        self._do("system_reset")
+
+    def stop_clock(self, stopped: bool) -> None:
+        """Hold the processor and all that the board counts time with, or let them go on."""
+        self._do("stop" if stopped else "cont")
+
+    def signal(self, number: int) -> None:
+        """To the emulator's process: SIGSTOP holds the processor, and time goes on."""
+        self._child.send_signal(number)
 
     def zero_after_s(self, from_s: float, patience_s: float = 2.0) -> float:
         """Time from then until the bridge was last asked and had a torque [s]; who asks may be late, not the board."""

@@ -20,6 +20,10 @@ static volatile int32_t bridge_torque_unm; /* what the bridge is given */
 static volatile int32_t impulse;           /* its sum since the last sample, of a few loops */
 static volatile int32_t loops;
 static volatile int32_t knee_urad, speed_uradps;
+/* For a debugger, kept over a reset: the tick of the last current loop, of the last that drove and of the first. */
+static volatile struct {
+    uint32_t loop_us, driven_us, first_us;
+} trace __attribute__((section(".noinit"), used));
 
 /* 1 N m/A; a real board sets duty cycles here, and takes its gate's enable away where bridge is LEG_BRIDGE_OFF. */
 static void drive_bridge(int32_t torque_unm, leg_bridge bridge)
@@ -41,6 +45,12 @@ void current_loop(void)
     drive_bridge(leg_torque_unm(&core, now_us), leg_bridge_now(&core, now_us));
     impulse += bridge_torque_unm;
     loops++;
+    trace.loop_us = now_us;
+    if (bridge_torque_unm) {
+        trace.driven_us = now_us;
+        if (!trace.first_us)
+            trace.first_us = now_us;
+    }
     swing_knee();
 }
 

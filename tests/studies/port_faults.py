@@ -1,0 +1,134 @@
+"""The fault matrix of the example board: what goes wrong x when -> how long the board's torque outlives it.
+
+    python -m tests.studies.port_faults --out docs/port-faults.md        # what `make port-faults` does
+"""
+
+import argparse
+import multiprocessing
+import sys
+import tempfile
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+from tests.studies.port_fault_list import FAULTS
+from tests.support.fault_bench import MOMENTS, PEAK_NM
+from tests.support.port_bench import WATCHDOG_MS, Outcome, PortBench, load_once
+from tests.support.qemu_board import elf
+
+TARGET_MS = 110.0
+TRIES = 4
+Key = tuple[str, str]
+
+
+def strike(name: str, moment: str, folder: Path, seed: int) -> Outcome:
+    """One cell; begun again where a busy computer ended the recording before the fault came."""
+    for _ in range(TRIES):
+        found = PortBench(FAULTS[name].act, moment, seed).run(folder)
+        if found.struck:
+            break
+    return found
+
+
+def wrong(name: str, cell: Outcome) -> str:
+    """What must not be, empty where nothing is."""
+    found = []
+    if not cell.struck:
+        found.append("the recording ended before the fault came, time and again")
+    if cell.driven_on and not FAULTS[name].borne and cell.zero_ms > TARGET_MS:
+        found.append("driven to the plan's end")
+    if not cell.driven_on and cell.zero_ms > TARGET_MS and not FAULTS[name].borne:
+        found.append(f"torque for {cell.zero_ms:.0f} ms")
+    if cell.strongest_nm > PEAK_NM + 1e-3:
+        found.append(f"driven with {cell.strongest_nm:.2f} N m")
+    if "ARMED" in cell.board.split(", "):
+        found.append("armed at the end")
+    if "Traceback" in cell.said or "internal error" in cell.said or cell.status not in (0, 1, -9):
+        found.append(f"status {cell.status}: {cell.said}")
+    return ", ".join(found)
+
+
+def _cell(work: tuple[str, str, int]) -> tuple[Key, Outcome]:
+    name, moment, seed = work
+    with tempfile.TemporaryDirectory(prefix="leg_cell_") as folder:
+        return (name, moment), strike(name, moment, Path(folder), seed)
+
+
+def _begin() -> None:
+    elf()
+    with tempfile.TemporaryDirectory() as folder:
+        load_once(Path(folder))
+
+
+def page(cells: dict[Key, Outcome], seed: int) -> str:
+    """The matrix as a dated page."""
+    ended = {key: cell for key, cell in cells.items() if not cell.driven_on}
+    zero = np.array([cell.zero_ms for cell in ended.values()])
+    bad = {key: what for key, cell in cells.items() if (what := wrong(key[0], cell))}
+    lines = [
+        f"# Faults of the example board's line, {date.today()}", "",
+        f"By `make port-faults`: {len(cells)} recordings with `legid record` on the example board in QEMU, over its "
+        "UART, in real time, in each of which one thing goes wrong at one moment with the bytes between them, the board "
+        f"or the program: under a torque of up to {PEAK_NM:g} N m, a watchdog of {WATCHDOG_MS} ms, default `[limits]`, "
+        f"on a rig without IMU; 2 cores, x86-64; seeds from {seed}.", "",
+        f"- {len(ended)} recordings ended at the fault: torque zero after {np.median(zero):.0f} ms in the median, "
+        f"{zero.max():.0f} ms at most; {int((zero <= TARGET_MS).sum())} within {TARGET_MS:g} ms. "
+        f"{len(cells) - len(ended)} bore it and drove their plan to its end.",
+        "- Time counts from the fault, or from the first torque where that came later (arming), to the last torque that "
+        "the board's current loop gave its bridge: both by the tick of the board, out of its memory, to half a "
+        "millisecond. Where the board itself was reset with its torque on, the end is the emulator's time of the reset "
+        "(`*`).",
+        "- `arming`: as Arm goes out. `ramp`: 60 ms into the plan. `driving`: 0.85 s into it. `stopping`: 20 ms after a "
+        "SIGTERM, while the torque ramps down. `on`: the plan was driven on; these faults may be borne, for no torque "
+        "comes of them that the program did not ask for, and the board limits how old a command may be.",
+        "- Real time on a computer that does other work too: board, line and program have real-time priority, and still "
+        "a thread may be some milliseconds late, or a recording end at its own limits before the fault; it was begun "
+        "again then. What depends on the board alone (its watchdogs, limits, E-stop) does not vary.",
+        "- An emulator can be stopped with its watchdog, which no real board can: where its clock or its processor "
+        "stood, the time is the board's, which does not see the pause or sees it as a jump.", ""]
+    lines += ["## What should not be", "", *(f"- {name} ({moment}): {what}" for (name, moment), what in bad.items()),
+              *([] if bad else ["Nothing: no cell beyond the target, no torque beyond what was asked for, no board armed "
+                                "at the end, no recording without one line that says why it ended."]), ""]
+    lines += ["## Time to zero torque [ms]", "", "| fault | " + " | ".join(MOMENTS) + " |",
+              "| --- |" + " ---: |" * len(MOMENTS)]
+    lines += [f"| {name} | " + " | ".join(_time(cells.get((name, moment))) for moment in MOMENTS) + " |"
+              for name in FAULTS if any((name, moment) in cells for moment in MOMENTS)]
+    lines += ["", "## What was said, what the file holds, what the board says at the end, at `driving`", "",
+              "| fault | said | file | board |", "| --- | --- | --- | --- |"]
+    lines += [f"| {name} | {cell.said or ('killed' if cell.status == -9 else 'the plan was driven to its end')} "
+              f"| {cell.kept} | {cell.board} |"
+              for name in FAULTS if (cell := cells.get((name, "driving"))) is not None]
+    return "\n".join(lines) + "\n"
+
+
+def _time(cell: Outcome | None) -> str:
+    if cell is None:
+        return ""
+    return "on" if cell.driven_on else f"{cell.zero_ms:.0f}{'*' if cell.clock == 'emulator' else ''}"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--only", default="", help="faults whose name contains this")
+    parser.add_argument("--moments", nargs="+", default=MOMENTS, choices=MOMENTS)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--boards", type=int, default=2, help="at a time")
+    parser.add_argument("--out", type=Path, help="the page to write; printed without it")
+    args = parser.parse_args()
+    keys = [(name, moment) for name in FAULTS if args.only in name for moment in args.moments]
+    cells: dict[Key, Outcome] = {}
+    with multiprocessing.get_context("spawn").Pool(args.boards, _begin) as pool:  # each forks, and has no thread
+        for key, cell in pool.imap_unordered(_cell, [(*key, args.seed + k) for k, key in enumerate(keys)]):
+            cells[key] = cell
+            print(f"{', '.join(key)}: {cell} {wrong(key[0], cell)}", flush=True)
+    text = page(cells, args.seed)
+    if args.out is not None:
+        args.out.write_text(text)
+    else:
+        print(text)
+    return int(any(wrong(name, cell) for (name, _), cell in cells.items()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
