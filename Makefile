@@ -11,7 +11,8 @@ LOCKED := $(BIN)/python -m pip install --quiet --disable-pip-version-check --req
 TOOLS  := build/tools
 
 .PHONY: install demo test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs untuned \
-	table5 replication seven-links bench blind family port fuzz tutorial screenshots wheel arm64 lock sbom docs clean
+	table5 replication seven-links bench blind family port port-faults fuzz tutorial screenshots wheel arm64 lock sbom \
+	docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed"; exit 1; }
@@ -134,6 +135,14 @@ port: $(STAMP)
 	@{ command -v arm-none-eabi-gcc && command -v qemu-system-arm; } >/dev/null || \
 		{ echo "make port needs the Debian packages gcc-arm-none-eabi and qemu-system-arm: apt-get install both"; exit 1; }
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -v tests/drivers/test_port.py
+
+# Every fault of the example board's line, its program and the board itself at every moment, in real time: a quarter of
+# an hour. Needs the right to real-time priority.
+port-faults: $(STAMP)
+	@{ command -v arm-none-eabi-gcc && command -v qemu-system-arm; } >/dev/null || \
+		{ echo "make port-faults needs the Debian packages gcc-arm-none-eabi and qemu-system-arm: apt-get install both"; \
+		exit 1; }
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.port_faults --out docs/port-faults.md
 
 # The firmware's core under broken input, with address and undefined behaviour sanitizers. FRAMES are serial and CAN
 # together; 10^7 each take a minute.

@@ -104,15 +104,15 @@ class LegController:
                 ask_at = now + HELLO_EVERY_NS
             for message, _ in self.poll():
                 if isinstance(message, Hello):
-                    if message.version != VERSION:
-                        raise ProtocolMismatch(f"leg controller speaks protocol version {message.version}, this "
-                                               f"program version {VERSION}; flash matching firmware")
                     return message
         raise DeviceAbsent(f"leg controller: no answer within {timeout_s:g} s ({self._bytes_in} {self._codec.unit} "
                            "came, none a Hello); check port, baud rate and that the firmware runs")
 
     def poll(self) -> list[Received]:
-        """One read of the link: what it brought, stamped with the time of its return. Raises `LinkLost`."""
+        """One read of the link: what it brought, stamped with the time of its return.
+
+        Raises `LinkLost`, and `ProtocolMismatch` at a Hello of another version: nothing that is said then is clear.
+        """
         chunk = self._link.read()
         host_ns = self._now_ns()
         self._bytes_in += len(chunk)
@@ -121,6 +121,9 @@ class LegController:
             if isinstance(message, Telemetry):
                 self.telemetry = message
             elif isinstance(message, Hello):
+                if message.version != VERSION:
+                    raise ProtocolMismatch(f"leg controller speaks protocol version {message.version}, this "
+                                           f"program version {VERSION}; flash matching firmware")
                 if self.hello is not None and message.boot_id != self.hello.boot_id:
                     self._reboots += 1
                     self.limits = None

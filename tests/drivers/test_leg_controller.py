@@ -1,5 +1,7 @@
 """The controller's driver: handshake, bytes it sends, and that every way out stops the motor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -128,6 +130,15 @@ def test_another_version_is_refused_and_stops() -> None:
         bench.controller.open()
     with pytest.raises(LinkLost):
         bench.link.read()
+
+
+def test_another_version_during_a_run_is_refused() -> None:
+    bench = Bench()
+    hello = bench.controller.open()
+    bench.link.read = lambda: encode(replace(hello, version=2))  # type: ignore[method-assign]
+    with pytest.raises(ProtocolMismatch, match="version 2, this program version 1"):
+        bench.controller.poll()
+    assert bench.controller.hello == hello
 
 
 def test_telemetry_arrives_whole_and_stamped() -> None:

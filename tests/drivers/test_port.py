@@ -20,7 +20,7 @@ from drivers.serial_link import SerialLink
 from experiments import cli
 from experiments.excite.multisine import random_multisine
 from tests.support.c_firmware import SOURCES
-from tests.support.qemu_board import CC, HANG, RETURN, STRICT, Board, needs
+from tests.support.qemu_board import CC, HANG, RETURN, STRICT, Board, needs, returns
 
 WATCHDOG_MS = 200
 PROMISED_S = 0.11
@@ -154,6 +154,21 @@ def test_the_hardware_watchdog_resets_a_board_of_which_a_part_stands_still(wired
     assert not wired.controller.armed and wired.board.bridge_nm() == 0.0
     assert before is not None and wired.controller.hello is not None
     assert wired.controller.hello.boot_id != before.boot_id
+
+
+def test_a_tick_that_stands_still_resets_the_board(wired: Wired) -> None:
+    """No time-out that counts with it would ever end, and the host is gone."""
+    wired.drive()
+    resets = wired.board.resets
+    right = wired.board.patch("board_tick_us", returns(wired.board.trace().loop_us))
+    try:
+        assert wired.board.zero_after_s(time.monotonic()) < PROMISED_S
+        wired.until(lambda: wired.board.bridge_nm() == 0.0 and wired.board.resets > resets, "reset told")
+    finally:
+        wired.board.patch("board_tick_us", right)
+    wired.controller.telemetry = None
+    wired.until(lambda: wired.controller.telemetry, "alive again", lambda: wired.controller.command(0.5))
+    assert not wired.controller.armed and wired.board.bridge_nm() == 0.0
 
 
 def test_it_says_what_it_limits(wired: Wired) -> None:

@@ -29,7 +29,7 @@ from drivers.protocol import (
 )
 from tests.support.port_bench import PortBench
 from tests.support.port_line import Way, as_it_is, lost
-from tests.support.qemu_board import HANG, RETURN
+from tests.support.qemu_board import HANG, RETURN, returns
 
 Act = Callable[[PortBench], None]
 Commands = TorqueCommand | TimedCommand
@@ -42,6 +42,8 @@ class PortFault(NamedTuple):
 
     act: Act
     borne: bool = False
+    busy: bool = False
+    """The board runs a processor hot, ahead of everything: one at a time."""
 
 
 def framed(payload: bytes) -> bytes:
@@ -225,6 +227,10 @@ def patched(function: str, code: bytes) -> Act:
     return strike
 
 
+def stuck_tick(bench: PortBench) -> None:
+    bench.board.patch("board_tick_us", returns(bench.board.trace().loop_us))
+
+
 def stopped_clock(for_s: float) -> Act:
     def strike(bench: PortBench) -> None:
         bench.board.stop_clock(True)
@@ -317,7 +323,7 @@ FAULTS: dict[str, PortFault] = {
     "commands name telemetry of the future": PortFault(seen_off(100)),
     "commands lose their age": PortFault(commands(lambda c: TorqueCommand(c.seq, c.torque_nm))),
     "commands of a wrong length": PortFault(commands(lambda c: framed(struct.pack("<BHi", 0x07, c.seq, 100000)))),
-    "Hello of protocol version 2": PortFault(hello(version=2), borne=True),
+    "Hello of protocol version 2": PortFault(hello(version=2)),
     "Hello of another boot": PortFault(hello(boot_id=1)),
     "second host says Stop": PortFault(second_host(Stop())),
     "second host says Arm 65535 ms": PortFault(second_host(Arm(65535)), borne=True),
@@ -326,13 +332,14 @@ FAULTS: dict[str, PortFault] = {
     "second host commands": PortFault(second_driver(True)),
     "second host commands without age": PortFault(second_driver(False), borne=True),
     "board reset": PortFault(lambda bench: bench.board.reset()),
-    "board's polling hangs": PortFault(patched("leg_poll", HANG)),
-    "board's sampling hangs": PortFault(patched("leg_sample", HANG)),
-    "board's current loop ends": PortFault(patched("current_loop", RETURN)),
-    "board's UART interrupt ends": PortFault(patched("uart0_interrupt", RETURN)),
+    "board's polling hangs": PortFault(patched("leg_poll", HANG), busy=True),
+    "board's sampling hangs": PortFault(patched("leg_sample", HANG), busy=True),
+    "board's current loop ends": PortFault(patched("current_loop", RETURN), busy=True),
+    "board's UART interrupt ends": PortFault(patched("uart0_interrupt", RETURN), busy=True),
+    "board's tick stands still": PortFault(stuck_tick, busy=True),
     "board does not hear": PortFault(patched("leg_receive", RETURN)),
     "board does not speak": PortFault(patched("board_send", RETURN)),
-    "board's watchdog is not kicked": PortFault(patched("board_watchdog_kick", RETURN)),
+    "board's watchdog is not kicked": PortFault(patched("board_watchdog_kick", RETURN), busy=True),
     "board's clock stands for 50 ms": PortFault(stopped_clock(0.05), borne=True),
     "board's clock stands for 300 ms": PortFault(stopped_clock(0.3)),
     "board's processor stands for 40 ms": PortFault(stopped_processor(0.04)),

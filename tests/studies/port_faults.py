@@ -14,7 +14,7 @@ import numpy as np
 
 from tests.studies.port_fault_list import FAULTS
 from tests.support.fault_bench import MOMENTS, PEAK_NM
-from tests.support.port_bench import WATCHDOG_MS, Outcome, PortBench, load_once
+from tests.support.port_bench import WATCHDOG_MS, Outcome, PortBench, load_once, prompt
 from tests.support.qemu_board import elf
 
 TARGET_MS = 110.0
@@ -69,27 +69,27 @@ def page(cells: dict[Key, Outcome], seed: int) -> str:
     lines = [
         f"# Faults of the example board's line, {date.today()}", "",
         f"By `make port-faults`: {len(cells)} recordings with `legid record` on the example board in QEMU, over its "
-        "UART, in real time, in each of which one thing goes wrong at one moment with the bytes between them, the board "
-        f"or the program: under a torque of up to {PEAK_NM:g} N m, a watchdog of {WATCHDOG_MS} ms, default `[limits]`, "
-        f"on a rig without IMU; 2 cores, x86-64; seeds from {seed}.", "",
+        "UART, in real time, in each of which one thing goes wrong at one moment with the bytes between them, the "
+        f"board or the program: under a torque of up to {PEAK_NM:g} N m, a watchdog of {WATCHDOG_MS} ms, default "
+        f"`[limits]`, on a rig without IMU; 2 cores, x86-64; seeds from {seed}.", "",
         f"- {len(ended)} recordings ended at the fault: torque zero after {np.median(zero):.0f} ms in the median, "
         f"{zero.max():.0f} ms at most; {int((zero <= TARGET_MS).sum())} within {TARGET_MS:g} ms. "
         f"{len(cells) - len(ended)} bore it and drove their plan to its end.",
-        "- Time counts from the fault, or from the first torque where that came later (arming), to the last torque that "
-        "the board's current loop gave its bridge: both by the tick of the board, out of its memory, to half a "
-        "millisecond. Where the board itself was reset with its torque on, the end is the emulator's time of the reset "
-        "(`*`).",
-        "- `arming`: as Arm goes out. `ramp`: 60 ms into the plan. `driving`: 0.85 s into it. `stopping`: 20 ms after a "
-        "SIGTERM, while the torque ramps down. `on`: the plan was driven on; these faults may be borne, for no torque "
-        "comes of them that the program did not ask for, and the board limits how old a command may be.",
-        "- Real time on a computer that does other work too: board, line and program have real-time priority, and still "
-        "a thread may be some milliseconds late, or a recording end at its own limits before the fault; it was begun "
-        "again then. What depends on the board alone (its watchdogs, limits, E-stop) does not vary.",
+        "- Time counts from the fault, or from the first torque where that came later (arming), to the last torque "
+        "that the board's current loop gave its bridge: both by the tick of the board, out of its memory, to half a "
+        "millisecond. Where the board was reset with its torque on, the end is the emulator's time of the reset (`*`).",
+        "- `arming`: as Arm goes out. `ramp`: 60 ms into the plan. `driving`: 0.85 s into it. `stopping`: 20 ms after "
+        "a SIGTERM, while the torque ramps down. `on`: the plan was driven on; these faults may be borne, for no "
+        "torque comes of them that the program did not ask for, and the board limits how old a command may be.",
+        "- Real time on a computer that does other work too: board, line and program have real-time priority, and "
+        "still a thread may be some milliseconds late, or a recording end at its own limits before the fault; it was "
+        "begun again then. What depends on the board alone (its watchdogs, limits, E-stop) does not vary.",
         "- An emulator can be stopped with its watchdog, which no real board can: where its clock or its processor "
         "stood, the time is the board's, which does not see the pause or sees it as a jump.", ""]
-    lines += ["## What should not be", "", *(f"- {name} ({moment}): {what}" for (name, moment), what in bad.items()),
-              *([] if bad else ["Nothing: no cell beyond the target, no torque beyond what was asked for, no board armed "
-                                "at the end, no recording without one line that says why it ended."]), ""]
+    nothing = ("Nothing: no cell beyond the target, no torque beyond what was asked for, no board armed at the end, no "
+               "recording without one line that says why it ended.")
+    listed = [f"- {name} ({moment}): {what}" for (name, moment), what in bad.items()]
+    lines += ["## What should not be", "", *(listed or [nothing]), ""]
     lines += ["## Time to zero torque [ms]", "", "| fault | " + " | ".join(MOMENTS) + " |",
               "| --- |" + " ---: |" * len(MOMENTS)]
     lines += [f"| {name} | " + " | ".join(_time(cells.get((name, moment))) for moment in MOMENTS) + " |"
@@ -110,18 +110,24 @@ def _time(cell: Outcome | None) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--only", default="", help="faults whose name contains this")
+    parser.add_argument("--only", nargs="+", default=[""], help="faults whose name contains one of these")
     parser.add_argument("--moments", nargs="+", default=MOMENTS, choices=MOMENTS)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--boards", type=int, default=2, help="at a time")
     parser.add_argument("--out", type=Path, help="the page to write; printed without it")
     args = parser.parse_args()
-    keys = [(name, moment) for name in FAULTS if args.only in name for moment in args.moments]
+    keys = [(name, moment) for name in FAULTS if any(part in name for part in args.only)
+            for moment in args.moments]
+    work = [(*key, args.seed + k) for k, key in enumerate(keys)]
     cells: dict[Key, Outcome] = {}
-    with multiprocessing.get_context("spawn").Pool(args.boards, _begin) as pool:  # each forks, and has no thread
-        for key, cell in pool.imap_unordered(_cell, [(*key, args.seed + k) for k, key in enumerate(keys)]):
-            cells[key] = cell
-            print(f"{', '.join(key)}: {cell} {wrong(key[0], cell)}", flush=True)
+    with prompt():  # says so at once where that right is missing
+        pass
+    for boards, share in ((args.boards, [one for one in work if not FAULTS[one[0]].busy]),
+                          (1, [one for one in work if FAULTS[one[0]].busy])):
+        with multiprocessing.get_context("spawn").Pool(boards, _begin) as pool:  # each forks, and has no thread
+            for key, cell in pool.imap_unordered(_cell, share):
+                cells[key] = cell
+                print(f"{', '.join(key)}: {cell} {wrong(key[0], cell)}", flush=True)
     text = page(cells, args.seed)
     if args.out is not None:
         args.out.write_text(text)

@@ -105,7 +105,7 @@ class PortBench:
         """The board's memory can be looked at; not while the emulator's process is stopped."""
         self._fault, self._moment = fault, moment
         self._due: list[tuple[float, Callable[[], None]]] = []
-        self._armed = self._driving = self._struck = False
+        self._armed = self._driving = self._struck = self._followed = False
         self._struck_s, self._struck_us, self._struck_at_s = 0.0, 0, 0.0
         self._strongest_nm = 0.0
         self._looked: list[tuple[float, int, int]] = []
@@ -154,7 +154,7 @@ class PortBench:
                 self._end_host()
                 self.line.close()
                 self.board.close()
-        return Outcome(zero_ms, clock, status == 0, self._strongest_nm, status, _last_words(said),
+        return Outcome(zero_ms, clock, self._followed and zero_ms > 0.0, self._strongest_nm, status, _last_words(said),
                        self._kept(path), self._state(), self._struck)
 
     def _release(self) -> None:
@@ -197,7 +197,7 @@ class PortBench:
         if self.board.resets > self._resets:
             return
         trace = self.board.trace()
-        if self.board.resets == self._resets:
+        if self.board.resets == self._resets and trace.loop_us >= self._struck_us:  # a reset may be told of later
             self._looked.append((time.monotonic(), trace.loop_us, trace.driven_us))
 
     def _heard(self, message: Message, frame: bytes) -> None:
@@ -213,6 +213,7 @@ class PortBench:
                 self.later(0.0, self._strike)
         if isinstance(message, TorqueCommand | TimedCommand):
             self.command = message
+            self._followed |= abs(message.torque_nm - PLAN.torque_nm[-1]) < 1e-6
             if message.torque_nm and self._armed and not self._driving:
                 self._driving = True
                 self._wait_for_moment()

@@ -257,8 +257,10 @@ void leg_poll(leg_core *core, uint32_t now_us)
     check_watchdog(core, now_us);
     if (core->reaction == LEG_HOLD && since(core->held_from_us, now_us) >= core->config.hold_ms * 1000)
         core->reaction = LEG_LIMP;
-    if (core->torque_read && since(core->sampled_us, now_us) < core->sample_late_us) {
+    /* a tick that stands still hides from every check that counts with it */
+    if (core->torque_read && now_us != core->kicked_us && since(core->sampled_us, now_us) < core->sample_late_us) {
         core->torque_read = false;
+        core->kicked_us = now_us;
         core->port.kick(core->port.user);
     }
 }
@@ -361,7 +363,7 @@ leg_refusal leg_init(leg_core *core, const leg_config *config, const leg_port *p
     core->port = *port;
     core->boot_id = boot_id;
     core->hello_due_us = now_us + HELLO_EVERY_US;
-    core->sampled_us = now_us;
+    core->sampled_us = core->kicked_us = now_us;
     core->sample_late_us = LATE_PERIODS * 1000000 / config->telemetry_hz;
     send_hello(core);
     return LEG_ACCEPTED;

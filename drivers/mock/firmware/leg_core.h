@@ -11,7 +11,8 @@
  *
  * What the board must have besides (port_lm3s6965/ is an example):
  *   - a watchdog of the hardware with a clock of its own, that no software can stop once it runs, of at most 50 ms.
- *     Only leg_port.kick restarts it; the core calls that while leg_poll, leg_sample and leg_torque_unm all run.
+ *     Only leg_port.kick restarts it; the core calls that while leg_poll, leg_sample and leg_torque_unm all run
+ *     and the tick advances.
  *   - a bridge that is off while the processor is in reset, so that the hardware watchdog's reset is torque zero.
  *   - an E-stop contact that is closed while all is well, read by leg_port.estop_open, so that a broken wire reads as
  *     pressed; the same contact must take the bridge's supply or its enable away without any software (IEC 60204-1,
@@ -128,6 +129,7 @@ typedef struct {
     volatile bool torque_read; /* somebody asked for torque since the last kick */
     int32_t asked_unm; /* before derating */
     int32_t sample_late_us;
+    uint32_t kicked_us; /* the hardware watchdog was restarted last */
     int32_t knee_urad, speed_uradps; /* of the last sample */
     int32_t held_urad;
     uint16_t command_seq, telemetry_seq;
