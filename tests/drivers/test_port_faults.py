@@ -44,4 +44,4 @@ def test_the_board_survives_faults(tmp_path: Path) -> None:
     ("SIGTERM", {"struck": False}, "the recording ended before the fault came, time and again"),
 ])
 def test_what_is_wrong(name: str, changes: dict[str, object], what: str) -> None:
-    assert wrong(name, SOUND._replace(**changes)) == what  # type: ignore[arg-type]
+    assert wrong(name, "driving", SOUND._replace(**changes)) == what  # type: ignore[arg-type]

@@ -27,6 +27,7 @@ from drivers.protocol import (
     TorqueCommand,
     encode,
 )
+from tests.support.fault_bench import MOMENTS
 from tests.support.port_bench import PortBench
 from tests.support.port_line import Way, as_it_is, lost
 from tests.support.qemu_board import HANG, RETURN, returns
@@ -37,11 +38,13 @@ INT_MIN, INT_MAX, NAN_BITS = -2**31, 2**31 - 1, 0x7FC00000
 
 
 class PortFault(NamedTuple):
-    """What is done, and whether a recording may go on under it: what is done then must move nothing that it did not
-    ask for."""
+    """What is done, and at which moments a recording may go on under it: then it must move nothing that was not
+    asked for."""
 
     act: Act
-    borne: bool = False
+    borne: tuple[str, ...] = ()
+    stood_s: float = 0.0
+    """The emulator stood still for so long, its watchdog too: that is not the board's."""
     busy: bool = False
     """The board runs a processor hot, ahead of everything: one at a time."""
 
@@ -192,6 +195,12 @@ def seq_off(by: int) -> Act:
     return commands(lambda command: replace(command, seq=(command.seq + by) % 65536))
 
 
+def stuck_sequence(bench: PortBench) -> None:
+    """At that of a command which the board may have obeyed already."""
+    seq = bench.command.seq if bench.command is not None else 0
+    commands(lambda command: replace(command, seq=seq))(bench)
+
+
 def hello(**fields: Any) -> Act:
     """Somebody says Hello, and from now on so does the board."""
     def strike(bench: PortBench) -> None:
@@ -200,9 +209,9 @@ def hello(**fields: Any) -> Act:
     return strike
 
 
-def second_host(*messages: Message, each_s: float = 0.01) -> Act:
+def second_host(*messages: Message, each_s: float = 0.01, times: int = 200) -> Act:
     """Somebody else on the same wires."""
-    return lambda bench: bench.every(each_s, lambda: bench.say_down(*messages))
+    return lambda bench: bench.every(each_s, lambda: bench.say_down(*messages), times)
 
 
 def second_driver(timed: bool, torque_nm: float = 0.4) -> Act:
@@ -263,7 +272,7 @@ def button_and_arm(bench: PortBench) -> None:
 def arm_after_watchdog(bench: PortBench) -> None:
     """The host's commands are lost; somebody arms again without ClearFaults."""
     commands(lambda command: None)(bench)
-    second_host(Arm(1000), each_s=0.02)(bench)
+    second_host(Arm(50), each_s=0.02, times=10)(bench)
 
 
 # -- the host ----------------------------------------------------------------------------------------------------
@@ -288,7 +297,7 @@ FAULTS: dict[str, PortFault] = {
     "nothing comes up": PortFault(cut("up")),
     "nothing goes down": PortFault(cut("down")),
     "cable pulled": PortFault(lambda bench: bench.line.pull()),
-    "line cut for 50 ms": PortFault(cut("up down", 0.05), borne=True),
+    "line cut for 50 ms": PortFault(cut("up down", 0.05), borne=MOMENTS),
     "line cut for 300 ms": PortFault(cut("up down", 0.3)),
     "what comes up is 200 ms late": PortFault(late("up", 0.2)),
     "what comes up is 300 ms late": PortFault(late("up", 0.3)),
@@ -298,15 +307,15 @@ FAULTS: dict[str, PortFault] = {
     "commands dammed for 200 ms, then at once": PortFault(dammed("down", 0.2)),
     "every frame up damaged": PortFault(changed("up", one_bit)),
     "every frame down damaged": PortFault(changed("down", one_bit)),
-    "one byte in 100 damaged, up": PortFault(changed("up", bits_at(0.01)), borne=True),
-    "one byte in 100 damaged, down": PortFault(changed("down", bits_at(0.01)), borne=True),
-    "a third of the frames lost, up": PortFault(changed("up", dropped(1 / 3)), borne=True),
-    "a third of the frames lost, down": PortFault(changed("down", dropped(1 / 3)), borne=True),
-    "noise between frames, up": PortFault(changed("up", noise(20)), borne=True),
-    "noise between frames, down": PortFault(changed("down", noise(20)), borne=True),
+    "one byte in 100 damaged, up": PortFault(changed("up", bits_at(0.01)), borne=MOMENTS),
+    "one byte in 100 damaged, down": PortFault(changed("down", bits_at(0.01)), borne=MOMENTS),
+    "a third of the frames lost, up": PortFault(changed("up", dropped(1 / 3)), borne=MOMENTS),
+    "a third of the frames lost, down": PortFault(changed("down", dropped(1 / 3)), borne=MOMENTS),
+    "noise between frames, up": PortFault(changed("up", noise(20)), borne=MOMENTS),
+    "noise between frames, down": PortFault(changed("down", noise(20)), borne=MOMENTS),
     "frames cut in half, down": PortFault(changed("down", halved)),
-    "every frame twice, down": PortFault(changed("down", doubled), borne=True),
-    "every frame twice, up": PortFault(changed("up", doubled), borne=True),
+    "every frame twice, down": PortFault(changed("down", doubled), borne=MOMENTS),
+    "every frame twice, up": PortFault(changed("up", doubled), borne=MOMENTS),
     "telemetry repeats one frame": PortFault(frozen(Telemetry)),
     "telemetry's tick is frozen": PortFault(frozen(Telemetry, "tick_us")),
     "telemetry's sequence is frozen": PortFault(frozen(Telemetry, "seq")),
@@ -316,21 +325,21 @@ FAULTS: dict[str, PortFault] = {
     "command of the largest number": PortFault(raw_torque(INT_MAX)),
     "command of the invalid value": PortFault(raw_torque(INT_MIN)),
     "command of a float NaN's bits": PortFault(raw_torque(NAN_BITS)),
-    "commands' sequence is frozen": PortFault(frozen(Commands, "seq")),
-    "commands' sequence jumps back": PortFault(seq_off(-1000)),
+    "commands' sequence is frozen": PortFault(stuck_sequence),
+    "commands' sequence jumps back": PortFault(seq_off(-1000), borne=("arming",)),
     "commands of 300 ms ago": PortFault(old(Commands, 30)),
     "commands name telemetry of 300 ms ago": PortFault(seen_off(-75)),
     "commands name telemetry of the future": PortFault(seen_off(100)),
-    "commands lose their age": PortFault(commands(lambda c: TorqueCommand(c.seq, c.torque_nm))),
+    "commands lose their age": PortFault(commands(lambda c: TorqueCommand(c.seq, c.torque_nm)), borne=("arming",)),
     "commands of a wrong length": PortFault(commands(lambda c: framed(struct.pack("<BHi", 0x07, c.seq, 100000)))),
     "Hello of protocol version 2": PortFault(hello(version=2)),
     "Hello of another boot": PortFault(hello(boot_id=1)),
     "second host says Stop": PortFault(second_host(Stop())),
-    "second host says Arm 65535 ms": PortFault(second_host(Arm(65535)), borne=True),
-    "second host says ClearFaults": PortFault(second_host(ClearFaults()), borne=True),
-    "second host asks and pings": PortFault(second_host(HelloRequest(), Ping(7), LimitsRequest()), borne=True),
+    "second host says Arm 65535 ms": PortFault(second_host(Arm(65535)), borne=MOMENTS),
+    "second host says ClearFaults": PortFault(second_host(ClearFaults()), borne=MOMENTS),
+    "second host asks and pings": PortFault(second_host(HelloRequest(), Ping(7), LimitsRequest()), borne=MOMENTS),
     "second host commands": PortFault(second_driver(True)),
-    "second host commands without age": PortFault(second_driver(False), borne=True),
+    "second host commands without age": PortFault(second_driver(False), borne=MOMENTS),
     "board reset": PortFault(lambda bench: bench.board.reset()),
     "board's polling hangs": PortFault(patched("leg_poll", HANG), busy=True),
     "board's sampling hangs": PortFault(patched("leg_sample", HANG), busy=True),
@@ -340,16 +349,16 @@ FAULTS: dict[str, PortFault] = {
     "board does not hear": PortFault(patched("leg_receive", RETURN)),
     "board does not speak": PortFault(patched("board_send", RETURN)),
     "board's watchdog is not kicked": PortFault(patched("board_watchdog_kick", RETURN), busy=True),
-    "board's clock stands for 50 ms": PortFault(stopped_clock(0.05), borne=True),
+    "board's clock stands for 50 ms": PortFault(stopped_clock(0.05), borne=MOMENTS),
     "board's clock stands for 300 ms": PortFault(stopped_clock(0.3)),
-    "board's processor stands for 40 ms": PortFault(stopped_processor(0.04)),
-    "board's processor stands for 300 ms": PortFault(stopped_processor(0.3)),
+    "board's processor stands for 40 ms": PortFault(stopped_processor(0.04), stood_s=0.04),
+    "board's processor stands for 300 ms": PortFault(stopped_processor(0.3), stood_s=0.3),
     "E-stop opened": PortFault(button),
     "E-stop opened and closed, armed without a clear": PortFault(button_and_arm),
     "watchdog's fault, armed without a clear": PortFault(arm_after_watchdog),
     "SIGKILL": PortFault(signalled(signal.SIGKILL)),
     "SIGSTOP, SIGKILL 1 s later": PortFault(signalled(signal.SIGSTOP, signal.SIGKILL, 1.0)),
-    "SIGSTOP for 50 ms": PortFault(signalled(signal.SIGSTOP, after_s=0.05), borne=True),
+    "SIGSTOP for 50 ms": PortFault(signalled(signal.SIGSTOP, after_s=0.05), borne=MOMENTS),
     "SIGSTOP for 300 ms": PortFault(signalled(signal.SIGSTOP, after_s=0.3)),
     "SIGTERM": PortFault(signalled(signal.SIGTERM)),
     "Ctrl-C": PortFault(signalled(signal.SIGINT)),

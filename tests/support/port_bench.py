@@ -51,6 +51,7 @@ AFTER_S = 0.3
 LOOP_MS = 0.5
 """What the last current loop with a torque set holds until the next."""
 LOOK_S = 0.004
+SILENT_S = 0.05
 
 
 class Outcome(NamedTuple):
@@ -107,7 +108,7 @@ class PortBench:
         self._due: list[tuple[float, Callable[[], None]]] = []
         self._armed = self._driving = self._struck = self._followed = False
         self._struck_s, self._struck_us, self._struck_at_s = 0.0, 0, 0.0
-        self._strongest_nm = 0.0
+        self._strongest_nm = self._heard_s = 0.0
         self._looked: list[tuple[float, int, int]] = []
         """Of the boot in which the fault came: host time [s], ticks of the last loop, and of the last that drove."""
         self._resets = 0
@@ -150,12 +151,13 @@ class PortBench:
                 status = self._until_ended()
                 self._pass(AFTER_S)
                 zero_ms, clock = self._zero()
+                state = self._state()
             finally:
                 self._end_host()
                 self.line.close()
                 self.board.close()
         return Outcome(zero_ms, clock, self._followed and zero_ms > 0.0, self._strongest_nm, status, _last_words(said),
-                       self._kept(path), self._state(), self._struck)
+                       self._kept(path), state, self._struck)
 
     def _release(self) -> None:
         self.board.estop(False)
@@ -202,7 +204,7 @@ class PortBench:
 
     def _heard(self, message: Message, frame: bytes) -> None:
         if isinstance(message, Telemetry):
-            self.telemetry = message
+            self.telemetry, self._heard_s = message, time.monotonic()
             if self._struck_s:
                 self._strongest_nm = max(self._strongest_nm, abs(message.torque_cmd_nm))
 
@@ -213,7 +215,7 @@ class PortBench:
                 self.later(0.0, self._strike)
         if isinstance(message, TorqueCommand | TimedCommand):
             self.command = message
-            self._followed |= abs(message.torque_nm - PLAN.torque_nm[-1]) < 1e-6
+            self._followed |= bool(abs(message.torque_nm - PLAN.torque_nm[-1]) < 1e-6)
             if message.torque_nm and self._armed and not self._driving:
                 self._driving = True
                 self._wait_for_moment()
@@ -244,18 +246,17 @@ class PortBench:
         if self.board.resets > self._resets:
             _, loop_us, driven_us = self._looked[-1] if self._looked else (0.0, 0, 0)
             if trace.driven_us - driven_us >= 0 and loop_us - trace.driven_us <= LOOP_MS * 1e3:  # to the reset itself
-                return (self.board.reset_at_s - self._struck_at_s) * 1e3, "emulator"
+                return (self.board.resets_s[self._resets] - self._struck_at_s) * 1e3, "emulator"
         over_us = trace.driven_us - max(self._struck_us, trace.first_us)
         return (over_us * 1e-3 + LOOP_MS if over_us >= 0 else 0.0), "board"
 
     def _state(self) -> str:
-        if self.telemetry is None:
-            return "silent"
-        faults = self.telemetry.faults
-        resets = self.board.resets - self._resets
-        words = [State(self.telemetry.state).name, *([describe_faults(faults)] if faults else []),
-                 *(["reset"] if resets else [])]
-        return ", ".join(words)
+        if self.telemetry is None or time.monotonic() - self._heard_s > SILENT_S:
+            words = ["silent", f"bridge at {self.board.bridge_nm():g} N m"]
+        else:
+            faults = self.telemetry.faults
+            words = [State(self.telemetry.state).name, *([describe_faults(faults)] if faults else [])]
+        return ", ".join(words + ["reset"] * (self.board.resets > self._resets))
 
     def _kept(self, path: Path) -> str:
         try:

@@ -102,14 +102,17 @@ class Board:
         assert said is not None
         self.path = said[0]
         """The UART's port."""
-        self.resets = 0
-        """Since power-up; by the hardware watchdog, or by `reset`."""
-        self.reset_at_s = 0.0
-        """When the emulator made the last of them, on the clock of `time.time`."""
+        self.resets_s: list[float] = []
+        """When the emulator made each, by the hardware watchdog or by `reset`, on the clock of `time.time`."""
         self._line = self._connect("qmp").makefile("rw")
         self._line.readline()
         self._do("qmp_capabilities")
         symbols()  # now: who asks for the memory later is in a hurry
+
+    @property
+    def resets(self) -> int:
+        """Since power-up."""
+        return len(self.resets_s)
 
     def _connect(self, name: str) -> socket.socket:
         line = socket.socket(socket.AF_UNIX)
@@ -130,8 +133,7 @@ class Board:
         while True:
             answer = json.loads(self._line.readline())
             if answer.get("event") == "RESET":
-                self.resets += 1
-                self.reset_at_s = answer["timestamp"]["seconds"] + answer["timestamp"]["microseconds"] * 1e-6
+                self.resets_s.append(answer["timestamp"]["seconds"] + answer["timestamp"]["microseconds"] * 1e-6)
             if "return" in answer:
                 return answer["return"]
             assert "event" in answer, answer
