@@ -83,14 +83,14 @@ def page(cells: dict[Key, Outcome], seed: int) -> str:
         "that the board's current loop gave its bridge: both by the tick of the board, out of its memory, to half a "
         "millisecond. Where the board was reset with its torque on, the end is the emulator's time of the reset (`*`).",
         "- `arming`: as Arm goes out. `ramp`: 60 ms into the plan. `driving`: 0.85 s into it. `stopping`: 20 ms after "
-        "a SIGTERM, while the torque ramps down. `on`: the plan was driven on; these faults may be borne, for no "
-        "torque comes of them that the program did not ask for, and the board limits how old a command may be.",
+        "a SIGTERM, while the torque ramps down. `on`: the plan was driven on; these faults may be borne. The "
+        "page checks that the torque is never beyond the plan's peak, not each value.",
         "- Real time on a computer that does other work too: board, line and program have real-time priority, and "
         "still a thread may be some milliseconds late, or a recording end at its own limits before the fault; it was "
         "begun again then. What depends on the board alone (its watchdogs, limits, E-stop) does not vary.",
         "- An emulator can be stopped with its watchdog, which no real board can: where its clock or its processor "
         "stood, the time is the board's, or the emulator's without the pause.", ""]
-    nothing = ("Nothing: no cell beyond the target, no torque beyond what was asked for, no board armed at the end, no "
+    nothing = ("Nothing: no cell beyond the target, no torque beyond the plan's peak, no board armed at the end, no "
                "recording without one line that says why it ended.")
     listed = [f"- {name} ({moment}): {what}" for (name, moment), what in bad.items()]
     lines += ["## What should not be", "", *(listed or [nothing]), ""]
