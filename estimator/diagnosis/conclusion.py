@@ -165,7 +165,10 @@ class Gain:
 
 def measure_gain(split: RunSplit, nominal: Model, extended: Model, rng: np.random.Generator,
                  horizon_s: float = np.inf) -> Gain:
-    """Before, after and floor on the confirm runs, with the share of the gap closed and its block bootstrap."""
+    """Before, after and floor on the confirm runs, with the share of the gap closed and its block bootstrap.
+
+    As in `error_table` no error counts for more than that of who takes the sensor's mean.
+    """
     seeds = rng.integers(2**63, size=len(split.confirm))
 
     def simulated(k: int) -> tuple[Resimulated, Resimulated, dict[str, FloatArray]]:
@@ -189,7 +192,8 @@ def measure_gain(split: RunSplit, nominal: Model, extended: Model, rng: np.rando
                       ((before.simulated[k] - y) ** 2, (after.simulated[k] - y) ** 2, floor[k])]
             blocks.setdefault(k, []).extend((float(a.mean()), float(b.mean()), float(c.mean()))
                                             for a, b, c in zip(*errors))
-    table = {k: np.array(v) for k, v in blocks.items()}
+    spread = {k: float(np.var(np.concatenate([t.measured[k] for t in traces]))) for k in blocks}
+    table = {k: np.minimum(v, spread[k]) for k, v in blocks.items()}  # a simulation that strays knows nothing more
     sensors = {k: SensorGain(*(float(np.sqrt(m)) for m in v.mean(axis=0))) for k, v in table.items()}
     closed = _closed(table, np.arange(len(next(iter(table.values())))))
     count = len(next(iter(table.values())))

@@ -35,6 +35,8 @@ class Unit:
     """(C,) mean squared error that noise alone leaves in each column"""
     pivots: tuple[FloatArray, ...]
     """Angle of the pivot in each run, where no encoder measures it"""
+    bound: FloatArray
+    """(C,) variance of each column's sensor over these runs: who knows nothing of the leg errs by it"""
     misfits: FloatArray
     """(R,) -2 log likelihood of each run under the nominal model and the noise of the reference"""
 
@@ -46,7 +48,7 @@ class ErrorTable:
     columns: tuple[tuple[str, float], ...]
     """(sensor column, horizon [s])"""
     values: FloatArray
-    """(M, B, C) mean over a block, in units of what noise alone leaves in that column"""
+    """(M, B, C) mean over a block, at most the column's bound, in units of what noise alone leaves in that column"""
     agreement: FloatArray
     """(M, R) fall of -2 log likelihood of each run from the first model to this one, both under one noise"""
     runs: NDArray[np.intp]
@@ -70,47 +72,50 @@ class ErrorTable:
         count = self.values.shape[1]
         return rng.integers(0, count, (DRAWS, count), dtype=np.intp)
 
-    def lowers(self, model: int, than: int, by: float, draws: NDArray[np.intp]) -> float:
-        """Share of resamplings in which `model` has less error than `than` by more than the share `by` of the first
-        model's. Both are of one resampling: a free run that strays once makes most of the error, and a fall that is
+    def lowers(self, model: int, than: int, by: float, draws: NDArray[np.intp], of: int) -> float:
+        """Share of resamplings in which `model` has less error than `than` by more than the share `by` of that of the
+        model `of`. All are of one resampling: a free run that strays once makes most of the error, and a fall that is
         asked for in its units would not be seen wherever that piece is not drawn."""
-        return float(np.mean([self.error(than, d) - self.error(model, d) > by * self.error(0, d) for d in draws]))
+        return float(np.mean([self.error(than, d) - self.error(model, d) > by * self.error(of, d) for d in draws]))
 
-    def raises(self, model: int, than: int, by: float) -> bool:
-        """Whether any run's error is more with `model` than with `than` by the share `by` of the first model's over all
-        runs: a run that hardly errs may err a little more."""
+    def raises(self, model: int, than: int, by: float, of: int) -> bool:
+        """Whether any run's error is more with `model` than with `than` by the share `by` of that of the model `of`
+        over all runs: a run that hardly errs may err a little more."""
         each = [np.flatnonzero(self.runs == k) for k in np.unique(self.runs)]
-        return any(self.error(model, d) - self.error(than, d) > by * self.error(0) for d in each)
+        return any(self.error(model, d) - self.error(than, d) > by * self.error(of) for d in each)
 
 
 def measure_errors(split: RunSplit, models: Sequence[Model], reference: Model, seeds: NDArray[np.int64]) -> ErrorTable:
     """Errors of `models`, the nominal one first, on the confirm runs, one of `seeds` each, in units of the noise of
     `reference`.
 
-    Where a simulation runs off, every sensor's mean stands in for it. Raises `FitError` where the reference's does.
+    No error counts for more than that of who takes every sensor's mean: a simulation that strays from the motion, once
+    it has, says nothing more. Raises `FitError` where the reference's simulation runs off.
     """
     best = next((k for k, m in enumerate(models) if m is reference), len(models))
     every = [*models, *([reference] if best == len(models) else [])]
 
-    def measured(k: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray | None]:
+    def measured(k: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray | None]:
         run = split.confirm[k]
         fitted = [smooth(split, model, run) for model in every]
         q1 = fitted[best][1].x.q[:, 0]
         floors = floor_errors(split, reference, fitted[best], run, np.random.default_rng(seeds[k]), HORIZONS_S)
         floor = np.array([f[c].mean() for f in floors for c in sorted(f)])
-        return (_squares(split, fitted[: len(models)], run, q1), floor, _misfits(fitted, reference)[: len(models)], q1,
-                split.stiction.get(run))
+        return (_squares(split, fitted[: len(models)], run, q1), floor, _moments(fitted[best][0], q1),
+                _misfits(fitted, reference)[: len(models)], q1, split.stiction.get(run))
 
     parts = parallel_map(measured, len(split.confirm), split.workers)
     for run, part in zip(split.confirm, parts):  # another process found it; later rows are to have the same weights
-        if part[4] is not None:
-            split.stiction.setdefault(run, part[4])
+        if part[5] is not None:
+            split.stiction.setdefault(run, part[5])
     lengths = [p[0].shape[1] for p in parts]
-    floor = np.average([p[1] for p in parts], axis=0, weights=lengths)
-    misfits = np.stack([p[2] for p in parts], axis=-1)
-    return ErrorTable(_columns_of(split, reference), np.concatenate([p[0] for p in parts], axis=1) / floor,
+    floor, moments = (np.average([p[k] for p in parts], axis=0, weights=lengths) for k in (1, 2))
+    bound = moments[1] - moments[0] ** 2
+    floor = np.minimum(floor, bound)
+    misfits = np.stack([p[3] for p in parts], axis=-1)
+    return ErrorTable(_columns_of(split, reference), _bounded([p[0] for p in parts], floor, bound),
                       misfits[0] - misfits, np.repeat(np.arange(len(parts)), lengths), tuple(models),
-                      Unit(reference, floor, tuple(p[3] for p in parts), misfits[0]))
+                      Unit(reference, floor, tuple(p[4] for p in parts), bound, misfits[0]))
 
 
 def extend_errors(table: ErrorTable, split: RunSplit, more: Sequence[Model]) -> ErrorTable:
@@ -123,7 +128,7 @@ def extend_errors(table: ErrorTable, split: RunSplit, more: Sequence[Model]) -> 
     if not more:
         return table
     parts = parallel_map(measured, len(split.confirm), split.workers)
-    values = np.concatenate([p[0] for p in parts], axis=1) / table.unit.floor
+    values = _bounded([p[0] for p in parts], table.unit.floor, table.unit.bound)
     agreement = np.stack([p[1] for p in parts], axis=-1)
     return replace(table, values=np.concatenate([table.values, values]), models=(*table.models, *more),
                    agreement=np.concatenate([table.agreement, agreement]))
@@ -151,6 +156,17 @@ def _squares(split: RunSplit, fitted: Sequence[tuple[ExtendedProblem, State]], r
             found = resimulate(split, one, run, q1, True, horizon)
             row += [_blocks((found.simulated[c] - y) ** 2, size) for c, y in found.measured.items()]
     return np.stack([np.stack(row, axis=-1) for row in errors])
+
+
+def _moments(problem: ExtendedProblem, q1: FloatArray) -> FloatArray:
+    """(2, C) mean, and mean square, of what each column's sensor measured."""
+    measured = sensors_of(problem, q1).values()
+    return np.tile([[y.mean() for y in measured], [np.mean(y**2) for y in measured]], len(HORIZONS_S))
+
+
+def _bounded(squares: Sequence[FloatArray], floor: FloatArray, bound: FloatArray) -> FloatArray:
+    """(M, B, C) of all runs, each (M, blocks, C), in units of the floor."""
+    return np.asarray(np.minimum(np.concatenate(squares, axis=1), bound) / floor)
 
 
 def _misfits(fitted: Sequence[tuple[ExtendedProblem, State]], reference: Model) -> FloatArray:

@@ -143,10 +143,12 @@ def combine(context: DiagnosisContext, singles: Sequence[Explanation], say: Prog
         if best.no_residual_effect:
             return singles
         say("trying pairs", 0.7)
-        pairs = [p for p in forward_step(context, [best], PAIRS)
-                 if p.adequate and keys_of(best) < keys_of(p) and not same_family(best, p)
-                 and (p.no_residual_effect or context.gain(p.left, p.best_left) < STILL_LEFT * p.gain_over_parent)]
-        return [*pairs, *(replace(s, adequate=False) for s in singles)] if pairs else singles
+        more = [p for p in forward_step(context, [best], PAIRS)
+                if keys_of(best) < keys_of(p) and not same_family(best, p)]
+        pairs = [p for p in more if p.adequate and (
+            p.no_residual_effect or context.gain(p.left, p.best_left) < STILL_LEFT * p.gain_over_parent)]
+        others = [replace(p, adequate=False) for p in more if not any(p is k for k in pairs)]
+        return [*pairs, *others, *([replace(s, adequate=False) for s in singles] if pairs else singles)]
     say("trying pairs", 0.7)
     pairs = forward_step(context, singles[:2], PAIRS)
     pairs += backward_step(context, pairs)

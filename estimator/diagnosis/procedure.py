@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import f as fisher
 from threadpoolctl import threadpool_limits
 
 from daq import Dataset, FloatArray
@@ -21,7 +22,15 @@ from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, SUFFICES
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.error_table import ErrorTable, measure_errors
-from estimator.diagnosis.model_search import MOST_ASSESSED, Progress, assess_residuals, explain, fit_singles
+from estimator.diagnosis.model_search import (
+    MOST_ASSESSED,
+    Progress,
+    assess_residuals,
+    deviance,
+    explain,
+    fit_singles,
+    keys_of,
+)
 from estimator.diagnosis.refit import (
     bootstrap_scores,
     fit_nominal,
@@ -30,7 +39,7 @@ from estimator.diagnosis.refit import (
     score_discover,
     tests_of,
 )
-from estimator.diagnosis.result import CandidateScore, Diagnosis
+from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
 from estimator.diagnosis.verdict import NOMINAL, decide
@@ -172,7 +181,8 @@ def promise(context: DiagnosisContext, singles: Sequence[Explanation], material:
             known: list[ErrorTable]) -> bool:
     """Whether several effects together could matter: there is error enough, and a single one takes away a good part of
     what must fall, or the error is beyond what a disturbance makes. What is measured is `known` then."""
-    split, models = context.split, [context.nominal, *(s.model for s in singles[:2])]
+    best = sorted((s.model for s in singles[:2]), key=lambda m: deviance(context, m))
+    split, models = context.split, [context.nominal, *best]
     try:
         table = measure_errors(split, models, models[1], rng.integers(2**63, size=len(split.confirm)))
     except FitError:
@@ -208,9 +218,21 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
         return conclusion.nothing(base, split, context.nominal, best)
     if decision.verdict == "unexplained" or best is None:
         return conclusion.unexplained(base, split, context.nominal, best, decision.why, rng)
+    if decision.more is not None:
+        base = replace(base, immaterial=minor_causes(context, base, decision.more, best))
     p = max(1e-12, min(1.0, _p_of_gain(best) * context.trials))
     ties = [with_clock(context, best), *decision.best[1:]]
     return conclusion.finding(base, split, context.nominal, ties, p, rng, decision.verdict == "partial")
+
+
+def minor_causes(context: DiagnosisContext, found: Diagnosis, more: Explanation, best: Explanation
+                 ) -> tuple[Cause, ...]:
+    """What `more` holds beside `best`."""
+    added = [e for e in more.model.effects if e.key not in keys_of(best)]
+    count = sum(len(e.sizes) for e in added)
+    p = float(fisher.sf(more.gain_over_parent / count, count, more.left.freedom)) * context.trials
+    places = {(e.name, None if e.joint is None else e.joint + 1) for e in added}
+    return tuple(c for c in conclusion.causes_of(more, max(1e-12, min(1.0, p)), found) if (c.effect, c.joint) in places)
 
 
 def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanation:
@@ -228,7 +250,5 @@ def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanati
 
 
 def _p_of_gain(explanation: Explanation) -> float:
-    from scipy.stats import f as fisher
-
     k = sum(len(e.sizes) for e in explanation.model.effects)
     return float(fisher.sf(explanation.gain / k, k, explanation.left.freedom))

@@ -13,7 +13,7 @@ from estimator.diagnosis.decision_rule import EDGE, SHORTLIST, SUFFICES, SURE
 from estimator.diagnosis.error_budget import generic_extension
 from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors
 from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.model_search import keys_of, presence
+from estimator.diagnosis.model_search import deviance, keys_of, presence
 from estimator.diagnosis.refit import Model, refit
 from estimator.diagnosis.rotation import Turn, rotate
 from estimator.diagnosis.score_statistics import Tests
@@ -50,6 +50,8 @@ class Decision:
     """Why the closest explanation does not stand."""
     turns: tuple[Turn, ...] = ()
     """Of the other runs, where those kept back left it open."""
+    more: Explanation | None = None
+    """The likeliest that holds what stands and one effect more, which is there but does not matter."""
 
 
 def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanation], material: float,
@@ -59,7 +61,8 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
     None where nothing could be fitted, neither a listed effect nor a term without a name. Raises `FitError` where no
     model's free run can be carried through.
     """
-    shortlist = shortlisted(options)
+    # the likeliest under its own noise first: in units of what a model puts down to noise its error is small
+    shortlist = sorted(shortlisted(options), key=lambda o: (not admissible(o), deviance(context, o.model)))
     generic = generic_extension(context, context.nominal, tests)
     if not shortlist and generic is None:
         return None
@@ -67,7 +70,6 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
     table = measured_beside(context, models, rng, known)
     draws = table.draws(rng)
     whole = table.error(NOMINAL)
-    least = material * whole
     possible = [(o, k) for k, o in enumerate(shortlist, 1) if admissible(o)]
     own = len(models) - 1 if generic is not None else NOMINAL
     if not possible:
@@ -76,14 +78,15 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
         return Decision("unexplained" if nameless or whole > EDGE else "none", closest, table,
                         1 if closest else NOMINAL, (), NOMINAL, own, generic, draws,
                         "a size that makes it what it is could as well be nil, or has a sign that it cannot have")
-    best, row = choose(possible, table, least)
+    best, row = choose(possible, table, material, draws)
     beside = generic_extension(context, best[0].model, best[0].left)
     pieces = without_each(context, best[0].model)
     table = extend_errors(table, context.split, [*pieces, *([beside] if beside is not None else [])])
     first = len(models)
     without = tuple(range(first, first + len(pieces)))
     more = first + len(pieces) if beside is not None else row
-    asked = Decision("named", tuple(best), table, row, without, more, own, beside or best[0].model, draws)
+    asked = Decision("named", tuple(best), table, row, without, more, own, beside or best[0].model, draws,
+                     more=with_minor(possible, best[0], row, table, draws))
     found = judge(asked, generic, material)
     if found.verdict in ("named", "partial") or not is_open(table, row, material, draws):
         return found
@@ -108,13 +111,13 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
                            why="the error that terms without a name take away stays with it")
         if whole > EDGE:
             return replace(asked, verdict="unexplained", why=shortfall(table, row, material))
-        small = table.lowers(row, NOMINAL, 0.0, draws) >= SURE and bool(np.all(table.agreement[row] > 0.0))
+        small = table.lowers(row, NOMINAL, 0.0, draws, NOMINAL) >= SURE and bool(np.all(table.agreement[row] > 0.0))
         return replace(asked, verdict="none", best=asked.best if small else ())
     left = table.error(row) - min(table.error(more), table.error(own) if own else np.inf)
     if (whole - table.error(row)) < SUFFICES * (whole - table.error(row) + max(left, 0.0)):
         return replace(asked, verdict="unexplained", why="terms without a name take away more of the error than it")
     beyond = [table.error(row, d) > max(EDGE, 1.0 + material * table.error(NOMINAL, d)) for d in draws]
-    if np.mean(beyond) >= SURE or matters(table, more, row, material, draws):  # what the model of all causes would gain
+    if np.mean(beyond) >= SURE or matters(table, more, row, material, draws, NOMINAL):  # the rest of all
         return replace(asked, verdict="partial")
     return asked
 
@@ -122,7 +125,8 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
 def is_open(table: ErrorTable, model: int, material: float, draws: NDArray[np.intp]) -> bool:
     """Whether the error neither surely falls by what matters with `model` nor surely does not, while the runs are
     likelier with it: one free run that strays makes most of either error."""
-    return bool(table.lowers(model, NOMINAL, material, draws) > 1.0 - SURE and table.agreement[model].sum() > 0.0)
+    could = table.lowers(model, NOMINAL, material, draws, NOMINAL) > 1.0 - SURE
+    return bool(could and table.agreement[model].sum() > 0.0)
 
 
 def measured_beside(context: DiagnosisContext, models: Sequence[Model], rng: np.random.Generator,
@@ -158,27 +162,65 @@ def admissible(explanation: Explanation) -> bool:
     return all(presence(explanation.model, float(np.sqrt(explanation.left.scatter))))
 
 
-def choose(possible: Sequence[tuple[Explanation, int]], table: ErrorTable, least: float
+def choose(possible: Sequence[tuple[Explanation, int]], table: ErrorTable, material: float, draws: NDArray[np.intp]
            ) -> tuple[list[Explanation], int]:
-    """The fewest effects whose error is within what matters of the least, and what cannot be told from them."""
-    lowest = min(table.error(k) for _, k in possible)
-    near = [(o, k) for o, k in possible if table.error(k) <= lowest + least]
-    fewest = min(len(o.model.effects) for o, _ in near)
-    best = indistinguishable_set([o for o, _ in near if len(o.model.effects) == fewest])
-    return best, next(k for o, k in near if o is best[0])
+    """The fewest effects that no more of them better by what matters, and what cannot be told from them.
+
+    More effects are held against the best of fewer: a cause that would be named on a leg with nothing else wrong is
+    named beside another, however large that is. Where nothing surely matters, by the errors as they are.
+    """
+    def surely(model: int, than: int) -> bool:
+        return matters(table, model, than, material, draws)
+
+    def likely(model: int, than: int) -> bool:
+        return table.error(than) - table.error(model) > material * table.error(than)
+
+    for better in (surely, likely):
+        best: list[Explanation] = []
+        row = NOMINAL
+        for count in sorted({len(o.model.effects) for o, _ in possible}):
+            found, k = likeliest([(o, k) for o, k in possible if len(o.model.effects) == count], table,
+                                 material * table.error(row))
+            if better(k, row):
+                best, row = found, k
+        if best:
+            return best, row
+    fewest = min(len(o.model.effects) for o, _ in possible)
+    return likeliest([(o, k) for o, k in possible if len(o.model.effects) == fewest], table,
+                     material * table.error(NOMINAL))
 
 
-def matters(table: ErrorTable, model: int, than: int, material: float, draws: NDArray[np.intp]) -> bool:
-    """Whether `model` has less rms error than `than` by the share `material` of the nominal model's, surely so, errs
-    more by as much on none of the runs, and makes them likelier together.
+def likeliest(of: Sequence[tuple[Explanation, int]], table: ErrorTable, least: float) -> tuple[list[Explanation], int]:
+    """Of those whose error is within `least` of the lowest the likeliest, with what cannot be told from it, and its
+    row."""
+    lowest = min(table.error(k) for _, k in of)
+    best = indistinguishable_set([o for o, k in of if table.error(k) <= lowest + least])
+    return best, next(k for o, k in of if o is best[0])
+
+
+def with_minor(possible: Sequence[tuple[Explanation, int]], best: Explanation, row: int, table: ErrorTable,
+               draws: NDArray[np.intp]) -> Explanation | None:
+    """The likeliest with one effect beside those of `best`, under which every run is likelier and the error surely
+    falls; that it does not fall by what matters is settled."""
+    count = len(best.model.effects) + 1
+    beside = [o for o, k in possible if keys_of(best) < keys_of(o) and len(o.model.effects) == count and np.all(
+        table.agreement[k] > table.agreement[row]) and table.lowers(k, row, 0.0, draws, NOMINAL) >= SURE]
+    return max(beside, key=lambda o: o.gain, default=None)
+
+
+def matters(table: ErrorTable, model: int, than: int, material: float, draws: NDArray[np.intp],
+            of: int | None = None) -> bool:
+    """Whether `model` has less rms error than `than` by the share `material` of its error, or of that of another model
+    `of`, surely so, errs more by as much on none of the runs, and makes them likelier together.
 
     A law of another form than nature's can make a run that hardly shows the effect less likely: the error says whether
     that is of consequence.
     """
-    falls = table.error(than) - table.error(model) > material * table.error(NOMINAL)
-    if model == than or not falls or table.raises(model, than, material):
+    of = than if of is None else of
+    falls = table.error(than) - table.error(model) > material * table.error(of)
+    if model == than or not falls or table.raises(model, than, material, of):
         return False
-    return bool(table.lowers(model, than, material, draws) >= SURE
+    return bool(table.lowers(model, than, material, draws, of) >= SURE
                 and table.agreement[model].sum() > table.agreement[than].sum())
 
 

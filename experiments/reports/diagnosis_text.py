@@ -157,13 +157,13 @@ def diagnosis_text(found: Diagnosis) -> str:
         blocks.append(f"{budget_words(found)}\n" + text_table(BUDGET_HEADER, budget_rows(found), {1, 2}))
         if found.rotations:
             blocks.append(f"{rotation_words(found)}\n" + text_table(ROTATION_HEADER, rotation_rows(found), {2}))
-    if found.immaterial:
-        rows = [row for cause in found.immaterial for row in size_rows(cause)]
-        blocks.append("Present, below what matters:\n" + text_table(
-            ["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}))
     if found.causes:
         rows = [row for cause in found.causes for row in size_rows(cause)]
         blocks.append(f"{causes_title(found)}:\n" + text_table(
+            ["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}))
+    if found.immaterial:
+        rows = [row for cause in found.immaterial for row in size_rows(cause)]
+        blocks.append("Present, below what matters:\n" + text_table(
             ["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}))
     if found.sensors:
         blocks.append("\n".join([
