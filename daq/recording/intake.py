@@ -57,6 +57,10 @@ class Sink(Protocol):
     def config(self, host_ns: int, kind: str, text: str) -> None: ...
 
 
+IMPOSSIBLE_TRIP_NS = 1_000_000
+"""A round trip is shorter than nothing by the ticks' rounding at most, not by this much."""
+
+
 class ControllerIntake:
     """Telemetry and clock probes of the leg controller. `poll` belongs to one thread, `ping` may be another's."""
 
@@ -101,10 +105,13 @@ class ControllerIntake:
                 del self._pings[old]
 
     def clock_bound_s(self) -> float | None:
-        """Half of the shortest round trip of the last ten seconds [s]; None before the first answer."""
+        """Half of the shortest round trip of the last ten seconds [s]; None before the first answer, and inf where one
+        left the controller before it came there, by its own ticks: such a clock tells nothing."""
         with self._lock:
-            trips = [trip for _, trip in self._trips]
-        return 0.5e-9 * min(trips) if trips else None
+            shortest = min((trip for _, trip in self._trips), default=None)
+        if shortest is None:
+            return None
+        return 0.5e-9 * shortest if shortest > -IMPOSSIBLE_TRIP_NS else float("inf")
 
     def knee(self) -> tuple[float, float | None] | None:
         """(angle [rad], speed [rad/s]) from the newest telemetry, the speed over the last 20 ms; None before any."""

@@ -93,7 +93,7 @@ TRUSTED = frozenset({"temperature_degc", "clock_bound_s", "unsaved_s", "bus_v"})
 def may_ramp(trip: Trip, sample: Sample) -> bool:
     """Whether the torque may take its time after this trip. Not where it drives on towards what it passed, and never
     where a reading failed: nothing is known then."""
-    if math.isnan(trip.value):
+    if not math.isfinite(trip.value):
         return False
     if trip.limit in TRUSTED:
         return True

@@ -1,0 +1,41 @@
+"""What the recorder makes of the leg controller's answers."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from daq.recording.intake import ControllerIntake
+from daq.recording.supervisor import Sample, Trip, may_ramp
+from drivers import Pong
+
+
+class Probed:
+    """A controller that answers one probe, sent at 1 s and back 600 us later, with these ticks."""
+
+    def __init__(self, rx_tick_us: int, tx_tick_us: int) -> None:
+        self.hello = SimpleNamespace(boot_id=1)
+        self.answer = Pong(7, rx_tick_us, tx_tick_us)
+
+    def ping(self) -> tuple[int, int]:
+        return 7, 1_000_000_000
+
+    def poll(self) -> list[Any]:
+        return [SimpleNamespace(message=self.answer, host_ns=1_000_600_000)]
+
+
+@pytest.mark.parametrize("ticks, bound_s", [((500, 600), 250e-6), ((2**32 - 50, 50), 250e-6), ((600, 500), math.inf)])
+def test_an_answer_that_left_before_it_came_leaves_the_clock_unknown(ticks: tuple[int, int], bound_s: float) -> None:
+    """A tick that stood still gave an uncertainty of -2147 s."""
+    sink = SimpleNamespace(add=lambda *_, **__: None)
+    intake = ControllerIntake(cast(Any, Probed(*ticks)), cast(Any, sink), cast(Any, None), lambda: 0)
+    assert intake.clock_bound_s() is None
+    intake.ping()
+    intake.poll()
+    found = intake.clock_bound_s()
+    assert found == pytest.approx(bound_s)
+    trip = Trip("clock_bound_s", "clock uncertainty in s", found or 0.0, 0.005)
+    assert may_ramp(trip, Sample()) is math.isfinite(bound_s)
