@@ -38,14 +38,15 @@ class Turn:
 
 
 def rotate(split: RunSplit, table: ErrorTable, rng: np.random.Generator) -> tuple[ErrorTable, tuple[Turn, ...]] | None:
-    """`table` with the errors of its models on all other runs beside those on the runs kept back; None where there are
-    no others, or where one of the models cannot be fitted or simulated there."""
+    """`table`, which holds what its errors are counted in, with the errors of its models on all other runs beside those
+    on the runs kept back; None where there are no others, or where one of the models cannot be fitted or simulated."""
     others = [g for g in kept_back(len(split.runs)) if g != split.confirm and len(g) < len(split.runs)]
     seeds = rng.integers(2**63, size=(len(others), len(split.runs)))
     if not others:
         return None
+    unit = next(k for k, model in enumerate(table.models) if model is table.unit.reference)
     try:
-        turns = parallel_map(lambda k: turn(split, others[k], table.models, seeds[k]), len(others), split.workers)
+        turns = parallel_map(lambda k: turn(split, others[k], table.models, unit, seeds[k]), len(others), split.workers)
     except (FitError, np.linalg.LinAlgError):
         return None
     first = np.cumsum([table.agreement.shape[1], *(t.agreement.shape[1] for t in turns[:-1])])
@@ -54,13 +55,15 @@ def rotate(split: RunSplit, table: ErrorTable, rng: np.random.Generator) -> tupl
                    runs=np.concatenate([table.runs, *(t.places + n for t, n in zip(turns, first))])), tuple(turns)
 
 
-def turn(split: RunSplit, confirm: tuple[int, ...], models: Sequence[Model], seeds: NDArray[np.int64]) -> Turn:
-    """`models` fitted to all runs but `confirm`, tried on those. Raises `FitError`."""
+def turn(split: RunSplit, confirm: tuple[int, ...], models: Sequence[Model], unit: int,
+         seeds: NDArray[np.int64]) -> Turn:
+    """`models` fitted to all runs but `confirm`, tried on those, in units of the noise of the one in `unit`. Raises
+    `FitError`."""
     rest = tuple(k for k in range(len(split.runs)) if k not in confirm)
     other = replace(split, fit=rest, screen=(), confirm=confirm, workers=1)
     nominal = fit_nominal(other)
     fitted = [nominal, *(refit(other, nominal, list(zip(m.effects, m.sizes()))) for m in models[1:])]
-    found = measure_errors(other, fitted, fitted[1], seeds[: len(confirm)])
+    found = measure_errors(other, fitted, fitted[unit], seeds[: len(confirm)])
     return Turn(tuple(split.names[k] for k in confirm), found.values, found.agreement, found.runs,
                 tuple(fitted[1].sizes()))
 

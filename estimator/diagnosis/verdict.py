@@ -90,7 +90,8 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
     found = judge(asked, generic, material)
     if found.verdict in ("named", "partial") or not is_open(table, row, material, draws):
         return found
-    rows = list(dict.fromkeys([NOMINAL, row, *without, more, own]))
+    unit = next(k for k, model in enumerate(table.models) if model is table.unit.reference)
+    rows = list(dict.fromkeys([NOMINAL, row, *without, more, own, unit]))
     turned = rotate(context.split, choose_rows(table, rows), rng)
     if turned is None:
         return found
