@@ -29,6 +29,8 @@ from drivers import (
 
 SPEED_WINDOW_US = 20_000
 TRIPS_KEPT_NS = 10_000_000_000
+IMPOSSIBLE_TRIP_NS = 1_000_000
+"""A round trip is shorter than nothing by the ticks' rounding at most, not by this much."""
 _KEPT = 64
 FRESH = 2048
 """More than two seconds of the fastest telemetry: who is that late has stopped long ago."""
@@ -55,10 +57,6 @@ class Sink(Protocol):
     def add(self, topic: str, host_ns: int, *values: float, sequence: int = 0) -> None: ...
     def event(self, host_ns: int, kind: str, text: str) -> None: ...
     def config(self, host_ns: int, kind: str, text: str) -> None: ...
-
-
-IMPOSSIBLE_TRIP_NS = 1_000_000
-"""A round trip is shorter than nothing by the ticks' rounding at most, not by this much."""
 
 
 class ControllerIntake:

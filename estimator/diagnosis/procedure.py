@@ -43,7 +43,7 @@ from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
 from estimator.diagnosis.verdict import NOMINAL, decide
-from estimator.effects import SensorTimeSkew, battery, library
+from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, rounding_words
 from estimator.likelihood import Candidate
@@ -220,7 +220,7 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
         return conclusion.unexplained(base, split, context.nominal, best, decision.why, rng)
     if decision.more is not None:
         base = replace(base, immaterial=minor_causes(context, base, decision.more, best))
-    p = max(1e-12, min(1.0, _p_of_gain(best) * context.trials))
+    p = chance_of(context, best, best.gain, best.model.effects)
     ties = [with_clock(context, best), *decision.best[1:]]
     return conclusion.finding(base, split, context.nominal, ties, p, rng, decision.verdict == "partial")
 
@@ -229,10 +229,9 @@ def minor_causes(context: DiagnosisContext, found: Diagnosis, more: Explanation,
                  ) -> tuple[Cause, ...]:
     """What `more` holds beside `best`."""
     added = [e for e in more.model.effects if e.key not in keys_of(best)]
-    count = sum(len(e.sizes) for e in added)
-    p = float(fisher.sf(more.gain_over_parent / count, count, more.left.freedom)) * context.trials
+    p = chance_of(context, more, more.gain_over_parent, added)
     places = {(e.name, None if e.joint is None else e.joint + 1) for e in added}
-    return tuple(c for c in conclusion.causes_of(more, max(1e-12, min(1.0, p)), found) if (c.effect, c.joint) in places)
+    return tuple(c for c in conclusion.causes_of(more, p, found) if (c.effect, c.joint) in places)
 
 
 def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanation:
@@ -249,6 +248,7 @@ def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanati
     return replace(explanation, model=replace(again, beside=1))
 
 
-def _p_of_gain(explanation: Explanation) -> float:
-    k = sum(len(e.sizes) for e in explanation.model.effects)
-    return float(fisher.sf(explanation.gain / k, k, explanation.left.freedom))
+def chance_of(context: DiagnosisContext, explanation: Explanation, gain: float, effects: Sequence[Effect]) -> float:
+    """p-value, over all that were tried, of the gain that `effects` of an explanation make."""
+    count = sum(len(e.sizes) for e in effects)
+    return max(1e-12, min(1.0, float(fisher.sf(gain / count, count, explanation.left.freedom)) * context.trials))
