@@ -13,7 +13,7 @@ from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import ALPHA
 from estimator.diagnosis.noise_check import excess_noise, noise_dominated, ratios
-from estimator.diagnosis.refit import Model, begin_afresh
+from estimator.diagnosis.refit import Model, begin_afresh, deviance
 from estimator.diagnosis.score_statistics import RunScore, Tests
 from estimator.effects import SensorTimeSkew
 from estimator.likelihood import Candidate
@@ -70,11 +70,18 @@ class DiagnosisContext:
     bias: list[RunScore]
     nominal: Model
     rng: np.random.Generator
+    given_up: set[frozenset[str]] = field(default_factory=set)
+    """Sets of effects whose fits were hopeless beside others."""
 
     @cached_property
     def afresh(self) -> Model:
         """The nominal model at filtered motion, for fits that lead nowhere from its own fit."""
         return begin_afresh(self.split, self.nominal)
+
+    @cached_property
+    def deviance(self) -> float:
+        """Of the nominal model."""
+        return deviance(self.nominal)
 
     @cached_property
     def levels(self) -> dict[str, tuple[float, float]]:

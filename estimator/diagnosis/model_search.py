@@ -9,25 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.diagnosis.candidate_fit import Start, effects_of, fit_candidates, fit_models
 from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, p_of
 from estimator.diagnosis.decision_rule import ALPHA
-from estimator.diagnosis.refit import (
-    Model,
-    bootstrap_scores,
-    log_volume,
-    misfit,
-    misfit_by_run,
-    refit,
-    score_discover,
-    tests_of,
-)
+from estimator.diagnosis.refit import Model, bootstrap_scores, score_discover, tests_of
 from estimator.diagnosis.score_statistics import RunScore, Tests, own_inflation
 from estimator.effects import Effect
 from estimator.errors import FitError
-from estimator.likelihood import State
-from estimator.parallel import parallel_map
 
 Progress = Callable[[str, float], None]
+FIRST = 2
+"""Best effects beside which friction's rounding is sought before anything else is tried."""
 SINGLES = 5
 """Best effects that are re-fitted one by one, beside ..."""
 SCATTERED = 2
@@ -37,12 +29,6 @@ times as much as all else beside a soft gear, and came sixth.)"""
 MOST_ASSESSED = 4
 """Of them, those whose rest is looked at: the likeliest."""
 PAIRS = 3
-HELD_STEPS, FREE_STEPS = 12, 24
-"""Most steps of a re-fit with shapes held, and then with all free."""
-WEIGHED = 6
-"""Most fits that are compared under the noise of the best: the likeliest under their own."""
-WEIGH_STEPS = 25
-"""... and of one under the noise levels of the best explanation."""
 LEFT_OVER = 0.03
 """What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
 LEFT_AT_REST = 0.15
@@ -55,7 +41,6 @@ COLLINEAR = 0.9
 off centre was named for its scale, which no pair had held.)"""
 NIL = 4.0
 """Standard deviations within which a size is nil: the rounding of dry friction near rest alone moves sizes by two."""
-_NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
 RIVAL = 0.5
 """An explanation with less than this share of the best one's gain leaves the rest of it unexplained: not a rival."""
 
@@ -66,7 +51,7 @@ def explain(context: DiagnosisContext, tests: Tests, singles: list[Explanation],
     matter. Then the best that closes, parts exchanged."""
     if not singles or not promise(singles):
         return singles
-    found = combine(context, singles, say)
+    found = combine(context, singles, say, promise)
     adequate = [e for e in found if e.adequate]
     if not adequate:
         return found
@@ -87,7 +72,7 @@ def swapped(context: DiagnosisContext, tests: Tests, best: Explanation, known: s
             other = context.candidates[i].effect
             start = [*pairs[:k], (other, start_size(context, tests, i)), *pairs[k + 1 :]]
             keys = frozenset(e.key for e, _ in start)
-            if keys in known or len(keys) < len(start) or not resemble(context, tests, own, i):
+            if keys in known | context.given_up or len(keys) < len(start) or not resemble(context, tests, own, i):
                 continue
             both = fit_candidates(context, [pairs, start])
             found = next((e for e in both if other.key in keys_of(e)), None)
@@ -114,24 +99,34 @@ def resemble(context: DiagnosisContext, tests: Tests, i: int, k: int) -> bool:
 
 def keys_of(explanation: Explanation) -> frozenset[str]:
     """Its effects."""
-    return frozenset(e.key for e in explanation.model.effects)
+    return effects_of(explanation.model)
 
 
-def fit_singles(context: DiagnosisContext, tests: Tests) -> list[Explanation]:
-    """The most promising effects, each fitted alone, the likeliest first."""
+def fit_first(context: DiagnosisContext, tests: Tests) -> list[Model]:
+    """The two most promising effects, each fitted alone."""
+    return fit_models(context, [start_of(context, tests, i) for i in promising(context, tests, SINGLES)[:FIRST]])
+
+
+def fit_singles(context: DiagnosisContext, tests: Tests, first: Sequence[Model] = ()) -> list[Explanation]:
+    """The most promising effects, each fitted alone, the likeliest first; the `first` of them are fitted."""
     # from where one step may lead nowhere
     far = best_shapes(context, tests) if context.excess_noise(context.nominal) else []
     effects = [context.candidates[i].effect for i in far]
-    starts = [[(e, np.array(size))] for e in effects for size in e.starts]
+    starts: list[Start] = [[(e, np.array(size))] for e in effects for size in e.starts]
     known = {e.key for e in effects if e.starts}
-    for i in promising(context, tests, SINGLES):
-        if context.candidates[i].effect.key not in known:
-            starts.append([(context.candidates[i].effect, start_size(context, tests, i))])
-    return fit_candidates(context, starts)
+    starts += [start_of(context, tests, i) for i in promising(context, tests, SINGLES)[FIRST:]
+               if context.candidates[i].effect.key not in known]
+    return fit_candidates(context, starts, first)
 
 
-def combine(context: DiagnosisContext, singles: Sequence[Explanation], say: Progress) -> list[Explanation]:
-    """`singles`; where none closes, pairs; where none of these does, one triple.
+def start_of(context: DiagnosisContext, tests: Tests, i: int) -> Start:
+    """Where a fit with candidate i alone begins."""
+    return [(context.candidates[i].effect, start_size(context, tests, i))]
+
+
+def combine(context: DiagnosisContext, singles: Sequence[Explanation], say: Progress,
+            promise: Callable[[Sequence[Explanation]], bool]) -> list[Explanation]:
+    """`singles`; where none closes, pairs; where none of these does, and they `promise` more, one triple.
 
     What a single may leave over could be a difference of form, or a second cause: where it leaves something, a pair
     that leaves next to nothing is preferred. (Measured: a lever arm gained 609,000 and left 1,800, which was a spring;
@@ -152,7 +147,7 @@ def combine(context: DiagnosisContext, singles: Sequence[Explanation], say: Prog
     say("trying pairs", 0.7)
     pairs = forward_step(context, singles[:2], PAIRS)
     pairs += backward_step(context, pairs)
-    if any(s.adequate for s in pairs) or not pairs:
+    if any(s.adequate for s in pairs) or not pairs or not promise(pairs + singles):
         return pairs + singles
     say("trying three", 0.8)
     return forward_step(context, pairs[:1], 2) + pairs + singles
@@ -168,8 +163,10 @@ def backward_step(context: DiagnosisContext, explanation: Sequence[Explanation])
     for e in explanation:
         there = presence(e.model, float(np.sqrt(e.left.scatter)))
         little = e.no_residual_effect or context.gain(e.left, e.best_left) < LEFT_OVER * e.gain
-        if little and any(there) and not all(there):
-            starts[keys_of(e)] = [pair for pair, real in zip(zip(e.model.effects, e.model.sizes()), there) if real]
+        rest = [pair for pair, real in zip(zip(e.model.effects, e.model.sizes()), there) if real]
+        grown = e.beside == {effect.key for effect, _ in rest} and e.gain_over_parent < LEFT_OVER * e.gain
+        if little and rest and not all(there) and not grown:  # what it was grown from is fitted as well already
+            starts[keys_of(e)] = rest
     return [e for e in assess_residuals(context, fit_candidates(context, list(starts.values()))) if e.adequate]
 
 
@@ -205,78 +202,6 @@ def start_size(context: DiagnosisContext, tests: Tests, i: int) -> FloatArray:
     if effect.positive:  # a bad nominal fit can mislead even the sign
         size[0] = abs(size[0])
     return np.concatenate([size, shape])
-
-
-def fit_candidates(context: DiagnosisContext, starts: Sequence[Sequence[tuple[Effect, FloatArray]]],
-          fits: Sequence[Model] = ()) -> list[Explanation]:
-    """Fit every start, compare all and `fits` under the noise of the best, most likely first, each set of effects
-    once."""
-    split, angle_range = context.split, context.nominal.problem.stage.angle_range
-
-    def fitted(k: int) -> State | None:
-        model = fit_extension(context, starts[k])
-        return None if model is None else model.state
-
-    models = list(fits)
-    for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers)):
-        if state is not None:
-            effects = tuple(e for e, _ in start)
-            models.append(Model(effects, state, split.problem(split.discover, angle_range, effects)))
-    if not models:
-        return []
-    noise = min((m.state.noise for m in models), key=lambda s: log_volume(context.nominal.problem, s))
-    models.sort(key=lambda m: deviance(context, m))
-    models = [*models[:WEIGHED], *(m for m in models[WEIGHED:] if any(m is f for f in fits))]
-    every = [context.nominal, *models]
-
-    def refitted(k: int) -> tuple[float, FloatArray] | None:
-        m = every[k]
-        try:
-            again = refit(split, m, list(zip(m.effects, m.sizes())), WEIGH_STEPS, noise)
-        except FitError:
-            if k > 0:  # under the noise of the best one it has no fit at all
-                return None
-            # the nominal model is too wrong to settle under so little noise; where it stands will do
-            again = replace(m, state=replace(m.state, noise=noise))
-        return misfit(again), misfit_by_run(split, again)
-
-    plain, *found = parallel_map(refitted, len(every), split.workers)
-    assert plain is not None
-    out = [Explanation(m, plain[0] - w[0], _NO_TESTS, -1, -1, False, by_run=w[1])
-           for m, w in zip(models, found) if w is not None]
-    out.sort(key=lambda e: -e.gain)
-    first = {keys_of(e): i for i, e in reversed(list(enumerate(out)))}
-    return [e for i, e in enumerate(out) if first[keys_of(e)] == i]
-
-
-def deviance(context: DiagnosisContext, model: Model) -> float:
-    """-2 log likelihood under the model's own noise levels, up to a constant."""
-    return misfit(model) + 2.0 * log_volume(context.nominal.problem, model.state.noise)
-
-
-def fit_extension(context: DiagnosisContext, start: Sequence[tuple[Effect, FloatArray]]) -> Model | None:
-    """Full re-fit, first with shapes held; None where it fails.
-
-    A large effect spoils the nominal fit's motion: where a fit fails from there, it starts again from filtered motion.
-    """
-    for again in (False, True):
-        try:
-            held = refit(context.split, context.afresh if again else context.nominal, start, HELD_STEPS,
-                         hold_shapes=True)
-        except (FitError, np.linalg.LinAlgError):
-            continue
-        if not any(e.shapes and not e.whole_shapes for e in held.effects) and held.state.converged:
-            return held
-        try:
-            found = refit(context.split, held, list(zip(held.effects, held.sizes())), FREE_STEPS, hold_limits=False)
-            if any(np.any(e.at_limits(s)) for e, s in zip(found.effects, found.sizes())):
-                if not found.state.converged:
-                    found = refit(context.split, found, list(zip(found.effects, found.sizes())), FREE_STEPS)
-                return min(found, held, key=lambda m: deviance(context, m))  # a shape can run away
-            return found
-        except (FitError, np.linalg.LinAlgError):
-            return held
-    return None
 
 
 def assess_residuals(context: DiagnosisContext, explanation: Sequence[Explanation], bias: Sequence[RunScore] = ()

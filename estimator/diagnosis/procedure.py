@@ -26,13 +26,15 @@ from estimator.diagnosis.model_search import (
     MOST_ASSESSED,
     Progress,
     assess_residuals,
-    deviance,
     explain,
+    fit_first,
     fit_singles,
     keys_of,
 )
 from estimator.diagnosis.refit import (
+    Model,
     bootstrap_scores,
+    deviance,
     fit_nominal,
     likeliest_rounding,
     refit,
@@ -42,7 +44,7 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
-from estimator.diagnosis.verdict import NOMINAL, decide
+from estimator.diagnosis.verdict import NOMINAL, by_likelihood, decide
 from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, rounding_words
@@ -118,26 +120,37 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
                                       nominal)
     known: list[ErrorTable] = []
     say("re-fitting the best explanations", 0.4)
-    options = fit_singles(context, tests)
-    other = rounding_beside(split, options, stated)
+    first = fit_first(context, tests)
+    other = rounding_beside(split, likeliest_of(first), stated)
+    if other is None:
+        options = fit_singles(context, tests, first)
+        best = likeliest_of([e.model for e in options])
+        other = None if any(best is m for m in first) else rounding_beside(split, best, stated)
     if other is None:
         say("looking at what they leave over", 0.6)
         options = assess_residuals(context, options[:MOST_ASSESSED])
         options = explain(context, tests, options, say,
-                          lambda singles: promise(context, singles, material, rng, known))
-        other = rounding_beside(split, [e for e in options if len(e.model.effects) > 1], stated)
+                          lambda found: promise(context, found, material, rng, known))
+        more = [e for e in options if len(e.model.effects) > 1]
+        other = rounding_beside(split, max(more, key=lambda e: (e.adequate, e.gain)).model if more else None, stated)
     if other is not None:
         return _diagnose(replace(split, mechanism=other, stiction={}), seed, say, reference, material, None)
     say("opening the confirm runs", 0.85)
     return replace(conclude(context, base, tests, options, rng, material, known), mechanism=split.mechanism)
 
 
-def rounding_beside(split: RunSplit, options: Sequence[Explanation], stated: Mechanism | None) -> Mechanism | None:
-    """The mechanism, where friction has another rounding beside the best of `options`, sought from what is `stated`."""
-    if stated is None or not options:
+def likeliest_of(models: Sequence[Model]) -> Model | None:
+    """The likeliest under its own noise."""
+    return min(models, key=deviance, default=None)
+
+
+def rounding_beside(split: RunSplit, model: Model | None, stated: Mechanism | None) -> Mechanism | None:
+    """The mechanism, where friction has another rounding beside the effects of `model`, sought from what is
+    `stated`."""
+    if stated is None or model is None:
         return None
     try:
-        found = likeliest_rounding(split, max(options, key=lambda e: (e.adequate, e.gain)).model, stated)
+        found = likeliest_rounding(split, model, stated)
     except FitError:
         return None
     return None if np.array_equal(found.velocity_scales, split.mechanism.velocity_scales) else found
@@ -177,20 +190,23 @@ def nominal_error(context: DiagnosisContext, rng: np.random.Generator) -> float 
     return table.error(NOMINAL)
 
 
-def promise(context: DiagnosisContext, singles: Sequence[Explanation], material: float, rng: np.random.Generator,
+def promise(context: DiagnosisContext, found: Sequence[Explanation], material: float, rng: np.random.Generator,
             known: list[ErrorTable]) -> bool:
-    """Whether several effects together could matter: there is error enough, and a single one takes away a good part of
-    what must fall, or the error is beyond what a disturbance makes. What is measured is `known` then."""
-    best = sorted((s.model for s in singles[:2]), key=lambda m: deviance(context, m))
-    split, models = context.split, [context.nominal, *best]
+    """Whether more effects than those `found` have could matter: there is error enough beside fewer, and the last one
+    takes away a good part of what must fall, or that error is beyond what a disturbance makes. What is measured is
+    `known` then."""
+    counts = sorted({len(e.model.effects) for e in found})
+    best = by_likelihood([e for n in counts for e in [e for e in found if len(e.model.effects) == n][:2]])
+    models = [context.nominal, *(e.model for e in best)]
     try:
-        table = measure_errors(split, models, models[1], rng.integers(2**63, size=len(split.confirm)))
+        table = measure_errors(context.split, models, models[1],
+                               rng.integers(2**63, size=len(context.split.confirm)))
     except FitError:
         return True
     known.append(table)
-    whole = table.error(NOMINAL)
-    least = min(table.error(k) for k in range(1, len(models)))
-    return whole * (1.0 - material) > 1.0 and (whole > EDGE or least < whole * (1.0 - SUFFICES * material))
+    errors = {n: min(table.error(k) for k, m in enumerate(models) if len(m.effects) == n) for n in (0, *counts)}
+    last, before = errors[counts[-1]], min(error for n, error in errors.items() if n < counts[-1])
+    return before * (1.0 - material) > 1.0 and (before > EDGE or last < before * (1.0 - SUFFICES * material))
 
 
 def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: Sequence[Explanation],

@@ -169,6 +169,11 @@ def misfit_by_run(split: RunSplit, model: Model) -> FloatArray:
     return np.array(out)
 
 
+def deviance(model: Model) -> float:
+    """-2 log likelihood under the model's own noise levels, up to a constant that all models of these runs share."""
+    return misfit(model) + 2.0 * log_volume(model.problem, model.state.noise)
+
+
 def log_volume(problem: ExtendedProblem, noise: Noise) -> float:
     """Sum over samples of the log standard deviations of all channels."""
     levels = [*noise.torque, *noise.encoder[np.isfinite(noise.encoder)]]

@@ -13,8 +13,8 @@ from estimator.diagnosis.decision_rule import EDGE, SHORTLIST, SUFFICES, SURE
 from estimator.diagnosis.error_budget import generic_extension
 from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors
 from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.model_search import deviance, keys_of, presence
-from estimator.diagnosis.refit import Model, refit
+from estimator.diagnosis.model_search import keys_of, presence
+from estimator.diagnosis.refit import Model, deviance, refit
 from estimator.diagnosis.rotation import Turn, rotate
 from estimator.diagnosis.score_statistics import Tests
 from estimator.errors import FitError
@@ -61,8 +61,7 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
     None where nothing could be fitted, neither a listed effect nor a term without a name. Raises `FitError` where no
     model's free run can be carried through.
     """
-    # the likeliest under its own noise first: in units of what a model puts down to noise its error is small
-    shortlist = sorted(shortlisted(options), key=lambda o: (not admissible(o), deviance(context, o.model)))
+    shortlist = by_likelihood(shortlisted(options))
     generic = generic_extension(context, context.nominal, tests)
     if not shortlist and generic is None:
         return None
@@ -156,6 +155,12 @@ def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
     counts = sorted({len(o.model.effects) for o in options})
     first = [o for n in counts for o in [o for o in ranked if len(o.model.effects) == n][:2]]
     return [*first, *(o for o in ranked if not any(o is f for f in first))][: max(SHORTLIST, len(first))]
+
+
+def by_likelihood(options: Sequence[Explanation]) -> list[Explanation]:
+    """The likeliest under its own noise first, those that cannot be last: in units of what a model puts down to noise
+    its error is small."""
+    return sorted(options, key=lambda o: (not admissible(o), deviance(o.model)))
 
 
 def admissible(explanation: Explanation) -> bool:

@@ -147,17 +147,18 @@ class ExtendedProblem(LatentProblem):
         beta, sizes = self.split(parameters)
         pairs = list(zip(self.effects, sizes))
         n, count, total = self.n, self.left.size, self.total
-        view = replace(self.view(x, beta), measured=self._measured)
-        torque, at_samples, readings = added(pairs, view)
-        for _ in range(PASSES - 1):  # what an effect takes changes the acceleration it feels
-            if not at_samples.any():
-                break
-            view, before = replace(self.view(x, beta, at_samples), measured=self._measured), at_samples
-            torque, at_samples, readings = added(pairs, view)
-            if np.array_equal(before, at_samples):
-                break
-        else:
-            view = replace(self.view(x, beta, at_samples), measured=self._measured)
+        free = replace(self.view(x, beta), measured=self._measured)
+        torque, at_samples, readings = added(pairs, free)
+        view = free
+        if at_samples.any():
+            inertia = self.mechanism.inertia_matrix(x.q, beta)
+            for _ in range(PASSES - 1):  # what an effect takes changes the acceleration it feels
+                view, before = braked(free, inertia, at_samples), at_samples
+                torque, at_samples, readings = added(pairs, view)
+                if np.array_equal(before, at_samples):
+                    break
+            else:
+                view = braked(free, inertia, at_samples)
         derivatives: list[Perturbation] = []
         for effect, size in zip(self.effects, sizes):
             derivatives += slopes(effect, view, size)
@@ -234,6 +235,12 @@ class ExtendedProblem(LatentProblem):
         large = max(1.0, float(np.sqrt(np.mean(self.torque**2))))
         return np.array([x for e in self.effects
                          for x in (*((large * s.prior) ** -2 for s in e.sizes), *(0.0 for _ in e.shapes))])
+
+
+def braked(view: View, inertia: FloatArray, torque: FloatArray) -> View:
+    """`view` of a motion whose `inertia` (N, n, n) effects brake by `torque` (n, N) at the samples."""
+    less = np.linalg.solve(inertia, torque.T[..., None])[..., 0].T
+    return replace(view, samples=replace(view.samples, a=view.samples.a - less))
 
 
 def added(pairs: Sequence[tuple[Effect, FloatArray]], view: View) -> tuple[FloatArray, FloatArray,
