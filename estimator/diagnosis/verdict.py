@@ -77,27 +77,67 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
         return Decision("unexplained" if nameless or whole > EDGE else "none", closest, table,
                         1 if closest else NOMINAL, (), NOMINAL, own, generic, draws,
                         "a size that makes it what it is could as well be nil, or has a sign that it cannot have")
-    best, row = choose(possible, table, material, draws)
+    begin = Decision("named", (), table, NOMINAL, (), NOMINAL, own, generic, draws)
+    asked = ask(context, begin, choose(possible, table, material, draws), possible)
+    found = judge(asked, generic, material)
+    if found.verdict not in ("named", "partial"):
+        if not is_open(table, asked.row, NOMINAL, material, draws):
+            return found
+        turned = turn_runs(context, asked, rng)
+        return found if turned is None else judge(turned[0], generic, material)
+    second = second_cause(possible, asked, material)
+    if second is None:
+        return found
+    more = turn_runs(context, ask(context, asked, second, possible), rng, [asked.row])
+    if more is None:
+        return found
+    both, place = more
+    if not matters(both.table, both.row, place[asked.row], material, both.draws):
+        return found
+    both = judge(both, generic, material)
+    return both if both.verdict in ("named", "partial") else found
+
+
+def ask(context: DiagnosisContext, begin: Decision, what: tuple[Sequence[Explanation], int],
+        possible: Sequence[tuple[Explanation, int]]) -> Decision:
+    """What is to be judged of explanations that cannot be told apart, and the row of the first: its errors without each
+    of its effects, and with terms without a name beside it."""
+    (best, row), table, split = what, begin.table, context.split
     beside = generic_extension(context, best[0].model, best[0].left)
     pieces = without_each(context, best[0].model)
-    table = extend_errors(table, context.split, [*pieces, *([beside] if beside is not None else [])])
-    first = len(models)
-    without = tuple(range(first, first + len(pieces)))
-    more = first + len(pieces) if beside is not None else row
-    asked = Decision("named", tuple(best), table, row, without, more, own, beside or best[0].model, draws,
-                     more=with_minor(possible, best[0], row, table, draws))
-    found = judge(asked, generic, material)
-    if found.verdict in ("named", "partial") or not is_open(table, row, material, draws):
-        return found
+    first = len(table.models)
+    table = extend_errors(table, split, [*pieces, *([beside] if beside is not None else [])])
+    return replace(begin, best=tuple(best), table=table, row=row, without=tuple(range(first, first + len(pieces))),
+                   beside=first + len(pieces) if beside is not None else row, terms=beside or best[0].model,
+                   more=with_minor(possible, best[0], row, table, begin.draws))
+
+
+def second_cause(possible: Sequence[tuple[Explanation, int]], asked: Decision, material: float
+                 ) -> tuple[list[Explanation], int] | None:
+    """The likeliest, and its row, with one effect more than what is `asked` about, where it is open whether that
+    matters beside it: the error falls by as much, but not surely so on the runs kept back."""
+    table, row = asked.table, asked.row
+    count, held = len(asked.best[0].model.effects) + 1, [keys_of(o) for o in asked.best]
+    more = [(o, k) for o, k in possible if len(o.model.effects) == count and any(h < keys_of(o) for h in held)
+            and table.error(row) - table.error(k) > material * table.error(row)
+            and is_open(table, k, row, material, asked.draws)]
+    return likeliest(more, table, material * table.error(row)) if more else None
+
+
+def turn_runs(context: DiagnosisContext, asked: Decision, rng: np.random.Generator, also: Sequence[int] = ()
+              ) -> tuple[Decision, dict[int, int]] | None:
+    """What is `asked`, with errors on all runs, each kept back in its turn, and where the rows of its table, and those
+    in `also`, stand then; None where that cannot be had."""
+    table = asked.table
     unit = next(k for k, model in enumerate(table.models) if model is table.unit.reference)
-    rows = list(dict.fromkeys([NOMINAL, row, *without, more, own, unit]))
+    rows = list(dict.fromkeys([NOMINAL, asked.row, *asked.without, asked.beside, asked.own, *also, unit]))
     turned = rotate(context.split, choose_rows(table, rows), rng)
     if turned is None:
-        return found
+        return None
     place = {k: rows.index(k) for k in rows}
-    return judge(replace(asked, table=turned[0], row=place[row], without=tuple(place[k] for k in without),
-                         beside=place[more], own=place[own], draws=turned[0].draws(rng), turns=turned[1]),
-                 generic, material)
+    return replace(asked, table=turned[0], row=place[asked.row], without=tuple(place[k] for k in asked.without),
+                   beside=place[asked.beside], own=place[asked.own], draws=turned[0].draws(rng),
+                   turns=turned[1]), place
 
 
 def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
@@ -122,11 +162,11 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
     return asked
 
 
-def is_open(table: ErrorTable, model: int, material: float, draws: NDArray[np.intp]) -> bool:
-    """Whether the error neither surely falls by what matters with `model` nor surely does not, while the runs are
-    likelier with it: one free run that strays makes most of either error."""
-    could = table.lowers(model, NOMINAL, material, draws, NOMINAL) > 1.0 - SURE
-    return bool(could and table.agreement[model].sum() > 0.0)
+def is_open(table: ErrorTable, model: int, than: int, material: float, draws: NDArray[np.intp]) -> bool:
+    """Whether the error neither surely falls by what matters from `than` to `model` nor surely does not, while the runs
+    are likelier with it: one free run that strays makes most of either error."""
+    could = table.lowers(model, than, material, draws, than) > 1.0 - SURE
+    return bool(could and table.agreement[model].sum() > table.agreement[than].sum())
 
 
 def measured_beside(context: DiagnosisContext, models: Sequence[Model], rng: np.random.Generator,

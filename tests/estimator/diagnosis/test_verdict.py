@@ -16,7 +16,17 @@ from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.error_table import ErrorTable, _bounded
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.score_statistics import Tests
-from estimator.diagnosis.verdict import Decision, choose, is_open, judge, matters, shortfall, shortlisted, with_minor
+from estimator.diagnosis.verdict import (
+    Decision,
+    choose,
+    is_open,
+    judge,
+    matters,
+    second_cause,
+    shortfall,
+    shortlisted,
+    with_minor,
+)
 from estimator.errors import FitError
 
 BLOCKS, RUNS = 20, 2
@@ -102,10 +112,10 @@ def test_it_stays_open_whether_an_error_falls_where_one_run_strays() -> None:
     assert matters(table, 1, 0, MATERIAL, draws)
     table.values[1, 9] *= 8.0**2
     assert not matters(table, 1, 0, MATERIAL, draws) and table.error(1) > table.error(0)
-    assert is_open(table, 1, MATERIAL, draws)
+    assert is_open(table, 1, 0, MATERIAL, draws)
     small = table_of(1.5, 1.48, agreement=[[0, 0], [900, 300]])
-    assert not is_open(small, 1, MATERIAL, draws)  # surely below what matters
-    assert not is_open(table_of(1.5, 1.2, agreement=[[0, 0], [20, -90]]), 1, MATERIAL, draws)
+    assert not is_open(small, 1, 0, MATERIAL, draws)  # surely below what matters
+    assert not is_open(table_of(1.5, 1.2, agreement=[[0, 0], [20, -90]]), 1, 0, MATERIAL, draws)
 
 
 def test_an_error_that_falls_but_not_for_sure_is_not_said_to_stay() -> None:
@@ -195,6 +205,21 @@ def test_what_is_there_beside_a_cause_but_hardly_errs_is_told_of() -> None:
     assert choose(both, table, MATERIAL, draws) == ([single], 1) and with_minor(both, single, 1, table, draws) is pair
     worse = table_of(9.0, 1.24, 1.18, agreement=[[0, 0], [900, 900], [990, 890]])  # one run is less likely with it
     assert with_minor(both, single, 1, worse, draws) is None
+
+
+def test_the_other_runs_are_asked_of_a_second_cause_only_where_it_is_open_whether_it_matters() -> None:
+    """Beside a spring a late torque lowered the error by 15 %, in 80 % of the resamplings by what matters."""
+    single, pair, other = (explained(10_000.0, "spring"), explained(10_900.0, "spring", "delay"),
+                           explained(10_950.0, "drag", "delay"))
+    table = table_of(9.0, 1.5, 1.25, 1.2)
+    table.values[2, 4] *= 4.0**2  # one piece strays with both, and makes the fall unsure
+    table.values[1, 4] *= 3.5**2
+    asked = Decision("named", (single,), table, 1, (), 1, 0, None, table.draws(np.random.default_rng(1)))
+    assert not matters(table, 2, 1, MATERIAL, asked.draws)
+    assert second_cause([(single, 1), (pair, 2), (other, 3)], asked, MATERIAL) == ([pair], 2)
+    unlikely = table_of(9.0, 1.5, 1.25, agreement=[[0, 0], [900, 900], [700, 800]])
+    assert second_cause([(single, 1), (pair, 2)], replace(asked, table=unlikely), MATERIAL) is None
+    assert second_cause([(single, 1), (pair, 2)], replace(asked, table=table_of(9.0, 1.5, 1.4)), MATERIAL) is None
 
 
 def test_no_error_counts_for_more_than_that_of_who_knows_nothing() -> None:
