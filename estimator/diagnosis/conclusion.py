@@ -78,6 +78,10 @@ def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tupl
     return out
 
 
+PIVOT = "q1_rad"
+"""Column of the pivot's angle, which an IMU stands in for."""
+
+
 @dataclass(frozen=True)
 class Resimulated:
     """One confirm run simulated from its first state and measured torque."""
@@ -95,7 +99,7 @@ def sensors_of(problem: ExtendedProblem, q1: FloatArray) -> dict[str, FloatArray
     unit = problem.mechanism.length_unit
     out = {f"q{j + 1}_{unit}": problem.angles[:, j] for j in range(problem.n) if problem.has_encoder[j]}
     if problem.has_imu:
-        out |= {"q1_rad": q1, "gyro_radps": problem.gyro, "accel_x_mps2": problem.ax, "accel_y_mps2": problem.ay}
+        out |= {PIVOT: q1, "gyro_radps": problem.gyro, "accel_x_mps2": problem.ax, "accel_y_mps2": problem.ay}
     return dict(sorted(out.items()))
 
 

@@ -2,19 +2,21 @@
 
 A free run starts from the fitted motion and is driven by the measured torque alone, over pieces of `HORIZONS_S`. Its
 squared errors, in units of what noise alone leaves in a rehearsal of the same piece, are comparable over channels and
-horizons; their mean over all of them is the error of a model.
+horizons; their mean over all of them is the error of a model. Where no encoder measures the pivot's angle, it is what
+the model reads out of the sensors under which these runs are likeliest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.conclusion import BLOCK_S, floor_errors, resimulate, sensors_of
+from estimator.diagnosis.conclusion import BLOCK_S, PIVOT, floor_errors, resimulate, sensors_of
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import DRAWS
 from estimator.diagnosis.refit import Model, smooth
@@ -28,13 +30,15 @@ nothing of friction near rest; short ones do not add up what is slow."""
 
 @dataclass(frozen=True)
 class Unit:
-    """What errors are counted in: the noise alone of one model, and the motion that it takes for measured."""
+    """What errors are counted in: the noise alone of one model; and what is taken for measured."""
 
     reference: Model
     floor: FloatArray
     """(C,) mean squared error that noise alone leaves in each column"""
+    reader: Model
+    """The one that reads the pivot's angle, and ..."""
     pivots: tuple[FloatArray, ...]
-    """Angle of the pivot in each run, where no encoder measures it"""
+    """... that angle in each run"""
     bound: FloatArray
     """(C,) variance of each column's sensor over these runs: who knows nothing of the leg errs by it"""
     misfits: FloatArray
@@ -85,44 +89,65 @@ class ErrorTable:
         return any(self.error(model, d) - self.error(than, d) > by * self.error(of) for d in each)
 
 
-def measure_errors(split: RunSplit, models: Sequence[Model], reference: Model, seeds: NDArray[np.int64]) -> ErrorTable:
+def measure_errors(split: RunSplit, models: Sequence[Model], reference: Model, seeds: NDArray[np.int64],
+                   readers: Sequence[int] | None = None) -> ErrorTable:
     """Errors of `models`, the nominal one first, on the confirm runs, one of `seeds` each, in units of the noise of
-    `reference`.
+    `reference`. One of `readers`, by default of all models, reads the pivot's angle.
 
     No error counts for more than that of who takes every sensor's mean: a simulation that strays from the motion, once
     it has, says nothing more. Raises `FitError` where the reference's simulation runs off.
     """
     best = next((k for k, m in enumerate(models) if m is reference), len(models))
     every = [*models, *([reference] if best == len(models) else [])]
+    could = list(range(len(models)) if readers is None else readers)
 
-    def measured(k: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray | None]:
+    def measured(k: int) -> Measured:
         run = split.confirm[k]
         fitted = [smooth(split, model, run) for model in every]
-        q1 = fitted[best][1].x.q[:, 0]
+        pivots = np.stack([fitted[r][1].x.q[:, 0] for r in could])
         floors = floor_errors(split, reference, fitted[best], run, np.random.default_rng(seeds[k]), HORIZONS_S)
         floor = np.array([f[c].mean() for f in floors for c in sorted(f)])
-        return (_squares(split, fitted[: len(models)], run, q1), floor, _moments(fitted[best][0], q1),
-                _misfits(fitted, reference)[: len(models)], q1, split.stiction.get(run))
+        return Measured(_squares(split, fitted[: len(models)], run, pivots), floor,
+                        _moments(fitted[best][0], fitted[best][1].x.q[:, 0]),
+                        _misfits(fitted, reference)[: len(models)], pivots, split.stiction.get(run))
 
     parts = parallel_map(measured, len(split.confirm), split.workers)
     for run, part in zip(split.confirm, parts):  # another process found it; later rows are to have the same weights
-        if part[5] is not None:
-            split.stiction.setdefault(run, part[5])
-    lengths = [p[0].shape[1] for p in parts]
-    floor, moments = (np.average([p[k] for p in parts], axis=0, weights=lengths) for k in (1, 2))
+        if part.stiction is not None:
+            split.stiction.setdefault(run, part.stiction)
+    lengths = [p.squares.shape[2] for p in parts]
+    floor, moments = (np.average(of, axis=0, weights=lengths) for of in ([p.floor for p in parts],
+                                                                         [p.moments for p in parts]))
     bound = moments[1] - moments[0] ** 2
     floor = np.minimum(floor, bound)
-    misfits = np.stack([p[3] for p in parts], axis=-1)
-    return ErrorTable(_columns_of(split, reference), _bounded([p[0] for p in parts], floor, bound),
-                      misfits[0] - misfits, np.repeat(np.arange(len(parts)), lengths), tuple(models),
-                      Unit(reference, floor, tuple(p[4] for p in parts), bound, misfits[0]))
+    misfits = np.stack([p.misfits for p in parts], axis=-1)
+    reader = int(np.argmin(misfits.sum(axis=1)[could]))
+    unit = Unit(reference, floor, models[could[reader]], tuple(p.pivots[reader] for p in parts), bound, misfits[0])
+    return ErrorTable(_columns_of(split, reference), _bounded([p.squares[reader] for p in parts], floor, bound),
+                      misfits[0] - misfits, np.repeat(np.arange(len(parts)), lengths), tuple(models), unit)
+
+
+class Measured(NamedTuple):
+    """Of one run."""
+
+    squares: FloatArray
+    """(readers, M, B, C)"""
+    floor: FloatArray
+    """(C,)"""
+    moments: FloatArray
+    """(2, C)"""
+    misfits: FloatArray
+    """(M,)"""
+    pivots: FloatArray
+    """(readers, N)"""
+    stiction: FloatArray | None
 
 
 def extend_errors(table: ErrorTable, split: RunSplit, more: Sequence[Model]) -> ErrorTable:
     """`table` with rows for `more` models."""
     def measured(k: int) -> tuple[FloatArray, FloatArray]:
         fitted = [smooth(split, model, split.confirm[k]) for model in more]
-        return (_squares(split, fitted, split.confirm[k], table.unit.pivots[k]),
+        return (_squares(split, fitted, split.confirm[k], table.unit.pivots[k][None])[0],
                 table.unit.misfits[k] - _misfits(fitted, table.unit.reference))
 
     if not more:
@@ -147,15 +172,20 @@ def _columns_of(split: RunSplit, model: Model) -> tuple[tuple[str, float], ...]:
     return tuple((c, horizon) for horizon in HORIZONS_S for c in names)
 
 
-def _squares(split: RunSplit, fitted: Sequence[tuple[ExtendedProblem, State]], run: int, q1: FloatArray) -> FloatArray:
-    """(M, B, C) mean squared errors over blocks of a run that the models are `fitted` to."""
+def _squares(split: RunSplit, fitted: Sequence[tuple[ExtendedProblem, State]], run: int, pivots: FloatArray
+             ) -> FloatArray:
+    """(P, M, B, C) mean squared errors over blocks of a run that the models are `fitted` to, the pivot's angle being
+    each of `pivots` (P, N) in turn."""
     size = max(10, int(BLOCK_S * split.runs[run][0].rate_hz))
     errors: list[list[FloatArray]] = [[] for _ in fitted]
     for horizon in HORIZONS_S:
         for row, one in zip(errors, fitted):
-            found = resimulate(split, one, run, q1, True, horizon)
-            row += [_blocks((found.simulated[c] - y) ** 2, size) for c, y in found.measured.items()]
-    return np.stack([np.stack(row, axis=-1) for row in errors])
+            found = resimulate(split, one, run, pivots[0], True, horizon)
+            for column, y in found.measured.items():
+                read = pivots if column == PIVOT and split.has_imu else y[None]
+                squares = _blocks((found.simulated[column] - read) ** 2, size)
+                row.append(np.broadcast_to(squares, (len(pivots), squares.shape[1])))
+    return np.stack([np.stack(row, axis=-1) for row in errors], axis=1)
 
 
 def _moments(problem: ExtendedProblem, q1: FloatArray) -> FloatArray:
@@ -176,4 +206,6 @@ def _misfits(fitted: Sequence[tuple[ExtendedProblem, State]], reference: Model) 
 
 
 def _blocks(squares: FloatArray, size: int) -> FloatArray:
-    return np.array([part.mean() for part in np.array_split(squares, max(1, len(squares) // size))])
+    """(P, B) means over blocks of about `size` of (P, N)."""
+    parts = np.array_split(squares, max(1, squares.shape[1] // size), axis=1)
+    return np.stack([part.mean(axis=1) for part in parts], axis=-1)

@@ -45,8 +45,10 @@ def rotate(split: RunSplit, table: ErrorTable, rng: np.random.Generator) -> tupl
     if not others:
         return None
     unit = next(k for k, model in enumerate(table.models) if model is table.unit.reference)
+    reader = next((k for k, model in enumerate(table.models) if model is table.unit.reader), unit)
     try:
-        turns = parallel_map(lambda k: turn(split, others[k], table.models, unit, seeds[k]), len(others), split.workers)
+        turns = parallel_map(lambda k: turn(split, others[k], table.models, unit, reader, seeds[k]), len(others),
+                             split.workers)
     except (FitError, np.linalg.LinAlgError):
         return None
     first = np.cumsum([table.agreement.shape[1], *(t.agreement.shape[1] for t in turns[:-1])])
@@ -55,15 +57,15 @@ def rotate(split: RunSplit, table: ErrorTable, rng: np.random.Generator) -> tupl
                    runs=np.concatenate([table.runs, *(t.places + n for t, n in zip(turns, first))])), tuple(turns)
 
 
-def turn(split: RunSplit, confirm: tuple[int, ...], models: Sequence[Model], unit: int,
+def turn(split: RunSplit, confirm: tuple[int, ...], models: Sequence[Model], unit: int, reader: int,
          seeds: NDArray[np.int64]) -> Turn:
-    """`models` fitted to all runs but `confirm`, tried on those, in units of the noise of the one in `unit`. Raises
-    `FitError`."""
+    """`models` fitted to all runs but `confirm`, tried on those, in units of the noise of the one in `unit`; the one in
+    `reader` reads the pivot's angle. Raises `FitError`."""
     rest = tuple(k for k in range(len(split.runs)) if k not in confirm)
     other = replace(split, fit=rest, screen=(), confirm=confirm, workers=1)
     nominal = fit_nominal(other)
     fitted = [nominal, *(refit(other, nominal, list(zip(m.effects, m.sizes()))) for m in models[1:])]
-    found = measure_errors(other, fitted, fitted[unit], seeds[: len(confirm)])
+    found = measure_errors(other, fitted, fitted[unit], seeds[: len(confirm)], [reader])
     return Turn(tuple(split.names[k] for k in confirm), found.values, found.agreement, found.runs,
                 tuple(fitted[1].sizes()))
 

@@ -66,10 +66,10 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
     if not shortlist and generic is None:
         return None
     models = [context.nominal, *(o.model for o in shortlist), *([generic] if generic is not None else [])]
-    table = measured_beside(context, models, rng, known)
+    possible = [(o, k) for k, o in enumerate(shortlist, 1) if admissible(o)]
+    table = measured_beside(context, models, [NOMINAL, *(k for _, k in possible)], rng, known)
     draws = table.draws(rng)
     whole = table.error(NOMINAL)
-    possible = [(o, k) for k, o in enumerate(shortlist, 1) if admissible(o)]
     own = len(models) - 1 if generic is not None else NOMINAL
     if not possible:
         nameless = generic is not None and matters(table, own, NOMINAL, material, draws)
@@ -129,8 +129,8 @@ def turn_runs(context: DiagnosisContext, asked: Decision, rng: np.random.Generat
     """What is `asked`, with errors on all runs, each kept back in its turn, and where the rows of its table, and those
     in `also`, stand then; None where that cannot be had."""
     table = asked.table
-    unit = next(k for k, model in enumerate(table.models) if model is table.unit.reference)
-    rows = list(dict.fromkeys([NOMINAL, asked.row, *asked.without, asked.beside, asked.own, *also, unit]))
+    held = [k for k, m in enumerate(table.models) if m is table.unit.reference or m is table.unit.reader]
+    rows = list(dict.fromkeys([NOMINAL, asked.row, *asked.without, asked.beside, asked.own, *also, *held]))
     turned = rotate(context.split, choose_rows(table, rows), rng)
     if turned is None:
         return None
@@ -169,11 +169,11 @@ def is_open(table: ErrorTable, model: int, than: int, material: float, draws: ND
     return bool(could and table.agreement[model].sum() > table.agreement[than].sum())
 
 
-def measured_beside(context: DiagnosisContext, models: Sequence[Model], rng: np.random.Generator,
-                    known: Sequence[ErrorTable] = ()) -> ErrorTable:
+def measured_beside(context: DiagnosisContext, models: Sequence[Model], readers: Sequence[int],
+                    rng: np.random.Generator, known: Sequence[ErrorTable] = ()) -> ErrorTable:
     """Errors in units of the noise of the likeliest explanation whose simulations can be carried through, of the
-    nominal model, which comes first, where there is none; what is `known` of them is taken over. Raises `FitError`
-    where not even that can."""
+    nominal model, which comes first, where there is none; one of `readers` reads the pivot's angle. What is `known` of
+    them is taken over. Raises `FitError` where not even that can."""
     for table in known:
         if table.unit.reference is models[1]:
             more = [m for m in models if not any(m is k for k in table.models)]
@@ -182,10 +182,10 @@ def measured_beside(context: DiagnosisContext, models: Sequence[Model], rng: np.
     seeds = rng.integers(2**63, size=len(context.split.confirm))
     for reference in models[1:]:
         try:
-            return measure_errors(context.split, models, reference, seeds)
+            return measure_errors(context.split, models, reference, seeds, readers)
         except FitError:
             continue
-    return measure_errors(context.split, models, models[NOMINAL], seeds)
+    return measure_errors(context.split, models, models[NOMINAL], seeds, readers)
 
 
 def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:

@@ -146,7 +146,7 @@ def test_where_one_explanation_cannot_be_simulated_the_noise_of_another_is_the_u
         monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
-    def measured(_: object, models: list[str], reference: str, __: object) -> str:
+    def measured(_: object, models: list[str], reference: str, *__: object) -> str:
         tried.append(reference)
         if reference != "nominal":
             raise FitError("the rehearsals diverge")
@@ -154,7 +154,8 @@ def test_where_one_explanation_cannot_be_simulated_the_noise_of_another_is_the_u
 
     monkeypatch.setattr(verdict, "measure_errors", measured)
     context = cast(Any, SimpleNamespace(split=SimpleNamespace(confirm=(1, 6))))
-    found = verdict.measured_beside(context, cast(Any, ["nominal", "first", "second"]), np.random.default_rng(0))
+    found = verdict.measured_beside(context, cast(Any, ["nominal", "first", "second"]), [0, 1],
+                                    np.random.default_rng(0))
     assert found == "in units of nominal" and tried == ["first", "second", "nominal"]
 
 
@@ -169,7 +170,8 @@ def test_errors_that_are_known_are_not_measured_again(monkeypatch: pytest.Monkey
                     unit=cast(Any, SimpleNamespace(reference=first)))
     monkeypatch.setattr(verdict, "extend_errors", extended)
     context = cast(Any, SimpleNamespace(split=None))
-    found = verdict.measured_beside(context, cast(Any, [nominal, first, third]), np.random.default_rng(0), [known])
+    found = verdict.measured_beside(context, cast(Any, [nominal, first, third]), [0, 1],
+                                    np.random.default_rng(0), [known])
     assert asked == [third] and [found.error(k) for k in range(3)] == pytest.approx([5.0, 2.0, 3.0])
 
 
