@@ -25,7 +25,7 @@ from estimator.effects.friction import LoadDependentFriction
 from estimator.effects.sensors import EncoderScale
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import iterate
-from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage, slopes
+from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage, braked, slopes
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.model.mechanism import joint1, leg2
@@ -74,6 +74,20 @@ def test_every_effect_vanishes_at_zero_size_and_acts_at_its_scale(runs: tuple[Le
             assert all(np.isfinite(p).all() for p in parts), effect.key
         assert len(slopes(effect, view, size)) == effect.count
         assert Candidate(effect, shape).width == len(effect.sizes)
+
+
+def test_what_effects_take_brakes_the_view_as_a_view_of_the_braked_motion(runs: tuple[Leg, list[Dataset]]) -> None:
+    leg, data = runs
+    mechanism = leg2(lever_arm=leg.lever)
+    signals = split_signals(data[:1], mechanism, FitOptions())
+    stage = Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0], [-1.5, 1.5]]), 50.0)
+    problem = ExtendedProblem(signals, mechanism, "linear", stage)
+    q = np.stack([data[0]["q1_rad"], data[0]["q2_rad"]], axis=-1)
+    x, taken = Latents(q, np.gradient(q, 0.01, axis=0), problem.torque), 0.1 * np.sin(q).T
+    free, whole = problem.view(x, leg.beta()), problem.view(x, leg.beta(), taken)
+    found = braked(free, mechanism.inertia_matrix(q, leg.beta()), taken)
+    np.testing.assert_allclose(found.samples.a, whole.samples.a, rtol=1e-9, atol=1e-9)
+    assert np.abs(whole.samples.a - free.samples.a).max() > 1.0
 
 
 @pytest.mark.parametrize("voltage", [False, True])

@@ -36,7 +36,8 @@ def table_of(*errors: tuple[float, ...]) -> ErrorTable:
     values = np.repeat(np.array(errors)[:, :, None] ** 2, 2, axis=1) * np.ones(len(COLUMNS))
     count = len(errors[0])
     return ErrorTable(COLUMNS, values, np.zeros((len(errors), count)), np.repeat(np.arange(count), 2),
-                      cast(Any, tuple(range(len(errors)))), cast(Any, SimpleNamespace(reference=len(errors) - 1, reader=0)))
+                      cast(Any, tuple(range(len(errors)))),
+                      cast(Any, SimpleNamespace(reference=len(errors) - 1, reader=0)))
 
 
 @pytest.mark.parametrize("count", range(2, 14))
