@@ -26,6 +26,7 @@ Address = Annotated[int, Meta(ge=0x08, le=0x77)]
 Joint = Annotated[int, Meta(ge=1, le=20)]
 Vector3 = tuple[Signed, Signed, Signed]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
+Correlation = Annotated[float, Meta(ge=-1.0, le=1.0)]
 MOUNT_SLACK = 0.05
 """How far the products of a mount's rows may be off those of a rotation: rows are typed with few digits."""
 LEAST_VOLUME = 0.05
@@ -89,12 +90,19 @@ class Noise(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Known standard deviations; what is absent is estimated from the data."""
 
     gyro_radps: Positive | None = None
-    accel_mps2: Positive | None = None
-    torque_nm: Positive | None = None
+    accel_mps2: Positive | tuple[Positive, ...] | None = None
+    """Of both axes, or of x and of y: `parse_rig` counts them, for msgspec 0.22 breaks the heap where a union has a
+    tuple of fixed length."""
+    torque_nm: Positive | tuple[Positive, ...] | None = None
+    """Of every driven joint, or of each of them by rising joint."""
     encoder_rad: Positive | tuple[Positive, ...] | None = None
     """Of every encoder, or of each joint's."""
     passive_nm: Positive | None = None
     """Torque that the model may lack at a joint without a motor."""
+    accel_correlation: Correlation = 0.0
+    """Between the accelerometer's x and y noise."""
+    torque_correlation: tuple[tuple[Correlation, ...], ...] = ()
+    """Between the torque noise of the driven joints, a row each by rising joint; empty: none."""
 
     def encoder_of(self, joint: int) -> float | None:
         """Of one joint's encoder (0-based, -1 the last); None where it is to be estimated."""
@@ -309,7 +317,42 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     if isinstance(levels, tuple) and len(levels) != n:
         raise InputError(where, f"noise.encoder_rad has {len(levels)} levels, {rig.mechanism.model} has {n} joints",
                          "give one number for all encoders, or one for each joint")
+    _check_levels(rig, where)
+    _check_correlations(rig, where)
     return rig
+
+
+def _check_levels(rig: Rig, where: str) -> None:
+    """As many levels as channels; a joint without a motor has no torque sensor to err, but `passive_nm`."""
+    axes = rig.noise.accel_mps2
+    if isinstance(axes, tuple) and len(axes) != 2:
+        raise InputError(where, f"noise.accel_mps2 has {len(axes)} levels, the accelerometer 2 axes in the plane",
+                         "give one number for both, or one for x and one for y")
+    levels, driven = rig.noise.torque_nm, len(rig.mechanism.actuated)
+    if isinstance(levels, tuple) and len(levels) != driven:
+        raise InputError(where, f"noise.torque_nm has {len(levels)} levels, mechanism.actuated {driven} driven "
+                         f"{'joint' if driven == 1 else 'joints'}",
+                         "give one number for all driven joints, or one for each by rising joint")
+
+
+def _check_correlations(rig: Rig, where: str) -> None:
+    """A covariance of noise can be inverted only where no channel's error follows from the others'."""
+    if not abs(rig.noise.accel_correlation) < 1.0:
+        raise InputError(where, f"noise.accel_correlation is {rig.noise.accel_correlation:g}: one axis would say "
+                         "nothing of its own", "give a number between -1 and 1")
+    rows, driven = rig.noise.torque_correlation, len(rig.mechanism.actuated)
+    if not rows:
+        return
+    remedy = f"give {driven} rows of {driven} numbers, by rising driven joint, 1.0 on the diagonal"
+    if len(rows) != driven or any(len(row) != driven for row in rows):
+        raise InputError(where, f"noise.torque_correlation is not {driven} by {driven}, as mechanism.actuated", remedy)
+    if any(rows[i][j] != (1.0 if i == j else rows[j][i]) for i in range(driven) for j in range(driven)):
+        raise InputError(where, "noise.torque_correlation is not symmetric with 1 on its diagonal", remedy)
+    import numpy as np  # `legid --help` reads rigs' types, and needs no mathematics
+
+    if not np.linalg.eigvalsh(np.array(rows))[0] > 0.0:
+        raise InputError(where, "noise.torque_correlation is not positive definite",
+                         "give the correlations of noise that was measured on all joints at once")
 
 
 def _check_finite(table: Struct, where: str, path: str = "") -> None:

@@ -6,13 +6,39 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from daq import FloatArray
 from estimator.model import HOLDS
 
 AUTO = "auto"
 """What the likelihood chooses."""
-NOISE_CHANNELS = ("gyro_radps", "accel_mps2", "torque_nm", "encoder_rad", "passive_nm")
-OWN_ENCODER = re.compile(r"encoder[1-9][0-9]*_rad")
-"""One joint's encoder, counted from 1: it goes before `encoder_rad`, which stands for all."""
+NOISE_CHANNELS = ("gyro_radps", "accel_mps2", "accel_x_mps2", "accel_y_mps2", "torque_nm", "encoder_rad", "passive_nm")
+OWN_JOINT = re.compile(r"encoder[1-9][0-9]*_rad|torque[1-9][0-9]*_nm")
+"""One joint's encoder or torque, counted from 1: it goes before `encoder_rad` and `torque_nm`, which stand for all."""
+Levels = Mapping[str, float]
+"""Known standard deviations by channel."""
+
+
+def encoder_level(known: Levels, joint: int) -> float | None:
+    """Of one joint's encoder [rad], joint 0-based; None where nothing is known."""
+    return known.get(f"encoder{joint + 1}_rad", known.get("encoder_rad"))
+
+
+def torque_level(known: Levels, joint: int, driven: bool) -> float | None:
+    """Of one joint's torque [N m], or of what the model may lack at a joint that is not driven."""
+    return known.get(f"torque{joint + 1}_nm", known.get("torque_nm")) if driven else known.get("passive_nm")
+
+
+def accel_level(known: Levels, axis: int) -> float | None:
+    """Of the accelerometer's axis 0 (x) or 1 (y) [m/s^2]."""
+    return known.get(("accel_x_mps2", "accel_y_mps2")[axis], known.get("accel_mps2"))
+
+
+def _is_correlation(r: FloatArray) -> bool:
+    """Whether r (n, n) is symmetric and positive definite with ones on its diagonal."""
+    return (r.ndim == 2 and r.shape[0] == r.shape[1] and np.array_equal(r, r.T) and bool(np.all(np.diag(r) == 1.0))
+            and bool(np.linalg.eigvalsh(r)[0] > 0.0))
 
 
 @dataclass(frozen=True)
@@ -27,8 +53,12 @@ class FitOptions:
     rounding: str = "given"
     """Speed over which each joint's dry friction is rounded off: given, by the mechanism; auto, as is likeliest, and no
     less than given (`mle`; the other methods take what is given)."""
-    noise: Mapping[str, float] = field(default_factory=dict)
+    noise: Levels = field(default_factory=dict)
     """Known standard deviations by channel; the others are estimated."""
+    accel_correlation: float = 0.0
+    """Known correlation of the accelerometer's x and y noise (`mle` on one motion only)."""
+    torque_correlation: tuple[tuple[float, ...], ...] = ()
+    """Known correlation of the driven joints' torque noise, a row each by rising joint; empty: none (likewise)."""
     cutoff_hz: float | None = None
     """Low pass of `wls` and of starting values; None: a tenth of the rate, at most 10 Hz."""
     filter_order: int = 4
@@ -64,13 +94,25 @@ class FitOptions:
             raise ValueError(f"half_power {self.half_power} is not in (0, 1]")
         if self.spacing < 1:
             raise ValueError(f"spacing {self.spacing} is below 1")
-        unknown = {name for name in self.noise if name not in NOISE_CHANNELS and not OWN_ENCODER.fullmatch(name)}
+        unknown = {name for name in self.noise if name not in NOISE_CHANNELS and not OWN_JOINT.fullmatch(name)}
         if unknown:
             raise ValueError(f"noise channel {sorted(unknown)[0]!r} is none of {NOISE_CHANNELS}")
+        if not -1.0 < self.accel_correlation < 1.0:
+            raise ValueError(f"accel_correlation {self.accel_correlation} is not in (-1, 1)")
+        if self.torque_correlation and not _is_correlation(np.array(self.torque_correlation)):
+            raise ValueError(f"torque_correlation {self.torque_correlation} is no matrix of correlations")
 
     def encoder_noise(self, joint: int) -> float | None:
         """Known standard deviation of one joint's encoder [rad], joint 0-based; None where it is to be estimated."""
-        return self.noise.get(f"encoder{joint + 1}_rad", self.noise.get("encoder_rad"))
+        return encoder_level(self.noise, joint)
+
+    def torque_noise(self, joint: int, driven: bool) -> float | None:
+        """Of one joint's torque [N m], joint 0-based; on one that is not driven what the model may lack."""
+        return torque_level(self.noise, joint, driven)
+
+    def accel_noise(self, axis: int) -> float | None:
+        """Of the accelerometer's axis 0 (x) or 1 (y) [m/s^2]."""
+        return accel_level(self.noise, axis)
 
     def cutoff(self, rate_hz: float) -> float:
         """The low pass in force [Hz]."""

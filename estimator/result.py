@@ -90,7 +90,8 @@ class FitResult:
     covariance: FloatArray
     """(p, p)"""
     noise: Mapping[str, float]
-    """1 sigma by channel: gyro_radps, accel_mps2, torque_nm, encoder_rad, pivot_nm, where estimated or used."""
+    """1 sigma by channel, where estimated or used: gyro_radps, accel_mps2 (root mean square of accel_x_mps2 and
+    accel_y_mps2), torque_nm (the largest of torque1_nm ...), encoder_rad, passive_joint_nm; and accel_correlation."""
     torque_residual_rms: FloatArray
     """(joints,) rms of measured minus modelled torque [N m]."""
     converged: bool

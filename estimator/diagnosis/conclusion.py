@@ -19,6 +19,7 @@ from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, SensorGain, ShortRuns, SizeEstimate, Trace
 from estimator.effects import AnonymousReading, AnonymousTorque, Shape, Size
 from estimator.errors import FitError
+from estimator.fitting import imu_levels, torque_levels
 from estimator.likelihood import ExtendedProblem, FreeRun, State, free_run
 from estimator.parallel import parallel_map
 from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, encoder_of
@@ -53,11 +54,11 @@ def base(split: RunSplit, nominal: Model, refused: Mapping[str, str],
         warnings += changes(dict(zip(names, zip(nominal.state.beta, std))), reference)
     groups = {"fit": split.fit, "screen": split.screen, "confirm": split.confirm}
     noise = nominal.state.noise
-    levels = {"torque_nm": float(np.max(noise.torque[list(split.mechanism.actuated)], initial=0.0))}
+    levels = torque_levels(noise, split.mechanism)
     if np.isfinite(noise.encoder).any():
         levels["encoder_rad"] = float(np.max(noise.encoder[np.isfinite(noise.encoder)]))
     if split.has_imu:
-        levels |= {"gyro_radps": noise.gyro, "accel_mps2": noise.accel}
+        levels |= imu_levels(noise)
     return Diagnosis(
         "none", "", confirm_runs=tuple(split.names[i] for i in split.confirm), not_testable=dict(refused),
         nominal=dict(zip(names, map(float, nominal.state.beta))), nominal_std=dict(zip(names, map(float, std))),

@@ -14,7 +14,7 @@ from estimator.errors import FitError
 from estimator.fitting import noise_floors
 from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage
 from estimator.model import Mechanism
-from estimator.options import FitOptions
+from estimator.options import FitOptions, accel_level, encoder_level, torque_level
 from estimator.signals import SignalSet, split_signals
 
 KEPT_BACK = (1, 2)
@@ -63,12 +63,14 @@ class RunSplit:
         """Least noise levels of a fit at beta (p,)."""
         least, known = noise_floors(problem, self.mechanism, beta), self.known
         torque, encoder = least.torque.copy(), least.encoder.copy()
+        accel = least.accel.copy()
         for j in range(self.mechanism.n):
-            name = "torque_nm" if j in self.mechanism.actuated else "passive_nm"
-            torque[j] = known.get(name, torque[j])
+            torque[j] = _or(torque_level(known, j, j in self.mechanism.actuated), torque[j])
             if np.isfinite(encoder[j]):
-                encoder[j] = known.get(f"encoder{j + 1}_rad", known.get("encoder_rad", encoder[j]))
-        return Noise(torque, encoder, known.get("gyro_radps", least.gyro), known.get("accel_mps2", least.accel))
+                encoder[j] = _or(encoder_level(known, j), encoder[j])
+        for i in range(2):
+            accel[i] = _or(accel_level(known, i), accel[i])
+        return Noise(torque, encoder, known.get("gyro_radps", least.gyro), accel)
 
     def signals(self, which: Sequence[int]) -> list[SignalSet]:
         """All stretches of these runs."""
@@ -139,6 +141,10 @@ def by_excitation(runs: Sequence[Sequence[SignalSet]]) -> list[int]:
     """Numbers of the runs, from the largest rms torque to the least; runs alike in that by what they measured."""
     torque = [np.concatenate([s.torque.ravel() for s in run]) for run in runs]
     return sorted(range(len(runs)), key=lambda i: (-float(np.mean(torque[i] ** 2)), torque[i].tobytes()))
+
+
+def _or(declared: float | None, least: float) -> float:
+    return least if declared is None else declared
 
 
 def _parts(data: Dataset) -> list[Dataset]:

@@ -14,6 +14,7 @@ import numpy as np
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.refit import Model
 from estimator.fitting import TORQUE_SHARE, mistakes_torque
+from estimator.options import accel_level, encoder_level, torque_level
 from estimator.signals import white_noise_level
 
 SENSOR, UNDECLARED, TORQUE = 1.3, 2.0, 1.6
@@ -27,22 +28,26 @@ def ratios(split: RunSplit, model: Model) -> dict[str, tuple[float, float]]:
     """Channel in words to (noise found over its level, most it may be); no undeclared torques nor encoders."""
     known, problem, noise = split.known, model.problem, model.state.noise
     out: dict[str, tuple[float, float]] = {}
+    driven = [torque_level(known, j, True) for j in split.mechanism.actuated]
     for j, level in enumerate(noise.torque):
-        own = "passive_nm" if j in split.mechanism.passive and "passive_nm" in known else "torque_nm"
-        if own in known:
-            out[f"torque at joint {j + 1}"] = float(level) / known[own], TORQUE
+        declared = torque_level(known, j, j in split.mechanism.actuated)
+        if declared is None and j in split.mechanism.passive:  # it lacks no more than motors' sensors err by
+            declared = max((d for d in driven if d is not None), default=None)
+        if declared is not None:
+            out[f"torque at joint {j + 1}"] = float(level) / declared, TORQUE
     for j in map(int, np.flatnonzero(problem.has_encoder)):
-        declared = known.get(f"encoder{j + 1}_rad", known.get("encoder_rad"))
+        declared = encoder_level(known, j)
         if declared:
             out[f"encoder of joint {j + 1}"] = float(noise.encoder[j]) / declared, SENSOR
     if problem.has_imu:
-        seen = {"gyro_radps": ("gyro", noise.gyro, (problem.gyro,)),
-                "accel_mps2": ("accelerometer", noise.accel, (problem.ax, problem.ay))}
-        for column, (name, level, readings) in seen.items():
-            if column in known:
-                out[name] = level / known[column], SENSOR
+        seen = [("gyro", noise.gyro, problem.gyro, known.get("gyro_radps"))]
+        seen += [(f"accelerometer's {axis} axis", noise.accel[i], readings, accel_level(known, i))
+                 for i, (axis, readings) in enumerate((("x", problem.ax), ("y", problem.ay)))]
+        for name, level, readings, declared in seen:
+            if declared is None:
+                out[name] = float(level) / max(1e-12, white_noise_level(readings)), UNDECLARED
             else:
-                out[name] = level / max(1e-12, *map(white_noise_level, readings)), UNDECLARED
+                out[name] = float(level) / declared, SENSOR
     return out
 
 

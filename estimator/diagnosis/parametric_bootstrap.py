@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from daq import FloatArray
 from estimator.errors import FitError
-from estimator.likelihood import ExtendedProblem, FreeRun, State, free_run
-from estimator.signals import GYRO, IMU_CHANNELS, IMU_COLUMNS, SignalSet, encoder_of, quantum, torque_of
+from estimator.likelihood import ExtendedProblem, FreeRun, Noise, State, free_run
+from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, SignalSet, encoder_of, quantum, torque_of
 
 
 def simulate_run(problem: ExtendedProblem, state: State, rng: np.random.Generator) -> FreeRun:
@@ -49,13 +50,23 @@ def draw_replicate(problem: ExtendedProblem, state: State, signals: Sequence[Sig
                 angles[:, j] = np.round(true / grid) * grid
             else:
                 angles[:, j] = true + noise.encoder[j] * rng.normal(size=true.shape)
-        torque = np.zeros_like(s.torque)
+        torque, draws = np.zeros_like(s.torque), np.zeros_like(s.torque)
         for j in problem.mechanism.actuated:
-            torque[:, j] = run.readings[torque_of(j)][where] + noise.torque[j] * rng.normal(size=len(where))
+            draws[:, j] = rng.normal(size=len(where))
+        if noise.torque_correlation is not None:
+            draws = draws @ np.linalg.cholesky(noise.torque_correlation).T
+        for j in problem.mechanism.actuated:
+            torque[:, j] = run.readings[torque_of(j)][where] + noise.torque[j] * draws[:, j]
         imu = {}
         if problem.has_imu:
-            for column, channel in zip(IMU_COLUMNS, IMU_CHANNELS):
-                level = noise.gyro if channel == GYRO else noise.accel
-                imu[column] = run.readings[channel][where] + level * rng.normal(size=len(where))
+            for column, channel, drawn in zip(IMU_COLUMNS, IMU_CHANNELS, draw_imu(noise, len(where), rng)):
+                imu[column] = run.readings[channel][where] + drawn
         out.append(replace(s, angles=angles, torque=torque, imu=imu))
     return out
+
+
+def draw_imu(noise: Noise, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Noise of gyro, accelerometer x and y, (count,) each: white, both axes correlated as declared."""
+    gyro, x, own = (rng.normal(size=count) for _ in range(3))
+    y = noise.accel_correlation * x + np.sqrt(1.0 - noise.accel_correlation**2) * own
+    return noise.gyro * gyro, noise.accel[0] * x, noise.accel[1] * y

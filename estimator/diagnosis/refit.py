@@ -178,7 +178,7 @@ def log_volume(problem: ExtendedProblem, noise: Noise) -> float:
     """Sum over samples of the log standard deviations of all channels."""
     levels = [*noise.torque, *noise.encoder[np.isfinite(noise.encoder)]]
     if problem.has_imu:
-        levels += [noise.gyro, noise.accel, noise.accel]
+        levels += [noise.gyro, *noise.accel]
     return problem.total * float(np.sum(np.log(levels)))
 
 

@@ -6,6 +6,7 @@ from estimator.fitting.fit_each import fit_each
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, PASSIVE_SHARE, TORQUE_SHARE, iterate, mistakes_torque
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_state
 from estimator.fitting.mle import rounding_words
+from estimator.fitting.noise_levels import imu_levels, torque_levels
 from estimator.fitting.prediction import (
     HORIZONS_S,
     Horizons,
@@ -37,6 +38,7 @@ __all__ = [
     "fit_each",
     "free_mask",
     "gentle_start",
+    "imu_levels",
     "iterate",
     "known_noise",
     "measured_states",
@@ -47,6 +49,7 @@ __all__ = [
     "rounding_words",
     "smoothed_states",
     "start_state",
+    "torque_levels",
     "validate",
     "weighted_least_squares"
 ]

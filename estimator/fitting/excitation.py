@@ -95,9 +95,9 @@ def _levels(s: SignalSet, options: FitOptions) -> dict[int | str, float]:
         if np.isfinite(s.angles[:, j]).all():
             declared = options.encoder_noise(j)
             found[j] = _level(s.angles[:, j]) if declared is None else declared
-    for name, channel in zip(IMU_COLUMNS, ("gyro_radps", "accel_mps2", "accel_mps2")):
+    known = (options.noise.get("gyro_radps"), options.accel_noise(0), options.accel_noise(1))
+    for name, declared in zip(IMU_COLUMNS, known):
         if name in s.imu:
-            declared = options.noise.get(channel)
             found[name] = _level(s.imu[name]) if declared is None else declared
     return found
 

@@ -73,9 +73,21 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
         raise FitError(f"method {method!r} is none of {', '.join(METHODS)}")
     if options.hold == AUTO and (method != "mle" or options.latent == "free"):
         options = replace(options, hold="linear")
+    _refuse_correlations(options, method)
     run = ESTIMATORS[method]
     if method == "mle" and options.latent == "free":
         from estimator.fitting.mle_free import fit_mle_free as run  # it alone needs sparse matrices
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that runs away is found out by itself
         result = run(datasets, mechanism, options)
     return result if run is fit_mle else replace(result, hold=options.hold)
+
+
+def _refuse_correlations(options: FitOptions, method: str) -> None:
+    """Raise where a correlation is declared that `method` would not use."""
+    known = options.latent == "trajectory" if method == "mle" else False
+    for name, given in (("accel_correlation", options.accel_correlation != 0.0 and options.sensors == "imu"),
+                        ("torque_correlation", bool(options.torque_correlation))):
+        if given and not known:
+            own = "--latent free" if method == "mle" else f"--method {method}"
+            raise FitError(f"{own} takes channels' noise for independent, and [noise] declares {name}: fit by "
+                           "--method mle, or take the key out")

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.identifiability import undetermined
+from estimator.fitting.noise_levels import accel_levels
 from estimator.fitting.wls import design_rows, free_mask, trajectory, weighted_least_squares
 from estimator.model import Collocation, Mechanism, Motion
 from estimator.options import FitOptions
@@ -235,11 +236,11 @@ def build_filter(signals: SignalSet, mechanism: Mechanism, options: FitOptions, 
     if imu:
         gyro, ax, ay = (signals.imu[name] for name in IMU_COLUMNS)
         levels.append(options.noise.get("gyro_radps", max(white_noise_level(gyro), 1e-6)))
-        accel = options.noise.get("accel_mps2", max(white_noise_level(ax), white_noise_level(ay), 1e-5))
-        levels += [accel, accel]
+        levels += accel_levels(options, ax, ay).tolist()
     torque = np.zeros(mechanism.n)
-    actuated = list(mechanism.actuated)
-    torque[actuated] = options.noise.get("torque_nm", 0.0) ** 2 or sigma[actuated] ** 2
+    for j in mechanism.actuated:
+        known = options.torque_noise(j, True)
+        torque[j] = sigma[j] ** 2 if known is None else known**2
     return Filter(mechanism, free, 1.0 / signals.rate_hz, options.hold, torque, np.square(levels), encoders, imu)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.errors import FitError
 from estimator.fitting.profile_likelihood import EXACT_ENCODER
 from estimator.fitting.wls import driven_first, stack_regressors, weighted_least_squares
 from estimator.likelihood import LatentProblem, Latents, Noise, State
@@ -34,22 +35,39 @@ def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mec
         sigma = np.maximum(np.sqrt(np.mean((tau - z @ beta) ** 2, axis=0)), 1e-3 * sigma)
     x = Latents(np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions]),
                 problem.torque.copy())
-    known = options.noise
     shown = problem.shown
     torque = np.maximum(sigma, shown.torque)
-    if "torque_nm" in known:
-        torque[list(mechanism.actuated)] = known["torque_nm"]
-    if "passive_nm" in known:
-        torque[list(mechanism.passive)] = known["passive_nm"]
+    for j in range(mechanism.n):
+        declared = options.torque_noise(j, j in mechanism.actuated)
+        torque[j] = torque[j] if declared is None else declared
     encoder = np.full(mechanism.n, np.inf)
-    for j in np.flatnonzero(problem.has_encoder):
-        given = options.encoder_noise(int(j))
+    for j in map(int, np.flatnonzero(problem.has_encoder)):
+        given = options.encoder_noise(j)
         encoder[j] = max(shown.encoder[j], 1e-7) if given is None else max(given, EXACT_ENCODER)
-    gyro = accel = np.inf
+    gyro, accel = np.inf, shown.accel.copy()
     if problem.has_imu:
-        gyro = known.get("gyro_radps", max(shown.gyro, 1e-6))
-        accel = known.get("accel_mps2", max(shown.accel, 1e-5))
-    return State(x, beta, Noise(torque, encoder, gyro, accel), covariance)
+        gyro = options.noise.get("gyro_radps", max(shown.gyro, 1e-6))
+        for i in range(2):
+            given = options.accel_noise(i)
+            accel[i] = max(shown.accel[i], 1e-5) if given is None else given
+    return State(x, beta, Noise(torque, encoder, gyro, accel, options.accel_correlation,
+                                joint_correlation(mechanism, options)), covariance)
+
+
+def joint_correlation(mechanism: Mechanism, options: FitOptions) -> FloatArray | None:
+    """(n, n) declared between the joints' torques, those of passive joints by themselves; None where there is none.
+
+    Raises `FitError` where it has not one row for each driven joint.
+    """
+    if not options.torque_correlation:
+        return None
+    driven = sorted(mechanism.actuated)
+    if len(options.torque_correlation) != len(driven):
+        raise FitError(f"torque_correlation has {len(options.torque_correlation)} rows, {mechanism.name} has "
+                       f"{len(driven)} driven joints: give one row for each")
+    out = np.eye(mechanism.n)
+    out[np.ix_(driven, driven)] = options.torque_correlation
+    return out
 
 
 def gentle_start(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
@@ -71,9 +89,11 @@ def gentle_start(problem: LatentProblem, signals: list[SignalSet], mechanism: Me
 
     torque, encoder = (np.array([level(left[k][:, j], least[j]) for j in range(problem.n)])
                        for k, least in (("torque", noise.torque), ("encoder", noise.encoder)))
-    imu = [level(left[k], least) if problem.has_imu else least for k, least in (("gyro", noise.gyro),
-                                                                               ("accel", noise.accel))]
-    state.noise = Noise(torque, encoder, *imu)
+    gyro, accel = noise.gyro, noise.accel
+    if problem.has_imu:
+        gyro = level(left["gyro"], noise.gyro)
+        accel = np.array([level(left["accel"][:, i], noise.accel[i]) for i in range(2)])
+    state.noise = replace(noise, torque=torque, encoder=encoder, gyro=gyro, accel=accel)
     return state
 
 
@@ -82,6 +102,5 @@ def noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray)
     scale = max(float(np.std(problem.torque)), 1e-3 * float(np.max(np.abs(beta), initial=0.0)) * mechanism.gravity_mps2,
                 1e-6)
     shown = problem.shown
-    gyro, accel = (0.7 * level if problem.has_imu else 0.0 for level in (shown.gyro, shown.accel))
-    return Noise(np.full(mechanism.n, 2e-3 * scale), np.maximum(0.7 * shown.encoder, 1e-8), max(gyro, 1e-6),
-                 max(accel, 1e-5))
+    return Noise(np.full(mechanism.n, 2e-3 * scale), np.maximum(0.7 * shown.encoder, 1e-8),
+                 max(0.7 * shown.gyro, 1e-6), np.maximum(0.7 * shown.accel, 1e-5))

@@ -21,6 +21,7 @@ from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
+from estimator.fitting.noise_levels import imu_levels, independence, torque_levels
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
 from estimator.fitting.run_scatter import agreement_of
 from estimator.fitting.run_scores import score_runs
@@ -186,14 +187,14 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
                           for s in np.split(np.arange(problem.total), problem.ends[:-1])])
     tau = mechanism.inverse_dynamics(x.q, x.v, qdd, beta)
     residual = problem.torque - tau
-    noise = {"torque_nm": float(np.max(state.noise.torque[list(mechanism.actuated)], initial=0.0))}
+    noise = torque_levels(state.noise, mechanism)
     passive = list(mechanism.passive)
     if passive:
         noise["passive_joint_nm"] = float(np.max(state.noise.torque[passive]))
     if problem.has_encoder.any():
         noise["encoder_rad"] = float(np.max(state.noise.encoder[problem.has_encoder]))
     if problem.has_imu:
-        noise |= {"gyro_radps": state.noise.gyro, "accel_mps2": state.noise.accel}
+        noise |= imu_levels(state.noise)
     trajectories = []
     for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):
         measured, predicted = dict(s.imu), {}
@@ -208,8 +209,9 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
                                        measured, predicted))
     assumptions = (
         f"torque acts between samples by the '{options.hold}' hold",
-        "all noise is white, Gaussian and independent between channels; levels "
-        + ("as given" if set(options.noise) >= {"torque_nm"} else "estimated from the data"),
+        f"all noise is white, Gaussian and {independence(options)}; levels "
+        + ("as given" if all(options.torque_noise(j, True) is not None for j in mechanism.actuated) else
+           "estimated from the data"),
         "the model's form is right: what it leaves out is counted as torque noise")
     return FitResult(mechanism, "mle", options.sensors, beta, state.covariance, noise,
                      np.sqrt(np.mean(residual**2, axis=0)), state.converged, state.iterations, problem.total, wall_s,

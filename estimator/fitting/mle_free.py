@@ -26,6 +26,7 @@ from scipy.sparse.linalg import splu
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.identifiability import undetermined
+from estimator.fitting.noise_levels import accel_levels
 from estimator.fitting.wls import around_samples, design_rows, filtered_torque, free_mask, weighted_least_squares
 from estimator.model import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Collocation, Mechanism, Motion
 from estimator.options import FitOptions
@@ -212,7 +213,7 @@ def build_problem(signals: Sequence[SignalSet], mechanism: Mechanism, options: F
     design = design_rows(signals, mechanism, options)
     _, _, sigma = weighted_least_squares(design.z, design.torque, free, given.copy(), 1.0)
     for j in range(mechanism.n):
-        declared = options.noise.get("torque_nm" if j in mechanism.actuated else "passive_nm")
+        declared = options.torque_noise(j, j in mechanism.actuated)
         sigma[j] = sigma[j] if declared is None else declared
     imu = bool(signals[0].imu)
     lengths = [len(s.time_s) for s in signals]
@@ -246,10 +247,8 @@ def _measured(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOp
     joined = np.concatenate(parts, axis=1)
     raw = [np.concatenate([s.imu[name] for s in signals]) for name in IMU_COLUMNS]
     gyro_level = options.noise.get("gyro_radps", max(white_noise_level(raw[0]), 1e-6))
-    accel = options.noise.get("accel_mps2", max(white_noise_level(raw[1]), white_noise_level(raw[2]), 1e-5))
-    tilt_level = accel / mechanism.gravity_mps2
-    count = joined.shape[1]
-    return joined.ravel(), np.repeat([tilt_level, tilt_level, gyro_level], count)
+    tilt_levels = accel_levels(options, raw[1], raw[2]) / mechanism.gravity_mps2
+    return joined.ravel(), np.repeat([*tilt_levels, gyro_level], joined.shape[1])
 
 
 def first_latents(problem: FreeProblem) -> FloatArray:

@@ -86,16 +86,15 @@ def empty(records: Records, p: int) -> Searched:
 
 def suits(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> bool:
     """Whether this search can do a fit: one short record on the encoder path, nothing fixed, all noise known."""
-    known = {"torque_nm", "passive_nm"} <= set(options.noise) or len(mechanism.actuated) == mechanism.n
+    known = all(options.torque_noise(j, j in mechanism.actuated) is not None for j in range(mechanism.n))
     return (options.sensors == "encoder" and len(signals) == 1 and len(signals[0].time_s) <= MOST_SAMPLES
-            and not options.fixed and known and "torque_nm" in options.noise
+            and not options.fixed and known and not options.torque_correlation
             and all(options.encoder_noise(j) is not None for j in range(mechanism.n)))
 
 
 def known_noise(mechanism: Mechanism, options: FitOptions) -> Noise:
     """Noise levels of `options`, which `suits`."""
-    torque = np.full(mechanism.n, options.noise.get("passive_nm", 0.0))
-    torque[list(mechanism.actuated)] = options.noise["torque_nm"]
+    torque = np.array([options.torque_noise(j, j in mechanism.actuated) for j in range(mechanism.n)], dtype=np.float64)
     encoder = [max(options.encoder_noise(j) or 0.0, EXACT_ENCODER) for j in range(mechanism.n)]
     return Noise(np.maximum(torque, 1e-9), np.array(encoder))
 

@@ -49,7 +49,7 @@ def torque_variance(mechanism: Mechanism, sigma: FloatArray, options: FitOptions
     """R's diagonal (n,): torque noise as declared, or the residual's of a first fit (n,) where it is not."""
     variance = sigma**2
     for j in range(mechanism.n):
-        level = options.noise.get("torque_nm" if j in mechanism.actuated else "passive_nm")
+        level = options.torque_noise(j, j in mechanism.actuated)
         variance[j] = variance[j] if level is None else level**2
     return variance
 

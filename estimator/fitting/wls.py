@@ -214,9 +214,7 @@ def known_weights(mechanism: Mechanism, options: FitOptions) -> FloatArray | Non
     """(n,) standard deviations of Sigma_tau that `options` declares for (29); None where they are to be estimated."""
     if options.weights != "known":
         return None
-    sigma = np.full(mechanism.n, options.noise["passive_nm"])
-    sigma[list(mechanism.actuated)] = options.noise["torque_nm"]
-    return sigma
+    return np.array([options.torque_noise(j, j in mechanism.actuated) for j in range(mechanism.n)], dtype=np.float64)
 
 
 def trajectory(s: SignalSet, k: Kinematics, mechanism: Mechanism, beta: FloatArray) -> Trajectory:

@@ -4,10 +4,11 @@ from estimator.likelihood.batch_likelihood import BatchProblem, Point, Records
 from estimator.likelihood.dry_friction import REST_SPREAD, held_variance
 from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage
 from estimator.likelihood.free_run import FreeRun, free_run
+from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents, Linearised
 from estimator.likelihood.prepare import compile_kernels
 from estimator.likelihood.state import State
-from estimator.likelihood.trajectory_likelihood import TIGHT, LatentProblem, Noise
+from estimator.likelihood.trajectory_likelihood import TIGHT, LatentProblem
 
 __all__ = [
     "REST_SPREAD", "TIGHT", "BatchProblem", "Candidate", "ExtendedProblem", "FreeRun", "LatentProblem", "Latents",

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from daq import FloatArray
+from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
 from estimator.model import Collocation, Motion, Samples
 from estimator.numerics import Kernel, at, padded
@@ -47,9 +48,9 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
         np.zeros((height, chain.edge)))
 
 
-def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, weight: float, here: slice,
+def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, noise: Noise, here: slice,
                       extra: Extra | None, accumulators: Accumulators, accel: FloatArray) -> None:
-    """Add both axes' samples `here`; put their rows, unscaled, into accel (N, 2, b + 1 + parameters).
+    """Add both axes' samples `here` of `measured` (2, N); put their rows, unscaled, into accel (N, 2, b + 1 + m).
 
     q1dd comes from the equation of motion at the sample, not from the cubic: friction that changes sign inside an
     interval makes the acceleration jump there, and the cubic's value at its end would carry that jump to the wrong
@@ -78,13 +79,25 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
                 shown[axis] -= extra.readings[channel][here]
             if channel in extra.reading_columns:
                 columns[axis] = extra.reading_columns[channel][:, here]
-    chain = accumulators.chain
+    chain, precision = accumulators.chain, noise.accel_precision()
     _samples(n, _constant(chain.edge))(
         z[:, :, 0], own[:, 0], inverse, transposed[0][0, 0], transposed[1][0, 0], v[0, 0], q1dd, shown, columns,
-        m.lever_arm, m.gravity_mps2, weight, chain.edge, chain.rows[here], accel[here],
+        m.lever_arm, m.gravity_mps2, precision, chain.edge, chain.rows[here], accel[here],
         np.zeros((2, chain.edge, STRIP)), np.zeros((2, chain.edge)))
-    right = accel[here].reshape(2 * count, -1)[:, chain.block :]
-    accumulators.square[:] += weight * (right.T @ right)
+    accumulators.square[:] += _products(accel[here][:, :, chain.block :], precision)
+
+
+def _products(rows: FloatArray, precision: FloatArray) -> FloatArray:
+    """(c, c) sum of the products of both axes' rows (N, 2, c) by `precision` (2, 2); one sum where axes are alike."""
+    if precision[0, 1] == 0.0 and precision[0, 0] == precision[1, 1]:
+        both = rows.reshape(-1, rows.shape[2])
+        return np.asarray(precision[0, 0] * (both.T @ both))
+    x, y = rows[:, 0], rows[:, 1]
+    out = precision[0, 0] * (x.T @ x) + precision[1, 1] * (y.T @ y)
+    if precision[0, 1] != 0.0:
+        cross = precision[0, 1] * (x.T @ y)
+        out += cross + cross.T
+    return np.asarray(out)
 
 
 def _constant(edge: int) -> int:
@@ -205,15 +218,16 @@ def _samples(n: int, fixed: int) -> Kernel:
 
     From z (m, n, N), slopes (n, 5, n, N), inverse (n, n, N), the angle's cosine and sine, the rate and the acceleration
     of joint 1, what the two axes show (2, N), and the derivatives by the last of the m parameters of what effects add
-    to that (2, k, N), it makes the unscaled rows (N, 2, 3 n + 1 + m), and adds their products times `weight`;
+    to that (2, k, N), it makes the unscaled rows (N, 2, 3 n + 1 + m), and adds their products by `precision` (2, 2);
     line (2, edge, STRIP) and transposed (2, edge) are zeros to work on.
     """
     b = 3 * n
 
     def run(z: Any, slopes: Any, inverse: Any, cosine: Any, sine: Any, rate: Any, q1dd: Any, shown: Any,
-            columns: Any, lever: float, gravity: float, weight: float, edge: int, rows: Any, accel: Any, line: Any,
+            columns: Any, lever: float, gravity: float, precision: Any, edge: int, rows: Any, accel: Any, line: Any,
             transposed: Any) -> None:
         count, width, extra = rate.size, 1 + z.shape[0], columns.shape[1]
+        across, along, mixed = precision[0, 0], precision[1, 1], precision[0, 1]
         if fixed > 0:
             edge = fixed
         for start in range(0, count, STRIP):
@@ -253,8 +267,9 @@ def _samples(n: int, fixed: int) -> Kernel:
                     for c in range(b + width):
                         accel[at(start + w), r, c] = transposed[r, c]
                 for i in range(b):
-                    f, g = weight * transposed[0, i], weight * transposed[1, i]
+                    f = across * transposed[0, i] + mixed * transposed[1, i]
+                    g = mixed * transposed[0, i] + along * transposed[1, i]
                     for c in range(edge):
                         rows[at(start + w), i, c] += f * transposed[0, c] + g * transposed[1, c]
 
-    return Kernel(run, "f3 f4 f3 f1 f1 f1 f1 f2 f3 d d d n f3 f3 f3 f2")
+    return Kernel(run, "f3 f4 f3 f1 f1 f1 f1 f2 f3 d d f2 n f3 f3 f3 f2")

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.likelihood.trajectory_likelihood import TIGHT, Noise
+from estimator.likelihood.noise import Noise
+from estimator.likelihood.trajectory_likelihood import TIGHT
 from estimator.model import Collocation, Mechanism
 from estimator.numerics import BlockTridiagonal, eliminate
 

@@ -23,8 +23,9 @@ from estimator.effects import (
     View,
     by_motion,
 )
+from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Extra, Latents, Linearised
-from estimator.likelihood.trajectory_likelihood import LatentProblem, Noise
+from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model import ACCEL, ANGLE, GAUSS, RATE, Mechanism, mean_sign, smooth_sign
 from estimator.signals import GYRO, IMU_CHANNELS, Channel, SignalSet, encoder_of, lowpass, torque_of
 

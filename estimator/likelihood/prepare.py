@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.trajectory_likelihood import LatentProblem, Noise
+from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model import Mechanism, biped3, joint1, leg2
 from estimator.numerics import eliminate, jit
 from estimator.parallel import cores, parallel_map
@@ -44,7 +45,7 @@ def _use(mechanism: Mechanism) -> None:
     problem = LatentProblem([signals], mechanism, "linear")
     beta = np.array([3.0 if p.term == "inertia" and p.at[0] == p.at[1] else 0.1 for p in mechanism.parameters])
     point = problem.linearise(Latents(*rng.normal(size=(3, *shape))), beta,
-                              Noise(np.ones(mechanism.n), np.ones(mechanism.n), 1.0, 1.0))
+                              Noise(np.ones(mechanism.n), np.ones(mechanism.n), 1.0, np.ones(2)))
     solved = eliminate(point.chain)
     solved.solution(np.zeros(1 + mechanism.p))
     solved.inverse_diagonal()

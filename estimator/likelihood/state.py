@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq import FloatArray
+from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.trajectory_likelihood import Noise
 
 
 @dataclass

@@ -6,25 +6,27 @@ beta. Residuals, each over its standard deviation:
     equation of motion at two Gauss points an interval   Z(q, v) beta - hold(u)        sigma_u * TIGHT
     torque sample (zero on a passive joint)              u - y_u                       sigma_u
     encoder, gyro                                        q - y_q, v1 - y_g             sigma_q, sigma_g
-    accelerometer                                        a(q1, v1, q1dd) - y_a         sigma_a
+    accelerometer                                        a(q1, v1, q1dd) - y_a         sigma_a by axis
 
 The passive joint's torque is exactly zero, so B Sigma_u B^T of (17) is singular; its sigma_u stands for what
-the model gets wrong there. Normal equations are block tridiagonal in the latents with a dense border for
+the model gets wrong there. Where a rig declares correlations, of both axes or of the torques at one time, these
+rows have their whole inverse covariance. Normal equations are block tridiagonal in the latents with a dense border for
 beta; cost grows linearly with samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.likelihood import assembly_numba
+from estimator.likelihood import assembly_numba, correlated_torque
 from estimator.likelihood.dry_friction import REST_SPREAD, held_variance, likeliest_scale, passage_samples
+from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents, Linearised
 from estimator.model import Collocation, Mechanism, Samples
 from estimator.numerics import BlockTridiagonal
@@ -61,18 +63,6 @@ def keep_pages() -> None:
     nothing.
     """
     np.empty(31 * 2**20, dtype=np.uint8)
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Standard deviations in force."""
-
-    torque: FloatArray
-    """(n,) [N m]; on a passive joint what the model gets wrong."""
-    encoder: FloatArray
-    """(n,) [rad]; inf for a joint without an encoder."""
-    gyro: float = np.inf
-    accel: float = np.inf
 
 
 class LatentProblem:
@@ -190,8 +180,8 @@ class LatentProblem:
         if self.has_imu:
             for start in range(0, self.total, PIECE):
                 here = slice(start, min(start + PIECE, self.total))
-                assembly_numba.add_accelerometer(self.collocation, x, beta, self.accel, 1.0 / noise.accel**2, here,
-                                                 extra, accumulators, accel)
+                assembly_numba.add_accelerometer(self.collocation, x, beta, self.accel, noise, here, extra,
+                                                 accumulators, accel)
             residuals["accel"] = accel[:, :, b]
         upper = np.triu(accumulators.square)
         square, misfit = upper + np.triu(upper, 1).T, accumulators.misfit
@@ -249,8 +239,11 @@ class LatentProblem:
     def shown(self) -> Noise:
         """Noise levels that differences between neighbouring samples show; inf for what is not measured."""
         encoder = [encoder_level(self.angles[:, j]) if self.has_encoder[j] else np.inf for j in range(self.n)]
-        imu = [white_noise_level(self.gyro), max(map(white_noise_level, self.accel))] if self.has_imu else []
-        return Noise(np.array([white_noise_level(t) for t in self.torque.T]), np.array(encoder), *imu)
+        torque = np.array([white_noise_level(t) for t in self.torque.T])
+        if not self.has_imu:
+            return Noise(torque, np.array(encoder))
+        return Noise(torque, np.array(encoder), white_noise_level(self.gyro),
+                     np.array([white_noise_level(a) for a in self.accel]))
 
     @cached_property
     def torque_spread(self) -> FloatArray:
@@ -274,14 +267,19 @@ class LatentProblem:
         return level if self.spread is None else level * self.spread[:, joint] ** 2
 
     def torque_weight(self, noise: Noise) -> FloatArray:
-        """(N, n) share of each torque sample's variance that is noise, not dry friction at rest."""
-        return noise.torque**2 / self.torque_variance(noise)
+        """(N, n) share of each torque sample's variance that is noise, not dry friction at rest; see also
+        `correlated_torque.whole_samples`."""
+        share = noise.torque**2 / self.torque_variance(noise)
+        if noise.torque_correlation is None:
+            return share
+        return correlated_torque.whole_samples(share, self.mechanism.actuated)
 
     def _channels(self, variances: FloatArray, noise: Noise) -> list[tuple[Channel, int, float | FloatArray]]:
-        """(channel, column of its latent, variance) of every sensor that reads one latent directly."""
+        """(channel, column of its latent, variance) of every sensor that reads one latent directly, by itself."""
         n = self.n
         found: list[tuple[Channel, int, float | FloatArray]] = []
-        found += [(torque_of(i), 2 * n + i, variances[:, i]) for i in range(n)]
+        if noise.torque_correlation is None:
+            found += [(torque_of(i), 2 * n + i, variances[:, i]) for i in range(n)]
         found += [(encoder_of(i), i, self.angle_variance(i, noise)) for i in range(n) if self.has_encoder[i]]
         return [*found, (GYRO, n, noise.gyro**2)] if self.has_imu else found
 
@@ -308,6 +306,9 @@ class LatentProblem:
                 diagonal[:, column, other] += slope * weight
                 gradient[:, other] += slope * pull
             total += float(r @ pull)
+        if noise.torque_correlation is not None:
+            total += correlated_torque.add_samples(residuals["torque"], noise.torque_precision(variances), extra,
+                                                   diagonal[:, 2 * n :, 2 * n :], gradient[:, 2 * n :])
         return total
 
     def _node_columns(self, extra: Extra, variances: FloatArray, noise: Noise, residuals: dict[str, FloatArray],
@@ -323,6 +324,9 @@ class LatentProblem:
                 border[:, 2 * self.n + column % self.n, p:] += (extra.by_torque[channel] * c).T
             corner[p:, p:] += c @ extra.reading_columns[channel].T
             gradient_beta[p:] += c @ _of(residuals, channel)
+        if noise.torque_correlation is not None:
+            correlated_torque.add_columns(residuals["torque"], noise.torque_precision(variances), extra,
+                                          border[:, 2 * self.n :, p:], corner[p:, p:], gradient_beta[p:])
 
     def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,
                         index: NDArray[np.intp]) -> dict[str, FloatArray]:
@@ -349,7 +353,8 @@ class LatentProblem:
     def effective_samples(self, point: Linearised, p_diagonal: FloatArray, noise: Noise) -> dict[str, FloatArray]:
         """Degrees of freedom that the latents took from each channel, gamma = sum J P J^T / sigma^2.
 
-        Torque samples count by the square of `torque_weight`: so much they say of the noise.
+        Torque samples count by the square of `torque_weight`: so much they say of the noise. The accelerometer's are
+        (2, 2), both axes' products, those with each other where they are correlated.
         """
         n = self.n
         variance = np.einsum("kii->ki", p_diagonal)
@@ -357,6 +362,9 @@ class LatentProblem:
         effective_dof = {"torque": np.einsum("kj,kj->j", variance[:, 2 * n:], weight**2) / noise.torque**2,
                  "encoder": (variance[:, :n] if self.spread is None else variance[:, :n] / self.spread**2).sum(axis=0)
                  / noise.encoder**2}
+        if noise.torque_correlation is not None:
+            products = np.einsum("ki,kij,kj->ij", weight, p_diagonal[:, 2 * n :, 2 * n :], weight)
+            effective_dof["torque_products"] = products / np.outer(noise.torque, noise.torque)
         for channel, slope in (point.extra.by_torque.items() if point.extra is not None else ()):
             j = channel.joint or 0
             u = 2 * n + j
@@ -369,7 +377,11 @@ class LatentProblem:
         if self.has_imu:
             effective_dof["gyro"] = np.array([variance[:, n].sum() / noise.gyro**2])
             a = point.accel_rows
-            effective_dof["accel"] = np.array([np.vdot(a @ p_diagonal, a) / noise.accel**2])
+            spread = a @ p_diagonal
+            products = np.diag([np.vdot(spread[:, i], a[:, i]) for i in range(2)])
+            if noise.accel_correlation != 0.0:
+                products[0, 1] = products[1, 0] = np.vdot(spread[:, 0], a[:, 1])
+            effective_dof["accel"] = products / np.outer(noise.accel, noise.accel)
         return effective_dof
 
 

@@ -63,7 +63,7 @@ class PlanInformation:
                                                 for j in range(self.n)])
         self.q_weight, self.v_weight = np.full(self.n, noise["encoder_rad"] ** -2.0), np.zeros(self.n)
         if has_imu:
-            self.q_weight[0] = (mechanism.gravity_mps2 / noise["accel_mps2"]) ** 2
+            self.q_weight[0] = (mechanism.gravity_mps2 / noise.get("accel_x_mps2", noise["accel_mps2"])) ** 2
             self.v_weight[0] = noise["gyro_radps"] ** -2.0
         self.dry = np.zeros(self.n)
         for k, parameter in enumerate(mechanism.parameters):

@@ -82,7 +82,10 @@ def _fault(model: Model) -> str:
         return f"`covariance` is not {count} by {count}"
     if model.ci95 and len(model.ci95) != len(names):
         return f"`ci95` has not one interval for each of {len(names)} parameters"
-    if any(not (math.isfinite(level) and level >= 0) for level in model.noise.values()):
+    levels = dict(model.noise)
+    if not abs(levels.pop("accel_correlation", 0.0)) < 1.0:
+        return "`noise` holds an accel_correlation that is not between -1 and 1"
+    if any(not (math.isfinite(level) and level >= 0) for level in levels.values()):
         return "`noise` holds a level that is not a positive number"
     return ""
 

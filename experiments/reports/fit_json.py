@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -17,6 +18,9 @@ from experiments.reports.run_agreement import agreement_document
 from experiments.reports.trust import Trust, fit_trust
 
 FIT_SCHEMA = "legid.fit/1"
+LISTED = ((re.compile(r"accel_[xy]_mps2"), "accel_mps2_by_axis"),
+          (re.compile(r"torque[0-9]+_nm"), "torque_nm_by_joint"))
+"""Levels of single axes and joints in a result, and the list that has them in the file."""
 
 
 def fit_document(result: FitResult, settings: MechanismSettings, trust: Trust | None = None) -> dict[str, Any]:
@@ -34,7 +38,7 @@ def fit_document(result: FitResult, settings: MechanismSettings, trust: Trust | 
                         "std": float(std), "ci95": [float(low), float(high)], "fixed": p.name in result.fixed,
                         **({"at_bound": True} if p.name in result.at_bound else {})}
                        for p, value, std, (low, high) in rows],
-        "noise": {name: float(level) for name, level in result.noise.items()},
+        "noise": noise_document(result.noise),
         "torque_residual_rms_nm": [float(rms) for rms in result.torque_residual_rms],
         "converged": bool(result.converged), "iterations": int(result.iterations), "samples": int(result.samples),
         "wall_s": float(result.wall_s), "undetermined": list(map(str, result.undetermined)),
@@ -84,6 +88,20 @@ def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Se
                               sensors=result.sensors,  # type: ignore[arg-type]
                               date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
                               version=program_version()))
+
+
+def noise_document(noise: Mapping[str, float]) -> dict[str, float | list[float]]:
+    """Levels by channel; those of single axes and joints in lists beside the one that stands for all of them."""
+    found: dict[str, float | list[float]] = {}
+    for name, level in noise.items():
+        channel = next((whole for one, whole in LISTED if one.fullmatch(name)), None)
+        if channel is None:
+            found[name] = float(level)
+        else:
+            own = found.setdefault(channel, [])
+            assert isinstance(own, list)
+            own.append(float(level))
+    return found
 
 
 def _intervals(result: FitResult) -> tuple[tuple[float, float] | None, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 from estimator import FitResult
 from experiments.console import text_table
@@ -31,16 +32,25 @@ def parameter_rows(result: FitResult) -> list[list[str]]:
 
 VOLTS = "The input is a voltage: every parameter is in volt units."
 PARAMETER_HEADER = ["parameter", "value", "std", "95 % interval", "unit", "meaning"]
-NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "torque_nm": "torque", "encoder_rad": "encoder",
-               "passive_joint_nm": "passive joint, model error"}
+NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "accel_x_mps2": "accelerometer x",
+               "accel_y_mps2": "accelerometer y", "accel_correlation": "their correlation, as given",
+               "torque_nm": "torque", "encoder_rad": "encoder", "passive_joint_nm": "passive joint, model error"}
+OF_ONE_JOINT = re.compile(r"torque([0-9]+)_nm")
 
 
 def noise_rows(result: FitResult) -> list[list[str]]:
-    """channel, level, unit of every noise level."""
+    """channel, level, unit of every noise level; none of several together whose own are there."""
     force, length = result.mechanism.force_unit, result.mechanism.length_unit
-    units = {"gyro_radps": "rad/s", "accel_mps2": "m/s^2", "torque_nm": force, "encoder_rad": length,
-             "passive_joint_nm": force}
-    return [[NOISE_NAMES.get(name, name), f"{level:.3g}", units.get(name, "")] for name, level in result.noise.items()]
+    units = {"gyro_radps": "rad/s", "accel_mps2": "m/s^2", "accel_x_mps2": "m/s^2", "accel_y_mps2": "m/s^2",
+             "torque_nm": force, "encoder_rad": length, "passive_joint_nm": force}
+    rows = []
+    for name, level in result.noise.items():
+        joint = OF_ONE_JOINT.fullmatch(name)
+        told, unit = (f"torque {joint[1]}", force) if joint else (NOISE_NAMES.get(name, name), units.get(name, ""))
+        if not ((name == "accel_mps2" and "accel_x_mps2" in result.noise)
+                or (name == "torque_nm" and any(map(OF_ONE_JOINT.fullmatch, result.noise)))):
+            rows.append([told, f"{level:.3g}", unit])
+    return rows
 
 
 def fit_text(result: FitResult, model: str) -> str:

@@ -88,8 +88,9 @@ def open_torque(result: FitResult, path: Trajectory, j: int) -> NDArray[np.bool_
     """(n,) samples at which dry friction near rest may hold joint `j`, from 0, against more torque than its noise: the
     model says nothing of the torque there, and what is left over does not judge it."""
     m, found = result.mechanism, np.zeros(len(path.time_s), bool)
-    sigma = result.noise.get("torque_nm" if j in m.actuated else "passive_joint_nm",
-                             float(result.torque_residual_rms[j]))
+    rms = float(result.torque_residual_rms[j])
+    sigma = result.noise.get(f"torque{j + 1}_nm", result.noise.get("torque_nm", rms)) if j in m.actuated else (
+        result.noise.get("passive_joint_nm", rms))
     for p, level in zip(m.parameters, result.beta):
         if p.term == "coulomb" and p.at[0] == j and result.method == "mle":
             found |= held_variance(path.qd[:, j], float(level), float(m.velocity_scales[j])) > sigma**2

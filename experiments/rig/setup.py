@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import Dataset, InputError, Rig
+from daq import Dataset, InputError, Rig, joint_count
 from daq.runs import IMU
 from estimator import FitOptions
 from estimator.calibration import DistanceMeter, angle_record, find_zeros, subtract, zeros_text
@@ -141,12 +141,17 @@ def choose_sensors(rig: Rig, datasets: Sequence[Dataset], wanted: str | None) ->
 
 def fit_options(rig: Rig, sensors: str, fixed: Mapping[str, float], latent: str = "trajectory") -> FitOptions:
     """What the rig file knows, as the estimator's options."""
-    noise = {name: level for name in ("gyro_radps", "accel_mps2", "torque_nm", "passive_nm")
-             if (level := getattr(rig.noise, name)) is not None}
-    if isinstance(rig.noise.encoder_rad, tuple):
-        noise |= {f"encoder{j + 1}_rad": level for j, level in enumerate(rig.noise.encoder_rad)}
-    elif rig.noise.encoder_rad is not None:
-        noise["encoder_rad"] = rig.noise.encoder_rad
+    of_each = {"accel_mps2": ("accel_x_mps2", "accel_y_mps2"),
+               "torque_nm": tuple(f"torque{j}_nm" for j in sorted(rig.mechanism.actuated)),
+               "encoder_rad": tuple(f"encoder{j + 1}_rad" for j in range(joint_count(rig.mechanism)))}
+    noise: dict[str, float] = {}
+    for name in ("gyro_radps", "accel_mps2", "torque_nm", "passive_nm", "encoder_rad"):
+        level = getattr(rig.noise, name)
+        if isinstance(level, tuple):
+            noise |= dict(zip(of_each[name], level, strict=True))
+        elif level is not None:
+            noise[name] = level
     rounding = "auto" if rig.terms.friction_velocity_radps is None else "given"
     return FitOptions(sensors=sensors, hold=rig.sampling.hold, rounding=rounding, noise=noise,
+                      accel_correlation=rig.noise.accel_correlation, torque_correlation=rig.noise.torque_correlation,
                       cutoff_hz=rig.filter.cutoff_hz, filter_order=rig.filter.order, fixed=dict(fixed), latent=latent)

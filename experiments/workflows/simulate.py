@@ -12,8 +12,9 @@ from estimator.model import Mechanism, simulate
 from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, Channel, accelerometer, encoder_of, torque_of
 from experiments.models import Model, build_mechanism, simulate_extended
 
-CHANNELS = {"gyro": "gyro_radps", "accel": "accel_mps2", "tau": "torque_nm", "q": "encoder_rad"}
-"""How a column's name begins, and the noise level that belongs to it."""
+CHANNELS = {"gyro": ("gyro_radps",), "accel_x": ("accel_x_mps2", "accel_mps2"),
+            "accel_y": ("accel_y_mps2", "accel_mps2"), "tau": ("torque_nm",), "q": ("encoder_rad",)}
+"""How a column's name begins, and the noise levels that may belong to it, the closest first."""
 
 
 def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = None,
@@ -74,10 +75,15 @@ def _columns(model: Model, mechanism: Mechanism, readings: Mapping[Channel, Floa
 
 
 def _noisy(columns: dict[str, FloatArray], noise: dict[str, float], seed: int) -> dict[str, FloatArray]:
-    """White noise of the model's levels on every column that has one."""
+    """White noise of the model's levels on every column that has one, correlated as the model says."""
     rng = np.random.default_rng(seed)
-    noisy = {}
-    for name, values in columns.items():
-        level = next((noise.get(key, 0.0) for begin, key in CHANNELS.items() if name.startswith(begin)), 0.0)
-        noisy[name] = values + level * rng.standard_normal(values.shape)
-    return noisy
+    rho = noise.get("accel_correlation", 0.0)
+    draws = {name: rng.standard_normal(values.shape) for name, values in columns.items()}
+    if rho and "accel_y_mps2" in draws:
+        draws["accel_y_mps2"] = rho * draws["accel_x_mps2"] + np.sqrt(1.0 - rho**2) * draws["accel_y_mps2"]
+    return {name: values + _level(noise, name) * draws[name] for name, values in columns.items()}
+
+
+def _level(noise: dict[str, float], column: str) -> float:
+    keys = next((keys for begin, keys in CHANNELS.items() if column.startswith(begin)), ())
+    return next((noise[key] for key in keys if key in noise), 0.0)

@@ -76,7 +76,7 @@ def solve(posed: Posed, tolerance: float = 1e-7) -> Solved:
     mechanism = p.mechanism
     watch = Watch()
     x, b = ca.MX.sym("x", 6, p.total), ca.MX.sym("beta", 9)
-    levels = np.tile([noise.encoder[1], noise.gyro, noise.accel, noise.accel], (p.total, 1))
+    levels = np.tile([noise.encoder[1], noise.gyro, *noise.accel], (p.total, 1))
     weight = 1.0 / np.concatenate([levels, np.sqrt(p.torque_variance(noise))], axis=1).T
     measured = np.concatenate([[p.angles[:, 1], p.gyro, p.ax, p.ay], p.torque.T])
     sensors = sensor_function(mechanism.lever_arm, mechanism.velocity_scale).map(p.total)(x, b)

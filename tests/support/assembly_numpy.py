@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from daq import FloatArray
+from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
 from estimator.model import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Collocation, Motion, Samples, after
 from estimator.signals import ACCEL_X, ACCEL_Y, accelerometer
@@ -43,18 +44,18 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
     sides[right] += second.swapaxes(1, 2) @ rest
 
 
-def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, weight: float, here: slice,
+def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, noise: Noise, here: slice,
                       extra: Extra | None, accumulators: Accumulators, accel: FloatArray) -> None:
     """Add both axes' samples `here`; put their rows, unscaled, into accel (N, 2, b + 1 + parameters)."""
     b = accumulators.chain.block
-    rows = accelerometer_rows(c, x, beta, measured, here, extra)
-    columns = rows[:, b:]
-    accumulators.square[:] += np.sum(columns @ columns.swapaxes(1, 2), axis=0) * weight
-    transposed = accel[here] = _transposed(rows)
-    own = transposed[:, :, :b]
-    back = own.swapaxes(1, 2) * weight
-    accumulators.chain.diagonal[here] += back @ own
-    accumulators.chain.right[here] += back @ transposed[:, :, b:]
+    transposed = accel[here] = _transposed(accelerometer_rows(c, x, beta, measured, here, extra))
+    correlation = np.array([[1.0, noise.accel_correlation], [noise.accel_correlation, 1.0]])
+    precision = np.linalg.inv(np.outer(noise.accel, noise.accel) * correlation)
+    own, columns = transposed[:, :, :b], transposed[:, :, b:]
+    weighted = precision @ columns
+    accumulators.square[:] += np.einsum("kra,krb->ab", columns, weighted)
+    accumulators.chain.diagonal[here] += own.swapaxes(1, 2) @ (precision @ own)
+    accumulators.chain.right[here] += own.swapaxes(1, 2) @ weighted
 
 
 def motion_rows(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,

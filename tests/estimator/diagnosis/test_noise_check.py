@@ -11,7 +11,7 @@ import pytest
 from estimator.diagnosis.noise_check import excess_noise, ratios
 from estimator.effects import Effect
 from estimator.effects.structure import Backlash
-from estimator.likelihood.trajectory_likelihood import Noise
+from estimator.likelihood.noise import Noise
 from estimator.model.mechanism import leg2
 
 DECLARED = {"torque_nm": 0.02, "encoder_rad": 2e-4, "gyro_radps": 0.005, "accel_mps2": 0.05}
@@ -21,7 +21,7 @@ def ends(declared: dict[str, float], effects: tuple[Effect, ...] = (), **found: 
     """Session and model with `effects` whose noise levels are those declared but for `found`."""
     levels = {"pivot": 0.002, "knee": 0.02, "encoder": 2e-4, "gyro": 0.005, "accel": 0.05} | found
     noise = Noise(np.array([levels["pivot"], levels["knee"]]), np.array([np.inf, levels["encoder"]]), levels["gyro"],
-                  levels["accel"])
+                  np.array([levels["accel"], levels.get("accel_y", levels["accel"])]))
     rng = np.random.default_rng(0)
     white = {name: rng.normal(0.0, level, 4000) for name, level in (("gyro", 0.005), ("ax", 0.05), ("ay", 0.05))}
     problem = SimpleNamespace(has_encoder=np.array([False, True]), has_imu=True, **white)
@@ -34,7 +34,8 @@ def test_declared_levels_are_in_order() -> None:
 
 
 @pytest.mark.parametrize(("channel", "level", "said"), [
-    ("gyro", 0.095, "gyro is 19.0 times"), ("accel", 0.08, "accelerometer is 1.6 times"),
+    ("gyro", 0.095, "gyro is 19.0 times"), ("accel", 0.08, "accelerometer's x axis is 1.6 times"),
+    ("accel_y", 0.08, "accelerometer's y axis is 1.6 times"),
     ("encoder", 0.002, "encoder of joint 2 is 10.0 times"), ("knee", 0.034, "torque at joint 2 is 1.7 times"),
     ("pivot", 0.04, "torque at joint 1 is 2.0 times")])
 def test_a_loud_channel_is_named(channel: str, level: float, said: str) -> None:
@@ -58,6 +59,6 @@ def test_an_explanation_may_leave_a_share_of_what_was_there() -> None:
 
 
 def test_without_a_declared_level_neighbouring_samples_stand_in_and_torque_is_not_judged() -> None:
-    assert set(ratios(*ends({}))) == {"gyro", "accelerometer"}
+    assert set(ratios(*ends({}))) == {"gyro", "accelerometer's x axis", "accelerometer's y axis"}
     assert excess_noise(*ends({}, gyro=0.008, knee=1.0)) == ""
     assert "gyro" in excess_noise(*ends({}, gyro=0.02))

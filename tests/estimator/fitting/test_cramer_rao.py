@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.fitting.cramer_rao import cramer_rao
-from estimator.likelihood.trajectory_likelihood import Noise
+from estimator.likelihood.noise import Noise
 from estimator.model.mechanism import leg2
 from experiments.studies.biped3.bound import exact_bound
 from experiments.studies.biped3.protocol import TORQUE_VARIANCE
@@ -34,7 +34,7 @@ def test_more_noise_never_helps_and_an_imu_does() -> None:
 
     def spread(torque_sigma: float, gyro: float = np.inf) -> np.ndarray:
         accel = 0.05 if np.isfinite(gyro) else np.inf
-        noise = Noise(np.array([0.02, torque_sigma]), np.array([1e-3, 1e-4]), gyro, accel)
+        noise = Noise(np.array([0.02, torque_sigma]), np.array([1e-3, 1e-4]), gyro, np.full(2, accel))
         return np.diag(cramer_rao(mechanism, beta, q, qd, torque, 100.0, "linear", noise))
 
     assert np.all(spread(0.02) < spread(0.04))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,9 @@ from estimator.effects import library
 from estimator.effects.base import Effect
 from estimator.likelihood import trajectory_likelihood
 from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage
+from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents, Linearised
-from estimator.likelihood.trajectory_likelihood import LatentProblem, Noise
+from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model.mechanism import Mechanism, biped3, chain, joint1, leg2
 from estimator.model.regressor_numba import FastTerms
 from estimator.signals.segments import IMU_COLUMNS, SignalSet
@@ -34,14 +37,16 @@ def latents(mechanism: Mechanism, rng: np.random.Generator) -> Latents:
 
 
 def noise_of(mechanism: Mechanism) -> Noise:
-    return Noise(np.linspace(0.02, 0.05, mechanism.n), np.full(mechanism.n, 1e-3), 0.01, 0.1)
+    return Noise(np.linspace(0.02, 0.05, mechanism.n), np.full(mechanism.n, 1e-3), 0.01, np.array([0.1, 0.07]))
 
 
-def both(problem: LatentProblem, x: Latents, beta: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> list[Linearised]:
-    fast = problem.linearise(x, beta, noise_of(problem.mechanism))
+def both(problem: LatentProblem, x: Latents, beta: np.ndarray, monkeypatch: pytest.MonkeyPatch,
+         correlation: float = 0.0) -> list[Linearised]:
+    noise = replace(noise_of(problem.mechanism), accel_correlation=correlation)
+    fast = problem.linearise(x, beta, noise)
     with monkeypatch.context() as patch:
         patch.setattr(trajectory_likelihood, "assembly_numba", assembly_numpy)
-        return [problem.linearise(x, beta, noise_of(problem.mechanism)), fast]
+        return [problem.linearise(x, beta, noise), fast]
 
 
 def assert_alike(plain: Linearised, fast: Linearised) -> None:
@@ -76,6 +81,15 @@ def test_every_effect(effect: Effect, monkeypatch: pytest.MonkeyPatch) -> None:
     size = [s.scale for s in effect.sizes] + [s.grid[-1] for s in effect.shapes]
     x = latents(problem.mechanism, rng)
     assert_alike(*both(problem, x, np.append(BETA, size), monkeypatch))
+
+
+@pytest.mark.parametrize("correlation", [-0.9, 0.8])
+def test_axes_that_correlate(correlation: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(15)
+    problem = staged(library(leg2(lever_arm=0.2), True)[0][:6], [], rng)
+    size = np.concatenate([[s.scale for s in e.sizes] + [s.grid[-1] for s in e.shapes] for e in problem.effects])
+    x = latents(problem.mechanism, rng)
+    assert_alike(*both(problem, x, np.append(BETA, size), monkeypatch, correlation))
 
 
 def test_more_columns_than_have_a_kernel(monkeypatch: pytest.MonkeyPatch) -> None:

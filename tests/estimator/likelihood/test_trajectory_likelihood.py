@@ -11,8 +11,9 @@ from estimator.fitting.fit import fit
 from estimator.fitting.initial_guess import start_state
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import trajectory_likelihood
+from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.trajectory_likelihood import LatentProblem, Noise
+from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from estimator.signals.segments import split_signals

@@ -19,6 +19,7 @@ from experiments.models.mechanism_settings import build_mechanism, mechanism_set
 from experiments.models.model_file import load_model, save_model, widening_of
 from experiments.models.schema import MechanismSettings, Model
 from experiments.reports.fit_json import fit_document, model_of
+from experiments.reports.fit_text import noise_rows
 from experiments.rig.setup import choose_sensors
 from experiments.workflows.compare import parameter_pairs
 from tests.support.fits import synthetic_fit
@@ -39,6 +40,27 @@ def test_round_trip(tmp_path: Path) -> None:
     assert document["schema"] == "legid.model/1" and document["effects"] == []
     assert document["mechanism"]["actuated"] == [2]
     assert document["provenance"]["date"] == "2026-01-02T00:00:00+00:00"
+
+
+def test_levels_of_axes_and_joints_stand_beside_the_one_for_all() -> None:
+    levels = {"torque_nm": 0.03, "torque1_nm": 0.01, "torque2_nm": 0.03, "gyro_radps": 0.005, "accel_mps2": 0.05,
+              "accel_x_mps2": 0.03, "accel_y_mps2": 0.064, "accel_correlation": -0.4}
+    result = replace(synthetic_fit(), noise=levels)
+    assert fit_document(result, mechanism_settings(RIG))["noise"] == {
+        "torque_nm": 0.03, "torque_nm_by_joint": [0.01, 0.03], "gyro_radps": 0.005, "accel_mps2": 0.05,
+        "accel_mps2_by_axis": [0.03, 0.064], "accel_correlation": -0.4}
+    assert [row[:2] for row in noise_rows(result)] == [
+        ["torque 1", "0.01"], ["torque 2", "0.03"], ["gyro", "0.005"], ["accelerometer x", "0.03"],
+        ["accelerometer y", "0.064"], ["their correlation, as given", "-0.4"]]
+
+
+def test_a_model_keeps_what_correlates(tmp_path: Path) -> None:
+    for value in (-0.4, 1.0):
+        noise = {**leg_model().noise, "accel_correlation": value}
+        save_model(msgspec.structs.replace(leg_model(), noise=noise), tmp_path / f"{value}.json")
+    assert load_model(tmp_path / "-0.4.json").noise["accel_correlation"] == -0.4
+    with pytest.raises(InputError, match="accel_correlation that is not between -1 and 1"):
+        load_model(tmp_path / "1.0.json")
 
 
 def test_mechanism_comes_back_with_its_settings() -> None:

@@ -18,11 +18,22 @@ LEG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[noise]\n'
 @pytest.mark.parametrize("text, known", [
     ("encoder_rad = 0.001", {"encoder_rad": 0.001}),
     ("encoder_rad = [0.001, 0.004]", {"encoder1_rad": 0.001, "encoder2_rad": 0.004}),
+    ("accel_mps2 = 0.05", {"accel_mps2": 0.05}),
+    ("accel_mps2 = [0.05, 0.08]", {"accel_x_mps2": 0.05, "accel_y_mps2": 0.08}),
+    ("torque_nm = [0.02]", {"torque2_nm": 0.02}),
     ("passive_nm = 0.03\ntorque_nm = 0.02", {"passive_nm": 0.03, "torque_nm": 0.02}), ("", {})])
 def test_what_the_rig_declares_is_what_the_fit_knows(text: str, known: dict[str, float]) -> None:
     rig = parse_rig(LEG + text)
     assert fit_options(rig, "encoder", {}).noise == known
     assert rig.noise.encoder_of(-1) == known.get("encoder2_rad", known.get("encoder_rad"))
+
+
+def test_correlations_are_known_by_rising_joint() -> None:
+    arm = LEG.replace("[2]", "[2, 1]") + "torque_nm = [0.1, 0.2]\naccel_correlation = -0.2\n"
+    options = fit_options(parse_rig(arm + "torque_correlation = [[1.0, 0.3], [0.3, 1.0]]"), "imu", {})
+    assert options.noise == {"torque1_nm": 0.1, "torque2_nm": 0.2}
+    assert (options.accel_correlation, options.torque_correlation) == (-0.2, ((1.0, 0.3), (0.3, 1.0)))
+    assert [options.torque_noise(j, True) for j in (0, 1)] == [0.1, 0.2] and options.torque_noise(0, False) is None
 
 
 def test_each_encoder_is_believed_as_far_as_it_is_declared() -> None:

@@ -1,0 +1,39 @@
+"""Noise levels as a fit begins with them, and as others see them afterwards."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.likelihood import Noise
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+from estimator.signals import white_noise_level
+
+
+def accel_levels(options: FitOptions, ax: FloatArray, ay: FloatArray) -> FloatArray:
+    """(2,) of the accelerometer's axes [m/s^2] as declared, otherwise as neighbouring samples (N,) show them."""
+    known = (options.accel_noise(0), options.accel_noise(1))
+    return np.array([max(white_noise_level(a), 1e-5) if level is None else level for level, a in zip(known, (ax, ay))])
+
+
+def torque_levels(noise: Noise, mechanism: Mechanism) -> dict[str, float]:
+    """The largest level of a driven joint, and where there are several those of all."""
+    driven = sorted(mechanism.actuated)
+    found = {"torque_nm": float(np.max(noise.torque[driven], initial=0.0))}
+    return found | ({f"torque{j + 1}_nm": float(noise.torque[j]) for j in driven} if len(driven) > 1 else {})
+
+
+def imu_levels(noise: Noise) -> dict[str, float]:
+    """Of the gyro, of both accelerometer axes together (root mean square) and of each, with what correlates them."""
+    found = {"gyro_radps": float(noise.gyro), "accel_mps2": float(np.sqrt(np.mean(noise.accel**2))),
+             "accel_x_mps2": float(noise.accel[0]), "accel_y_mps2": float(noise.accel[1])}
+    return found | ({"accel_correlation": noise.accel_correlation} if noise.accel_correlation else {})
+
+
+def independence(options: FitOptions) -> str:
+    """What is assumed of the channels' noise at one time, in words."""
+    declared = [name for name, given in (("the accelerometer's axes", bool(options.accel_correlation)),
+                                         ("the torques", bool(options.torque_correlation))) if given]
+    return "independent between channels" + (f", but for {' and '.join(declared)}, correlated as given"
+                                             if declared else "")

@@ -1,0 +1,49 @@
+"""`Noise`: the standard deviations in force, the correlations that a rig declares, and the weights that follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from daq import FloatArray
+
+
+def _no_accelerometer() -> FloatArray:
+    return np.full(2, np.inf)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations in force."""
+
+    torque: FloatArray
+    """(n,) [N m]; on a passive joint what the model gets wrong."""
+    encoder: FloatArray
+    """(n,) [rad]; inf for a joint without an encoder."""
+    gyro: float = np.inf
+    accel: FloatArray = field(default_factory=_no_accelerometer)
+    """(2,) of the accelerometer's x and y axes [m/s^2]"""
+    accel_correlation: float = 0.0
+    """Between these two, at one sample."""
+    torque_correlation: FloatArray | None = None
+    """(n, n) between the joints' torque samples at one time; None where they are independent."""
+
+    def accel_precision(self) -> FloatArray:
+        """(2, 2) inverse covariance of both axes at one sample [s^4/m^2]."""
+        own = 1.0 - self.accel_correlation**2
+        mixed = -self.accel_correlation / (own * self.accel[0] * self.accel[1])
+        return np.array([[1.0 / (own * self.accel[0] ** 2), mixed], [mixed, 1.0 / (own * self.accel[1] ** 2)]])
+
+    def torque_precision(self, variances: FloatArray) -> FloatArray:
+        """(N, n, n), or (1, n, n) where all samples are alike, inverse covariance of torque samples.
+
+        `variances` (N, n) [N^2 m^2] have what dry friction may hold in them, which is each joint's own.
+        """
+        assert self.torque_correlation is not None
+        shared = np.outer(self.torque, self.torque) * self.torque_correlation
+        diagonal = np.arange(self.torque.size)
+        alike = variances.strides[0] == 0  # one level, broadcast
+        out = np.repeat(shared[None], 1 if alike else len(variances), axis=0)
+        out[:, diagonal, diagonal] = variances[: len(out)]
+        return np.asarray(np.linalg.inv(out), dtype=np.float64)
