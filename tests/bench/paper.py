@@ -57,8 +57,8 @@ def _at(s: Callable[[np.ndarray], float], w: np.ndarray, *moves: tuple[int, floa
     return value
 
 
-def solve(recorded: Recorded, announce: Callable[[dict], None]) -> dict:
-    """Fit; tells first how long one step will take."""
+def solve(recorded: Recorded, announce: Callable[[dict], None], limit_s: float) -> dict:
+    """Fit; tells first how long one step will take, and does not begin where that is beyond the limit."""
     problem = posed(recorded)
     w = first_latents(problem)
     problem.residual(w)
@@ -66,7 +66,10 @@ def solve(recorded: Recorded, announce: Callable[[dict], None]) -> dict:
     for _ in range(20):
         problem.residual(w)
     once = watch.seconds() / 20
-    announce({"evaluation_s": once, "evaluations": evaluations(w.size), "step_s": once * evaluations(w.size)})
+    step_s = once * evaluations(w.size)
+    announce({"evaluation_s": once, "evaluations": evaluations(w.size), "step_s": step_s})
+    if step_s > limit_s:
+        return {"failed": f"a step takes more than {limit_s:.0f} s"}
     watch = Watch()
     w, steps = newton(problem, w.copy())
     return {"seconds": watch.seconds(), "iterations": steps, "beta": problem.best_beta(problem.regressor(w)).tolist()}

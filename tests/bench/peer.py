@@ -1,6 +1,6 @@
 """One peer on one length of the record, in a process of its own: prints what it found as lines of JSON.
 
-    python -m tests.bench.peer PEER RECORD.npz SAMPLES
+    python -m tests.bench.peer PEER RECORD.npz SAMPLES LIMIT_S
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ DEFAULT_STEP_S = 0.002
 """MuJoCo's own (XML reference, option/timestep)."""
 
 
-def run(peer: str, recorded: Recorded) -> dict:
+def run(peer: str, recorded: Recorded, limit_s: float) -> dict:
     if peer == "legid":
         from tests.bench.own import solve
 
@@ -39,7 +39,7 @@ def run(peer: str, recorded: Recorded) -> dict:
         return {"seconds": by.seconds, "beta": by.beta.tolist()}
     from tests.bench import paper
 
-    return paper.solve(recorded, tell)
+    return paper.solve(recorded, tell, limit_s)
 
 
 def tell(found: dict) -> None:
@@ -47,7 +47,7 @@ def tell(found: dict) -> None:
 
 
 if __name__ == "__main__":
-    name, path, samples = sys.argv[1:]
+    name, path, samples, limit = sys.argv[1:]
     with contextlib.redirect_stdout(sys.stderr):  # toolboxes print
-        done = run(name, read_record(Path(path), int(samples)))
+        done = run(name, read_record(Path(path), int(samples)), float(limit))
     tell(done)

@@ -1,8 +1,11 @@
 """Times the default fit of a leg beside its peers and prints ratios, growth, memory and the distance to the floor.
 
     python -m tests.bench.speed [--page] [--samples 500,2000,10000,60000] [--limit SECONDS] [--peers NAME,...]
+                                [--kept FILE]
 
-Every peer runs in a process of its own, one at a time, and is stopped after the limit.
+Every peer runs in a process of its own, one at a time, and is stopped after the limit. What it found is kept in FILE at
+once, and taken from there by the next call on the same machine and day: an interrupted bench goes on where it stopped.
+Of the paper's recipe one evaluation is timed first; where a single step would pass the limit it is not begun.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ import tempfile
 import time
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,12 +34,30 @@ TITLES = {"legid": "legid, whole fit", "casadi": "CasADi with IPOPT", "mujoco": 
           "free": "legid `--latent free`", "paper": "the paper's recipe"}
 TYPED = "typed_s"
 """Of the whole process: legid's command from a file, another's script from its first import."""
-Table = dict[tuple[str, int], dict]
+Table = dict[tuple[str, int], dict[str, Any]]
+
+
+class Kept:
+    """What peers found on this machine today, in a file of JSON lines."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.found = path, Table()
+        self.mark = [datetime.date.today().isoformat(), machine()]
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        for entry in map(json.loads, lines):
+            if entry["mark"] == self.mark:
+                self.found[entry["peer"], entry["samples"]] = entry["found"]
+
+    def add(self, peer: str, samples: int, found: dict) -> None:
+        """Keep what `peer` found."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"mark": self.mark, "peer": peer, "samples": samples, "found": found}) + "\n")
 
 
 def ask(peer: str, record: Path, samples: int, limit: float) -> dict:
     """What the peer found, or why it found nothing, with what it had said before."""
-    command = [sys.executable, "-m", "tests.bench.peer", peer, str(record), str(samples)]
+    command = [sys.executable, "-m", "tests.bench.peer", peer, str(record), str(samples), str(limit)]
     told: dict = {}
     clock, before = time.perf_counter(), os.times()
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -54,12 +76,17 @@ def ask(peer: str, record: Path, samples: int, limit: float) -> dict:
     return told
 
 
-def measure(record: Path, lengths: list[int], peers: list[str], limit: float) -> Table:
-    """All peers on all lengths; one that did not end on a length is not asked for longer ones."""
+def measure(record: Path, lengths: list[int], peers: list[str], limit: float, kept: Kept) -> Table:
+    """All peers on all lengths, but for what is `kept`; one that did not end on a length is not asked for longer
+    ones."""
     found: Table = {}
     for peer in peers:
         for samples in sorted(lengths):
-            found[peer, samples] = ask(peer, record, samples, limit)
+            if (peer, samples) in kept.found:
+                found[peer, samples] = kept.found[peer, samples]
+            else:
+                found[peer, samples] = ask(peer, record, samples, limit)
+                kept.add(peer, samples, found[peer, samples])
             print(f"{TITLES[peer]}, {samples}: {cell(found[peer, samples])}", file=sys.stderr, flush=True)
             if "failed" in found[peer, samples]:
                 break
@@ -225,6 +252,7 @@ def main() -> None:
     parser.add_argument("--page", action="store_true", help="write docs/bench.md too")
     parser.add_argument("--samples", default=",".join(map(str, SAMPLES)), help="lengths of the record")
     parser.add_argument("--limit", type=float, default=600.0, help="most seconds for a peer on one length")
+    parser.add_argument("--kept", type=Path, default=Path("build/bench.jsonl"), help="what peers found so far")
     parser.add_argument("--peers", default=",".join(PEERS), help="of " + ", ".join(PEERS))
     args = parser.parse_args()
     lengths, peers = sorted(map(int, args.samples.split(","))), args.peers.split(",")
@@ -232,7 +260,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as directory:
         record = Path(directory) / "record.npz"
         write_record(record, max(lengths))
-        found = measure(record, lengths, peers, args.limit)
+        found = measure(record, lengths, peers, args.limit, Kept(args.kept))
     text = tables(found, lengths, peers)
     print(text)
     if args.page:
