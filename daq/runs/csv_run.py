@@ -197,7 +197,7 @@ def _lines(path: Path, body: str) -> Iterator[tuple[int, list[str]]]:
 
 def _cells(where: str, line: str) -> list[str]:
     try:
-        return next(csv.reader([line.rstrip("\n")]))
+        return next(csv.reader([line.rstrip("\n")], strict=True))
     except csv.Error as error:
         raise InputError(where, f"cannot be read as CSV ({error})", "mend or cut the line") from None
 

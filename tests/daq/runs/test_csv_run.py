@@ -88,6 +88,17 @@ def test_time_must_increase(tmp_path: Path, value: str, words: str) -> None:
     assert words in said
 
 
+def test_a_quotation_mark_without_a_second_one_is_named_by_its_line(tmp_path: Path) -> None:
+    """It ended in an internal error: the cell went on to the end of the file."""
+    path = put(tmp_path / "r.csv", rows())
+    lines = path.read_text().split("\n")
+    head, _, last = lines[30].rpartition(",")
+    lines[30] = f'{head},"{last}'
+    path.write_text("\n".join(lines))
+    said = refusal(path)
+    assert "r.csv, line 31" in said and "CSV" in said
+
+
 def test_a_ragged_line_is_named(tmp_path: Path) -> None:
     cells = rows()
     cells[20] = cells[20][:4]
