@@ -119,6 +119,19 @@ def fit_singles(context: DiagnosisContext, tests: Tests, first: Sequence[Model] 
     return fit_candidates(context, starts, first)
 
 
+def fit_others(context: DiagnosisContext, tests: Tests, singles: Sequence[Explanation]) -> list[Explanation]:
+    """`singles` and every effect of the library that was not tried, each fitted alone, the likeliest first.
+
+    Where no single closes, a nominal fit that is far wrong may have hidden the one cause that there is. (Measured: an
+    IMU 4 ms late left the pivot 0.09 N m of model error and friction that drives; one step foresaw nothing of a skew,
+    whose fit then gained 157,000 where the best of seven singles gained 73,000.)
+    """
+    tried = {keys_of(e) for e in singles} | context.given_up
+    starts = [start_of(context, tests, i) for i in best_shapes(context, tests)
+              if frozenset({context.candidates[i].effect.key}) not in tried]
+    return fit_candidates(context, starts, [e.model for e in singles])
+
+
 def start_of(context: DiagnosisContext, tests: Tests, i: int) -> Start:
     """Where a fit with candidate i alone begins."""
     return [(context.candidates[i].effect, start_size(context, tests, i))]

@@ -1,14 +1,15 @@
 """`diagnose`: what the simulation gets wrong, what that is, and what extending it gains.
 
 Hold and friction's rounding, nominal fit, detection without names, scores of the library with the nominal parameters
-projected out, full re-fits of the best singles, then pairs, then one triple, and last, once, what each changes in the
-free runs of the confirm runs. A cause is named only where their error falls by it by what matters.
+projected out, full re-fits of the best singles, of all others where none closes, then pairs, then one triple, and last,
+once, what each changes in the free runs of the confirm runs. A cause is named only where their error falls by it by
+what matters.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,8 +27,10 @@ from estimator.diagnosis.model_search import (
     MOST_ASSESSED,
     Progress,
     assess_residuals,
+    closing,
     explain,
     fit_first,
+    fit_others,
     fit_singles,
     keys_of,
 )
@@ -119,24 +122,42 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
             return conclusion.nothing(replace(base, error=None if error is None else (error, error)), context.split,
                                       nominal)
     known: list[ErrorTable] = []
-    say("re-fitting the best explanations", 0.4)
-    first = fit_first(context, tests)
-    other = rounding_beside(split, likeliest_of(first), stated)
-    if other is None:
-        options = fit_singles(context, tests, first)
-        best = likeliest_of([e.model for e in options])
-        other = None if any(best is m for m in first) else rounding_beside(split, best, stated)
-    if other is None:
-        say("looking at what they leave over", 0.6)
-        options = assess_residuals(context, options[:MOST_ASSESSED])
-        options = explain(context, tests, options, say,
-                          lambda found: promise(context, found, material, rng, known))
-        more = [e for e in options if len(e.model.effects) > 1]
-        other = rounding_beside(split, max(more, key=lambda e: (e.adequate, e.gain)).model if more else None, stated)
+    options, other = search(context, tests, say, stated,
+                            lambda found: promise(context, found, material, rng, known))
     if other is not None:
         return _diagnose(replace(split, mechanism=other, stiction={}), seed, say, reference, material, None)
     say("opening the confirm runs", 0.85)
     return replace(conclude(context, base, tests, options, rng, material, known), mechanism=split.mechanism)
+
+
+def search(context: DiagnosisContext, tests: Tests, say: Progress, stated: Mechanism | None,
+           promise: Callable[[Sequence[Explanation]], bool]) -> tuple[list[Explanation], Mechanism | None]:
+    """Fitted explanations; or, as soon as friction has another rounding beside the best, the mechanism with that."""
+    split = context.split
+    say("re-fitting the best explanations", 0.4)
+    first = fit_first(context, tests)
+    other = rounding_beside(split, likeliest_of(first), stated)
+    if other is not None:
+        return [], other
+    options = fit_singles(context, tests, first)
+    best = likeliest_of([e.model for e in options])
+    other = None if any(best is m for m in first) else rounding_beside(split, best, stated)
+    if other is not None:
+        return [], other
+    say("looking at what they leave over", 0.6)
+    options = assess_residuals(context, options[:MOST_ASSESSED])
+    if not any(e.adequate for e in closing(context, options)):
+        say("re-fitting all others", 0.65)
+        every = fit_others(context, tests, options)
+        found = likeliest_of([e.model for e in every])
+        if found is not None and not any(found is e.model for e in options):
+            other = rounding_beside(split, found, stated)
+            if other is not None:
+                return [], other
+            options = assess_residuals(context, every[:MOST_ASSESSED])
+    options = explain(context, tests, options, say, promise)
+    more = max((e for e in options if len(e.model.effects) > 1), key=lambda e: (e.adequate, e.gain), default=None)
+    return options, None if more is None else rounding_beside(split, more.model, stated)
 
 
 def likeliest_of(models: Sequence[Model]) -> Model | None:
