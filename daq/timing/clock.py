@@ -68,6 +68,8 @@ def fit_ticks(probes: NDArray[np.void], epoch_ns: int) -> TickClock:
     degree = 2 if span > 30e9 and x.size >= 12 else 1 if span > 2e9 and x.size >= 4 else 0
     # A probe's error is at most half its round trip, hence the weights; 1 us is the tick's own step.
     weight = 1.0 / np.maximum(trip, 1e3)
+    if np.sum(weight**2) ** 2 < (degree + 1) * np.sum(weight**4):  # fewer of them speak than the curve has numbers
+        degree = 0
     offset = Polynomial.fit(x, y, degree, w=weight) if span > 0 else Polynomial([float(y.mean())])
     residual = np.sqrt(np.average((y - offset(x)) ** 2, weights=weight**2))
     bound = 0.5 * np.quantile(np.maximum(trip, 1e3), 0.9) + 2.0 * residual
@@ -123,7 +125,7 @@ def fit_samples(samples: NDArray[np.void], epoch_ns: int) -> ImuClock:
     drains = [_drains(samples[part], epoch_ns) for part in parts]
     longest = max(range(len(parts)), key=lambda k: drains[k][0].size)
     index, looked, _ = drains[longest]
-    if index.size < 4:
+    if index.size < 4 or not index[-1] > index[0]:  # a broken file can say that no sample came
         return ImuClock(time_ns, float("nan"), float("inf"))
     period = (looked[-1] - looked[0]) / (index[-1] - index[0])
     bounds = []

@@ -117,3 +117,18 @@ def test_a_short_stretch_of_drains_that_contradict_each_other_is_left_out() -> N
     rest = np.delete(np.arange(true.size), np.arange(first, last))
     np.testing.assert_allclose(clock.time_ns[rest] * 1e-9, true[rest], atol=clock.bound_s)
     assert clock.bound_s < 1e-3
+
+
+def test_where_one_probe_speaks_alone_no_rate_is_made_of_it() -> None:
+    """A broken file: one round trip of 0.1 ms among such of years. A line through it was no more than rounding."""
+    said = probes(np.random.default_rng(0), 20.0, 40.0, 1e-4, 1e-5)
+    said["host_rx_ns"][1:] += 2**60
+    clock = fit_ticks(said, EPOCH)
+    assert clock.rate_ppm == 0.0 and not clock.bound_s < 0.0
+
+
+def test_an_imu_whose_count_stands_still_has_no_clock() -> None:
+    said = drains(np.random.default_rng(0), 5.0, 476.0)[0]
+    said["index"] = 7
+    clock = fit_samples(said, EPOCH)
+    assert np.isnan(clock.time_ns).all() and np.isnan(clock.rate_hz) and clock.bound_s == np.inf
