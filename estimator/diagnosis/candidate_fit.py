@@ -95,7 +95,7 @@ def fit_free(context: DiagnosisContext, held: Model) -> Model:
         if any(np.any(e.at_limits(s)) for e, s in zip(found.effects, found.sizes())):
             if not found.state.converged:
                 found = refit(context.split, found, list(zip(found.effects, found.sizes())), FREE_STEPS)
-            return min(found, held, key=lambda m: deviance(m))  # a shape can run away
+            return min(found, held, key=deviance)  # a shape can run away
         return found
     except (FitError, np.linalg.LinAlgError):
         return held
@@ -108,7 +108,7 @@ def weigh(context: DiagnosisContext, models: Sequence[Model], keep: Sequence[Mod
         return []
     split = context.split
     noise = min((m.state.noise for m in models), key=lambda s: log_volume(context.nominal.problem, s))
-    models = sorted(models, key=lambda m: deviance(m))
+    models = sorted(models, key=deviance)
     models = [*models[:WEIGHED], *(m for m in models[WEIGHED:] if any(m is f for f in keep))]
     every = [context.nominal, *models]
 

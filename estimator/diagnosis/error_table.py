@@ -89,6 +89,22 @@ class ErrorTable:
         return any(self.error(model, d) - self.error(than, d) > by * self.error(of) for d in each)
 
 
+class Measured(NamedTuple):
+    """Of one run."""
+
+    squares: FloatArray
+    """(readers, M, B, C)"""
+    floor: FloatArray
+    """(C,)"""
+    moments: FloatArray
+    """(2, C)"""
+    misfits: FloatArray
+    """(M,)"""
+    pivots: FloatArray
+    """(readers, N)"""
+    stiction: FloatArray | None
+
+
 def measure_errors(split: RunSplit, models: Sequence[Model], reference: Model, seeds: NDArray[np.int64],
                    readers: Sequence[int] | None = None) -> ErrorTable:
     """Errors of `models`, the nominal one first, on the confirm runs, one of `seeds` each, in units of the noise of
@@ -125,22 +141,6 @@ def measure_errors(split: RunSplit, models: Sequence[Model], reference: Model, s
     unit = Unit(reference, floor, models[could[reader]], tuple(p.pivots[reader] for p in parts), bound, misfits[0])
     return ErrorTable(_columns_of(split, reference), _bounded([p.squares[reader] for p in parts], floor, bound),
                       misfits[0] - misfits, np.repeat(np.arange(len(parts)), lengths), tuple(models), unit)
-
-
-class Measured(NamedTuple):
-    """Of one run."""
-
-    squares: FloatArray
-    """(readers, M, B, C)"""
-    floor: FloatArray
-    """(C,)"""
-    moments: FloatArray
-    """(2, C)"""
-    misfits: FloatArray
-    """(M,)"""
-    pivots: FloatArray
-    """(readers, N)"""
-    stiction: FloatArray | None
 
 
 def extend_errors(table: ErrorTable, split: RunSplit, more: Sequence[Model]) -> ErrorTable:

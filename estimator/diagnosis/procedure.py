@@ -47,7 +47,7 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
-from estimator.diagnosis.verdict import NOMINAL, by_likelihood, decide
+from estimator.diagnosis.verdict import NOMINAL, by_likelihood, decide, two_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, rounding_words
@@ -217,7 +217,7 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], material: f
     takes away a good part of what must fall, or that error is beyond what a disturbance makes. What is measured is
     `known` then."""
     counts = sorted({len(e.model.effects) for e in found})
-    best = by_likelihood([e for n in counts for e in [e for e in found if len(e.model.effects) == n][:2]])
+    best = by_likelihood(two_of_each(found))
     models = [context.nominal, *(e.model for e in best)]
     try:
         table = measure_errors(context.split, models, models[1],

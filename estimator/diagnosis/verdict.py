@@ -192,9 +192,14 @@ def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
     """The likeliest explanations, of each number of effects at least two, and each set of effects once."""
     every = sorted(options, key=lambda o: -o.gain)
     ranked = [o for k, o in enumerate(every) if not any(keys_of(o) == keys_of(e) for e in every[:k])]
-    counts = sorted({len(o.model.effects) for o in options})
-    first = [o for n in counts for o in [o for o in ranked if len(o.model.effects) == n][:2]]
+    first = two_of_each(ranked)
     return [*first, *(o for o in ranked if not any(o is f for f in first))][: max(SHORTLIST, len(first))]
+
+
+def two_of_each(options: Sequence[Explanation]) -> list[Explanation]:
+    """The first two of each number of effects, the fewest effects first."""
+    counts = sorted({len(o.model.effects) for o in options})
+    return [o for n in counts for o in [o for o in options if len(o.model.effects) == n][:2]]
 
 
 def by_likelihood(options: Sequence[Explanation]) -> list[Explanation]:
