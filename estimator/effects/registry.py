@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 
-from estimator.effects import drive, friction, sensors, structure, timing
+from estimator.effects import drive, friction, sensors, stand, structure, timing
 from estimator.effects.base import Effect, Perturbation, Points, Shape, Size, View
 from estimator.model import Mechanism
 
@@ -14,7 +14,7 @@ CLASSES: tuple[type[Effect], ...] = (
     friction.StribeckFriction, friction.AsymmetricFriction, friction.LoadDependentFriction,
     friction.PreslidingFriction, friction.QuadraticDrag, friction.FrictionDrift, structure.JointStiffness,
     structure.JointElasticity, structure.Backlash, structure.RotorInertia, structure.EndStopContact,
-    structure.BaseCompliance, drive.TorqueRipple, drive.TorqueOffset, drive.TorqueSaturation, drive.TorqueDelay,
+    stand.BaseCompliance, drive.TorqueRipple, drive.TorqueOffset, drive.TorqueSaturation, drive.TorqueDelay,
     timing.SensorTimeSkew, sensors.GyroBias, sensors.GyroScale, sensors.AccelerometerBias, sensors.ImuMisalignment,
     sensors.ImuLeverArm, sensors.EncoderOffset, sensors.EncoderScale, sensors.EncoderEccentricity)
 

@@ -1,4 +1,4 @@
-"""Springs, inertias, play, stops and the base."""
+"""Springs, inertias, play and stops."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from estimator.effects.base import (
     View,
 )
 from estimator.model import Mechanism, smooth_sign
-from estimator.signals import ACCEL_X, ACCEL_Y, GYRO, Channel, encoder_of, torque_of
+from estimator.signals import Channel, encoder_of, torque_of
 
 
 class JointStiffness(TorqueEffect):
@@ -198,71 +198,3 @@ class Backlash(GearEffect):
     def twist(self, through: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
         side = np.tanh(through / size[-1])
         return 0.5 * size[0] * side, 0.5 * size[0] / size[-1] * (1.0 - side**2)
-
-
-class BaseCompliance(Effect):
-    """The stand yields sideways: x_b of M x_b'' + D x_b' + K x_b = -d/dt (g1 cos th1 th1' + g2 cos th2 th2').
-
-    Its acceleration enters both equations of motion and the accelerometer; 1/M is the size, mode and damping the
-    shapes. What drives it is differenced from rates, not taken from the equations of motion: through them it would
-    feel itself, and near its resonance that loop's gain is above one.
-    """
-
-    name = "base_compliance"
-    positive = 1
-    sizes = (Size("mobility", "1/kg", 0.01),)
-    shapes = (Shape("frequency", "Hz", (1.5, 2.0, 2.7, 3.6, 4.9, 6.6, 9.0, 12.0, 16.0, 20.0)),
-              Shape("damping_ratio", "1", (0.1,)))
-    sentence = "the stand moves: the pivot is not fixed"
-    reference = "one horizontal mode"
-    experiment = "taps on the stand, and a chirp through its mode"
-    plans = ("fast",)
-    by_hand = "tap the stand in one run"
-
-    def perturb(self, view: View, size: FloatArray) -> Perturbation:
-        from scipy.signal import lfilter
-
-        m, s = view.mechanism, view.samples
-        t = m.transform
-        theta, thetad = (np.tensordot(t, x, axes=1) for x in (s.q, self._rates(view)))
-        gravity = [(k, p.at[0]) for k, p in enumerate(m.parameters) if p.term == "gravity"]
-        momentum = np.asarray(sum(view.beta[k] * np.cos(theta[i]) * thetad[i] for k, i in gravity))
-        b, a = self._filter(size[1], size[2], view.dt_s)
-        base = np.empty(theta.shape[1])
-        for where in view.stretches():
-            base[where] = lfilter(b, a, differenced(momentum[where], view.dt_s))
-        base *= size[0]
-        links = np.zeros_like(s.q)
-        for k, i in gravity:
-            links[i] = view.beta[k] * np.cos(theta[i]) * base
-        torque = t.T @ links
-        q1 = s.q[0]
-        return Perturbation(view.to_gauss(torque), torque,
-                            {ACCEL_X: base * np.cos(q1), ACCEL_Y: base * np.sin(q1)})
-
-    @staticmethod
-    def _filter(frequency_hz: float, damping: float, dt_s: float) -> tuple[FloatArray, FloatArray]:
-        """-s^2 / (s^2 + 2 damping omega s + omega^2) by the bilinear transform (Oppenheim and Schafer, section 7.2)."""
-        k, omega = 2.0 / dt_s, 2 * np.pi * frequency_hz
-        twice, damped = np.array([1.0, -2.0, 1.0]) * k * k, np.array([1.0, 0.0, -1.0]) * 2.0 * damping * omega * k
-        return -twice, twice + damped + np.array([1.0, 2.0, 1.0]) * omega**2
-
-    def _rates(self, view: View) -> FloatArray:
-        """(n, N) joint rates, the pivot's as the gyro saw it where there is a record.
-
-        The pivot's fitted rate follows the equation of motion, and through that the base: fits went round in circles.
-        The gyro's noise would act as torque noise, so it comes low-passed.
-        """
-        if view.measured is None or GYRO not in view.measured.slow:
-            return view.samples.v
-        return np.concatenate([view.measured.slow[GYRO][None], view.samples.v[1:]])
-
-    def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
-        return "" if any(p.term == "gravity" for p in mechanism.parameters) else "no gravity term in the model"
-
-
-def differenced(x: FloatArray, dt_s: float) -> FloatArray:
-    """Derivative of x (N,) by central differences of fourth order, of second order at the ends."""
-    out = np.gradient(x, dt_s, edge_order=2)
-    out[2:-2] = (8.0 * (x[3:-1] - x[1:-3]) - (x[4:] - x[:-4])) / (12.0 * dt_s)
-    return out

@@ -23,18 +23,14 @@ LOST_RAD = 50.0
 """A simulation that is so far from the fitted motion is lost. (Measured: at rest under dry friction a piece of a tenth
 of a second went 1,439 rad.)"""
 LOOSE_RAD = 5e-4
-"""What may still move after PASSES: about an encoder's noise. (Measured: a stand's motion that moved by less than
-20 mrad a pass was 60 mrad off, and its pair with another cause not found.)"""
+"""What may still move after PASSES: about an encoder's noise. (Measured: a motion that moved by less than 20 mrad a
+pass was 60 mrad off.)"""
 HOPELESS = 5
-"""Passes after which plain iteration that still moves that much gives way to mixing of ..."""
-DEPTH = 12
-"""... so many steps."""
+"""Passes after which an iteration of the whole that still moves that much gives way to windows."""
 WINDOW_S = 0.5
-MIXED_WINDOW_S = 4.0
 WINDOW_PASSES = 25
-"""Of `_marched`, by plain steps and by mixed ones: longer windows need more passes, shorter ones are more of them.
-(Measured on a ripple of 100 periods a rad over 20 s: 721 evaluations in plain windows of 0.25 s, 558 of 0.5 s. On a
-stand over 20 s: 595 in plain windows of 0.5 s, mixed 333 of 0.5 s, 188 of 2 s, 111 of 4 s, 205 of 8 s.)"""
+"""Of `_marched`: longer windows need more passes, shorter ones are more of them. (Measured on a ripple of 100 periods a
+rad over 20 s: 721 evaluations in windows of 0.25 s, 558 of 0.5 s.)"""
 
 
 @dataclass(frozen=True)
@@ -61,12 +57,13 @@ def free_run(problem: ExtendedProblem, state: State, drive: FloatArray | None = 
     u = problem.motor_torque(state.x, state.beta) if drive is None else drive
     parts = pieces(problem, horizon_s)
     plant = _Plant(problem, state, u, or_still)
-    found = _relaxed(plant, 0, parts)
+    found = _relaxed(plant, parts)
     if found is None and plant.memory:
-        found = _marched(plant, parts) or _relaxed(plant, DEPTH, parts)
+        found = _marched(plant, parts)
     if found is None:
         return None
     q, v, taken = found
+    q, v = q[:, : m.n], v[:, : m.n]
     view = plant.view(q, v, taken)
     s = view.samples
     readings = {torque_of(j): u[:, j].copy() for j in range(m.n)}
@@ -99,25 +96,37 @@ class _Plant:
         self.problem, self.start, self.u = problem, state.x, u
         self.beta, sizes = problem.simulated(state.beta)
         self.pairs = list(zip(problem.effects, sizes))
-        self.memory = [p for p in self.pairs if not p[0].instant and not isinstance(p[0], SensorEffect)]
+        self.memory = [p for p in self.pairs if not isinstance(p[0], SensorEffect)
+                       and not p[0].instant and not p[0].embodied]
         """Effects whose torque depends on the motion before: found by iteration, the others by Newton's method."""
         self.or_still = or_still and not self.memory  # an iteration in which a piece is lost leads nowhere
         self.alone: set[int] = set()
         """First samples of the stretches whose parts do not settle together."""
+        view = self.view(state.x.q, state.x.v)
+        self.mechanism, self.all_beta = problem.mechanism, self.beta
+        """Those of the simulation: with what effects add as bodies; motions (N, n) have their columns, too."""
+        for effect, size in self.pairs:
+            if effect.embodied:
+                self.mechanism, self.all_beta = effect.body(self.mechanism, self.all_beta, size)
+                q, v = effect.body_motion(view, size)
+                self.start = Latents(np.column_stack([self.start.q, q]), np.column_stack([self.start.v, v]),
+                                     np.column_stack([self.start.u, np.zeros_like(q)]))
+                self.u = np.column_stack([self.u, np.zeros_like(q)])
         instant = [p for p in self.pairs if p[0].instant]
-        self.laws = Laws(instant, self.view(state.x.q, state.x.v)) if instant else None
+        self.laws = Laws(instant, replace(view, mechanism=self.mechanism, beta=self.all_beta)) if instant else None
 
     def view(self, q: FloatArray, v: FloatArray, samples: FloatArray | None = None) -> View:
         """At the motion q, v (N, n), where effects take `samples` (n, N)."""
-        return self.problem.view(Latents(q, v, self.u), self.beta, samples)
+        n = self.problem.n
+        return self.problem.view(Latents(q[:, :n], v[:, :n], self.u[:, :n]), self.beta, samples)
 
     def run(self, where: slice, q: FloatArray, v: FloatArray, start: tuple[FloatArray, FloatArray],
             taken: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Motion in the samples `where` from its `start`, near q, v; effects with a memory take `taken` (n, 2, K)."""
         c, here = self.problem.collocation, self.intervals(where)
         laws = None if self.laws is None else replace(self.laws, first=here.start)
-        found = simulate(self.problem.mechanism, self.beta, *start, self.u[where], c.dt, c.hold,
-                         (q[where], v[where]), taken[:, :, here], laws)
+        found = simulate(self.mechanism, self.all_beta, *start, self.u[where], c.dt, c.hold,
+                         (q[where], v[where]), self.all_taken(taken[:, :, here]), laws)
         return found[0], found[1]
 
     def run_parts(self, parts: Sequence[slice], q: FloatArray, v: FloatArray, taken: FloatArray
@@ -131,8 +140,8 @@ class _Plant:
         near_q[begin], near_v[begin] = self.start.q[begin], self.start.v[begin]
         if len(parts) > 1 and whole.start not in self.alone:
             laws = None if self.laws is None else replace(self.laws, first=here.start)
-            found = simulate(self.problem.mechanism, self.beta, near_q[whole.start], near_v[whole.start], self.u[whole],
-                             c.dt, c.hold, (near_q[whole], near_v[whole]), taken[:, :, here], laws,
+            found = simulate(self.mechanism, self.all_beta, near_q[whole.start], near_v[whole.start], self.u[whole],
+                             c.dt, c.hold, (near_q[whole], near_v[whole]), self.all_taken(taken[:, :, here]), laws,
                              begin[1:] - whole.start)
             if self.is_kept(found[0], whole):
                 return found[0], found[1]
@@ -142,6 +151,10 @@ class _Plant:
             each = [e if self.is_kept(e[0], p) else (near_q[p.start] + np.zeros_like(e[0]), np.zeros_like(e[1]))
                     for p, e in zip(parts, each)]
         return np.concatenate([e[0] for e in each]), np.concatenate([e[1] for e in each])
+
+    def all_taken(self, taken: FloatArray) -> FloatArray:
+        """`taken` (n, 2, K) with a row for each body."""
+        return np.pad(taken, [(0, self.mechanism.n - len(taken)), (0, 0), (0, 0)])
 
     def is_kept(self, q: FloatArray, where: slice) -> bool:
         """Whether a simulated motion stays near the fitted one, as far as a simulation can be off and say anything."""
@@ -157,8 +170,8 @@ class _Plant:
         motion is beyond bounds."""
         with np.errstate(all="ignore"):
             view = self.view(q, v, samples)
-            gauss, at_samples, _ = added(self.memory, view)
-            return gauss, at_samples if len(self.memory) == len(self.pairs) else added(self.pairs, view)[1]
+            gauss = added(self.memory, view)[0]
+            return gauss, added(self.pairs, view)[1]
 
     def at_samples(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """(n, N) what all effects take at the samples of a motion: their torque changes accelerations that they feel"""
@@ -178,25 +191,21 @@ _Run = tuple[FloatArray, FloatArray, FloatArray]
 """q, v (N, n), and what effects take at the samples (n, N)"""
 
 
-def _relaxed(plant: _Plant, depth: int, parts: Sequence[slice]) -> _Run | None:
-    """All parts, effects with a memory by fixed-point iteration; None where it diverges.
-
-    With `depth` steps mixed by Anderson's method, which settles where an effect feels itself with a gain above one
-    (a base near its resonance); laws with a sign are better off without.
-    """
+def _relaxed(plant: _Plant, parts: Sequence[slice]) -> _Run | None:
+    """All parts, effects with a memory by fixed-point iteration; None where it diverges."""
     problem = plant.problem
     q, v = plant.start.q.copy(), plant.start.v.copy()
     edge = problem.n * 2 * problem.left.size
     taken = np.zeros(edge + problem.n * problem.total)
     stretches = [[p for p in parts if begin <= p.start < end]
                  for begin, end in zip([0, *problem.ends[:-1]], problem.ends)]
-    mixer, share, before = Anderson(depth), 1.0, np.inf
+    share, before = 1.0, np.inf
     for k in range(PASSES):
         if plant.memory:
             wanted = np.concatenate([x.ravel() for x in plant.remembered(q, v, taken[edge:].reshape(problem.n, -1))])
             if not np.isfinite(wanted).all():
                 return None
-            taken = mixer.next(taken, wanted) if depth else taken + share * (wanted - taken)
+            taken = taken + share * (wanted - taken)
         next_q, next_v = np.empty_like(q), np.empty_like(v)
         for stretch in stretches:
             where = slice(stretch[0].start, stretch[-1].stop)
@@ -207,7 +216,7 @@ def _relaxed(plant: _Plant, depth: int, parts: Sequence[slice]) -> _Run | None:
         q, v = next_q, next_v
         if not plant.memory or moved < SETTLED_RAD:
             return q, v, plant.at_samples(q, v)
-        if not depth and k >= HOPELESS and moved > LOOSE_RAD:
+        if k >= HOPELESS and moved > LOOSE_RAD:
             return None
         share = _calmed(share, moved, before)
         before = moved
@@ -218,24 +227,20 @@ def _marched(plant: _Plant, parts: Sequence[slice]) -> _Run | None:
     """As `_relaxed`, one short window after the other: effects are causal.
 
     What grows with the motion feeds back over a whole record more than over a window. So a window in which steps do not
-    settle is halved. Steps are mixed, until in a window no longer than a plain one that does not settle either: a law
-    with a sign.
+    settle is halved.
     """
     problem = plant.problem
     q, v = plant.start.q.copy(), plant.start.v.copy()
     samples = np.zeros((problem.n, problem.total))
-    plain, longest = (max(2, round(s / problem.collocation.dt)) for s in (WINDOW_S, MIXED_WINDOW_S))
-    depth = DEPTH
+    longest = max(2, round(WINDOW_S / problem.collocation.dt))
     for part in parts:
         start, step = part.start, longest
         while start < part.stop - 1:
             window = slice(start, min(start + step, part.stop - 1) + 1)
-            found = _window(plant, window, (q, v, samples), depth)
+            found = _window(plant, window, (q, v, samples))
             if found is not None:
                 q, v, samples = found
                 start, step = window.stop - 1, min(2 * step, longest)
-            elif depth and step <= plain:
-                depth, step, longest = 0, plain, plain
             elif step > 1:
                 step //= 2
             else:
@@ -243,24 +248,16 @@ def _marched(plant: _Plant, parts: Sequence[slice]) -> _Run | None:
     return q, v, plant.at_samples(q, v)
 
 
-def _window(plant: _Plant, where: slice, before: _Run, depth: int) -> _Run | None:
-    """`before` with the motion in `where` simulated from its first sample; None where that does not settle.
-
-    With `depth` steps mixed as in `_relaxed`.
-    """
+def _window(plant: _Plant, where: slice, before: _Run) -> _Run | None:
+    """`before` with the motion in `where` simulated from its first sample; None where that does not settle."""
     q, v, samples = (x.copy() for x in before)
-    n, here = plant.problem.n, plant.intervals(where)
-    taken = np.zeros((n, 2, plant.problem.left.size))
-    edge = taken[:, :, here].size
-    now = np.concatenate([np.zeros(edge), samples[:, where].ravel()])
-    mixer, share, last = Anderson(depth), 1.0, np.inf
+    taken, share, last = np.zeros((plant.problem.n, 2, plant.problem.left.size)), 1.0, np.inf
     for _ in range(WINDOW_PASSES):
         gauss, new = plant.remembered(q, v, samples)
-        wanted = np.concatenate([gauss[:, :, here].ravel(), new[:, where].ravel()])
-        if not np.isfinite(wanted).all():
+        taken += share * (gauss - taken)
+        samples[:, where] += share * (new - samples)[:, where]
+        if not (np.isfinite(taken[:, :, plant.intervals(where)]).all() and np.isfinite(samples[:, where]).all()):
             return None
-        now = mixer.next(now, wanted) if depth else now + share * (wanted - now)
-        taken[:, :, here], samples[:, where] = now[:edge].reshape(n, 2, -1), now[edge:].reshape(n, -1)
         next_q, next_v = plant.run(where, q, v, (q[where.start], v[where.start]), taken)
         if not np.isfinite(next_q).all():
             return None
@@ -276,21 +273,3 @@ def _window(plant: _Plant, where: slice, before: _Run, depth: int) -> _Run | Non
 def _calmed(share: float, moved: float, before: float) -> float:
     """Share of the next step: less where this one was hardly smaller than the one before."""
     return max(0.2, 0.7 * share) if moved > 0.9 * before else share
-
-
-class Anderson:
-    """Anderson's mixing for x = g(x): the next x from the last `depth` steps (Walker and Ni 2011, type II)."""
-
-    def __init__(self, depth: int) -> None:
-        self.depth = depth
-        self.points: list[FloatArray] = []
-        self.errors: list[FloatArray] = []
-
-    def next(self, x: FloatArray, wanted: FloatArray) -> FloatArray:
-        """x to evaluate next, after g(x) came out as `wanted`."""
-        self.points, self.errors = [*self.points, x][-self.depth:], [*self.errors, wanted - x][-self.depth:]
-        steps, errors = np.diff(self.points, axis=0), np.diff(self.errors, axis=0)
-        if not len(steps):
-            return wanted
-        weights = np.linalg.lstsq(errors.T, self.errors[-1], rcond=1e-8)[0]
-        return np.asarray(wanted - weights @ (steps + errors))
