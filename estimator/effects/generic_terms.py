@@ -53,6 +53,8 @@ READINGS: dict[str, Reading] = {
     "v1^2": lambda v: v.samples.v[0] ** 2, "u": lambda v: v.samples.u[-1], "q2": lambda v: v.samples.q[-1],
     "v2": lambda v: v.samples.v[-1], "a2": lambda v: v.samples.a[-1], "u^2": lambda v: v.samples.u[-1] ** 2,
     "q1^2": lambda v: v.samples.q[0] ** 2, "time": lambda v: v.samples.time_s,
+    "sign v1": lambda v: v.samples.sign[0], "v1^3": lambda v: v.samples.v[0] ** 3,
+    "|q2|": lambda v: np.abs(v.samples.q[-1]), "q2^3": lambda v: v.samples.q[-1] ** 3,
 }
 
 

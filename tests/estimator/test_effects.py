@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from daq import FloatArray
 from estimator import FitError
 from estimator.effects import Perturbation, library
+from estimator.effects.generic_terms import READINGS
 from estimator.effects.structure import EndStopContact
-from estimator.model import chain
+from estimator.model import chain, smooth_sign
 
 
 def test_a_reading_of_no_channel_is_refused_with_the_remedy() -> None:
@@ -31,3 +36,21 @@ def test_a_stop_begins_in_the_outer_half_of_the_range_and_is_touched(share: floa
     kept = stop.clipped(np.array([5.0, share]))
     assert stop.strict and bool(stop.at_limits(kept).any()) is not is_stop
     assert 0.49 < abs(kept[1]) < 1.0 and np.sign(kept[1]) == np.sign(share)
+
+
+@pytest.mark.parametrize(("bent", "own"), [
+    (lambda w: np.clip(w, -0.1, 0.1), "v"), (lambda w: 0.02 * w**3, "v"),
+    (lambda q: 0.05 * np.abs(q - 0.2), "q"), (lambda q: 0.03 * q**3, "q")], ids=["dead band", "soft", "kink", "cubic"])
+def test_terms_without_a_name_follow_a_sensors_bent_curve(bent: Callable[[FloatArray], FloatArray], own: str) -> None:
+    """Of what scale and offset, which have names, leave of it they take half at least. (A gyro's dead band was named
+    for its scale.)"""
+    time, rng = np.arange(4000) / 100.0, np.random.default_rng(4)
+    phase, w = rng.uniform(0.0, 6.0, (2, 3, 1)), 2.0 * np.pi * np.array([[0.3], [0.7], [1.1]])
+    q = np.stack([(0.3 * np.sin(w * time + p)).sum(axis=0) for p in phase])
+    v, a = (np.gradient(x, 0.01, axis=1) for x in (q, np.gradient(q, 0.01, axis=1)))
+    view = SimpleNamespace(samples=SimpleNamespace(q=q, v=v, a=a, u=a, sign=smooth_sign(v, 0.05), time_s=time))
+    sensed = v[0] if own == "v" else q[1]
+    off, named = bent(sensed), np.column_stack([np.ones_like(sensed), sensed])
+    every = np.column_stack([named, *(law(view) for law in READINGS.values())])  # type: ignore[arg-type]
+    left, still = (off - columns @ np.linalg.lstsq(columns, off)[0] for columns in (named, every))
+    assert np.std(still) < 0.5 * np.std(left)
