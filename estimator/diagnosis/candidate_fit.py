@@ -87,7 +87,8 @@ def fit_held(context: DiagnosisContext, start: Start) -> Model | None:
 
 
 def fit_free(context: DiagnosisContext, held: Model) -> Model:
-    """`held` with its shapes free, as far as it has any or has not come to its end."""
+    """`held` with its shapes free, as far as it has any or has not come to its end; whole ones the likeliest."""
+    held = climb_whole(context, held)
     if held.state.converged and not any(e.shapes and not e.whole_shapes for e in held.effects):
         return held
     try:
@@ -99,6 +100,35 @@ def fit_free(context: DiagnosisContext, held: Model) -> Model:
         return found
     except (FitError, np.linalg.LinAlgError):
         return held
+
+
+def climb_whole(context: DiagnosisContext, model: Model) -> Model:
+    """`model`, or one likelier whose whole shapes are neighbours of its own in their grids, as far as that goes on.
+
+    The score that chose them is that of the nominal motion, which lacks the effect. (Measured: a ripple of order 7 was
+    fitted as one of order 8, which left 2.4 times what noise leaves.)
+    """
+    tried: set[tuple[int, int, float]] = set()
+    while True:
+        pairs, likeliest = list(zip(model.effects, model.sizes())), model
+        for k, (effect, size) in enumerate(pairs):
+            for i, shape in enumerate(effect.shapes if effect.whole_shapes else (), len(effect.sizes)):
+                grid = effect.tried(shape)
+                at = int(np.argmin(np.abs(np.array(grid) - size[i])))
+                tried.add((k, i, grid[at]))
+                for near in sorted({*grid[max(0, at - 1) : at + 2]} - {v for n, m, v in tried if (n, m) == (k, i)}):
+                    tried.add((k, i, near))
+                    moved = np.where(np.arange(size.size) < len(effect.sizes), 0.0, size)
+                    moved[i] = near
+                    try:
+                        found = refit(context.split, model, [*pairs[:k], (effect, moved), *pairs[k + 1 :]], HELD_STEPS,
+                                      hold_shapes=True)
+                    except (FitError, np.linalg.LinAlgError):
+                        continue
+                    likeliest = min(likeliest, found, key=deviance)
+        if likeliest is model:
+            return model
+        model = likeliest
 
 
 def weigh(context: DiagnosisContext, models: Sequence[Model], keep: Sequence[Model] = ()) -> list[Explanation]:

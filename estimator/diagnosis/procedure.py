@@ -114,7 +114,7 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     ranked = rank(context, tests)
     base = conclusion.base(split, nominal, refused, reference)
     base = replace(base, candidates=ranked, separability=separability(context, tests))
-    if not detected(context, tests) and not context.excess_noise(nominal):
+    if not detected(context, tests) and not context.excess_noise(nominal) and not context.hidden_motion(nominal):
         if context.noise_dominated:
             raise FitError(context.noise_dominated)
         error = nominal_error(context, rng)
@@ -240,7 +240,8 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
         return conclusion.unexplained(base, split, context.nominal, None,
                                       f"no simulation of the runs kept back can be carried through ({error})")
     if decision is None:
-        why = context.excess_noise(context.nominal) or context.noise_dominated
+        nominal = context.nominal
+        why = context.excess_noise(nominal) or context.hidden_motion(nominal) or context.noise_dominated
         return conclusion.unexplained(base, split, context.nominal, None, why) if why else \
             conclusion.nothing(base, split, context.nominal)
     base = replace(base, material=material, budget=budget(decision.table, decision.row, decision.without,
@@ -251,10 +252,11 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
     if decision.verdict in ("partial", "unexplained") and decision.terms is not None:
         base = replace(base, remainder=conclusion.remainder_of(decision.terms))
     best = decision.best[0] if decision.best else None
-    if decision.verdict == "none":
+    hidden = context.hidden_motion(best.model if best else context.nominal) if decision.verdict == "none" else ""
+    if decision.verdict == "none" and not hidden:
         return conclusion.nothing(base, split, context.nominal, best)
-    if decision.verdict == "unexplained" or best is None:
-        return conclusion.unexplained(base, split, context.nominal, best, decision.why, rng)
+    if decision.verdict in ("none", "unexplained") or best is None:
+        return conclusion.unexplained(base, split, context.nominal, best, hidden or decision.why, rng)
     if decision.more is not None:
         base = replace(base, immaterial=minor_causes(context, base, decision.more, best))
     p = chance_of(context, best, best.gain, best.model.effects)

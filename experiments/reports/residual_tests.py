@@ -7,6 +7,7 @@ P = sum over lags of the product of both autocorrelations. Bands hold 99 % of ea
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -66,12 +67,24 @@ def correlate(first: Sequence[FloatArray], second: Sequence[FloatArray], lags: F
     return np.asarray(total / max(np.sqrt(scale[0] * scale[1]), 1e-300))
 
 
-def autocorrelation(what: str, residuals: Sequence[FloatArray]) -> Correlation:
-    """Of residuals by stretch, at lags 1 to `LAGS`."""
-    lags = np.arange(1.0, LAGS + 1)
+def autocorrelation(what: str, residuals: Sequence[FloatArray], step: int = 1) -> Correlation:
+    """Of residuals by stretch, at lags 1 to `LAGS`, times `step`."""
+    lags = step * np.arange(1.0, LAGS + 1)
     count = sum(int(np.isfinite(e).sum()) for e in residuals)
     band = NormalDist().inv_cdf(0.5 + SHARE / 2) / count**0.5
     return Correlation(what, lags, correlate(residuals, residuals, lags), band)
+
+
+def torque_step(result: FitResult, j: int) -> int:
+    """Samples between residuals of the torque of joint `j`, from 0, that a right model leaves independent.
+
+    Where encoders alone show the motion, the estimated torque follows the fast part of its own noise, and what is left
+    is the slow part: of N samples as many are independent as the estimate leaves free, the share of its variance that
+    the residual has. (Measured on an exact leg at 200 Hz: a quarter, and neighbours correlate by 0.84.)
+    """
+    sigma = result.noise.get(f"torque{j + 1}_nm", result.noise.get("torque_nm", 0.0))
+    rms = float(np.sqrt(np.nanmean(np.square(np.concatenate(residuals_of(result)[f"torque {j + 1}"])))))
+    return max(1, math.ceil((sigma / rms) ** 2 - 0.5)) if 0.0 < rms < sigma < math.inf else 1
 
 
 def cross_correlation(what: str, residuals: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> Correlation:
@@ -136,7 +149,8 @@ def residual_tests(result: FitResult) -> tuple[list[Correlation], list[Correlati
     found = {name: e for name, e in residuals_of(result).items()
              if np.nanstd(np.concatenate(e)) > 1e-9 and min(map(len, e)) > 4 * LAGS}
     inputs = {j + 1: [path.tau_measured[:, j] for path in result.trajectories] for j in result.mechanism.actuated}
-    return ([autocorrelation(name, e) for name, e in found.items()],
+    steps = {f"torque {j + 1}": torque_step(result, j) for j in result.mechanism.actuated if f"torque {j + 1}" in found}
+    return ([autocorrelation(name, e, steps.get(name, 1)) for name, e in found.items()],
             [cross_correlation(f"{name} with the torque of joint {j}", e, u)
              for name, e in found.items() for j, u in inputs.items() if name != f"torque {j}"])
 

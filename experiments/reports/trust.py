@@ -16,7 +16,14 @@ from estimator import FitResult
 from estimator.model import VELOCITY_SCALE
 from experiments.models import GYRO_COLUMN, SHORT_S, MechanismSettings, Prediction
 from experiments.reports.html import Verdict
-from experiments.reports.residual_tests import STRONG, autocorrelation, fit_percent, residuals_of, torque_fit
+from experiments.reports.residual_tests import (
+    STRONG,
+    autocorrelation,
+    fit_percent,
+    residuals_of,
+    torque_fit,
+    torque_step,
+)
 from experiments.reports.run_agreement import disputed
 
 STRUCTURE = 0.3
@@ -109,9 +116,10 @@ def _impossible(result: FitResult) -> list[str]:
 
 
 def _structure(result: FitResult) -> dict[int, float]:
-    """Driven joint, from 1 -> largest correlation of its torque's residual at lags 1 to 25."""
+    """Driven joint, from 1 -> largest correlation of its torque's residual at 25 lags, apart as a right model leaves
+    them independent."""
     found = residuals_of(result)
-    return {j + 1: autocorrelation("", found[f"torque {j + 1}"]).largest
+    return {j + 1: autocorrelation("", found[f"torque {j + 1}"], torque_step(result, j)).largest
             for j in result.mechanism.actuated if f"torque {j + 1}" in found}
 
 

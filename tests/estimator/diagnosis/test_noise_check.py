@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator.diagnosis.noise_check import excess_noise, ratios
+from estimator.diagnosis.noise_check import excess_noise, hidden_motion, ratios
 from estimator.effects import Effect
 from estimator.effects.structure import Backlash
 from estimator.likelihood.noise import Noise
@@ -24,7 +24,8 @@ def ends(declared: dict[str, float], effects: tuple[Effect, ...] = (), **found: 
                   np.array([levels["accel"], levels.get("accel_y", levels["accel"])]))
     rng = np.random.default_rng(0)
     white = {name: rng.normal(0.0, level, 4000) for name, level in (("gyro", 0.005), ("ax", 0.05), ("ay", 0.05))}
-    problem = SimpleNamespace(has_encoder=np.array([False, True]), has_imu=True, **white)
+    shown = Noise(np.zeros(2), np.array([np.inf, 2e-4]))
+    problem = SimpleNamespace(has_encoder=np.array([False, True]), has_imu=True, shown=shown, **white)
     return (SimpleNamespace(known=declared, mechanism=leg2()),
             SimpleNamespace(problem=problem, state=SimpleNamespace(noise=noise), effects=effects))
 
@@ -62,3 +63,11 @@ def test_without_a_declared_level_neighbouring_samples_stand_in_and_torque_is_no
     assert set(ratios(*ends({}))) == {"gyro", "accelerometer's x axis", "accelerometer's y axis"}
     assert excess_noise(*ends({}, gyro=0.008, knee=1.0)) == ""
     assert "gyro" in excess_noise(*ends({}, gyro=0.02))
+
+
+@pytest.mark.parametrize("declared", [{}, DECLARED])
+def test_an_encoder_that_is_louder_than_its_neighbouring_samples_hides_motion(declared: dict[str, float]) -> None:
+    """A load that swings on the link was left to it, and the model called right."""
+    assert hidden_motion(*ends(declared, knee=1.0, pivot=1.0)) == ""
+    assert "encoder of joint 2 is 75.0 times" in hidden_motion(*ends(declared, encoder=0.015))
+    assert "gyro is 4.0 times" in hidden_motion(*ends(declared, gyro=0.02))

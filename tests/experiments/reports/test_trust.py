@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from daq.rig import load_rig
-from estimator import Combination
+from estimator import Combination, FitOptions, fit
+from estimator.model import leg2
 from experiments import cli
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.hidden_effects import EFFECTS, NOTHING
@@ -26,10 +27,17 @@ from experiments.reports.comparison import (
     comparison_trust,
 )
 from experiments.reports.html import render_page
-from experiments.reports.residual_tests import autocorrelation, cross_correlation, fit_percent
+from experiments.reports.residual_tests import (
+    autocorrelation,
+    cross_correlation,
+    fit_percent,
+    residuals_of,
+    torque_step,
+)
 from experiments.reports.trust import fit_trust, validation_trust
 from experiments.workflows.compare import _error
 from tests.support.fits import synthetic_fit
+from tests.support.mujoco_leg import Leg, record
 from tests.support.paths import DEMO_RIG as RIG
 
 
@@ -58,6 +66,20 @@ def fits(folder: Path) -> dict[str, str]:
 def test_a_spring_that_nobody_told_of_is_doubted_and_a_plain_leg_trusted(fits: dict[str, str]) -> None:
     assert fits["none"] == "TRUST the parameters within their intervals, and the model's torque."
     assert fits["joint_stiffness"].startswith("DO NOT TRUST the parameters: the torque left over at joint 2")
+
+
+def test_a_leg_with_two_encoders_is_trusted_too() -> None:
+    """What it leaves over of the torque is slow by itself: a correlation of 0.8 was called structure."""
+    rng = np.random.default_rng(11)
+    said = {}
+    for stiffness in (0.0, 0.15):
+        runs = [record(Leg(coulomb=(0.0, 0.0)), rng, rate_hz=200.0, seconds=8.0, torque=0.01, counts=2**15,
+                       spring=(stiffness, 0.3)) for _ in range(2)]
+        said[stiffness] = fit(runs, leg2(), FitOptions(sensors="encoder", hold="auto"))
+    exact = said[0.0]
+    assert autocorrelation("", residuals_of(exact)["torque 2"]).largest > 0.5 and torque_step(exact, 1) > 2
+    assert fit_trust(exact).sentence.startswith("TRUST the parameters")
+    assert fit_trust(said[0.15]).sentence.startswith("DO NOT TRUST")
 
 
 def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
