@@ -259,13 +259,19 @@ def nothing(found: Diagnosis, split: RunSplit, nominal: Model, small: Explanatio
         told = " with ".join(label(c.effect, c.joint) for c in immaterial)
         sentence = (f"Nothing that matters beyond noise: {told} is there, but the rms error of free runs does not fall "
                     f"for sure by {100 * found.material:.0f} % with it")
+    called = "None is called for"
     if found.error is not None and found.error[0] > 1.0 / (1.0 - found.material):
+        before, after = found.error
+        lower = bool(immaterial) and after < before * (1.0 - found.material)
+        why = ("and nothing that was tried lowers that: a disturbance with memory adds up so, or a cause that resembles "
+               "none of the terms tried" if not lower else
+               f"{after:.1f} with what is there below what matters: these runs leave open whether that is chance")
         found = replace(found, warnings=(*found.warnings, (
-            f"free runs err {found.error[0]:.1f} times what white noise alone leaves, and nothing that was tried "
-            "lowers that: a disturbance with memory adds up so, or a cause that resembles none of the terms tried")))
+            f"free runs err {before:.1f} times what white noise alone leaves, {why}")))
+        called = "None is called for where that error does not matter"
     return replace(found, verdict="none", sentence=sentence + ".", immaterial=immaterial,
-                   next_experiment="None is called for. To look for smaller effects, record more runs like these: the "
-                   "smallest detectable sizes fall with the square root of their number.")
+                   next_experiment=f"{called}. To look for smaller effects, record more runs like these: the smallest "
+                   "detectable sizes fall with the square root of their number.")
 
 
 def unexplained(found: Diagnosis, split: RunSplit, nominal: Model, best: Explanation | None, why: str,
