@@ -263,8 +263,8 @@ def nothing(found: Diagnosis, split: RunSplit, nominal: Model, small: Explanatio
     if found.error is not None and found.error[0] > 1.0 / (1.0 - found.material):
         before, after = found.error
         lower = bool(immaterial) and after < before * (1.0 - found.material)
-        why = ("and nothing that was tried lowers that: a disturbance with memory adds up so, or a cause that resembles "
-               "none of the terms tried" if not lower else
+        why = ("and nothing that was tried lowers that: a disturbance with memory adds up so, or a cause that "
+               "resembles none of the terms tried" if not lower else
                f"{after:.1f} with what is there below what matters: these runs leave open whether that is chance")
         found = replace(found, warnings=(*found.warnings, (
             f"free runs err {before:.1f} times what white noise alone leaves, {why}")))
