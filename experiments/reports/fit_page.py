@@ -192,13 +192,15 @@ def _residuals(result: FitResult) -> list[Section]:
                              "residual is white.") for c in (force or auto)]
     pictures += [_correlation(c, f"Cross-correlation of {c.what}; at positive lags with the torque's past. The band "
                               "holds 99 % of it if they are independent.") for c in _leading(cross)]
+    apart = "".join(f"; of {c.what} at every {c.lags[0]:.0f}th, for nearer ones correlate on a right model, too"
+                    for c in auto if c.lags[0] > 1)
     return [Section(
         "Residuals: white, and independent of the input?",
-        [f"Measured less estimated, at lags up to {LAGS} samples. One lag in a hundred lies outside its 99 % band by "
-         "chance. The motion is estimated from the same sensors, which colours small residuals a little; what counts "
-         "is the torque of driven joints, and a sensor beyond four lags: a large correlation there is something that "
-         "the model lacks. The equation of a passive joint has no sensor of its own, and its residual follows its "
-         "neighbours'."],
+        [f"Measured less estimated, at lags up to {LAGS} samples{apart}. One lag in a hundred lies outside its "
+         "99 % band by chance. The motion is estimated from the same sensors, which colours small residuals a little; "
+         "what counts is the torque of driven joints, and a sensor beyond four lags: a large correlation there is "
+         "something that the model lacks. The equation of a passive joint has no sensor of its own, and its residual "
+         "follows its neighbours'."],
         [Table(["residual", "lags outside 99 %", "largest", "99 % band, +-"], rows, right=frozenset({1, 2, 3}))],
         pictures)]
 

@@ -22,10 +22,11 @@ PATIENCE_S = 60.0
 
 
 def start_python(*arguments: str, cwd: Path = ROOT) -> subprocess.Popen:
-    """In a session of its own, by whose number everything that it starts is found again; it hears Ctrl-C also where
-    these tests run in the background of a script, which does not."""
+    """In a session of its own, by whose number everything that it starts is found again; it hears Ctrl-C and a
+    terminal that closes also where these tests run in the background of a script, or under nohup, which do not."""
     def hear() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
     return subprocess.Popen([sys.executable, *arguments], cwd=cwd, start_new_session=True, text=True, preexec_fn=hear,
