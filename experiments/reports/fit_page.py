@@ -192,7 +192,7 @@ def _residuals(result: FitResult) -> list[Section]:
                              "residual is white.") for c in (force or auto)]
     pictures += [_correlation(c, f"Cross-correlation of {c.what}; at positive lags with the torque's past. The band "
                               "holds 99 % of it if they are independent.") for c in _leading(cross)]
-    apart = "".join(f"; of {c.what} at every {c.lags[0]:.0f}th, for nearer ones correlate on a right model, too"
+    apart = "".join(f"; of {c.what} at multiples of {c.lags[0]:.0f}, for nearer ones correlate on a right model, too"
                     for c in auto if c.lags[0] > 1)
     return [Section(
         "Residuals: white, and independent of the input?",
