@@ -26,7 +26,7 @@ SHARE = 0.2
 
 def ratios(split: RunSplit, model: Model) -> dict[str, tuple[float, float]]:
     """Channel in words to (noise found over its level, most it may be); no undeclared torques nor encoders."""
-    known, problem, noise = split.known, model.problem, model.state.noise
+    known, noise = split.known, model.state.noise
     out: dict[str, tuple[float, float]] = {}
     driven = [torque_level(known, j, True) for j in split.mechanism.actuated]
     for j, level in enumerate(noise.torque):
@@ -35,10 +35,19 @@ def ratios(split: RunSplit, model: Model) -> dict[str, tuple[float, float]]:
             declared = max((d for d in driven if d is not None), default=None)
         if declared is not None:
             out[f"torque at joint {j + 1}"] = float(level) / declared, TORQUE
+    return out | motion_ratios(split, model)
+
+
+def motion_ratios(split: RunSplit, model: Model, undeclared: bool = False) -> dict[str, tuple[float, float]]:
+    """`ratios` of encoders and IMU; `undeclared` encoders by what their neighbouring samples show."""
+    known, problem, noise = split.known, model.problem, model.state.noise
+    out: dict[str, tuple[float, float]] = {}
     for j in map(int, np.flatnonzero(problem.has_encoder)):
-        declared = encoder_level(known, j)
+        level, declared = float(noise.encoder[j]), encoder_level(known, j)
         if declared:
-            out[f"encoder of joint {j + 1}"] = float(noise.encoder[j]) / declared, SENSOR
+            out[f"encoder of joint {j + 1}"] = level / declared, SENSOR
+        elif undeclared:
+            out[f"encoder of joint {j + 1}"] = level / max(1e-12, float(problem.shown.encoder[j])), UNDECLARED
     if problem.has_imu:
         seen = [("gyro", noise.gyro, problem.gyro, known.get("gyro_radps"))]
         seen += [(f"accelerometer's {axis} axis", noise.accel[i], readings, accel_level(known, i))
@@ -72,11 +81,7 @@ def hidden_motion(split: RunSplit, model: Model) -> str:
     on healthy legs, too. (Measured: a load that swings on the link left 29 mrad to an encoder good to 0.4, and free
     runs erred 0.95 times as much as that noise alone; on 50 other legs the share is 0.7 to 1.7, with a soft gear 12.)
     """
-    problem, level = model.problem, model.state.noise.encoder
-    shown = problem.shown.encoder
-    found = {name: pair for name, pair in ratios(split, model).items() if not name.startswith("torque")}
-    for j in map(int, np.flatnonzero(problem.has_encoder)):
-        found.setdefault(f"encoder of joint {j + 1}", (float(level[j]) / max(1e-12, float(shown[j])), UNDECLARED))
+    found = motion_ratios(split, model, undeclared=True)
     name, (ratio, limit) = max(found.items(), key=lambda f: f[1][0] / f[1][1], default=("", (0.0, 1.0)))
     return f"what is left in the {name} is {ratio:.1f} times its noise" if ratio > limit else ""
 

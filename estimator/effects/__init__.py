@@ -2,6 +2,7 @@
 
 from estimator.effects.base import (
     Axis,
+    BodyEffect,
     Effect,
     Perturbation,
     PlanKind,
@@ -19,7 +20,7 @@ from estimator.effects.registry import CLASSES, ENTRY_POINT, UNTESTABLE, classes
 from estimator.effects.timing import SensorTimeSkew
 
 __all__ = [
-    "CLASSES", "ENTRY_POINT", "UNTESTABLE", "AnonymousReading", "AnonymousTorque", "Axis", "Effect", "Laws",
-    "Perturbation", "PlanKind", "Points", "Record", "SensorEffect", "SensorTimeSkew", "Shape", "Size", "TorqueEffect",
-    "View", "battery", "by_motion", "classes", "library"
+    "CLASSES", "ENTRY_POINT", "UNTESTABLE", "AnonymousReading", "AnonymousTorque", "Axis", "BodyEffect", "Effect",
+    "Laws", "Perturbation", "PlanKind", "Points", "Record", "SensorEffect", "SensorTimeSkew", "Shape", "Size",
+    "TorqueEffect", "View", "battery", "by_motion", "classes", "library"
 ]

@@ -164,8 +164,6 @@ class Effect(ABC):
     """Effects of one such group cannot be told apart by small differences: these stem from what no model has right."""
     instant: ClassVar[bool] = False
     """The torque that it adds in a simulation is `law` alone."""
-    embodied: ClassVar[bool] = False
-    """What it adds in a simulation is a body more (`body`): through the motion before, it would feel itself."""
     family: ClassVar[str] = ""
     """Laws of one such group at one joint may differ by form alone: what one leaves to another is no second cause."""
     distinguishing_size: ClassVar[int | None] = None
@@ -251,14 +249,6 @@ class Effect(ABC):
         """(...) torque on its own joint [N m] by the motion at the same instant; nil where there is none."""
         return np.zeros_like(at.time_s)
 
-    def body(self, mechanism: Mechanism, beta: FloatArray, size: FloatArray) -> tuple[Mechanism, FloatArray]:
-        """The mechanism with a joint more, the last one, and its parameters."""
-        raise NotImplementedError
-
-    def body_motion(self, view: View, size: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(N,) angle and rate of that joint beside the motion in `view`."""
-        raise NotImplementedError
-
     def by_torque(self, view: View, size: FloatArray) -> Mapping[Channel, FloatArray]:
         """Encoder or torque channel to the derivative (N,) of what it adds there by its joint's torque latent; else
         lagged."""
@@ -305,3 +295,15 @@ class SensorEffect(Effect):
 
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         return Perturbation(readings=self.readings(view, size))
+
+
+class BodyEffect(Effect):
+    """A body more, which a simulation moves with the others: through the motion before, it would feel itself."""
+
+    @abstractmethod
+    def body(self, mechanism: Mechanism, beta: FloatArray, size: FloatArray) -> tuple[Mechanism, FloatArray]:
+        """The mechanism with a joint more, the last one, and its parameters."""
+
+    @abstractmethod
+    def body_motion(self, view: View, size: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(N,) angle and rate of that joint beside the motion in `view`."""

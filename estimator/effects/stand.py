@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects.base import Effect, Perturbation, Shape, Size, View
+from estimator.effects.base import BodyEffect, Perturbation, Shape, Size, View
 from estimator.model import Mechanism, Parameter
 from estimator.signals import ACCEL_X, ACCEL_Y, GYRO
 
@@ -20,7 +20,7 @@ SECOND, FIRST, NONE = np.array([1.0, -2.0, 1.0]), np.array([1.0, 0.0, -1.0]), np
 (Oppenheim and Schafer, section 7.2)."""
 
 
-class BaseCompliance(Effect):
+class BaseCompliance(BodyEffect):
     """The stand yields sideways: x of M x'' + D x' + K x = -p', p = g1 cos th1 th1' + g2 cos th2 th2'.
 
     Its acceleration enters all equations of motion, g_i cos th_i x'' at link i, and the accelerometer. 1/M is the size,
@@ -31,7 +31,6 @@ class BaseCompliance(Effect):
 
     name = "base_compliance"
     positive = 1
-    embodied = True
     sizes = (Size("mobility", "1/kg", 0.01),)
     shapes = (Shape("frequency", "Hz", (1.5, 2.0, 2.7, 3.6, 4.9, 6.6, 9.0, 12.0, 16.0, 20.0)),
               Shape("damping_ratio", "1", (0.1,)))

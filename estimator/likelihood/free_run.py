@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects import Laws, SensorEffect, View
+from estimator.effects import BodyEffect, Laws, SensorEffect, View
 from estimator.likelihood.extended_likelihood import ExtendedProblem, added
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
@@ -96,8 +96,7 @@ class _Plant:
         self.problem, self.start, self.u = problem, state.x, u
         self.beta, sizes = problem.simulated(state.beta)
         self.pairs = list(zip(problem.effects, sizes))
-        self.memory = [p for p in self.pairs if not isinstance(p[0], SensorEffect)
-                       and not p[0].instant and not p[0].embodied]
+        self.memory = [p for p in self.pairs if not p[0].instant and not isinstance(p[0], SensorEffect | BodyEffect)]
         """Effects whose torque depends on the motion before: found by iteration, the others by Newton's method."""
         self.or_still = or_still and not self.memory  # an iteration in which a piece is lost leads nowhere
         self.alone: set[int] = set()
@@ -106,7 +105,7 @@ class _Plant:
         self.mechanism, self.all_beta = problem.mechanism, self.beta
         """Those of the simulation: with what effects add as bodies; motions (N, n) have their columns, too."""
         for effect, size in self.pairs:
-            if effect.embodied:
+            if isinstance(effect, BodyEffect):
                 self.mechanism, self.all_beta = effect.body(self.mechanism, self.all_beta, size)
                 q, v = effect.body_motion(view, size)
                 self.start = Latents(np.column_stack([self.start.q, q]), np.column_stack([self.start.v, v]),

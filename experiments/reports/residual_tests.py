@@ -75,15 +75,19 @@ def autocorrelation(what: str, residuals: Sequence[FloatArray], step: int = 1) -
     return Correlation(what, lags, correlate(residuals, residuals, lags), band)
 
 
-def torque_step(result: FitResult, j: int) -> int:
+def torque_level(result: FitResult, j: int, otherwise: float) -> float:
+    """Noise [N m] of the measured torque of joint `j`, from 0; `otherwise` where the method has none."""
+    return result.noise.get(f"torque{j + 1}_nm", result.noise.get("torque_nm", otherwise))
+
+
+def torque_step(result: FitResult, j: int, residuals: Sequence[FloatArray]) -> int:
     """Samples between residuals of the torque of joint `j`, from 0, that a right model leaves independent.
 
     Where encoders alone show the motion, the estimated torque follows the fast part of its own noise, and what is left
     is the slow part: of N samples as many are independent as the estimate leaves free, the share of its variance that
     the residual has. (Measured on an exact leg at 200 Hz: a quarter, and neighbours correlate by 0.84.)
     """
-    sigma = result.noise.get(f"torque{j + 1}_nm", result.noise.get("torque_nm", 0.0))
-    rms = float(np.sqrt(np.nanmean(np.square(np.concatenate(residuals_of(result)[f"torque {j + 1}"])))))
+    sigma, rms = torque_level(result, j, 0.0), float(np.sqrt(np.nanmean(np.square(np.concatenate(residuals)))))
     return max(1, math.ceil((sigma / rms) ** 2 - 0.5)) if 0.0 < rms < sigma < math.inf else 1
 
 
@@ -102,8 +106,7 @@ def open_torque(result: FitResult, path: Trajectory, j: int) -> NDArray[np.bool_
     model says nothing of the torque there, and what is left over does not judge it."""
     m, found = result.mechanism, np.zeros(len(path.time_s), bool)
     rms = float(result.torque_residual_rms[j])
-    sigma = result.noise.get(f"torque{j + 1}_nm", result.noise.get("torque_nm", rms)) if j in m.actuated else (
-        result.noise.get("passive_joint_nm", rms))
+    sigma = torque_level(result, j, rms) if j in m.actuated else result.noise.get("passive_joint_nm", rms)
     for p, level in zip(m.parameters, result.beta):
         if p.term == "coulomb" and p.at[0] == j and result.method == "mle":
             found |= held_variance(path.qd[:, j], float(level), float(m.velocity_scales[j])) > sigma**2
@@ -149,7 +152,8 @@ def residual_tests(result: FitResult) -> tuple[list[Correlation], list[Correlati
     found = {name: e for name, e in residuals_of(result).items()
              if np.nanstd(np.concatenate(e)) > 1e-9 and min(map(len, e)) > 4 * LAGS}
     inputs = {j + 1: [path.tau_measured[:, j] for path in result.trajectories] for j in result.mechanism.actuated}
-    steps = {f"torque {j + 1}": torque_step(result, j) for j in result.mechanism.actuated if f"torque {j + 1}" in found}
+    steps = {name: torque_step(result, j, found[name]) for j in result.mechanism.actuated
+             if (name := f"torque {j + 1}") in found}
     return ([autocorrelation(name, e, steps.get(name, 1)) for name, e in found.items()],
             [cross_correlation(f"{name} with the torque of joint {j}", e, u)
              for name, e in found.items() for j, u in inputs.items() if name != f"torque {j}"])

@@ -119,8 +119,8 @@ def _structure(result: FitResult) -> dict[int, float]:
     """Driven joint, from 1 -> largest correlation of its torque's residual at 25 lags, apart as a right model leaves
     them independent."""
     found = residuals_of(result)
-    return {j + 1: autocorrelation("", found[f"torque {j + 1}"], torque_step(result, j)).largest
-            for j in result.mechanism.actuated if f"torque {j + 1}" in found}
+    return {j + 1: autocorrelation(name, found[name], torque_step(result, j, found[name])).largest
+            for j in result.mechanism.actuated if (name := f"torque {j + 1}") in found}
 
 
 def _sensor_doubts(result: FitResult) -> list[str]:

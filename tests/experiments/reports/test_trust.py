@@ -77,7 +77,8 @@ def test_a_leg_with_two_encoders_is_trusted_too() -> None:
                        spring=(stiffness, 0.3)) for _ in range(2)]
         said[stiffness] = fit(runs, leg2(), FitOptions(sensors="encoder", hold="auto"))
     exact = said[0.0]
-    assert autocorrelation("", residuals_of(exact)["torque 2"]).largest > 0.5 and torque_step(exact, 1) > 2
+    left = residuals_of(exact)["torque 2"]
+    assert autocorrelation("", left).largest > 0.5 and torque_step(exact, 1, left) > 2
     assert fit_trust(exact).sentence.startswith("TRUST the parameters")
     assert fit_trust(said[0.15]).sentence.startswith("DO NOT TRUST")
 
