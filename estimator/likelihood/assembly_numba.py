@@ -13,7 +13,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
-from estimator.model import Collocation, Motion, Samples
+from estimator.model import Collocation, Samples, invert
 from estimator.numerics import Kernel, at, padded
 from estimator.signals import ACCEL_X, ACCEL_Y
 
@@ -59,21 +59,16 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
     m, n, count = c.mechanism, c.mechanism.n, here.stop - here.start
     q, v, u = (np.ascontiguousarray(a[here].T)[:, None] for a in (x.q, x.v, x.u))
     transposed, columns = c.fast.transposed(q), np.zeros((2, 0, count))
-    at_rest = Motion(q, v, np.zeros_like(q), v, v)
-    z, own = c.fast(*at_rest, beta, transposed)
-    excess = u[:, 0] - (beta @ z.reshape(len(beta), -1)).reshape(n, count)
-    if extra is not None:
-        excess -= extra.torque_at_samples[:, here]
-    qdd, inverse = np.empty((n, 1, count)), np.empty((n, n, count))
-    _accelerations(n)(own[:, 0], excess, qdd[:, 0], inverse, np.empty((n, n)))
-    z, own = c.fast(*at_rest._replace(accel=qdd), beta, transposed)
+    torque = u[:, 0] if extra is None else u[:, 0] - extra.torque_at_samples[:, here]
+    qdd, inverse = c.fast.accelerate(q, v, torque, beta, transposed)
+    z, own = c.fast(q, v, qdd, v, v, beta, transposed)
     q1dd, shown = qdd[0, 0], measured[:, here].copy()
     if extra is not None:
         z = np.concatenate([z, extra.sample_columns[:, :, None, here]])
         columns = np.zeros((2, len(extra.sample_columns), count))
         if extra.sample_slopes is not None:
             own[:, 0] += extra.sample_slopes[..., here]
-            _accelerations(n)(own[:, 0], excess, np.empty_like(excess), inverse, np.empty((n, n)))
+            inverse = invert(own[:, 0])
         for axis, channel in enumerate((ACCEL_X, ACCEL_Y)):
             if channel in extra.readings:
                 shown[axis] -= extra.readings[channel][here]
@@ -176,40 +171,6 @@ def _intervals(n: int, fixed: int) -> Kernel:
                         rows[at(k + 1), i, c] = t
 
     return Kernel(run, "f4 f5 f3 f2 i1 f3 f2 f2 n f3 f2 f1 f3 f2 f2")
-
-
-@cache
-def _accelerations(n: int) -> Kernel:
-    """The kernel that solves the equation of motion of n joints at N samples for the accelerations.
-
-    From slopes (n, 5, n, N) by the features of the motion, whose third is the inertia matrix, and excess (n, N) torque
-    it makes qdd (n, N) and inverse (n, n, N) of the inertia matrix. Without pivoting: that matrix is definite.
-    """
-
-    def run(slopes: Any, excess: Any, qdd: Any, inverse: Any, a: Any) -> None:
-        for w in range(excess.shape[1]):
-            for i in range(n):
-                for j in range(n):
-                    a[i, j] = slopes[i, 2, j, w]
-            for k in range(n):
-                pivot = 1.0 / a[k, k]
-                a[k, k] = 1.0
-                for j in range(n):
-                    a[k, j] *= pivot
-                for i in range(n):
-                    if i != k:
-                        f = a[i, k]
-                        a[i, k] = 0.0
-                        for j in range(n):
-                            a[i, j] -= f * a[k, j]
-            for i in range(n):
-                t = 0.0
-                for j in range(n):
-                    inverse[i, j, w] = a[i, j]
-                    t += a[i, j] * excess[j, w]
-                qdd[i, w] = t
-
-    return Kernel(run, "f4 f2 f2 f3 f2")
 
 
 @cache

@@ -86,16 +86,21 @@ class ExtendedProblem(LatentProblem):
 
     def view(self, x: Latents, beta: FloatArray, torque: FloatArray | None = None) -> View:
         """What effects see at (x, beta); `torque` (n, N) is what effects already take at the samples."""
+        return self._seen(x, beta, torque)[0]
+
+    def _seen(self, x: Latents, beta: FloatArray, torque: FloatArray | None = None) -> tuple[View, FloatArray]:
+        """As `view`; beside it the inverse of the inertia matrix at the samples (n, n, N)."""
         m, c, left = self.mechanism, self.collocation, self.left
         motion = c.motion(x.q, x.v, left)
         taken = x.u if torque is None else x.u - torque.T
-        qdd = m.forward_dynamics(x.q, x.v, taken, beta)
+        qdd, inverse = c.fast.forward_dynamics(x.q, x.v, taken, beta)
         sign = mean_sign(motion.rate_from, motion.rate_to, m.velocity_scales[:, None, None])[0]
         gauss = Points(motion.angle, motion.rate, motion.accel, c.torque(x.u, left), sign, *self._gauss_times)
-        samples = Points(x.q.T, x.v.T, qdd.T, x.u.T, smooth_sign(x.v.T, m.velocity_scales[:, None]), self._time,
+        samples = Points(x.q.T, x.v.T, qdd, x.u.T, smooth_sign(x.v.T, m.velocity_scales[:, None]), self._time,
                          self._session, self._run)
-        return View(m, beta, gauss, samples, left, (GAUSS[0], GAUSS[1]), self._starts, self.dt, self.stage.angle_range,
+        view = View(m, beta, gauss, samples, left, (GAUSS[0], GAUSS[1]), self._starts, self.dt, self.stage.angle_range,
                     self.stage.gear_ratio)
+        return view, inverse
 
     @cached_property
     def _gauss_times(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -148,18 +153,18 @@ class ExtendedProblem(LatentProblem):
         beta, sizes = self.split(parameters)
         pairs = list(zip(self.effects, sizes))
         n, count, total = self.n, self.left.size, self.total
-        free = replace(self.view(x, beta), measured=self._measured)
+        free, inverse = self._seen(x, beta)
+        free = replace(free, measured=self._measured)
         torque, at_samples, readings = added(pairs, free)
         view = free
         if at_samples.any():
-            inertia = self.mechanism.inertia_matrix(x.q, beta)
             for _ in range(PASSES - 1):  # what an effect takes changes the acceleration it feels
-                view, before = braked(free, inertia, at_samples), at_samples
+                view, before = braked(free, inverse, at_samples), at_samples
                 torque, at_samples, readings = added(pairs, view)
                 if np.array_equal(before, at_samples):
                     break
             else:
-                view = braked(free, inertia, at_samples)
+                view = braked(free, inverse, at_samples)
         derivatives: list[Perturbation] = []
         for effect, size in zip(self.effects, sizes):
             derivatives += slopes(effect, view, size)
@@ -238,9 +243,10 @@ class ExtendedProblem(LatentProblem):
                          for x in (*((large * s.prior) ** -2 for s in e.sizes), *(0.0 for _ in e.shapes))])
 
 
-def braked(view: View, inertia: FloatArray, torque: FloatArray) -> View:
-    """`view` of a motion whose `inertia` (N, n, n) effects brake by `torque` (n, N) at the samples."""
-    less = np.linalg.solve(inertia, torque.T[..., None])[..., 0].T
+def braked(view: View, inverse: FloatArray, torque: FloatArray) -> View:
+    """`view` of a motion that effects brake by `torque` (n, N) at the samples, where the inertia's `inverse` is (n, n,
+    N)."""
+    less = np.einsum("ijk,jk->ik", inverse, torque)
     return replace(view, samples=replace(view.samples, a=view.samples.a - less))
 
 

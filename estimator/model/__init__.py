@@ -3,10 +3,11 @@
 from estimator.model.collocation import GAUSS, HOLDS, Collocation, Samples, after
 from estimator.model.forward_simulation import simulate
 from estimator.model.mechanism import VELOCITY_SCALE, Mechanism, Parameter, biped3, chain, joint1, leg2
+from estimator.model.regressor_numba import invert
 from estimator.model.terms import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Motion, mean_sign, smooth_sign
 
 __all__ = [
     "ACCEL", "ANGLE", "GAUSS", "HOLDS", "RATE", "RATE_FROM", "RATE_TO", "VELOCITY_SCALE", "Collocation", "Mechanism",
-    "Motion", "Parameter", "Samples", "after", "biped3", "chain", "joint1", "leg2", "mean_sign", "simulate",
+    "Motion", "Parameter", "Samples", "after", "biped3", "chain", "invert", "joint1", "leg2", "mean_sign", "simulate",
     "smooth_sign"
 ]

@@ -1,9 +1,9 @@
 """Free-run simulation: the whole motion at once from the first state and the sampled torque.
 
 The equation of motion is collocated as in `estimator.model.collocation`, so a simulation and a fit mean the same by
-"the torque acts between samples". Newton's method on all samples together costs a few banded solves, linear in
-samples, and is implicit: the stiff rounded Coulomb sign needs no small step. Without a guess near the solution
-the motion is marched in windows.
+"the torque acts between samples". Newton's method on all samples together costs a few forward substitutions,
+linear in samples, and is implicit: the stiff rounded Coulomb sign needs no small step. Without a guess near the
+solution the motion is marched in windows.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.model.collocation import Collocation
 from estimator.model.mechanism import Mechanism
-from estimator.model.terms import Motion, Slope
+from estimator.model.terms import Motion
+from estimator.numerics import solve_bidiagonal
 
-_Terms = tuple[Motion, list[list[Slope]]]
+_Terms = tuple[Motion, FloatArray]
+"""Motion, and the derivatives of the torque that it needs by its features (n, 2, 5, n, K)"""
 WINDOW = 20
 """Samples a window when marching."""
 MAX_NEWTON = 40
@@ -48,7 +50,7 @@ def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatA
     simulations for the price of one; where they do not settle together all is NaN. From the sample on where no solution
     is found (the parameters are not those of a mechanism, or the motion leaves all bounds) it is NaN.
     """
-    n = tau.shape[0]
+    n, beta = tau.shape[0], np.ascontiguousarray(beta, dtype=np.float64)
     held = None if restarts is None else np.isin(np.arange(1, n), restarts)
     equation = _Equation(Collocation(mechanism, dt_s, hold), beta, tau, taken, law, held)
     q, v = np.full((n, mechanism.n), np.nan), np.full((n, mechanism.n), np.nan)
@@ -64,7 +66,7 @@ def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatA
     with np.errstate(invalid="ignore"):
         good = np.isfinite(q).all(axis=1)
         qdd = np.full_like(q, np.nan)
-        qdd[good] = mechanism.forward_dynamics(q[good], v[good], tau[good], beta)
+        qdd[good] = equation.collocation.fast.forward_dynamics(q[good], v[good], tau[good], beta)[0].T
     return q, v, qdd
 
 
@@ -95,8 +97,8 @@ class _Equation:
         """(n, 2, K) what is left of the equation at q, v (K + 1, n)."""
         c = self.collocation
         motion = c.motion(q, v, np.arange(len(q) - 1))
-        z, slopes = c.terms(motion)
-        left = np.tensordot(self.beta, c.to_joint(z), axes=1) - torque
+        z, slopes = c.fast(*motion, self.beta)
+        left = (self.beta @ z.reshape(len(self.beta), -1)).reshape(torque.shape) - torque
         if self.law is not None:
             left = left + self.law.torque(motion, where)
         if self.held is not None:
@@ -107,7 +109,7 @@ class _Equation:
         """(n, 2, 4, n, K) its derivatives by both ends of each interval."""
         motion, slopes = terms
         added = None if self.law is None else self.law.slopes(motion, where)
-        found = self.collocation.jacobian(slopes, self.beta, motion.angle.shape[1:], added)
+        found = self.collocation.by_ends(slopes, added)
         if self.held is not None:
             given = np.flatnonzero(self.held[where])
             found[..., given] = 0.0
@@ -144,7 +146,7 @@ def _march(equation: _Equation, q: FloatArray, v: FloatArray) -> None:
 
 def _newton(equation: _Equation, where: slice, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Solve the collocation equations with the first sample held; None where Newton does not settle."""
-    torque = equation.torque(where)
+    n, b, torque = q.shape[1], 2 * q.shape[1], equation.torque(where)
     scale = 1e-9 * (1.0 + float(np.max(np.abs(torque))))
     with np.errstate(all="ignore"):
         defect, terms = equation.defect(where, q, v, torque)
@@ -153,10 +155,11 @@ def _newton(equation: _Equation, where: slice, q: FloatArray, v: FloatArray) -> 
             if not np.isfinite(size):
                 return None
             try:
-                step = _newton_step(equation.jacobian(where, terms), defect)
-            except (np.linalg.LinAlgError, ValueError):
+                slopes = equation.jacobian(where, terms).reshape(b, 2, b, -1)
+                step = solve_bidiagonal(slopes, -defect.reshape(b, -1))
+            except np.linalg.LinAlgError:
                 return None
-            share, n = 1.0, q.shape[1]
+            share = 1.0
             for _ in range(6):
                 trial_q, trial_v = q.copy(), v.copy()
                 trial_q[1:] += share * step[:, :n]
@@ -171,20 +174,3 @@ def _newton(equation: _Equation, where: slice, q: FloatArray, v: FloatArray) -> 
             if size < scale or (size < 1e4 * scale and share < 1.0):
                 return q, v
     return None
-
-
-def _newton_step(jacobian: FloatArray, defect: FloatArray) -> FloatArray:
-    """(K, 2 n) change of (q, v) at samples 1..K; jacobian (n, 2, 4, n, K), defect (n, 2, K)."""
-    from scipy.linalg import solve_banded
-
-    n, _, _, _, count = jacobian.shape
-    b = 2 * n
-    rows = jacobian.transpose(4, 1, 0, 2, 3).reshape(count, b, 2, b)
-    band = np.zeros((3 * b - 1, count * b))  # upper width b - 1, lower width 2 b - 1
-    for i in range(b):
-        for j in range(b):
-            band[b - 1 + i - j, j::b] = rows[:, i, 1, j]
-            band[b - 1 + b + i - j, j : (count - 1) * b : b] = rows[1:, i, 0, j]
-    rhs = -defect.transpose(2, 1, 0).ravel()
-    step = solve_banded((2 * b - 1, b - 1), band, rhs, overwrite_ab=True, overwrite_b=True, check_finite=True)
-    return np.asarray(step).reshape(count, b)

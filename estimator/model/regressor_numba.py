@@ -54,6 +54,33 @@ class FastTerms:
         return z, own
 
 
+    def accelerate(self, angle: FloatArray, rate: FloatArray, torque: FloatArray, beta: FloatArray,
+                   transposed: tuple[FloatArray, FloatArray] | None = None) -> tuple[FloatArray, FloatArray]:
+        """Accelerations (n, 1, K) and the inverse of the inertia matrix (n, n, K) at angles and rates (n, 1, K) under
+        torques (n, K); not finite where that matrix is singular."""
+        n, _, count = rate.shape
+        z, own = self(angle, rate, np.zeros_like(rate), rate, rate, beta, transposed)
+        excess = torque - (beta @ z.reshape(len(beta), -1)).reshape(n, count)
+        qdd, inverse = np.empty((n, 1, count)), np.empty((n, n, count))
+        _accelerations(n)(own[:, 0], excess, qdd[:, 0], inverse, np.empty((n, n)))
+        return qdd, inverse
+
+    def forward_dynamics(self, q: FloatArray, v: FloatArray, tau: FloatArray, beta: FloatArray
+                         ) -> tuple[FloatArray, FloatArray]:
+        """As `accelerate`, (n, K) and (n, n, K), of samples (K, n)."""
+        angle, rate = (np.ascontiguousarray(x.T)[:, None] for x in (q, v))
+        qdd, inverse = self.accelerate(angle, rate, tau.T, beta)
+        return qdd[:, 0], inverse
+
+
+def invert(slopes: FloatArray) -> FloatArray:
+    """(n, n, K) inverse of the inertia matrix that slopes by the features of the motion (n, 5, n, K) hold."""
+    n, _, _, count = slopes.shape
+    inverse = np.empty((n, n, count))
+    _accelerations(n)(slopes, np.zeros((n, count)), np.empty((n, count)), inverse, np.empty((n, n)))
+    return inverse
+
+
 @cache
 def _cosine_sine() -> Kernel:
     """Both of many angles, as far as a million radians, to the last digit or the one before.
@@ -191,3 +218,37 @@ def _terms(n: int) -> Kernel:
                                         own[i, g, f, j, at(start + w)] += t * half[h, f, j, w]
 
     return Kernel(run, "f3 f3 f3 f3 f3 f3 f1 i2 f2 d f1 f4 f5 f3 f4 f4 f2")
+
+
+@cache
+def _accelerations(n: int) -> Kernel:
+    """The kernel that solves the equation of motion of n joints at N samples for the accelerations.
+
+    From slopes (n, 5, n, N) by the features of the motion, whose third is the inertia matrix, and excess (n, N) torque
+    it makes qdd (n, N) and inverse (n, n, N) of the inertia matrix. Without pivoting: that matrix is definite.
+    """
+
+    def run(slopes: Any, excess: Any, qdd: Any, inverse: Any, a: Any) -> None:
+        for w in range(excess.shape[1]):
+            for i in range(n):
+                for j in range(n):
+                    a[i, j] = slopes[i, 2, j, w]
+            for k in range(n):
+                pivot = 1.0 / a[k, k]
+                a[k, k] = 1.0
+                for j in range(n):
+                    a[k, j] *= pivot
+                for i in range(n):
+                    if i != k:
+                        f = a[i, k]
+                        a[i, k] = 0.0
+                        for j in range(n):
+                            a[i, j] -= f * a[k, j]
+            for i in range(n):
+                t = 0.0
+                for j in range(n):
+                    inverse[i, j, w] = a[i, j]
+                    t += a[i, j] * excess[j, w]
+                qdd[i, w] = t
+
+    return Kernel(run, "f4 f2 f2 f3 f2")

@@ -1,9 +1,11 @@
-"""Block-tridiagonal systems eliminated at linear cost, and what is compiled by Numba, inverses of singular matrices."""
+"""Block-tridiagonal and bidiagonal systems solved at linear cost, what is compiled by Numba, pseudo-inverses."""
 
 from estimator.numerics import jit
+from estimator.numerics.block_bidiagonal_numba import solve_bidiagonal
 from estimator.numerics.block_cholesky_numba import Swept, eliminate
 from estimator.numerics.block_tridiagonal import BlockTridiagonal, padded
 from estimator.numerics.jit import Kernel, at
 from estimator.numerics.pseudo_inverse import pseudo_inverse
 
-__all__ = ["BlockTridiagonal", "Kernel", "Swept", "at", "eliminate", "jit", "padded", "pseudo_inverse"]
+__all__ = ["BlockTridiagonal", "Kernel", "Swept", "at", "eliminate", "jit", "padded", "pseudo_inverse",
+           "solve_bidiagonal"]

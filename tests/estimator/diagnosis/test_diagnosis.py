@@ -85,7 +85,7 @@ def test_what_effects_take_brakes_the_view_as_a_view_of_the_braked_motion(runs: 
     q = np.stack([data[0]["q1_rad"], data[0]["q2_rad"]], axis=-1)
     x, taken = Latents(q, np.gradient(q, 0.01, axis=0), problem.torque), 0.1 * np.sin(q).T
     free, whole = problem.view(x, leg.beta()), problem.view(x, leg.beta(), taken)
-    found = braked(free, mechanism.inertia_matrix(q, leg.beta()), taken)
+    found = braked(free, np.moveaxis(np.linalg.inv(mechanism.inertia_matrix(q, leg.beta())), 0, -1), taken)
     np.testing.assert_allclose(found.samples.a, whole.samples.a, rtol=1e-9, atol=1e-9)
     assert np.abs(whole.samples.a - free.samples.a).max() > 1.0
 
