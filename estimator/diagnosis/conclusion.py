@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
@@ -348,7 +348,7 @@ def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> lis
     are at a limit of their range."""
     model = explanation.model
     unit = model.problem.mechanism.unit
-    half = float(student.isf(0.025, explanation.left.freedom)) * np.sqrt(np.diag(explanation.covariance()))
+    half = float(stdtrit(explanation.left.freedom, 0.975)) * np.sqrt(np.diag(explanation.covariance()))
     keys, cosines = found.separability
     out = []
     for effect, size, here in zip(model.named, model.sizes(), model.places()):

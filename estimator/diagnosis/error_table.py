@@ -201,7 +201,7 @@ def _bounded(squares: Sequence[FloatArray], floor: FloatArray, bound: FloatArray
 
 def _misfits(fitted: Sequence[tuple[ExtendedProblem, State]], reference: Model) -> FloatArray:
     """(M,) -2 log likelihood up to a constant, all under the noise of the reference."""
-    return np.array([problem.linearise(state.x, state.beta, reference.state.noise).objective
+    return np.array([problem.motion_equations(state.x, state.beta, reference.state.noise).objective
                      for problem, state in fitted])
 
 

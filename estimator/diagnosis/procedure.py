@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 from threadpoolctl import threadpool_limits
 
 from daq import Dataset, FloatArray
@@ -91,9 +91,9 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 
 
 def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str, tuple[float, float]] | None,
-              material: float, stated: Mechanism | None) -> Diagnosis:
+              material: float, stated: Mechanism | None, bias: Sequence[RunScore] | None = None) -> Diagnosis:
     """The diagnosis; beside the best explanation friction's rounding is sought again, from what is `stated`, and where
-    it is another there, all is done again with that."""
+    it is another there, all is done again with that, but for the `bias` of the scores: quantisers and noise make it."""
     say("fitting the nominal model", 0.02)
     rng = np.random.default_rng(seed)
     jit.expect()
@@ -105,11 +105,12 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     say("scoring the library", 0.15)
     scores = score_discover(split, nominal, candidates)
     say("rehearsing the nominal model", 0.2)
-    try:
-        bias = bootstrap_scores(split, nominal, candidates, scores, rng)
-    except FitError:  # a fit that is far wrong can have friction below zero, and its simulation run off
-        bias = [RunScore(np.zeros_like(s.score), s.information) for s in scores]
-    context = DiagnosisContext(split, candidates, columns_of(candidates), named, bias, nominal, rng)
+    if bias is None:
+        try:
+            bias = bootstrap_scores(split, nominal, candidates, scores, rng)
+        except FitError:  # a fit that is far wrong can have friction below zero, and its simulation run off
+            bias = [RunScore(np.zeros_like(s.score), s.information) for s in scores]
+    context = DiagnosisContext(split, candidates, columns_of(candidates), named, list(bias), nominal, rng)
     tests = tests_of(split, nominal, scores, bias)
     ranked = rank(context, tests)
     base = conclusion.base(split, nominal, refused, reference)
@@ -125,7 +126,8 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     options, other = search(context, tests, say, stated,
                             lambda found: promise(context, found, material, rng, known))
     if other is not None:
-        return _diagnose(replace(split, mechanism=other, stiction={}), seed, say, reference, material, None)
+        return _diagnose(replace(split, mechanism=other, stiction={}), seed, say, reference, material, None,
+                         bias)
     say("opening the confirm runs", 0.85)
     return replace(conclude(context, base, tests, options, rng, material, known), mechanism=split.mechanism)
 
@@ -290,4 +292,4 @@ def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanati
 def chance_of(context: DiagnosisContext, explanation: Explanation, gain: float, effects: Sequence[Effect]) -> float:
     """p-value, over all that were tried, of the gain that `effects` of an explanation make."""
     count = sum(len(e.sizes) for e in effects)
-    return max(1e-12, min(1.0, float(fisher.sf(gain / count, count, explanation.left.freedom)) * context.trials))
+    return max(1e-12, min(1.0, float(fdtrc(count, explanation.left.freedom, max(gain, 0.0) / count)) * context.trials))

@@ -13,7 +13,15 @@ from estimator.diagnosis.parametric_bootstrap import draw_replicate, simulate_ru
 from estimator.diagnosis.score_statistics import RunScore, Tests, project, score_alone, score_run
 from estimator.effects import Effect
 from estimator.errors import FitError
-from estimator.fitting import MAX_ITERATIONS, free_mask, gentle_start, iterate, mistakes_torque, start_state
+from estimator.fitting import (
+    MAX_ITERATIONS,
+    free_mask,
+    gentle_start,
+    iterate,
+    mistakes_torque,
+    settle_motion,
+    start_state,
+)
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
@@ -34,6 +42,8 @@ BAD = 3.0
 """Sum of squares over samples times channels above which a motion is doubted: about 1 where all is well."""
 
 
+SETTLE_STEPS = 15
+"""Steps in which a fit's motion comes to rest afterwards, for objectives that can be compared."""
 ROUNDING_STEPS = 12
 """Steps within which the speeds of friction's rounding are found from where a fit has ended."""
 FIRST = 12
@@ -99,6 +109,7 @@ def fit_nominal(split: RunSplit) -> Model:
     if not np.isfinite(state.beta).all() or blank.stiction_variance is None or not np.isfinite(state.x.q).all():
         raise FitError("the nominal fit leads nowhere, so nothing can be said about what it leaves over")
     split.keep_stiction(split.discover, blank)
+    settle_motion(blank, state, SETTLE_STEPS)
     if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
@@ -135,6 +146,7 @@ def refit(split: RunSplit, start: Model, effects: Sequence[tuple[Effect, FloatAr
     iterate(problem, state, free, split.options, floors, limit)
     if floors is not None and mistakes_torque(problem, state, floors):
         raise FitError("the fit takes the torque for noise")
+    settle_motion(problem, state, SETTLE_STEPS)
     return Model(tuple(e for e, _ in effects), state, problem)
 
 
@@ -155,9 +167,13 @@ def likeliest_rounding(split: RunSplit, model: Model, stated: Mechanism) -> Mech
 
 
 def misfit(model: Model) -> float:
-    """Objective at the model's state, or the least on the way to it: -2 log likelihood at its noise and a constant."""
-    here = model.problem.linearise(model.state.x, model.state.beta, model.state.noise).objective
-    return min(here, model.state.lowest)
+    """Objective at the model's state: -2 log likelihood at its noise and a constant."""
+    return objective_at(model.problem, model.state)
+
+
+def objective_at(problem: ExtendedProblem, state: State) -> float:
+    """Sum of squares over variances at a state."""
+    return problem.motion_equations(state.x, state.beta, state.noise).objective
 
 
 def misfit_by_run(split: RunSplit, model: Model) -> FloatArray:
@@ -165,7 +181,7 @@ def misfit_by_run(split: RunSplit, model: Model) -> FloatArray:
     out = []
     for i, state in zip(split.discover, run_states(split, model)):
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
-        out.append(problem.linearise(state.x, state.beta, state.noise).objective)
+        out.append(objective_at(problem, state))
     return np.array(out)
 
 
@@ -208,7 +224,7 @@ def smooth(split: RunSplit, model: Model, run: int, start: Latents | None = None
     steep = not np.array_equal(problem.relaxed(model.state.beta, np.inf), model.state.beta)
     for path in (SLACK[-1:] if signals is not None else LONGER if steep else SLACK, LONGER):
         try:
-            state = _settle(split, model, problem, start, path, known)
+            state = _settle(model, problem, start, path, known)
         except FitError as error:
             failure = error
             continue
@@ -223,30 +239,30 @@ def smooth(split: RunSplit, model: Model, run: int, start: Latents | None = None
     return problem, state
 
 
-def _settle(split: RunSplit, model: Model, problem: ExtendedProblem, start: Latents,
+def _settle(model: Model, problem: ExtendedProblem, start: Latents,
             path: Sequence[tuple[float, int]], known: FloatArray | None) -> State:
     """The motion that is reached from `start` along a path of slacks, of the passive joint and of steep laws.
 
     Parameters, noise and `known` rest are held.
     """
-    noise, held = model.state.noise, np.zeros(model.state.beta.size, dtype=bool)
+    noise = model.state.noise
     state = State(start, model.state.beta.copy(), noise, model.state.covariance)
     for slack, limit in path:
         problem.stiction_variance = known
         torque = noise.torque.copy()
-        torque[list(split.mechanism.passive)] *= slack
+        torque[list(problem.mechanism.passive)] *= slack
         state.beta = problem.relaxed(model.state.beta, slack)
         steep = not np.array_equal(state.beta, model.state.beta)
         encoder = noise.encoder * min(slack, LOOSE_ENCODER) if steep else noise.encoder
         state.noise = replace(noise, torque=torque, encoder=encoder)
-        iterate(problem, state, held, split.options, None, limit)
+        settle_motion(problem, state, limit)
     return state
 
 
 def per_value(problem: ExtendedProblem, state: State) -> float:
     """Sum of squares over samples times channels; inf where it is no number."""
     channels = problem.n + int(problem.has_encoder.sum()) + (3 if problem.has_imu else 0)
-    value = problem.linearise(state.x, state.beta, state.noise).objective / (channels * problem.total)
+    value = objective_at(problem, state) / (channels * problem.total)
     return value if np.isfinite(value) else np.inf
 
 

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
-from scipy.stats import f as fisher
+from scipy.special import chdtri, fdtrc, fdtri  # scipy.stats takes a second more to import
 
 from daq import FloatArray
-from estimator.likelihood import Candidate, ExtendedProblem, State
+from estimator.likelihood import Candidate, ExtendedProblem, State, pull_after
 from estimator.numerics import eliminate, pseudo_inverse
 
 HIDDEN = 1e-5
@@ -50,9 +49,12 @@ def score_run(problem: ExtendedProblem, state: State) -> RunScore:
 
 def score_alone(problem: ExtendedProblem, state: State) -> FloatArray:
     """`score_run` without the information, for a third of the time."""
-    point = problem.linearise(state.x, state.beta, state.noise)
+    plain = problem.without_candidates()
+    point = plain.linearise(state.x, state.beta, state.noise)
     step = eliminate(point.chain.first(1)).solution(np.ones(1))
-    return np.asarray(point.chain.flat_right(slice(1, None)).T @ step.ravel() - point.gradient_beta)
+    own = np.asarray(point.chain.flat_right(slice(1, None)).T @ step.ravel() - point.gradient_beta)
+    pull = pull_after(plain, state.x, state.beta[: plain.mechanism.p], state.noise, point, -step)
+    return np.concatenate([own, -problem.candidate_gradient(state.x, state.beta, pull)])
 
 
 @dataclass(frozen=True)
@@ -101,13 +103,13 @@ class Tests:
     def p_value(self, columns: NDArray[np.intp]) -> float:
         """Of the gain under no effect: F with the scatter's degrees of freedom."""
         k = len(columns)
-        return float(fisher.sf(self.gain(columns) / k, k, self.freedom))
+        return float(fdtrc(k, self.freedom, max(self.gain(columns), 0.0) / k))
 
     def detectable(self, column: int, p: float, gain: float) -> float:
         """Size of one column that would give this p-value, and this gain, on average; inf for a hidden one."""
         if self.information[column, column] <= 0.0:
             return float("inf")
-        needed = max(float(fisher.isf(p, 1, self.freedom)), gain) * float(self.inflation[column])
+        needed = max(float(fdtri(1, self.freedom, 1.0 - p)), gain) * float(self.inflation[column])
         return float(np.sqrt(needed / self.information[column, column]))
 
 
@@ -169,7 +171,7 @@ def _inflation(scores: FloatArray, own: FloatArray, least: float = 1.0) -> tuple
     if runs < 2:
         return np.full(scores.shape[1], least), float(PRIOR_RUNS)
     variance = np.sum(excess**2 / own, axis=0) / (runs - 1)
-    common = max(least, float(np.median(variance)) / float(chi2.median(runs - 1) / (runs - 1)))
+    common = max(least, float(np.median(variance)) / float(chdtri(runs - 1, 0.5) / (runs - 1)))
     inflation = (PRIOR_RUNS * common + (runs - 1) * variance) / (PRIOR_RUNS + runs - 1)
     return np.maximum(inflation, 1.0), float(PRIOR_RUNS + runs - 1)
 

@@ -5,6 +5,7 @@ from estimator.fitting.fit import between_samples, fit
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, PASSIVE_SHARE, TORQUE_SHARE, iterate, mistakes_torque
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_state
+from estimator.fitting.latent_motion import settle_motion
 from estimator.fitting.mle import rounding_words
 from estimator.fitting.noise_levels import imu_levels, torque_levels
 from estimator.fitting.prediction import (
@@ -47,6 +48,7 @@ __all__ = [
     "predict",
     "prediction_score",
     "rounding_words",
+    "settle_motion",
     "smoothed_states",
     "start_state",
     "torque_levels",

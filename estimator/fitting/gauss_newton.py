@@ -66,15 +66,13 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     before = np.zeros(index.size)
     effective_dof: Mapping[str, FloatArray] | None = None
     finds_rest = problem.stiction_variance is None
-    state.lowest, found_rounding = np.inf, False
+    found_rounding = False
     problem.predicted_misfit = None if state.misfit is None else MARGIN * problem.total * state.misfit
     for iteration in range(limit):
         state.iterations = iteration + 1
         if finds_rest and (iteration < REST_STEPS or found_rounding):
             problem.stiction_variance = problem.find_stiction_variance(state.x.v, state.beta)
         point = problem.linearise(state.x, state.beta, state.noise)
-        if floors is None:
-            state.lowest = min(state.lowest, point.objective)
         try:
             solved = eliminate(point.chain)
         except np.linalg.LinAlgError:
@@ -86,7 +84,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
             share = max(0.1, 0.5 * share) if swings or point.objective > RISE * lowest else min(1.0, 1.2 * share)
             lowest = min(lowest, point.objective)
         before = step_beta
-        damping = _shortest(step[:, : problem.n], share)
+        damping = shortened(step[:, : problem.n], share)
         state.x = state.x.moved(damping * step)
         state.beta = state.beta.copy()
         state.beta[index] += damping * step_beta
@@ -151,7 +149,7 @@ def mistakes_torque(problem: LatentProblem, state: State, floors: Noise) -> bool
     return any(state.noise.torque[j] > 0.99 * most_noise(problem, j, floors) for j in problem.mechanism.actuated)
 
 
-def _shortest(angles: FloatArray, share: float) -> float:
+def shortened(angles: FloatArray, share: float) -> float:
     """`share`, less where an angle would move by more than 0.5 rad: a linearisation means little there."""
     biggest = share * float(np.max(np.abs(angles)))
     return share if biggest < 0.5 else share * 0.5 / biggest

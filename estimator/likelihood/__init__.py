@@ -7,11 +7,12 @@ from estimator.likelihood.free_run import FreeRun, free_run
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents, Linearised
 from estimator.likelihood.prepare import compile_kernels
+from estimator.likelihood.pull import pull_after
 from estimator.likelihood.state import State
 from estimator.likelihood.trajectory_likelihood import TIGHT, LatentProblem
 
 __all__ = [
     "REST_SPREAD", "TIGHT", "BatchProblem", "Candidate", "ExtendedProblem", "FreeRun", "LatentProblem", "Latents",
     "Linearised", "Noise", "Point", "Records", "Stage", "State", "compile_kernels", "free_run",
-    "held_variance"
+    "held_variance", "pull_after"
 ]

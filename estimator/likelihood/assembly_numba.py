@@ -21,7 +21,7 @@ STRIP = 32
 """Samples whose rows are made at a time."""
 COMMON = 24
 """Up to this edge a chain's edge is a constant to the compiler, too, which makes the sums a third faster; each takes
-seconds to compile, once on a machine."""
+seconds to compile, once on a machine. Beyond it the products of the right sides are left to BLAS."""
 
 
 def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
@@ -40,9 +40,14 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
         if extra.slopes is not None:
             own += extra.slopes[..., intervals].transpose(0, 3, 1, 2, 4)
     chain, u = accumulators.chain, np.ascontiguousarray(x.u)
+    fixed = _constant(chain.edge)
+    if fixed == 0:  # of so many columns a library's matrix product is ten times as fast
+        right = np.concatenate([(torque - c.torque(x.u, left))[None], z]) * weight[:, None]
+        right = right.reshape(len(right), -1)
+        accumulators.square[:] += right @ right.T
     left = np.arange(left.start, left.stop) if isinstance(left, slice) else left
     height, full = 2 * c.mechanism.n, chain.rows.shape[2]
-    _intervals(c.mechanism.n, _constant(chain.edge))(
+    _intervals(c.mechanism.n, fixed)(
         z, own, torque, u, left, c.basis, c.torque_weights, np.ascontiguousarray(weight), chain.edge, chain.rows,
         accumulators.square, accumulators.misfit, np.zeros((height, full, STRIP)), np.zeros((height, full)),
         np.zeros((height, chain.edge)))
@@ -106,7 +111,8 @@ def _intervals(n: int, fixed: int) -> Kernel:
 
     From z (m, n, 2, K), own (n, 2, 5, n, K), torque (n, 2, K) that motion and effects need, samples u (N, n),
     left (K,), basis (2, 5, 4), holds (2, 2) and weight (n, K) it adds to rows (N, 3 n, f) of the chain, to square
-    (1 + m, 1 + m), upper half, the products of the right sides, and to misfit (n,) each joint's share of the squares.
+    (1 + m, 1 + m), upper half, the products of the right sides where `fixed` is not 0, and to misfit (n,) each joint's
+    share of the squares.
     line (2 n, f, STRIP), transposed (2 n, f) and after (2 n, edge) are zeros to work on.
     """
     b, height, whole = 3 * n, 2 * n, padded(fixed + 3 * n)
@@ -141,13 +147,14 @@ def _intervals(n: int, fixed: int) -> Kernel:
                     for k in range(width - 1):
                         for w in range(size):
                             line[r, b + 1 + k, w] = weight[i, at(start + w)] * z[k, i, g, at(start + w)]
-            for c in range(width):
-                for d in range(c, width):
-                    t = 0.0
-                    for r in range(height):
-                        for w in range(size):
-                            t += line[r, b + c, w] * line[r, b + d, w]
-                    square[c, d] += t
+            if fixed > 0:
+                for c in range(width):
+                    for d in range(c, width):
+                        t = 0.0
+                        for r in range(height):
+                            for w in range(size):
+                                t += line[r, b + c, w] * line[r, b + d, w]
+                        square[c, d] += t
             for w in range(size):
                 for r in range(height):
                     for c in range(full):

@@ -8,6 +8,7 @@ steep where the joint rests does not converge); memory and readings do not, whic
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,6 +26,7 @@ from estimator.effects import (
 )
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Extra, Latents, Linearised
+from estimator.likelihood.pull import Pull
 from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model import ACCEL, ANGLE, GAUSS, RATE, Mechanism, mean_sign, smooth_sign
 from estimator.signals import GYRO, IMU_CHANNELS, Channel, SignalSet, encoder_of, lowpass, torque_of
@@ -148,11 +150,39 @@ class ExtendedProblem(LatentProblem):
         beta, sizes = self.split(parameters)
         return np.concatenate([beta, *(e.relaxed(size, slack) for e, size in zip(self.effects, sizes))])
 
-    def extra(self, x: Latents, parameters: FloatArray) -> Extra:
-        """What the effects add at (x, parameters), with columns of effects, then of candidates."""
+    def extra(self, x: Latents, parameters: FloatArray, columns: bool = True) -> Extra:
+        """What the effects add at (x, parameters), and its derivatives by effects and candidates, unless no `columns`
+        are wanted."""
+        view, torque, at_samples, readings = self._acting(x, parameters)
+        sizes = self.split(parameters)[1]
+        n, count, total = self.n, self.left.size, self.total
+        derivatives: list[Perturbation] = []
+        if columns:
+            for effect, size in zip(self.effects, sizes):
+                derivatives += slopes(effect, view, size)
+            for candidate in self.candidates:
+                derivatives += slopes_at_zero(candidate, view)
+        k = len(derivatives)
+        gauss_columns, sample_columns = np.empty((k, n, 2, count)), np.empty((k, n, total))
+        reading_columns: dict[Channel, FloatArray] = {}
+        for i, d in enumerate(derivatives):
+            acts = d.torque is not None and d.torque_at_samples is not None
+            gauss_columns[i], sample_columns[i] = (d.torque, d.torque_at_samples) if acts else (0.0, 0.0)
+            for channel, values in d.readings.items():
+                reading_columns.setdefault(channel, np.zeros((k, total)))[i] = values
+        gauss_slopes, sample_slopes = self._law_slopes(view, sizes)
+        by_torque: dict[Channel, FloatArray] = {}
+        for effect, size in zip(self.effects, sizes):
+            for channel, slope in effect.by_torque(view, size).items():
+                by_torque[channel] = by_torque.get(channel, 0.0) + slope
+        return Extra(torque, at_samples, readings, gauss_columns, sample_columns, reading_columns, gauss_slopes,
+                     sample_slopes, by_torque)
+
+    def _acting(self, x: Latents, parameters: FloatArray
+                ) -> tuple[View, FloatArray, FloatArray, dict[Channel, FloatArray]]:
+        """What effects see, the torque that they add at Gauss points and at samples, and what they add to readings."""
         beta, sizes = self.split(parameters)
         pairs = list(zip(self.effects, sizes))
-        n, count, total = self.n, self.left.size, self.total
         free, inverse = self._seen(x, beta)
         free = replace(free, measured=self._measured)
         torque, at_samples, readings = added(pairs, free)
@@ -165,26 +195,18 @@ class ExtendedProblem(LatentProblem):
                     break
             else:
                 view = braked(free, inverse, at_samples)
-        derivatives: list[Perturbation] = []
-        for effect, size in zip(self.effects, sizes):
-            derivatives += slopes(effect, view, size)
-        for candidate in self.candidates:
-            derivatives += slopes_at_zero(candidate, view)
-        k = len(derivatives)
-        columns, sample_columns = np.zeros((k, n, 2, count)), np.zeros((k, n, total))
-        reading_columns: dict[Channel, FloatArray] = {}
-        for i, d in enumerate(derivatives):
-            if d.torque is not None and d.torque_at_samples is not None:
-                columns[i], sample_columns[i] = d.torque, d.torque_at_samples
-            for channel, values in d.readings.items():
-                reading_columns.setdefault(channel, np.zeros((k, total)))[i] = values
-        gauss_slopes, sample_slopes = self._law_slopes(view, sizes)
-        by_torque: dict[Channel, FloatArray] = {}
-        for effect, size in zip(self.effects, sizes):
-            for channel, slope in effect.by_torque(view, size).items():
-                by_torque[channel] = by_torque.get(channel, 0.0) + slope
-        return Extra(torque, at_samples, readings, columns, sample_columns, reading_columns, gauss_slopes,
-                     sample_slopes, by_torque)
+        return view, torque, at_samples, readings
+
+    def candidate_gradient(self, x: Latents, parameters: FloatArray, pull: Pull) -> FloatArray:
+        """(c,) derivative of half the objective by the candidates' sizes, where the residuals `pull` as they do."""
+        view = self._acting(x, parameters)[0]
+        return np.array([pull.along(d) for candidate in self.candidates for d in slopes_at_zero(candidate, view)])
+
+    def without_candidates(self) -> ExtendedProblem:
+        """The same with effects alone."""
+        own = copy(self)
+        own.candidates = ()
+        return own
 
     def simulated(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """As `split`, for a simulation that has no record of the motor's motion."""
@@ -233,7 +255,17 @@ class ExtendedProblem(LatentProblem):
         sizes = beta[p : p + own]
         point.corner[range(p, p + own), range(p, p + own)] += self._precision
         point.gradient_beta[p : p + own] += self._precision * sizes
-        return replace(point, objective=point.objective + float(sizes @ (self._precision * sizes)))
+        return replace(point, objective=point.objective + self._disbelief(beta))
+
+    def motion_equations(self, x: Latents, parameters: FloatArray, noise: Noise) -> Linearised:
+        """`linearise` for a search of the motion alone: its corner and border are of no use."""
+        point = super().linearise(x, parameters[: self.mechanism.p], noise, self.extra(x, parameters, columns=False))
+        return replace(point, objective=point.objective + self._disbelief(parameters))
+
+    def _disbelief(self, parameters: FloatArray) -> float:
+        """Share of the objective that what is believed of sizes beforehand has."""
+        sizes = parameters[self.mechanism.p : self.mechanism.p + self._precision.size]
+        return float(sizes @ (self._precision * sizes))
 
     @cached_property
     def _precision(self) -> FloatArray:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from daq import FloatArray
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
@@ -21,7 +19,5 @@ class State:
     covariance: FloatArray
     converged: bool = False
     iterations: int = 0
-    lowest: float = np.inf
-    """Least objective met by the last search where it held the noise levels: near rest the last steps swing."""
     misfit: FloatArray | None = None
     """(n,) of each joint's torque at a sample, in variances of its noise, as the last step foresaw it."""

@@ -195,6 +195,10 @@ class LatentProblem:
         gradient_beta[: self.mechanism.p] -= self._inertia_gradient(beta, misfit)
         return Linearised(objective, chain, corner, gradient_beta, accel, residuals, extra)
 
+    def motion_equations(self, x: Latents, parameters: FloatArray, noise: Noise) -> Linearised:
+        """`linearise` for a search of the motion alone: its corner is of no use."""
+        return self.linearise(x, parameters, noise)
+
     def _inertia_gradient(self, beta: FloatArray, misfit: FloatArray) -> FloatArray:
         """(p,) what makes a passive joint's misfit count as one of acceleration, not of torque.
 
@@ -274,7 +278,7 @@ class LatentProblem:
             return share
         return correlated_torque.whole_samples(share, self.mechanism.actuated)
 
-    def _channels(self, variances: FloatArray, noise: Noise) -> list[tuple[Channel, int, float | FloatArray]]:
+    def channels(self, variances: FloatArray, noise: Noise) -> list[tuple[Channel, int, float | FloatArray]]:
         """(channel, column of its latent, variance) of every sensor that reads one latent directly, by itself."""
         n = self.n
         found: list[tuple[Channel, int, float | FloatArray]] = []
@@ -292,8 +296,8 @@ class LatentProblem:
         if self.has_imu:
             residuals["gyro"] = x.v[:, 0] - self.gyro
         total = 0.0
-        for channel, column, variance in self._channels(variances, noise):
-            r, weight = _of(residuals, channel), 1.0 / variance
+        for channel, column, variance in self.channels(variances, noise):
+            r, weight = of_channel(residuals, channel), 1.0 / variance
             if extra is not None and channel in extra.readings:
                 r += extra.readings[channel]  # a view: the residual of record moves with it
             pull = weight * r
@@ -315,7 +319,7 @@ class LatentProblem:
                       border: FloatArray, corner: FloatArray, gradient_beta: FloatArray) -> None:
         """Border and corner of the sizes through the sensors that read one latent directly."""
         p = self.mechanism.p
-        for channel, column, variance in self._channels(variances, noise):
+        for channel, column, variance in self.channels(variances, noise):
             if channel not in extra.reading_columns:
                 continue
             c = extra.reading_columns[channel] / variance
@@ -323,7 +327,7 @@ class LatentProblem:
             if channel in extra.by_torque:
                 border[:, 2 * self.n + column % self.n, p:] += (extra.by_torque[channel] * c).T
             corner[p:, p:] += c @ extra.reading_columns[channel].T
-            gradient_beta[p:] += c @ _of(residuals, channel)
+            gradient_beta[p:] += c @ of_channel(residuals, channel)
         if noise.torque_correlation is not None:
             correlated_torque.add_columns(residuals["torque"], noise.torque_precision(variances), extra,
                                           border[:, 2 * self.n :, p:], corner[p:, p:], gradient_beta[p:])
@@ -344,10 +348,10 @@ class LatentProblem:
             size = np.zeros(len(point.gradient_beta))
             size[index] = step_beta
             for channel, slope in point.extra.by_torque.items():
-                _of(out, channel)[:] += slope * step[:, 2 * n + (channel.joint or 0)]
+                of_channel(out, channel)[:] += slope * step[:, 2 * n + (channel.joint or 0)]
             for channel, columns in point.extra.reading_columns.items():
                 if channel.kind in out:  # an accelerometer's are in its rows
-                    _of(out, channel)[:] += size[p:] @ columns
+                    of_channel(out, channel)[:] += size[p:] @ columns
         return out
 
     def effective_samples(self, point: Linearised, p_diagonal: FloatArray, noise: Noise) -> dict[str, FloatArray]:
@@ -385,7 +389,7 @@ class LatentProblem:
         return effective_dof
 
 
-def _of(residuals: Mapping[str, FloatArray], channel: Channel) -> FloatArray:
+def of_channel(residuals: Mapping[str, FloatArray], channel: Channel) -> FloatArray:
     """(N,) of a torque, encoder or gyro channel, a view."""
     found = residuals[channel.kind]
     return found if channel.joint is None else found[:, channel.joint]

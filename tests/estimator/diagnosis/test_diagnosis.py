@@ -299,4 +299,5 @@ def test_rows_that_are_measured_later_have_the_weights_of_the_first(runs: tuple[
     table = measure_errors(split, [nominal], nominal, np.arange(len(split.confirm)))
     assert len(split.confirm) > 1 and set(split.confirm) <= set(split.stiction)
     again = extend_errors(table, split, [nominal])
-    assert again.agreement[1] == pytest.approx(0.0, abs=1e-3) and again.error(1) == pytest.approx(again.error(0))
+    assert again.agreement[1] == pytest.approx(0.0, abs=1e-3)
+    assert again.error(1) == pytest.approx(again.error(0), rel=1e-4)  # a motion settles to a tenth of its objective

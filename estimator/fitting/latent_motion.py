@@ -1,0 +1,50 @@
+"""`settle_motion`: the most likely motion of a record with parameters and noise levels held.
+
+Where a joint reverses beside a sample, whole Gauss-Newton steps go to and fro between two motions, neither of which is
+the best: on legs with dry friction their objectives lay 20 to 9,000 above it, and differed by as much between two
+models alike. So a step that raises the objective is followed by a shorter one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimator.errors import FitError
+from estimator.fitting.gauss_newton import REST_STEPS, shortened
+from estimator.likelihood import LatentProblem, State
+from estimator.numerics import eliminate
+
+SAME_OBJECTIVE = 0.1
+"""Fall of the objective, -2 log likelihood, below which a step changed nothing; two of these end the search."""
+FREE_STEPS = 3
+"""Steps that are not shortened: they come from far off."""
+
+
+def settle_motion(problem: LatentProblem, state: State, limit: int) -> None:
+    """Move `state` to the likeliest motion, in up to `limit` steps.
+
+    Where the problem does not know yet what dry friction leaves open at rest, it is found on the way. Raises `FitError`
+    where the equations become singular.
+    """
+    x, best, lowest = state.x, state.x, np.inf
+    settled, share, before = 0, 1.0, np.inf
+    seeks_rest = problem.stiction_variance is None
+    for iteration in range(limit + 1):
+        if seeks_rest and iteration < REST_STEPS:
+            problem.stiction_variance = problem.find_stiction_variance(x.v, state.beta)
+            lowest = before = np.inf  # that was by other weights
+        point = problem.motion_equations(x, state.beta, state.noise)
+        if point.objective < lowest:
+            lowest, best = point.objective, x
+        fall, before = before - point.objective, point.objective
+        settled = settled + 1 if abs(fall) < SAME_OBJECTIVE else 0
+        if settled == 2 or iteration == limit:
+            break
+        if iteration >= FREE_STEPS:
+            share = max(0.1, 0.5 * share) if fall < 0.0 else min(1.0, 1.2 * share)
+        try:
+            step = -eliminate(point.chain.first(1)).solution(np.ones(1))
+        except np.linalg.LinAlgError:
+            raise FitError("the equations of the motion became singular") from None
+        x = x.moved(shortened(step[:, : problem.n], share) * step)
+    state.x = best

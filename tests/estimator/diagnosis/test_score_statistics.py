@@ -1,0 +1,57 @@
+"""Scores alone are those that come with their information, whatever reads the motion and whatever is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.dataset import Dataset
+from estimator.diagnosis.data_split import RunSplit, split_runs
+from estimator.diagnosis.refit import Model, fit_nominal, refit, run_states
+from estimator.diagnosis.score_statistics import score_alone, score_run
+from estimator.effects import Effect, battery, classes, library
+from estimator.likelihood import Candidate
+from estimator.model import leg2
+from estimator.options import FitOptions
+from tests.support.mujoco_leg import Leg, record
+
+NAMED: dict[str, type[Effect]] = {kind.name: kind for kind in classes()}
+
+
+def fitted(sensors: str) -> tuple[RunSplit, Model]:
+    """Three runs of a leg, and what fits them."""
+    leg = Leg()
+    runs: list[Dataset] = [record(leg, np.random.default_rng(640 + k), seconds=5.0, name=f"r{k}") for k in range(3)]
+    split = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors=sensors))
+    return split, fit_nominal(split)
+
+
+@pytest.fixture(scope="module", params=["imu", "encoder"])
+def nominal(request: pytest.FixtureRequest) -> tuple[RunSplit, Model]:
+    return fitted(request.param)
+
+
+@pytest.mark.parametrize("name", ["", "joint_stiffness", "joint_elasticity", "torque_saturation",
+                                  "presliding_friction"])
+@pytest.mark.parametrize("shared", [False, True])
+def test_scores_alone_are_those_beside_the_information(nominal: tuple[RunSplit, Model], name: str,
+                                                       shared: bool) -> None:
+    split, model = nominal
+    if name:
+        effect = NAMED[name](1 if NAMED[name].per_joint else None)
+        size = np.array([s.scale for s in effect.sizes] + [s.grid[0] for s in effect.shapes])
+        model = refit(split, model, [(effect, size)], limit=2)
+    state = run_states(split, model)[0]
+    if shared:
+        correlation = np.array([[1.0, 0.3], [0.3, 1.0]])
+        state = replace(state, noise=replace(state.noise, torque_correlation=correlation, accel_correlation=0.4))
+    effects, _ = library(split.mechanism, split.has_imu)
+    candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
+    candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu)]
+    problem = split.problem([split.discover[0]], model.problem.stage.angle_range, model.effects, candidates)
+    found = score_run(problem, state)
+    spread = np.sqrt(np.maximum(np.diag(found.information), 1e-12))
+    assert np.max(np.abs(found.score) / spread) > 1.0  # there is something to compare
+    np.testing.assert_allclose(score_alone(problem, state) / spread, found.score / spread, atol=1e-7)
