@@ -9,6 +9,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext, Explanation
+from estimator.diagnosis.decision_rule import HOPELESS, WEIGHED
 from estimator.diagnosis.refit import Model, deviance, log_volume, misfit, misfit_by_run, refit
 from estimator.diagnosis.score_statistics import Tests
 from estimator.effects import Effect
@@ -20,14 +21,8 @@ Start = list[tuple[Effect, FloatArray]]
 """Effects with the sizes at which a fit begins."""
 HELD_STEPS, FREE_STEPS = 12, 24
 """Most steps of a re-fit with shapes held, and then with all free."""
-WEIGHED = 6
-"""Most fits that are compared under the noise of the best: the likeliest under their own."""
 WEIGH_STEPS = 25
 """... and of one under the noise levels of the best explanation."""
-HOPELESS = 0.1
-"""Share of the log likelihood that the best gains, each under its own noise, below which a fit is given up: what leads
-to the truth gains nearly all that can be gained. (Measured: beside a spring, of 94,600, an offset gained 6,300 and an
-end stop 3,000, and took two thirds of the time.)"""
 _NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
 
 
@@ -105,8 +100,7 @@ def fit_free(context: DiagnosisContext, held: Model) -> Model:
 def climb_whole(context: DiagnosisContext, model: Model) -> Model:
     """`model`, or one likelier whose whole shapes are neighbours of its own in their grids, as far as that goes on.
 
-    The score that chose them is that of the nominal motion, which lacks the effect. (Measured: a ripple of order 7 was
-    fitted as one of order 8, which left 2.4 times what noise leaves.)
+    The score that chose them is that of the nominal motion, which lacks the effect.
     """
     tried: set[tuple[int, int, float]] = set()
     while True:

@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import ALPHA, DRAWS
+from estimator.diagnosis.decision_rule import ALPHA, BLOCK_S, CHANGED, CONFUSABLE, DRAWS, FEW_RUNS, SHORT_S
 from estimator.diagnosis.parametric_bootstrap import draw_replicate
 from estimator.diagnosis.refit import Model, smooth
 from estimator.diagnosis.residual_signature import signature
@@ -24,13 +24,8 @@ from estimator.likelihood import ExtendedProblem, FreeRun, State, free_run
 from estimator.parallel import parallel_map
 from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, encoder_of
 
-BLOCK_S = 2.0
-"""Length of a block of the bootstrap: a few periods of the slowest motion."""
 ATTEMPTS = 10
 """Rehearsals, one after the other, until one does not run off: their noise is drawn."""
-CONFUSABLE = 0.7
-HORIZON_S = 1.0
-"""Length of the pieces that are simulated where noise, added up over a whole run, hides what the extension gains."""
 NO_GAP = ("a free run over a whole run cannot show the gain: noise alone, added up, leaves about as much error as the "
           "nominal model has; what speaks for the extension is the likelihood of the confirm runs")
 UNSURE_GAP = "free runs over whole runs leave open whether the extension helps: the interval of its share holds zero"
@@ -45,7 +40,7 @@ def base(split: RunSplit, nominal: Model, refused: Mapping[str, str],
     if split.single:
         warnings.append("one run only: its parts stand in for runs and are not independent, so every p-value and "
                         "interval here is approximate; record several runs")
-    elif len(split.names) < 6:
+    elif len(split.names) < FEW_RUNS:
         warnings.append(f"{len(split.names)} runs only: the scatter between runs is poorly known; eight are better")
     if np.isinf(std).any():
         warnings.append("the nominal fit does not settle: the nominal parameters are least squares on filtered motion "
@@ -67,13 +62,13 @@ def base(split: RunSplit, nominal: Model, refused: Mapping[str, str],
 
 
 def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tuple[float, float]]) -> list[str]:
-    """One line for each parameter that differs from the reference by more than four standard deviations."""
+    """One line for each parameter that differs from the reference by more than `CHANGED` standard deviations."""
     out = []
     for name, (value, std) in now.items():
         if name in reference:
             old, old_std = reference[name]
             spread = float(np.hypot(std, old_std))
-            if spread > 0 and abs(value - old) > 4.0 * spread:
+            if spread > 0 and abs(value - old) > CHANGED * spread:
                 out.append(f"{name} is {value:.4g}, the reference has {old:.4g} ({(value - old) / spread:+.1f} sigma): "
                            "a changed payload or link shows as a parameter change only")
     return out
@@ -212,12 +207,12 @@ def measure_gain(split: RunSplit, nominal: Model, extended: Model, rng: np.rando
 
 
 def in_pieces(split: RunSplit, nominal: Model, extended: Model) -> ShortRuns | None:
-    """The gain in pieces of HORIZON_S; None where they diverge."""
+    """The gain in pieces of SHORT_S; None where they diverge."""
     try:
-        gain = measure_gain(split, nominal, extended, np.random.default_rng(0), HORIZON_S)
+        gain = measure_gain(split, nominal, extended, np.random.default_rng(0), SHORT_S)
     except FitError:
         return None
-    return ShortRuns(HORIZON_S, gain.sensors, gain.closed, gain.ci95)
+    return ShortRuns(SHORT_S, gain.sensors, gain.closed, gain.ci95)
 
 
 def _closed(table: Mapping[str, FloatArray], which: NDArray[np.intp]) -> float | None:

@@ -16,16 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.conclusion import BLOCK_S, PIVOT, floor_errors, resimulate, sensors_of
+from estimator.diagnosis.conclusion import PIVOT, floor_errors, resimulate, sensors_of
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import DRAWS
+from estimator.diagnosis.decision_rule import BLOCK_S, DRAWS, HORIZONS_S
 from estimator.diagnosis.refit import Model, smooth
 from estimator.likelihood import ExtendedProblem, State
 from estimator.parallel import parallel_map
-
-HORIZONS_S = (0.1, 1.0, np.inf)
-"""What a controller looks ahead, a swing, and the whole run: long free runs of a leg that sticks are chaotic, and tell
-nothing of friction near rest; short ones do not add up what is slow."""
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,10 @@ from daq import Dataset, FloatArray
 from estimator.diagnosis import conclusion
 from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, SUFFICES
+from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, MOST_ASSESSED, SUFFICES
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.error_table import ErrorTable, measure_errors
 from estimator.diagnosis.model_search import (
-    MOST_ASSESSED,
     Progress,
     assess_residuals,
     closing,
@@ -47,7 +46,7 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
-from estimator.diagnosis.verdict import NOMINAL, by_likelihood, decide, two_of_each
+from estimator.diagnosis.verdict import NOMINAL, by_likelihood, decide, first_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, rounding_words
@@ -67,7 +66,7 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     `reference` is (value, std) by parameter of an earlier model: changed inertial parameters are reported as a
     payload. Independent fits share `workers` processes, by default one a core. Data that cannot be diagnosed give the
     verdict `fit_failed` with the reason, never an exception. Matrix products take one thread each meanwhile: they are
-    small, and processes that share cores hinder each other. (Measured on two cores: 66 s instead of 112.)
+    small, and processes that share cores hinder each other.
     """
     start = time.perf_counter()
     say = progress or (lambda stage, fraction: None)
@@ -182,11 +181,10 @@ def rank(context: DiagnosisContext, tests: Tests) -> tuple[CandidateScore, ...]:
     out = []
     for i in best_shapes(context, tests):
         effect, columns = context.candidates[i].effect, context.columns[i]
-        open_size = context.split.clock_bound_s if effect.name == SensorTimeSkew.name else 0.0
         detectable = tests.detectable(int(columns[0]), ALPHA / context.trials, least_gain(context, i))
         out.append(CandidateScore(effect.name, None if effect.joint is None else effect.joint + 1,
                           float(np.sqrt(max(context.gain(tests, i), 0.0))), p_of(context, tests, i),
-                          float(tests.size(columns)[0]), max(detectable, open_size),
+                          float(tests.size(columns)[0]), max(detectable, effect.open_size(context.split.clock_bound_s)),
                           context.split.mechanism.unit(effect.sizes[0].unit)))
     return tuple(out)
 
@@ -217,7 +215,7 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], material: f
     takes away a good part of what must fall, or that error is beyond what a disturbance makes. What is measured is
     `known` then."""
     counts = sorted({len(e.model.effects) for e in found})
-    best = by_likelihood(two_of_each(found))
+    best = by_likelihood(first_of_each(found))
     models = [context.nominal, *(e.model for e in best)]
     try:
         table = measure_errors(context.split, models, models[1],

@@ -9,6 +9,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
+from estimator.diagnosis.decision_rule import BAD_REPLICATE, LENT_BIAS, REPLICATED_SAMPLES, REPLICATES
 from estimator.diagnosis.parametric_bootstrap import draw_replicate, simulate_run
 from estimator.diagnosis.score_statistics import RunScore, Tests, project, score_alone, score_run
 from estimator.effects import Effect
@@ -18,12 +19,6 @@ from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, Sta
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
 
-REPLICATES = (2, 16)
-"""Fewest and most rehearsals of each run, in between as many as make up ..."""
-REPLICATED_SAMPLES = 24_000
-"""... so many samples in all: with two of short records a verdict hangs on the seed."""
-OFF = 1.5
-"""Times the run's own sum of squares above which a rehearsal is left out."""
 SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
 """Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
 LONGER = ((1000.0, 6), (200.0, 6), (40.0, 6), (16.0, 6), (8.0, 6), (4.0, 6), (2.0, 8), (1.4, 8), (1.0, 30))
@@ -274,7 +269,7 @@ def bootstrap_scores(split: RunSplit, model: Model, candidates: Sequence[Candida
     def bootstrap_bias(k: int) -> FloatArray | None:
         i, own = split.discover[k], np.random.default_rng(seeds[k])
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
-        found, worst = [], OFF * per_value(problem, states[k])
+        found, worst = [], BAD_REPLICATE * per_value(problem, states[k])
         staged = None if split.mechanism.passive else simulate_run(problem, states[k], own)
         for _ in range(count):
             signals = draw_replicate(problem, states[k], split.runs[i], own, staged)
@@ -299,7 +294,7 @@ def pooled_bias(bias: Sequence[RunScore], run: RunScore) -> RunScore:
     """
     score = np.mean([b.score for b in bias], axis=0)
     known = np.mean([np.diag(b.information) for b in bias], axis=0)
-    share = np.clip(np.diag(run.information) / np.maximum(known, 1e-100), 0.0, 3.0)
+    share = np.clip(np.diag(run.information) / np.maximum(known, 1e-100), 0.0, LENT_BIAS)
     return RunScore(score * share, run.information)
 
 

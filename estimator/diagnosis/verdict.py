@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.diagnosis.context import DiagnosisContext, Explanation
-from estimator.diagnosis.decision_rule import EDGE, SHORTLIST, SUFFICES, SURE
+from estimator.diagnosis.decision_rule import EDGE, SHORTLIST, SHORTLIST_EACH, SUFFICES, SURE
 from estimator.diagnosis.error_budget import generic_extension
 from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors
 from estimator.diagnosis.model_comparison import indistinguishable_set
@@ -189,17 +189,17 @@ def measured_beside(context: DiagnosisContext, models: Sequence[Model], readers:
 
 
 def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
-    """The likeliest explanations, of each number of effects at least two, and each set of effects once."""
+    """The likeliest explanations, of each number of effects at least `SHORTLIST_EACH`, and each set of effects once."""
     every = sorted(options, key=lambda o: -o.gain)
     ranked = [o for k, o in enumerate(every) if not any(keys_of(o) == keys_of(e) for e in every[:k])]
-    first = two_of_each(ranked)
+    first = first_of_each(ranked)
     return [*first, *(o for o in ranked if not any(o is f for f in first))][: max(SHORTLIST, len(first))]
 
 
-def two_of_each(options: Sequence[Explanation]) -> list[Explanation]:
-    """The first two of each number of effects, the fewest effects first."""
+def first_of_each(options: Sequence[Explanation]) -> list[Explanation]:
+    """The first of each number of effects, the fewest effects first."""
     counts = sorted({len(o.model.effects) for o in options})
-    return [o for n in counts for o in [o for o in options if len(o.model.effects) == n][:2]]
+    return [o for n in counts for o in [o for o in options if len(o.model.effects) == n][:SHORTLIST_EACH]]
 
 
 def by_likelihood(options: Sequence[Explanation]) -> list[Explanation]:

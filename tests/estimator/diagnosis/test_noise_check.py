@@ -13,6 +13,7 @@ from estimator.effects import Effect
 from estimator.effects.structure import Backlash
 from estimator.likelihood.noise import Noise
 from estimator.model.mechanism import leg2
+from estimator.signals import ACCEL_X, ACCEL_Y, GYRO
 
 DECLARED = {"torque_nm": 0.02, "encoder_rad": 2e-4, "gyro_radps": 0.005, "accel_mps2": 0.05}
 
@@ -60,7 +61,7 @@ def test_an_explanation_may_leave_a_share_of_what_was_there() -> None:
 
 
 def test_without_a_declared_level_neighbouring_samples_stand_in_and_torque_is_not_judged() -> None:
-    assert set(ratios(*ends({}))) == {"gyro", "accelerometer's x axis", "accelerometer's y axis"}
+    assert set(ratios(*ends({}))) == {GYRO, ACCEL_X, ACCEL_Y}
     assert excess_noise(*ends({}, gyro=0.008, knee=1.0)) == ""
     assert "gyro" in excess_noise(*ends({}, gyro=0.02))
 
