@@ -54,7 +54,6 @@ class Explanation:
 class DiagnosisContext:
     """What all steps share."""
 
-    split: RunSplit
     candidates: list[Candidate]
     columns: list[NDArray[np.intp]]
     named: int
@@ -65,10 +64,15 @@ class DiagnosisContext:
     given_up: set[frozenset[str]] = field(default_factory=set)
     """Sets of effects whose fits were hopeless beside others."""
 
+    @property
+    def split(self) -> RunSplit:
+        """The runs, as they are split."""
+        return self.nominal.split
+
     @cached_property
     def afresh(self) -> Model:
         """The nominal model at filtered motion, for fits that lead nowhere from its own fit."""
-        return begin_afresh(self.split, self.nominal)
+        return begin_afresh(self.nominal)
 
     @cached_property
     def deviance(self) -> float:
@@ -78,20 +82,20 @@ class DiagnosisContext:
     @cached_property
     def levels(self) -> Ratios:
         """Noise levels of the nominal fit; see `estimator.diagnosis.noise_check`."""
-        return ratios(self.split, self.nominal)
+        return ratios(self.nominal)
 
     def excess_noise(self, model: Model) -> str:
         """What `model` leaves to the noise levels, in words; empty where that is in order."""
-        return excess_noise(self.split, model, None if model is self.nominal else self.levels)
+        return excess_noise(model, None if model is self.nominal else self.levels)
 
     def hidden_motion(self, model: Model) -> str:
         """Which sensor of motion `model` takes for louder than it is, in words; empty where none is."""
-        return hidden_motion(self.split, model)
+        return hidden_motion(model)
 
     @cached_property
     def noise_dominated(self) -> str:
         """Why nothing found does not mean that nothing is wrong; empty where it does."""
-        return noise_dominated(self.split, self.nominal)
+        return noise_dominated(self.nominal)
 
     @property
     def trials(self) -> int:

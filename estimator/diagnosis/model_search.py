@@ -217,7 +217,7 @@ def assess_residuals(context: DiagnosisContext, explanation: Sequence[Explanatio
     rehearsed where it is not given."""
     if not explanation:
         return []
-    scores = score_discover(context.split, explanation[0].model, context.candidates)
+    scores = score_discover(explanation[0].model, context.candidates)
     bias = bias or bootstrap_bias(context, explanation[0].model, scores)
     first = assess_residual(context, explanation[0], bias, None, scores)
     scatter = first.left.scatter
@@ -231,7 +231,7 @@ def bootstrap_bias(context: DiagnosisContext, model: Model, scores: Sequence[Run
     Motion and noise of an explanation differ from the nominal fit's, and so does the bias.
     """
     try:
-        found = bootstrap_scores(context.split, model, context.candidates, scores, context.rng)
+        found = bootstrap_scores(model, context.candidates, scores, context.rng)
     except FitError:
         return context.bias
     return [drop_size_entries(r, model) for r in found]
@@ -247,8 +247,8 @@ def assess_residual(context: DiagnosisContext, explanation: Explanation, replica
                     scatter: float | None, scores: Sequence[RunScore] | None = None) -> Explanation:
     """With what it leaves over on the discover runs, and its gain over the scatter (by default its own)."""
     model = explanation.model
-    scores = scores or score_discover(context.split, model, context.candidates)
-    left = tests_of(context.split, model, scores, [insert_size_entries(b, model) for b in replicates])
+    scores = scores or score_discover(model, context.candidates)
+    left = tests_of(model, scores, [insert_size_entries(b, model) for b in replicates])
     own = {e.key for e in model.effects}
     gains = [context.gain(left, i) if c.effect.key not in own else 0.0 for i, c in enumerate(context.candidates)]
     best = int(np.argmax(gains))

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import LOUD_SENSOR, LOUD_TORQUE, LOUD_UNDECLARED, STILL_LOUD
 from estimator.diagnosis.refit import Model
 from estimator.fitting import TORQUE_SHARE, mistakes_torque
@@ -21,23 +20,23 @@ from estimator.signals import ACCEL_X, ACCEL_Y, GYRO, Channel, encoder_of, torqu
 Ratios = Mapping[Channel, tuple[float, float]]
 """Channel to (noise found over its level, most it may be)."""
 
-def ratios(split: RunSplit, model: Model) -> Ratios:
+def ratios(model: Model) -> Ratios:
     """Of all channels but undeclared torques and encoders."""
-    known, noise = split.known, model.state.noise
+    known, noise, mechanism = model.split.known, model.state.noise, model.split.mechanism
     out: dict[Channel, tuple[float, float]] = {}
-    driven = [torque_level(known, j, True) for j in split.mechanism.actuated]
+    driven = [torque_level(known, j, True) for j in mechanism.actuated]
     for j, level in enumerate(noise.torque):
-        declared = torque_level(known, j, j in split.mechanism.actuated)
-        if declared is None and j in split.mechanism.passive:  # it lacks no more than motors' sensors err by
+        declared = torque_level(known, j, j in mechanism.actuated)
+        if declared is None and j in mechanism.passive:  # it lacks no more than motors' sensors err by
             declared = max((d for d in driven if d is not None), default=None)
         if declared is not None:
             out[torque_of(j)] = float(level) / declared, LOUD_TORQUE
-    return {**out, **motion_ratios(split, model)}
+    return {**out, **motion_ratios(model)}
 
 
-def motion_ratios(split: RunSplit, model: Model, undeclared: bool = False) -> Ratios:
+def motion_ratios(model: Model, undeclared: bool = False) -> Ratios:
     """`ratios` of encoders and IMU; `undeclared` encoders by what their neighbouring samples show."""
-    known, problem, noise = split.known, model.problem, model.state.noise
+    known, problem, noise = model.split.known, model.problem, model.state.noise
     out: dict[Channel, tuple[float, float]] = {}
     for j in map(int, np.flatnonzero(problem.has_encoder)):
         level, declared = float(noise.encoder[j]), encoder_level(known, j)
@@ -57,10 +56,10 @@ def motion_ratios(split: RunSplit, model: Model, undeclared: bool = False) -> Ra
     return out
 
 
-def excess_noise(split: RunSplit, model: Model, before: Ratios | None = None) -> str:
+def excess_noise(model: Model, before: Ratios | None = None) -> str:
     """The loudest channel in words; empty where none is too loud, beside what it was `before` if that is given."""
     worst, text = 1.0, ""
-    for channel, (ratio, limit) in ratios(split, model).items():
+    for channel, (ratio, limit) in ratios(model).items():
         allowed = (limit * math.prod(e.rough.get(channel.kind, 1.0) for e in model.effects)) ** 2
         if before is not None:
             allowed = max(allowed, 1.0 + STILL_LOUD * (before[channel][0] ** 2 - 1.0))
@@ -77,24 +76,25 @@ def in_words(channel: Channel, ratio: float) -> str:
     return f"what is left in the {name} is {ratio:.1f} times its noise"
 
 
-def hidden_motion(split: RunSplit, model: Model) -> str:
+def hidden_motion(model: Model) -> str:
     """Which sensor of motion a fit takes for louder than the rig declares, or than its neighbouring samples show, in
     words; empty where none is.
 
     Errors of free runs are held against what this noise leaves, and vanish beside it. A torque that wanders is louder
     on healthy legs, too.
     """
-    found = motion_ratios(split, model, undeclared=True)
+    found = motion_ratios(model, undeclared=True)
     channel, (ratio, limit) = max(found.items(), key=lambda f: f[1][0] / f[1][1], default=(GYRO, (0.0, 1.0)))
     return in_words(channel, ratio) if ratio > limit else ""
 
 
-def noise_dominated(split: RunSplit, nominal: Model) -> str:
+def noise_dominated(nominal: Model) -> str:
     """Says so where the nominal fit takes as much of a measured torque for noise as a fit may; else empty.
 
     What is missing can hide in so much noise, and a re-fit that needs as much is refused: nothing found then does not
     mean that nothing is wrong.
     """
+    split = nominal.split
     floors = split.floors(nominal.problem, nominal.state.beta)
     if not mistakes_torque(nominal.problem, nominal.state, floors):
         return ""

@@ -18,6 +18,7 @@ from estimator.fitting import MAX_ITERATIONS, free_mask, gentle_start, iterate, 
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
+from estimator.signals import SignalSet
 
 SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
 """Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
@@ -37,8 +38,9 @@ FIRST = 12
 
 @dataclass(frozen=True)
 class Model:
-    """A fitted set of effects (none: the nominal model) on the discover runs."""
+    """A fitted set of effects (none: the nominal model) on the discover runs of a split."""
 
+    split: RunSplit
     effects: tuple[Effect, ...]
     state: State
     problem: ExtendedProblem
@@ -66,6 +68,16 @@ class Model:
     def std(self) -> FloatArray:
         """Standard deviations of the whole parameter vector, white noise taken for granted."""
         return np.sqrt(np.maximum(np.diag(self.state.covariance), 0.0))
+
+
+@dataclass(frozen=True)
+class SmoothedRun:
+    """The motion of one run, or of a replicate of it, as a model has it: parameters and noise are the model's."""
+
+    model: Model
+    run: int
+    problem: ExtendedProblem
+    state: State
 
 
 def fit_nominal(split: RunSplit) -> Model:
@@ -97,24 +109,26 @@ def fit_nominal(split: RunSplit) -> Model:
     if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    return Model((), state, split.problem(split.discover, angle_range))
+    return Model(split, (), state, split.problem(split.discover, angle_range))
 
 
-def begin_afresh(split: RunSplit, nominal: Model) -> Model:
+def begin_afresh(nominal: Model) -> Model:
     """`nominal` with motion, beta and noise levels as a fit would start from them."""
+    split = nominal.split
     signals = split.signals(split.discover)
     free, beta = free_mask(split.mechanism, split.options)
     state = gentle_start(nominal.problem, signals, split.mechanism, split.options, free, beta)
     return replace(nominal, state=state)
 
 
-def refit(split: RunSplit, start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30,
-          noise: Noise | None = None, hold_shapes: bool = False, hold_limits: bool = True) -> Model:
-    """Full non-linear fit of the discover runs with `effects` at their starting sizes; keeps `noise` if given.
+def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30, noise: Noise | None = None,
+          hold_shapes: bool = False, hold_limits: bool = True) -> Model:
+    """Full non-linear fit of `start`'s runs with `effects` at their starting sizes; keeps `noise` if given.
 
     `hold_shapes` estimates the sizes alone, `hold_limits` holds shapes that start at a limit of their range: a step
     beyond it foresees what never comes. Raises `FitError`.
     """
+    split = start.split
     problem = split.problem(split.discover, start.problem.stage.angle_range, [e for e, _ in effects])
     p = split.mechanism.p
     parameters = np.concatenate([start.state.beta[:p], *[s for _, s in effects]])
@@ -130,16 +144,16 @@ def refit(split: RunSplit, start: Model, effects: Sequence[tuple[Effect, FloatAr
     iterate(problem, state, free, split.options, floors, limit)
     if floors is not None and mistakes_torque(problem, state, floors):
         raise FitError("the fit takes the torque for noise")
-    return Model(tuple(e for e, _ in effects), state, problem)
+    return Model(split, tuple(e for e, _ in effects), state, problem)
 
 
-def likeliest_rounding(split: RunSplit, model: Model, stated: Mechanism) -> Mechanism:
+def likeliest_rounding(model: Model, stated: Mechanism) -> Mechanism:
     """`stated` with the speeds of friction's rounding that fit the discover runs best beside the effects of `model`.
 
     Without them a wider rounding takes up a part of what they do. Raises `FitError`.
     """
-    bare = replace(split, mechanism=stated, stiction={})
-    problem = bare.problem(split.discover, model.problem.stage.angle_range, model.effects)
+    split = replace(model.split, mechanism=stated, stiction={})
+    problem = split.problem(split.discover, model.problem.stage.angle_range, model.effects)
     problem.seeks_rounding = True
     x = model.state.x
     state = replace(model.state, x=Latents(x.q.copy(), x.v.copy(), x.u.copy()), beta=model.state.beta.copy())
@@ -155,10 +169,10 @@ def misfit(model: Model) -> float:
     return min(here, model.state.lowest)
 
 
-def misfit_by_run(split: RunSplit, model: Model) -> FloatArray:
+def misfit_by_run(model: Model) -> FloatArray:
     """(R,) the same for each discover run at the model's state."""
-    out = []
-    for i, state in zip(split.discover, run_states(split, model)):
+    split, out = model.split, []
+    for i, state in zip(split.discover, run_states(model)):
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
         out.append(problem.linearise(state.x, state.beta, state.noise).objective)
     return np.array(out)
@@ -177,9 +191,9 @@ def log_volume(problem: ExtendedProblem, noise: Noise) -> float:
     return problem.total * float(np.sum(np.log(levels)))
 
 
-def run_states(split: RunSplit, model: Model) -> list[State]:
+def run_states(model: Model) -> list[State]:
     """The discover fit's state cut into runs."""
-    out, begin = [], 0
+    split, out, begin = model.split, [], 0
     for i in split.discover:
         length = sum(len(s.time_s) for s in split.runs[i])
         where = slice(begin, begin + length)
@@ -189,9 +203,10 @@ def run_states(split: RunSplit, model: Model) -> list[State]:
     return out
 
 
-def smooth(split: RunSplit, model: Model, run: int, start: Latents | None = None,
-           signals: Sequence | None = None) -> tuple[ExtendedProblem, State]:  # type: ignore[type-arg]
-    """Motion of a run that the fit has not seen (or of a rehearsal of it), parameters and noise held."""
+def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequence[SignalSet] | None = None
+           ) -> SmoothedRun:
+    """Motion of a run that the fit has not seen, or of a replicate of it in `signals`, parameters and noise held."""
+    split = model.split
     own = list(split.runs[run]) if signals is None else list(signals)
     problem = split.problem([run], model.problem.stage.angle_range, model.effects, signals=own)
     if start is None:
@@ -203,7 +218,7 @@ def smooth(split: RunSplit, model: Model, run: int, start: Latents | None = None
     steep = not np.array_equal(problem.relaxed(model.state.beta, np.inf), model.state.beta)
     for path in (SLACK[-1:] if signals is not None else LONGER if steep else SLACK, LONGER):
         try:
-            state = _settle(split, model, problem, start, path, known)
+            state = _settle(model, problem, start, path, known)
         except FitError as error:
             failure = error
             continue
@@ -215,11 +230,11 @@ def smooth(split: RunSplit, model: Model, run: int, start: Latents | None = None
     _, problem.stiction_variance, state = min(tried, key=lambda t: t[0])
     if signals is None:
         split.keep_stiction([run], problem)
-    return problem, state
+    return SmoothedRun(model, run, problem, state)
 
 
-def _settle(split: RunSplit, model: Model, problem: ExtendedProblem, start: Latents,
-            path: Sequence[tuple[float, int]], known: FloatArray | None) -> State:
+def _settle(model: Model, problem: ExtendedProblem, start: Latents, path: Sequence[tuple[float, int]],
+            known: FloatArray | None) -> State:
     """The motion that is reached from `start` along a path of slacks, of the passive joint and of steep laws.
 
     Parameters, noise and `known` rest are held.
@@ -229,12 +244,12 @@ def _settle(split: RunSplit, model: Model, problem: ExtendedProblem, start: Late
     for slack, limit in path:
         problem.stiction_variance = known
         torque = noise.torque.copy()
-        torque[list(split.mechanism.passive)] *= slack
+        torque[list(model.split.mechanism.passive)] *= slack
         state.beta = problem.relaxed(model.state.beta, slack)
         steep = not np.array_equal(state.beta, model.state.beta)
         encoder = noise.encoder * min(slack, LOOSE_ENCODER) if steep else noise.encoder
         state.noise = replace(noise, torque=torque, encoder=encoder)
-        iterate(problem, state, held, split.options, None, limit)
+        iterate(problem, state, held, model.split.options, None, limit)
     return state
 
 
@@ -245,9 +260,9 @@ def per_value(problem: ExtendedProblem, state: State) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def score_discover(split: RunSplit, model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
+def score_discover(model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
     """Scores of `candidates` at `model`, one a discover run."""
-    states = run_states(split, model)
+    split, states = model.split, run_states(model)
 
     def scored(k: int) -> RunScore:
         problem = split.problem([split.discover[k]], model.problem.stage.angle_range, model.effects, candidates)
@@ -256,14 +271,15 @@ def score_discover(split: RunSplit, model: Model, candidates: Sequence[Candidate
     return parallel_map(scored, len(states), split.workers)
 
 
-def bootstrap_scores(split: RunSplit, model: Model, candidates: Sequence[Candidate], scores: Sequence[RunScore],
+def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequence[RunScore],
                      rng: np.random.Generator) -> list[RunScore]:
     """Mean score of rehearsals of the model, one a discover run: the bias of `scores` when nothing is wrong.
 
     A rehearsal that the model fits worse than the run itself was not simulated well, and is left out; a run without
     any has the bias of the others. Raises `FitError` where there is none at all.
     """
-    states, seeds = run_states(split, model), rng.integers(2**63, size=len(split.discover))
+    split, states = model.split, run_states(model)
+    seeds = rng.integers(2**63, size=len(states))
     count = int(np.clip(REPLICATED_SAMPLES // model.problem.total, *REPLICATES))
 
     def bootstrap_bias(k: int) -> FloatArray | None:
@@ -273,11 +289,11 @@ def bootstrap_scores(split: RunSplit, model: Model, candidates: Sequence[Candida
         staged = None if split.mechanism.passive else simulate_run(problem, states[k], own)
         for _ in range(count):
             signals = draw_replicate(problem, states[k], split.runs[i], own, staged)
-            replicate, again = smooth(split, model, i, states[k].x, signals)
-            if per_value(replicate, again) > worst:
+            again = smooth(model, i, states[k].x, signals)
+            if per_value(again.problem, again.state) > worst:
                 continue
             scored = split.problem([i], model.problem.stage.angle_range, model.effects, candidates, signals)
-            found.append(score_alone(scored, again))
+            found.append(score_alone(scored, again.state))
         return np.mean(found, axis=0) if found else None
 
     means = parallel_map(bootstrap_bias, len(states), split.workers)
@@ -298,7 +314,7 @@ def pooled_bias(bias: Sequence[RunScore], run: RunScore) -> RunScore:
     return RunScore(score * share, run.information)
 
 
-def tests_of(split: RunSplit, model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None,
+def tests_of(model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None,
              scatter: Tests | None = None) -> Tests:
     """Efficient tests with the model's own parameters projected out."""
     return project(runs, model.problem.parameter_count, bias, scatter)

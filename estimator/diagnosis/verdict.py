@@ -102,11 +102,11 @@ def ask(context: DiagnosisContext, begin: Decision, what: tuple[Sequence[Explana
         possible: Sequence[tuple[Explanation, int]]) -> Decision:
     """What is to be judged of explanations that cannot be told apart, and the row of the first: its errors without each
     of its effects, and with terms without a name beside it."""
-    (best, row), table, split = what, begin.table, context.split
+    (best, row), table = what, begin.table
     beside = generic_extension(context, best[0].model, best[0].left)
     pieces = without_each(context, best[0].model)
     first = len(table.models)
-    table = extend_errors(table, split, [*pieces, *([beside] if beside is not None else [])])
+    table = extend_errors(table, [*pieces, *([beside] if beside is not None else [])])
     return replace(begin, best=tuple(best), table=table, row=row, without=tuple(range(first, first + len(pieces))),
                    beside=first + len(pieces) if beside is not None else row, terms=beside or best[0].model,
                    more=with_minor(possible, best[0], row, table, begin.draws))
@@ -178,14 +178,14 @@ def measured_beside(context: DiagnosisContext, models: Sequence[Model], readers:
         if table.unit.reference is models[1]:
             more = [m for m in models if not any(m is k for k in table.models)]
             place = {id(m): k for k, m in enumerate((*table.models, *more))}
-            return choose_rows(extend_errors(table, context.split, more), [place[id(m)] for m in models])
+            return choose_rows(extend_errors(table, more), [place[id(m)] for m in models])
     seeds = rng.integers(2**63, size=len(context.split.confirm))
     for reference in models[1:]:
         try:
-            return measure_errors(context.split, models, reference, seeds, readers)
+            return measure_errors(models, reference, seeds, readers)
         except FitError:
             continue
-    return measure_errors(context.split, models, models[NOMINAL], seeds, readers)
+    return measure_errors(models, models[NOMINAL], seeds, readers)
 
 
 def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
@@ -289,7 +289,7 @@ def without_each(context: DiagnosisContext, model: Model) -> list[Model]:
     out = []
     for k in range(len(pairs)):
         try:
-            out.append(refit(context.split, model, [*pairs[:k], *pairs[k + 1 :]]))
+            out.append(refit(model, [*pairs[:k], *pairs[k + 1 :]]))
         except (FitError, np.linalg.LinAlgError):
             return []
     return out

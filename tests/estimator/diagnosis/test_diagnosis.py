@@ -239,7 +239,7 @@ def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, li
     monkeypatch.setattr(refit, "iterate", stuck)
     nominal = fit_nominal(split)
     assert np.isinf(nominal.std()[:9]).all() and np.isfinite(nominal.state.beta).all()
-    assert any("no intervals" in warning for warning in base(split, nominal, {}, None).warnings)
+    assert any("no intervals" in warning for warning in base(nominal, {}, None).warnings)
 
 
 def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
@@ -247,7 +247,7 @@ def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
     leg, data = runs
     split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
     nominal, candidates = fit_nominal(split), [Candidate(kind(1)) for kind in (TorqueOffset, EncoderScale)]
-    scores = refit.score_discover(split, nominal, candidates)
+    scores = refit.score_discover(nominal, candidates)
     plain, count = refit.draw_replicate, len(split.discover)
 
     def going_off(problem: ExtendedProblem, state: State, signals: list[SignalSet], *rest: Any) -> list[SignalSet]:
@@ -263,13 +263,13 @@ def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
     for which in ([], names[:1]):
         bad[:] = which
         rng = np.random.default_rng(3)
-        means.append(refit.bootstrap_scores(split, nominal, candidates, scores, rng))
+        means.append(refit.bootstrap_scores(nominal, candidates, scores, rng))
     for k in range(1, count):
         assert means[1][k].score == pytest.approx(means[0][k].score, rel=1e-5)
     assert means[1][0].score == pytest.approx(refit.pooled_bias(means[0][1:], scores[0]).score, rel=1e-5)
     bad[:] = names
     with pytest.raises(FitError, match="rehearsal"):
-        refit.bootstrap_scores(split, nominal, candidates, scores, np.random.default_rng(3))
+        refit.bootstrap_scores(nominal, candidates, scores, np.random.default_rng(3))
 
 
 def test_a_combination_that_the_confirm_runs_hardly_know_is_not_tested_on_them() -> None:
@@ -296,7 +296,7 @@ def test_rows_that_are_measured_later_have_the_weights_of_the_first(runs: tuple[
     split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(), workers=workers)
     split = replace(split, confirm=split.confirm + split.screen, screen=())
     nominal = fit_nominal(split)
-    table = measure_errors(split, [nominal], nominal, np.arange(len(split.confirm)))
+    table = measure_errors([nominal], nominal, np.arange(len(split.confirm)))
     assert len(split.confirm) > 1 and set(split.confirm) <= set(split.stiction)
-    again = extend_errors(table, split, [nominal])
+    again = extend_errors(table, [nominal])
     assert again.agreement[1] == pytest.approx(0.0, abs=1e-3) and again.error(1) == pytest.approx(again.error(0))
