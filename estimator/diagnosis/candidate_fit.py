@@ -9,6 +9,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext, Explanation
+from estimator.diagnosis.decision_rule import HOPELESS, WEIGHED
 from estimator.diagnosis.refit import Model, deviance, log_volume, misfit, misfit_by_run, refit
 from estimator.diagnosis.score_statistics import Tests
 from estimator.effects import Effect
@@ -20,14 +21,8 @@ Start = list[tuple[Effect, FloatArray]]
 """Effects with the sizes at which a fit begins."""
 HELD_STEPS, FREE_STEPS = 12, 24
 """Most steps of a re-fit with shapes held, and then with all free."""
-WEIGHED = 6
-"""Most fits that are compared under the noise of the best: the likeliest under their own."""
 WEIGH_STEPS = 25
 """... and of one under the noise levels of the best explanation."""
-HOPELESS = 0.1
-"""Share of the log likelihood that the best gains, each under its own noise, below which a fit is given up: what leads
-to the truth gains nearly all that can be gained. (Measured: beside a spring, of 94,600, an offset gained 6,300 and an
-end stop 3,000, and took two thirds of the time.)"""
 _NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
 
 
@@ -68,7 +63,7 @@ def _fit_each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[
     for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers)):
         if state is not None:
             effects = tuple(e for e, _ in start)
-            models.append(Model(effects, state, split.problem(split.discover, angle_range, effects)))
+            models.append(Model(split, effects, state, split.problem(split.discover, angle_range, effects)))
     return models
 
 
@@ -79,7 +74,7 @@ def fit_held(context: DiagnosisContext, start: Start) -> Model | None:
     """
     for again in (False, True):
         try:
-            return refit(context.split, context.afresh if again else context.nominal, start, HELD_STEPS,
+            return refit(context.afresh if again else context.nominal, start, HELD_STEPS,
                          hold_shapes=True)
         except (FitError, np.linalg.LinAlgError):
             continue
@@ -92,10 +87,10 @@ def fit_free(context: DiagnosisContext, held: Model) -> Model:
     if held.state.converged and not any(e.shapes and not e.whole_shapes for e in held.effects):
         return held
     try:
-        found = refit(context.split, held, list(zip(held.effects, held.sizes())), FREE_STEPS, hold_limits=False)
+        found = refit(held, list(zip(held.effects, held.sizes())), FREE_STEPS, hold_limits=False)
         if any(np.any(e.at_limits(s)) for e, s in zip(found.effects, found.sizes())):
             if not found.state.converged:
-                found = refit(context.split, found, list(zip(found.effects, found.sizes())), FREE_STEPS)
+                found = refit(found, list(zip(found.effects, found.sizes())), FREE_STEPS)
             return min(found, held, key=deviance)  # a shape can run away
         return found
     except (FitError, np.linalg.LinAlgError):
@@ -105,8 +100,7 @@ def fit_free(context: DiagnosisContext, held: Model) -> Model:
 def climb_whole(context: DiagnosisContext, model: Model) -> Model:
     """`model`, or one likelier whose whole shapes are neighbours of its own in their grids, as far as that goes on.
 
-    The score that chose them is that of the nominal motion, which lacks the effect. (Measured: a ripple of order 7 was
-    fitted as one of order 8, which left 2.4 times what noise leaves.)
+    The score that chose them is that of the nominal motion, which lacks the effect.
     """
     tried: set[tuple[int, int, float]] = set()
     while True:
@@ -121,7 +115,7 @@ def climb_whole(context: DiagnosisContext, model: Model) -> Model:
                     moved = np.where(np.arange(size.size) < len(effect.sizes), 0.0, size)
                     moved[i] = near
                     try:
-                        found = refit(context.split, model, [*pairs[:k], (effect, moved), *pairs[k + 1 :]], HELD_STEPS,
+                        found = refit(model, [*pairs[:k], (effect, moved), *pairs[k + 1 :]], HELD_STEPS,
                                       hold_shapes=True)
                     except (FitError, np.linalg.LinAlgError):
                         continue
@@ -136,7 +130,6 @@ def weigh(context: DiagnosisContext, models: Sequence[Model], keep: Sequence[Mod
     those to `keep` in any case."""
     if not models:
         return []
-    split = context.split
     noise = min((m.state.noise for m in models), key=lambda s: log_volume(context.nominal.problem, s))
     models = sorted(models, key=deviance)
     models = [*models[:WEIGHED], *(m for m in models[WEIGHED:] if any(m is f for f in keep))]
@@ -145,15 +138,15 @@ def weigh(context: DiagnosisContext, models: Sequence[Model], keep: Sequence[Mod
     def refitted(k: int) -> tuple[float, FloatArray] | None:
         m = every[k]
         try:
-            again = refit(split, m, list(zip(m.effects, m.sizes())), WEIGH_STEPS, noise)
+            again = refit(m, list(zip(m.effects, m.sizes())), WEIGH_STEPS, noise)
         except FitError:
             if k > 0:  # under the noise of the best one it has no fit at all
                 return None
             # the nominal model is too wrong to settle under so little noise; where it stands will do
             again = replace(m, state=replace(m.state, noise=noise))
-        return misfit(again), misfit_by_run(split, again)
+        return misfit(again), misfit_by_run(again)
 
-    plain, *found = parallel_map(refitted, len(every), split.workers)
+    plain, *found = parallel_map(refitted, len(every), context.split.workers)
     assert plain is not None
     out = [Explanation(m, plain[0] - w[0], _NO_TESTS, -1, -1, False, by_run=w[1])
            for m, w in zip(models, found) if w is not None]

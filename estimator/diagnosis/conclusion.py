@@ -11,41 +11,35 @@ from scipy.special import stdtrit
 
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
-from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import ALPHA, DRAWS
+from estimator.diagnosis.decision_rule import ALPHA, BLOCK_S, CHANGED, CONFUSABLE, DRAWS, FEW_RUNS, SHORT_S
 from estimator.diagnosis.parametric_bootstrap import draw_replicate
-from estimator.diagnosis.refit import Model, smooth
+from estimator.diagnosis.refit import Model, SmoothedRun, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, SensorGain, ShortRuns, SizeEstimate, Trace
 from estimator.effects import AnonymousReading, AnonymousTorque, Shape, Size
 from estimator.errors import FitError
 from estimator.fitting import imu_levels, torque_levels
-from estimator.likelihood import ExtendedProblem, FreeRun, State, free_run
+from estimator.likelihood import ExtendedProblem, FreeRun, free_run
 from estimator.parallel import parallel_map
 from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, encoder_of
 
-BLOCK_S = 2.0
-"""Length of a block of the bootstrap: a few periods of the slowest motion."""
 ATTEMPTS = 10
 """Rehearsals, one after the other, until one does not run off: their noise is drawn."""
-CONFUSABLE = 0.7
-HORIZON_S = 1.0
-"""Length of the pieces that are simulated where noise, added up over a whole run, hides what the extension gains."""
 NO_GAP = ("a free run over a whole run cannot show the gain: noise alone, added up, leaves about as much error as the "
           "nominal model has; what speaks for the extension is the likelihood of the confirm runs")
 UNSURE_GAP = "free runs over whole runs leave open whether the extension helps: the interval of its share holds zero"
 
 
-def base(split: RunSplit, nominal: Model, refused: Mapping[str, str],
-         reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
+def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
     """What every verdict carries: runs, nominal parameters, what cannot be tested."""
+    split = nominal.split
     names = split.mechanism.names
     std = nominal.std()
     warnings = []
     if split.single:
         warnings.append("one run only: its parts stand in for runs and are not independent, so every p-value and "
                         "interval here is approximate; record several runs")
-    elif len(split.names) < 6:
+    elif len(split.names) < FEW_RUNS:
         warnings.append(f"{len(split.names)} runs only: the scatter between runs is poorly known; eight are better")
     if np.isinf(std).any():
         warnings.append("the nominal fit does not settle: the nominal parameters are least squares on filtered motion "
@@ -67,13 +61,13 @@ def base(split: RunSplit, nominal: Model, refused: Mapping[str, str],
 
 
 def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tuple[float, float]]) -> list[str]:
-    """One line for each parameter that differs from the reference by more than four standard deviations."""
+    """One line for each parameter that differs from the reference by more than `CHANGED` standard deviations."""
     out = []
     for name, (value, std) in now.items():
         if name in reference:
             old, old_std = reference[name]
             spread = float(np.hypot(std, old_std))
-            if spread > 0 and abs(value - old) > 4.0 * spread:
+            if spread > 0 and abs(value - old) > CHANGED * spread:
                 out.append(f"{name} is {value:.4g}, the reference has {old:.4g} ({(value - old) / spread:+.1f} sigma): "
                            "a changed payload or link shows as a parameter change only")
     return out
@@ -111,15 +105,14 @@ def sensed(problem: ExtendedProblem, run: FreeRun) -> dict[str, FloatArray]:
     return out | {column: run.readings[channel] for column, channel in zip(IMU_COLUMNS, IMU_CHANNELS)}
 
 
-def resimulate(split: RunSplit, fitted: tuple[ExtendedProblem, State], run: int, q1: FloatArray,
-               or_still: bool = False, horizon_s: float = np.inf) -> Resimulated:
-    """Free run of a run `fitted` by `smooth`, whole or in pieces of `horizon_s`; the pivot's angle q1 is taken for
+def resimulate(fitted: SmoothedRun, q1: FloatArray, or_still: bool = False, horizon_s: float = np.inf) -> Resimulated:
+    """Free run of a run, whole or in pieces of `horizon_s`; the pivot's angle q1 is taken for
     measured.
 
     Where it diverges raises `FitError`, or with `or_still` takes every sensor's mean instead, whose error a simulation
     that diverges exceeds; of several pieces one that diverges stays where it began.
     """
-    problem, state = fitted
+    problem, state = fitted.problem, fitted.state
     measured = sensors_of(problem, q1)
     drive = problem.torque - problem.torque_readings(state.x, state.beta)
     found = free_run(problem, state, drive, horizon_s, or_still)
@@ -127,26 +120,26 @@ def resimulate(split: RunSplit, fitted: tuple[ExtendedProblem, State], run: int,
         raise FitError("the free run diverges")
     still = {k: np.full_like(y, y.mean()) for k, y in measured.items()}
     simulated = still if found is None else sensed(problem, found)
-    time_s = np.concatenate([s.time_s for s in split.runs[run]])
-    return Resimulated(run, time_s, measured, {k: simulated[k] for k in measured},
+    time_s = np.concatenate([s.time_s for s in fitted.model.split.runs[fitted.run]])
+    return Resimulated(fitted.run, time_s, measured, {k: simulated[k] for k in measured},
                        drive - problem.motor_torque(state.x, state.beta))
 
 
-def floor_errors(split: RunSplit, model: Model, fitted: tuple[ExtendedProblem, State], run: int,
-                 rng: np.random.Generator, horizons_s: Sequence[float] = (np.inf,)) -> list[dict[str, FloatArray]]:
-    """For each horizon squared free-run errors by sensor of a rehearsal of the model on a run `fitted`: what its noise
-    alone leaves.
+def floor_errors(fitted: SmoothedRun, rng: np.random.Generator, horizons_s: Sequence[float] = (np.inf,)
+                 ) -> list[dict[str, FloatArray]]:
+    """For each horizon squared free-run errors by sensor of a replicate of a run: what the model's noise alone leaves.
 
-    Pieces of a horizon start from the motion that would be fitted to the rehearsal.
+    Pieces of a horizon start from the motion that would be fitted to the replicate.
     """
-    problem, state = fitted
+    model, run, split = fitted.model, fitted.run, fitted.model.split
+    problem, state = fitted.problem, fitted.state
     truth = free_run(problem, state)
     if truth is None:
         raise FitError("the free run diverges")
     for _ in range(ATTEMPTS):
         signals = draw_replicate(problem, state, split.runs[run], rng)
         again = split.problem([run], model.problem.stage.angle_range, model.effects, signals=signals)
-        begin = state if np.isinf(horizons_s).all() else smooth(split, model, run, state.x, signals)[1]
+        begin = state if np.isinf(horizons_s).all() else smooth(model, run, state.x, signals).state
         drive = again.torque - problem.torque_readings(state.x, state.beta)
         found = [free_run(again, state if np.isinf(h) else begin, drive, h) for h in horizons_s]
         measured = sensors_of(again, truth.q[:, 0])
@@ -168,21 +161,20 @@ class Gain:
     traces: tuple[Trace, ...]
 
 
-def measure_gain(split: RunSplit, nominal: Model, extended: Model, rng: np.random.Generator,
-                 horizon_s: float = np.inf) -> Gain:
+def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, horizon_s: float = np.inf) -> Gain:
     """Before, after and floor on the confirm runs, with the share of the gap closed and its block bootstrap.
 
     As in `error_table` no error counts for more than that of who takes the sensor's mean.
     """
+    split = extended.split
     seeds = rng.integers(2**63, size=len(split.confirm))
 
     def simulated(k: int) -> tuple[Resimulated, Resimulated, dict[str, FloatArray]]:
         i = split.confirm[k]
-        fitted = smooth(split, extended, i)
-        q1 = fitted[1].x.q[:, 0]
-        return (resimulate(split, smooth(split, nominal, i), i, q1, True, horizon_s),
-                resimulate(split, fitted, i, q1, False, horizon_s),
-                floor_errors(split, extended, fitted, i, np.random.default_rng(seeds[k]), [horizon_s])[0])
+        fitted = smooth(extended, i)
+        q1 = fitted.state.x.q[:, 0]
+        return (resimulate(smooth(nominal, i), q1, True, horizon_s), resimulate(fitted, q1, False, horizon_s),
+                floor_errors(fitted, np.random.default_rng(seeds[k]), [horizon_s])[0])
 
     blocks: dict[str, list[tuple[float, float, float]]] = {}
     traces, torque = [], []
@@ -211,13 +203,13 @@ def measure_gain(split: RunSplit, nominal: Model, extended: Model, rng: np.rando
                 (tuple(map(float, rms[0])), tuple(map(float, rms[1]))), tuple(traces))
 
 
-def in_pieces(split: RunSplit, nominal: Model, extended: Model) -> ShortRuns | None:
-    """The gain in pieces of HORIZON_S; None where they diverge."""
+def in_pieces(nominal: Model, extended: Model) -> ShortRuns | None:
+    """The gain in pieces of SHORT_S; None where they diverge."""
     try:
-        gain = measure_gain(split, nominal, extended, np.random.default_rng(0), HORIZON_S)
+        gain = measure_gain(nominal, extended, np.random.default_rng(0), SHORT_S)
     except FitError:
         return None
-    return ShortRuns(HORIZON_S, gain.sensors, gain.closed, gain.ci95)
+    return ShortRuns(SHORT_S, gain.sensors, gain.closed, gain.ci95)
 
 
 def _closed(table: Mapping[str, FloatArray], which: NDArray[np.intp]) -> float | None:
@@ -243,7 +235,7 @@ def remainder_of(model: Model) -> Remainder | None:
     return None
 
 
-def nothing(found: Diagnosis, split: RunSplit, nominal: Model, small: Explanation | None = None) -> Diagnosis:
+def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
     """Verdict `none`; `small` holds what is there but hardly changes the simulation."""
     best = found.candidates[0] if found.candidates else None
     sentence = "Nothing beyond noise is detectable in these runs"
@@ -274,14 +266,14 @@ def nothing(found: Diagnosis, split: RunSplit, nominal: Model, small: Explanatio
                    "detectable sizes fall with the square root of their number.")
 
 
-def unexplained(found: Diagnosis, split: RunSplit, nominal: Model, best: Explanation | None, why: str,
+def unexplained(found: Diagnosis, nominal: Model, best: Explanation | None, why: str,
                 rng: np.random.Generator | None = None) -> Diagnosis:
     """Verdict `unexplained`: the closest explanation, if any, is kept but not named as a finding."""
     sentence = f"Something is wrong with the model, and no listed effect accounts for it: {why}."
     causes: tuple[Cause, ...] = ()
     if best is not None:
         causes = tuple(causes_of(best, 1.0, found))
-        found = with_gain(found, split, nominal, best, rng)
+        found = with_gain(found, nominal, best, rng)
         sentence = (f"Something is wrong with the model, and no listed effect accounts for it; the closest, "
                     f"{' with '.join(label(c.effect, c.joint) for c in causes)}, does not suffice: {why}.")
     return replace(found, verdict="unexplained", sentence=sentence, causes=causes, effects=(),
@@ -289,11 +281,11 @@ def unexplained(found: Diagnosis, split: RunSplit, nominal: Model, best: Explana
                    "missing shows in one kind more than in the others. A new effect can be added in a file of its own.")
 
 
-def finding(found: Diagnosis, split: RunSplit, nominal: Model, ties: Sequence[Explanation], p_value: float,
+def finding(found: Diagnosis, nominal: Model, ties: Sequence[Explanation], p_value: float,
             rng: np.random.Generator, partial: bool = False) -> Diagnosis:
     """Verdict `named`, or `one_of` where several explanations fit alike; `partial` where what is left matters."""
     best = ties[0]
-    found = with_gain(found, split, nominal, best, rng)
+    found = with_gain(found, nominal, best, rng)
     causes = {c.effect + str(c.joint): c for t in ties for c in causes_of(t, p_value, found)}
     rivals = [causes_of(t, p_value, found) for t in ties]
     if len(ties) == 1:
@@ -320,25 +312,25 @@ def _where(found: Diagnosis) -> str:
     return "" if left is None else f": it shows in {left.channel}, as a function of {left.depends_on}"
 
 
-def with_gain(found: Diagnosis, split: RunSplit, nominal: Model, best: Explanation,
+def with_gain(found: Diagnosis, nominal: Model, best: Explanation,
               rng: np.random.Generator | None) -> Diagnosis:
     """With the gain, the extended parameters and the pictures of `best`."""
-    model, p = best.model, split.mechanism.p
+    model, mechanism = best.model, best.model.split.mechanism
+    p, names = mechanism.p, mechanism.names
     covariance = best.covariance()
-    names = split.mechanism.names
     found = replace(
         found, extended=dict(zip(names, map(float, model.state.beta[:p]))),
         extended_std=dict(zip(names, map(float, np.sqrt(np.diag(covariance)[:p])))),
         effects=tuple(zip(model.named, model.sizes())), extended_beta=model.state.beta[:model.width].copy(),
         extended_covariance=covariance,
-        signatures=tuple(s for e in model.named if (s := signature(split, nominal, model, e)) is not None))
+        signatures=tuple(s for e in model.named if (s := signature(nominal, model, e)) is not None))
     try:
-        gain = measure_gain(split, nominal, model, rng or np.random.default_rng(0))
+        gain = measure_gain(nominal, model, rng or np.random.default_rng(0))
     except FitError as error:
         return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
     if gain.ci95 is None or gain.ci95[0] <= 0.0:
         doubt = () if found.rotations else (NO_GAP if gain.closed is None else UNSURE_GAP,)  # all runs have said
-        found = replace(found, warnings=(*found.warnings, *doubt), short=in_pieces(split, nominal, model))
+        found = replace(found, warnings=(*found.warnings, *doubt), short=in_pieces(nominal, model))
     return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
 

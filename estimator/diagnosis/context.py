@@ -11,19 +11,11 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import ALPHA
-from estimator.diagnosis.noise_check import excess_noise, hidden_motion, noise_dominated, ratios
+from estimator.diagnosis.decision_rule import ALPHA, LEAST_GAIN, LEAST_GAIN_CLEAR
+from estimator.diagnosis.noise_check import Ratios, excess_noise, hidden_motion, noise_dominated, ratios
 from estimator.diagnosis.refit import Model, begin_afresh, deviance
 from estimator.diagnosis.score_statistics import RunScore, Tests
-from estimator.effects import SensorTimeSkew
 from estimator.likelihood import Candidate
-
-LEAST_GAIN = 0.01
-"""Least gain of an effect that is looked at: this much of twice the log likelihood a sample. Smaller ones can be
-significant in long records (microseconds of skew, a per mille of scale) and change no simulation."""
-CLEAR = 0.4
-"""... or this share of it where an effect of the library does not act near rest. (On 100 legs with nothing hidden such
-effects gained 39 at most, 0.0033 a sample; Stribeck friction 104.)"""
 
 
 @dataclass(frozen=True)
@@ -62,7 +54,6 @@ class Explanation:
 class DiagnosisContext:
     """What all steps share."""
 
-    split: RunSplit
     candidates: list[Candidate]
     columns: list[NDArray[np.intp]]
     named: int
@@ -73,10 +64,15 @@ class DiagnosisContext:
     given_up: set[frozenset[str]] = field(default_factory=set)
     """Sets of effects whose fits were hopeless beside others."""
 
+    @property
+    def split(self) -> RunSplit:
+        """The runs, as they are split."""
+        return self.nominal.split
+
     @cached_property
     def afresh(self) -> Model:
         """The nominal model at filtered motion, for fits that lead nowhere from its own fit."""
-        return begin_afresh(self.split, self.nominal)
+        return begin_afresh(self.nominal)
 
     @cached_property
     def deviance(self) -> float:
@@ -84,33 +80,33 @@ class DiagnosisContext:
         return deviance(self.nominal)
 
     @cached_property
-    def levels(self) -> dict[str, tuple[float, float]]:
+    def levels(self) -> Ratios:
         """Noise levels of the nominal fit; see `estimator.diagnosis.noise_check`."""
-        return ratios(self.split, self.nominal)
+        return ratios(self.nominal)
 
     def excess_noise(self, model: Model) -> str:
         """What `model` leaves to the noise levels, in words; empty where that is in order."""
-        return excess_noise(self.split, model, None if model is self.nominal else self.levels)
+        return excess_noise(model, None if model is self.nominal else self.levels)
 
     def hidden_motion(self, model: Model) -> str:
         """Which sensor of motion `model` takes for louder than it is, in words; empty where none is."""
-        return hidden_motion(self.split, model)
+        return hidden_motion(model)
 
     @cached_property
     def noise_dominated(self) -> str:
         """Why nothing found does not mean that nothing is wrong; empty where it does."""
-        return noise_dominated(self.split, self.nominal)
+        return noise_dominated(self.nominal)
 
     @property
     def trials(self) -> int:
         return len(self.candidates)
 
     def gain(self, tests: Tests, i: int) -> float:
-        """Of candidate i; nil for a skew that the recorder's clocks leave open anyway."""
-        if (self.candidates[i].effect.name == SensorTimeSkew.name
-                and abs(float(tests.size(self.columns[i])[0])) < self.split.clock_bound_s):
+        """Of candidate i; nil for what the recorder's clocks leave open anyway."""
+        columns, open_size = self.columns[i], self.candidates[i].effect.open_size(self.split.clock_bound_s)
+        if open_size > 0.0 and abs(float(tests.size(columns)[0])) < open_size:
             return 0.0
-        return tests.gain(self.columns[i])
+        return tests.gain(columns)
 
     def material(self, which: Sequence[int]) -> float:
         """Least gain that counts on these runs."""
@@ -120,7 +116,7 @@ class DiagnosisContext:
 def least_gain(context: DiagnosisContext, i: int) -> float:
     """Gain on the discover runs above which candidate i counts as detected."""
     clear = i < context.named and not context.candidates[i].effect.near_rest
-    return (CLEAR if clear else 1.0) * context.material(context.split.discover)
+    return (LEAST_GAIN_CLEAR if clear else 1.0) * context.material(context.split.discover)
 
 
 def detected(context: DiagnosisContext, tests: Tests) -> bool:

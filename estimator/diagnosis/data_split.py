@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from daq import Dataset, FloatArray
+from estimator.diagnosis.decision_rule import KEPT_BACK, LEAST_S, PARTS
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import noise_floors
@@ -16,11 +17,6 @@ from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage
 from estimator.model import Mechanism
 from estimator.options import FitOptions, accel_level, encoder_level, torque_level
 from estimator.signals import SignalSet, split_signals
-
-KEPT_BACK = (1, 2)
-"""Which of four neighbours in excitation is kept back, in turn: neither the strongest nor the weakest of all runs."""
-PARTS = 8
-"""Stretches into which a single run is cut."""
 
 
 @dataclass(frozen=True)
@@ -115,9 +111,9 @@ def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
     if len(rates) > 1:
         raise FitError("the runs are on grids of different rates; give one rate_hz under [sampling]")
     lengths = [sum(len(s.time_s) for s in run) / run[0].rate_hz for run in runs]
-    if sum(lengths) < 8.0:
-        raise FitError(f"{sum(lengths):.1f} s of data cannot support a diagnosis; record at least 8 s, better eight "
-                       "runs of 20 s")
+    if sum(lengths) < LEAST_S:
+        raise FitError(f"{sum(lengths):.1f} s of data cannot support a diagnosis; record at least {LEAST_S:.0f} s, "
+                       "better eight runs of 20 s")
     starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
     order = by_excitation(runs)
     groups = kept_back(len(order))

@@ -70,7 +70,7 @@ def generic_extension(context: DiagnosisContext, model: Model, left: Tests) -> M
     start += [(context.candidates[i].effect, start_size(context, left, i)) for i in chosen]
     for count in range(len(start), len(model.effects), -1):  # fewer where all together do not settle
         try:
-            return refit(context.split, model, start[:count], GENERIC_STEPS)
+            return refit(model, start[:count], GENERIC_STEPS)
         except (FitError, np.linalg.LinAlgError):
             continue
     return None

@@ -16,16 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.conclusion import BLOCK_S, PIVOT, floor_errors, resimulate, sensors_of
-from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import DRAWS
-from estimator.diagnosis.refit import Model, smooth
-from estimator.likelihood import ExtendedProblem, State
+from estimator.diagnosis.conclusion import PIVOT, floor_errors, resimulate, sensors_of
+from estimator.diagnosis.decision_rule import BLOCK_S, DRAWS, HORIZONS_S
+from estimator.diagnosis.refit import Model, SmoothedRun, smooth
 from estimator.parallel import parallel_map
-
-HORIZONS_S = (0.1, 1.0, np.inf)
-"""What a controller looks ahead, a swing, and the whole run: long free runs of a leg that sticks are chaotic, and tell
-nothing of friction near rest; short ones do not add up what is slow."""
 
 
 @dataclass(frozen=True)
@@ -105,26 +99,26 @@ class Measured(NamedTuple):
     stiction: FloatArray | None
 
 
-def measure_errors(split: RunSplit, models: Sequence[Model], reference: Model, seeds: NDArray[np.int64],
+def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.int64],
                    readers: Sequence[int] | None = None) -> ErrorTable:
-    """Errors of `models`, the nominal one first, on the confirm runs, one of `seeds` each, in units of the noise of
+    """Errors of `models`, the nominal one first, on their confirm runs, one of `seeds` each, in units of the noise of
     `reference`. One of `readers`, by default of all models, reads the pivot's angle.
 
     No error counts for more than that of who takes every sensor's mean: a simulation that strays from the motion, once
     it has, says nothing more. Raises `FitError` where the reference's simulation runs off.
     """
+    split = reference.split
     best = next((k for k, m in enumerate(models) if m is reference), len(models))
     every = [*models, *([reference] if best == len(models) else [])]
     could = list(range(len(models)) if readers is None else readers)
 
     def measured(k: int) -> Measured:
         run = split.confirm[k]
-        fitted = [smooth(split, model, run) for model in every]
-        pivots = np.stack([fitted[r][1].x.q[:, 0] for r in could])
-        floors = floor_errors(split, reference, fitted[best], run, np.random.default_rng(seeds[k]), HORIZONS_S)
+        fitted = [smooth(model, run) for model in every]
+        pivots = np.stack([fitted[r].state.x.q[:, 0] for r in could])
+        floors = floor_errors(fitted[best], np.random.default_rng(seeds[k]), HORIZONS_S)
         floor = np.array([f[c].mean() for f in floors for c in sorted(f)])
-        return Measured(_squares(split, fitted[: len(models)], run, pivots), floor,
-                        _moments(fitted[best][0], fitted[best][1].x.q[:, 0]),
+        return Measured(_squares(fitted[: len(models)], pivots), floor, _moments(fitted[best]),
                         _misfits(fitted, reference)[: len(models)], pivots, split.stiction.get(run))
 
     parts = parallel_map(measured, len(split.confirm), split.workers)
@@ -139,15 +133,17 @@ def measure_errors(split: RunSplit, models: Sequence[Model], reference: Model, s
     misfits = np.stack([p.misfits for p in parts], axis=-1)
     reader = int(np.argmin(misfits.sum(axis=1)[could]))
     unit = Unit(reference, floor, models[could[reader]], tuple(p.pivots[reader] for p in parts), bound, misfits[0])
-    return ErrorTable(_columns_of(split, reference), _bounded([p.squares[reader] for p in parts], floor, bound),
+    return ErrorTable(_columns_of(reference), _bounded([p.squares[reader] for p in parts], floor, bound),
                       misfits[0] - misfits, np.repeat(np.arange(len(parts)), lengths), tuple(models), unit)
 
 
-def extend_errors(table: ErrorTable, split: RunSplit, more: Sequence[Model]) -> ErrorTable:
+def extend_errors(table: ErrorTable, more: Sequence[Model]) -> ErrorTable:
     """`table` with rows for `more` models."""
+    split = table.unit.reference.split
+
     def measured(k: int) -> tuple[FloatArray, FloatArray]:
-        fitted = [smooth(split, model, split.confirm[k]) for model in more]
-        return (_squares(split, fitted, split.confirm[k], table.unit.pivots[k][None])[0],
+        fitted = [smooth(model, split.confirm[k]) for model in more]
+        return (_squares(fitted, table.unit.pivots[k][None])[0],
                 table.unit.misfits[k] - _misfits(fitted, table.unit.reference))
 
     if not more:
@@ -165,22 +161,23 @@ def choose_rows(table: ErrorTable, rows: Sequence[int]) -> ErrorTable:
                    models=tuple(table.models[k] for k in rows))
 
 
-def _columns_of(split: RunSplit, model: Model) -> tuple[tuple[str, float], ...]:
+def _columns_of(model: Model) -> tuple[tuple[str, float], ...]:
     """Sensors, alphabetically, at each horizon."""
+    split = model.split
     problem = split.problem(split.confirm[:1], model.problem.stage.angle_range, model.effects)
     names = sensors_of(problem, np.zeros(problem.total))
     return tuple((c, horizon) for horizon in HORIZONS_S for c in names)
 
 
-def _squares(split: RunSplit, fitted: Sequence[tuple[ExtendedProblem, State]], run: int, pivots: FloatArray
-             ) -> FloatArray:
+def _squares(fitted: Sequence[SmoothedRun], pivots: FloatArray) -> FloatArray:
     """(P, M, B, C) mean squared errors over blocks of a run that the models are `fitted` to, the pivot's angle being
     each of `pivots` (P, N) in turn."""
-    size = max(10, int(BLOCK_S * split.runs[run][0].rate_hz))
+    split = fitted[0].model.split
+    size = max(10, int(BLOCK_S * split.runs[fitted[0].run][0].rate_hz))
     errors: list[list[FloatArray]] = [[] for _ in fitted]
     for horizon in HORIZONS_S:
         for row, one in zip(errors, fitted):
-            found = resimulate(split, one, run, pivots[0], True, horizon)
+            found = resimulate(one, pivots[0], True, horizon)
             for column, y in found.measured.items():
                 read = pivots if column == PIVOT and split.has_imu else y[None]
                 squares = _blocks((found.simulated[column] - read) ** 2, size)
@@ -188,9 +185,9 @@ def _squares(split: RunSplit, fitted: Sequence[tuple[ExtendedProblem, State]], r
     return np.stack([np.stack(row, axis=-1) for row in errors], axis=1)
 
 
-def _moments(problem: ExtendedProblem, q1: FloatArray) -> FloatArray:
+def _moments(fitted: SmoothedRun) -> FloatArray:
     """(2, C) mean, and mean square, of what each column's sensor measured."""
-    measured = sensors_of(problem, q1).values()
+    measured = sensors_of(fitted.problem, fitted.state.x.q[:, 0]).values()
     return np.tile([[y.mean() for y in measured], [np.mean(y**2) for y in measured]], len(HORIZONS_S))
 
 
@@ -199,10 +196,10 @@ def _bounded(squares: Sequence[FloatArray], floor: FloatArray, bound: FloatArray
     return np.asarray(np.minimum(np.concatenate(squares, axis=1), bound) / floor)
 
 
-def _misfits(fitted: Sequence[tuple[ExtendedProblem, State]], reference: Model) -> FloatArray:
+def _misfits(fitted: Sequence[SmoothedRun], reference: Model) -> FloatArray:
     """(M,) -2 log likelihood up to a constant, all under the noise of the reference."""
-    return np.array([problem.motion_equations(state.x, state.beta, reference.state.noise).objective
-                     for problem, state in fitted])
+    return np.array([one.problem.motion_equations(one.state.x, one.state.beta, reference.state.noise).objective
+                     for one in fitted])
 
 
 def _blocks(squares: FloatArray, size: int) -> FloatArray:

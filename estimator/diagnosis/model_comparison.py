@@ -7,20 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimator.diagnosis.context import Explanation
+from estimator.diagnosis.decision_rule import AGREE, TIE, TIE_ALIKE, TIE_GAIN, WIDEST
 from estimator.diagnosis.model_search import significant
-
-TIE = 0.005
-"""Explanations within this share of the best one's gain are not told apart ..."""
-TIE_GAIN = 8.0
-"""... or within this much of twice the log likelihood ..."""
-TIE_ALIKE = 0.02
-"""... nor those that differ by one effect for another of its `Effect.equivalence_class` within this share ..."""
-AGREE = 0.6
-"""... nor where runs disagree: their differences in misfit sum to less than this share of their absolute values ..."""
-WIDEST = 0.1
-"""... and to less than this share of the gain. (A rotor and a scale of the encoder, 2.8 % apart: the runs differ by -75
-to 81, and the confirm runs prefer the other one. Of five wrong rivals within 12 % on tuning seeds 11 and 12, those of
-one group aside, no run preferred any by more than 6.)"""
 
 
 def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
@@ -39,8 +27,7 @@ def is_close(other: Explanation, most: Explanation) -> bool:
     """Whether `other` is about as likely as the `most` likely.
 
     Second causes beside one and the same first are compared by what they add to it, not by the first one's gain
-    too. (Measured: drag beside a late IMU gained 319,713 with it, and tied with Stribeck friction's 319,410; the late
-    IMU had left 1,047.)
+    too.
     """
     common = bool(most.beside) and most.beside == other.beside
     share, short = most.gain_over_parent if common else most.gain, most.gain - other.gain
@@ -72,10 +59,7 @@ def settled(ties: list[Explanation]) -> list[Explanation]:
 
 
 def set_apart(explanation: Explanation) -> bool:
-    """Whether an effect of a group has the size that sets it apart from the others, beside its own scatter too.
-
-    (Measured: an offset was named a spring of -0.02 N m/rad, 3.5 of its own deviations.)
-    """
+    """Whether an effect of a group has the size that sets it apart from the others, beside its own scatter too."""
     spread = np.sqrt(np.maximum(explanation.inflation, explanation.left.scatter))
     return any(e.equivalence_class and e.distinguishing_size is not None
                and significant(explanation.model, k, spread)[e.distinguishing_size]

@@ -11,38 +11,29 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.diagnosis.candidate_fit import Start, effects_of, fit_candidates, fit_models, own_gain
 from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, p_of
-from estimator.diagnosis.decision_rule import ALPHA
+from estimator.diagnosis.decision_rule import (
+    ALPHA,
+    COLLINEAR,
+    FIRST_SINGLES,
+    LEFT_AT_REST,
+    LEFT_OVER,
+    MOST_GROWN,
+    NIL,
+    PAIRS,
+    PARENTS,
+    RIVAL,
+    SCATTERED,
+    SINGLES,
+    STILL_LEFT,
+    TRIPLES,
+    WORTH_TRYING,
+)
 from estimator.diagnosis.refit import Model, bootstrap_scores, score_discover, tests_of
 from estimator.diagnosis.score_statistics import RunScore, Tests, own_inflation
 from estimator.effects import Effect
 from estimator.errors import FitError
 
 Progress = Callable[[str, float], None]
-FIRST = 2
-"""Best effects beside which friction's rounding is sought before anything else is tried."""
-SINGLES = 5
-"""Best effects that are re-fitted one by one, beside ..."""
-SCATTERED = 2
-"""... the best of the others by gains that are not divided by their own scatter between runs: what is badly missing
-scatters by itself. (Measured: an encoder's scale of 28 % came sixth, and was not tried; an IMU 13 ms late scattered 21
-times as much as all else beside a soft gear, and came sixth.)"""
-MOST_ASSESSED = 4
-"""Of them, those whose rest is looked at: the likeliest."""
-PAIRS = 3
-LEFT_OVER = 0.03
-"""What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
-LEFT_AT_REST = 0.15
-"""... and this share to another friction near rest at its joint. (Measured: Stribeck friction of the form 1/(1 + v^2)
-left 5 to 12 % to bristles, of a level below zero.)"""
-STILL_LEFT = 0.1
-"""Share of what a single leaves that a second cause may still leave beside it: forms differ, as above."""
-COLLINEAR = 0.9
-"""Cosine above which one effect is tried in another's place. (Measured: beside asymmetric friction an encoder's disc
-off centre was named for its scale, which no pair had held.)"""
-NIL = 4.0
-"""Standard deviations within which a size is nil: the rounding of dry friction near rest alone moves sizes by two."""
-RIVAL = 0.5
-"""An explanation with less than this share of the best one's gain leaves the rest of it unexplained: not a rival."""
 
 
 def explain(context: DiagnosisContext, tests: Tests, singles: list[Explanation], say: Progress,
@@ -104,7 +95,8 @@ def keys_of(explanation: Explanation) -> frozenset[str]:
 
 def fit_first(context: DiagnosisContext, tests: Tests) -> list[Model]:
     """The two most promising effects, each fitted alone."""
-    return fit_models(context, [start_of(context, tests, i) for i in promising(context, tests, SINGLES)[:FIRST]])
+    first = promising(context, tests, SINGLES)[:FIRST_SINGLES]
+    return fit_models(context, [start_of(context, tests, i) for i in first])
 
 
 def fit_singles(context: DiagnosisContext, tests: Tests, first: Sequence[Model] = ()) -> list[Explanation]:
@@ -114,7 +106,7 @@ def fit_singles(context: DiagnosisContext, tests: Tests, first: Sequence[Model] 
     effects = [context.candidates[i].effect for i in far]
     starts: list[Start] = [[(e, np.array(size))] for e in effects for size in e.starts]
     known = {e.key for e in effects if e.starts}
-    starts += [start_of(context, tests, i) for i in promising(context, tests, SINGLES)[FIRST:]
+    starts += [start_of(context, tests, i) for i in promising(context, tests, SINGLES)[FIRST_SINGLES:]
                if context.candidates[i].effect.key not in known]
     return fit_candidates(context, starts, first)
 
@@ -122,9 +114,7 @@ def fit_singles(context: DiagnosisContext, tests: Tests, first: Sequence[Model] 
 def fit_others(context: DiagnosisContext, tests: Tests, singles: Sequence[Explanation]) -> list[Explanation]:
     """`singles` and every effect of the library that was not tried, each fitted alone, the likeliest first.
 
-    Where no single closes, a nominal fit that is far wrong may have hidden the one cause that there is. (Measured: an
-    IMU 4 ms late left the pivot 0.09 N m of model error and friction that drives; one step foresaw nothing of a skew,
-    whose fit then gained 157,000 where the best of seven singles gained 73,000.)
+    Where no single closes, a nominal fit that is far wrong may have hidden the one cause that there is.
     """
     tried = {keys_of(e) for e in singles} | context.given_up
     starts = [start_of(context, tests, i) for i in best_shapes(context, tests)
@@ -142,8 +132,7 @@ def combine(context: DiagnosisContext, singles: Sequence[Explanation], say: Prog
     """`singles`; where none closes, pairs; where none of these does, and they `promise` more, one triple.
 
     What a single may leave over could be a difference of form, or a second cause: where it leaves something, a pair
-    that leaves next to nothing is preferred. (Measured: a lever arm gained 609,000 and left 1,800, which was a spring;
-    a stand 194,000, and left 860, which was a late torque.)
+    that leaves next to nothing is preferred.
     """
     singles = closing(context, singles)
     if any(s.adequate for s in singles):
@@ -158,19 +147,17 @@ def combine(context: DiagnosisContext, singles: Sequence[Explanation], say: Prog
         others = [replace(p, adequate=False) for p in more if not any(p is k for k in pairs)]
         return [*pairs, *others, *([replace(s, adequate=False) for s in singles] if pairs else singles)]
     say("trying pairs", 0.7)
-    pairs = forward_step(context, singles[:2], PAIRS)
+    pairs = forward_step(context, singles[:PARENTS], PAIRS)
     pairs += backward_step(context, pairs)
     if any(s.adequate for s in pairs) or not pairs or not promise(pairs + singles):
         return pairs + singles
     say("trying three", 0.8)
-    return forward_step(context, pairs[:1], 2) + pairs + singles
+    return forward_step(context, pairs[:1], TRIPLES) + pairs + singles
 
 
 def closing(context: DiagnosisContext, singles: Sequence[Explanation]) -> list[Explanation]:
-    """`singles`, of which those do not close that are far less likely than another, each under its own noise.
-
-    (Measured: beside a wrong gyro scale an encoder's offset, the truth, gained 83,000 and left the scale; a disc off
-    centre gained 26,000, left less, and pairs were grown from that alone.)
+    """`singles`, of which those do not close that are far less likely than another, each under its own noise:
+    what gains little leaves little, and would be all that pairs are grown from.
     """
     gains = [own_gain(context, s.model) for s in singles]
     least = (1.0 - STILL_LEFT) * max(gains, default=0.0)
@@ -180,8 +167,7 @@ def closing(context: DiagnosisContext, singles: Sequence[Explanation]) -> list[E
 def backward_step(context: DiagnosisContext, explanation: Sequence[Explanation]) -> list[Explanation]:
     """Those that leave little but hold an effect that is nil, fitted without it, as far as they close then.
 
-    A nominal fit that is far wrong can hide the one cause there is from the first singles. (Measured: a tilted IMU was
-    found beside a bias of the accelerometer only, which was nil then.)
+    A nominal fit that is far wrong can hide the one cause there is from the first singles.
     """
     starts = {}
     for e in explanation:
@@ -199,23 +185,20 @@ def promising(context: DiagnosisContext, tests: Tests, most: int, skip: Sequence
     instead of their own."""
     order = best_shapes(context, tests, skip)
     chance = {i: p_of(context, tests, i) for i in order}
-    best = [i for i in order[:most] if chance[i] < 0.5]
+    best = [i for i in order[:most] if chance[i] < WORTH_TRYING]
     common = {i: context.gain(tests, i) * float(np.mean(tests.inflation[context.columns[i]])) / tests.scatter
-              for i in order if i not in best and chance[i] < 0.5}
+              for i in order if i not in best and chance[i] < WORTH_TRYING}
     badly = sorted(common, key=lambda i: -common[i])[:SCATTERED]
     return [*best, *(i for i in badly if common[i] > context.material(context.split.discover))]
 
 
 def same_family(best: Explanation, pair: Explanation) -> bool:
     """Whether what `pair` adds to `best` is of the kin of one of its effects, at the same joint, or a delay that a law
-    leaves out.
-
-    (Measured: play with an elastic stop was named play and a soft gear; an encoder's disc off centre, an offset too.)
-    """
+    leaves out."""
     own = {(e.family, e.joint) for e in best.model.effects if e.family}
     lag_s = max(e.lag_s for e in best.model.effects)
     more = [(e, s) for e, s in zip(pair.model.effects, pair.model.sizes()) if e.key not in keys_of(best)]
-    return any((e.family, e.joint) in own or (e.sizes[0].unit == "s" and abs(s[0]) < lag_s) for e, s in more)
+    return any((e.family, e.joint) in own or 0.0 < abs(e.delay_s(s)) < lag_s for e, s in more)
 
 
 def start_size(context: DiagnosisContext, tests: Tests, i: int) -> FloatArray:
@@ -234,7 +217,7 @@ def assess_residuals(context: DiagnosisContext, explanation: Sequence[Explanatio
     rehearsed where it is not given."""
     if not explanation:
         return []
-    scores = score_discover(context.split, explanation[0].model, context.candidates)
+    scores = score_discover(explanation[0].model, context.candidates)
     bias = bias or bootstrap_bias(context, explanation[0].model, scores)
     first = assess_residual(context, explanation[0], bias, None, scores)
     scatter = first.left.scatter
@@ -248,7 +231,7 @@ def bootstrap_bias(context: DiagnosisContext, model: Model, scores: Sequence[Run
     Motion and noise of an explanation differ from the nominal fit's, and so does the bias.
     """
     try:
-        found = bootstrap_scores(context.split, model, context.candidates, scores, context.rng)
+        found = bootstrap_scores(model, context.candidates, scores, context.rng)
     except FitError:
         return context.bias
     return [drop_size_entries(r, model) for r in found]
@@ -264,8 +247,8 @@ def assess_residual(context: DiagnosisContext, explanation: Explanation, replica
                     scatter: float | None, scores: Sequence[RunScore] | None = None) -> Explanation:
     """With what it leaves over on the discover runs, and its gain over the scatter (by default its own)."""
     model = explanation.model
-    scores = scores or score_discover(context.split, model, context.candidates)
-    left = tests_of(context.split, model, scores, [insert_size_entries(b, model) for b in replicates])
+    scores = scores or score_discover(model, context.candidates)
+    left = tests_of(model, scores, [insert_size_entries(b, model) for b in replicates])
     own = {e.key for e in model.effects}
     gains = [context.gain(left, i) if c.effect.key not in own else 0.0 for i, c in enumerate(context.candidates)]
     best = int(np.argmax(gains))
@@ -293,8 +276,7 @@ def presence(model: Model, spread: float) -> list[bool]:
     """For each effect, whether a defining size is not nil within its interval, and none of a sign that it cannot have.
 
     A gear that does not twist, with its motor's friction and inertia for sizes, is no soft gear; nor is friction near
-    rest what its law says where that wants to be nearer than its range. (Measured: Stribeck friction of 0.06 N m below
-    0.025 rad/s beside a lever arm, where there was none.)
+    rest what its law says where that wants to be nearer than its range.
     """
     out = []
     for k, (effect, size) in enumerate(zip(model.named, model.sizes())):
@@ -334,4 +316,4 @@ def forward_step(context: DiagnosisContext, parents: Sequence[Explanation], most
         if beside is not None:
             grown.append(replace(e, beside=beside, gain_over_parent=e.gain - gains.get(beside, 0.0)))
     bias = parents[0].bias if parents[0].adequate else ()  # what little its effect leaves hardly changes noise levels
-    return assess_residuals(context, grown[:3], bias)
+    return assess_residuals(context, grown[:MOST_GROWN], bias)

@@ -20,11 +20,10 @@ from daq import Dataset, FloatArray
 from estimator.diagnosis import conclusion
 from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, SUFFICES
+from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, MOST_ASSESSED, SUFFICES
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.error_table import ErrorTable, measure_errors
 from estimator.diagnosis.model_search import (
-    MOST_ASSESSED,
     Progress,
     assess_residuals,
     closing,
@@ -47,7 +46,7 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
-from estimator.diagnosis.verdict import NOMINAL, by_likelihood, decide, two_of_each
+from estimator.diagnosis.verdict import NOMINAL, by_likelihood, decide, first_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, rounding_words
@@ -67,7 +66,7 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     `reference` is (value, std) by parameter of an earlier model: changed inertial parameters are reported as a
     payload. Independent fits share `workers` processes, by default one a core. Data that cannot be diagnosed give the
     verdict `fit_failed` with the reason, never an exception. Matrix products take one thread each meanwhile: they are
-    small, and processes that share cores hinder each other. (Measured on two cores: 66 s instead of 112.)
+    small, and processes that share cores hinder each other.
     """
     start = time.perf_counter()
     say = progress or (lambda stage, fraction: None)
@@ -103,25 +102,24 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     named = len(candidates)
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu)]
     say("scoring the library", 0.15)
-    scores = score_discover(split, nominal, candidates)
+    scores = score_discover(nominal, candidates)
     say("rehearsing the nominal model", 0.2)
     if bias is None:
         try:
-            bias = bootstrap_scores(split, nominal, candidates, scores, rng)
+            bias = bootstrap_scores(nominal, candidates, scores, rng)
         except FitError:  # a fit that is far wrong can have friction below zero, and its simulation run off
             bias = [RunScore(np.zeros_like(s.score), s.information) for s in scores]
-    context = DiagnosisContext(split, candidates, columns_of(candidates), named, list(bias), nominal, rng)
-    tests = tests_of(split, nominal, scores, bias)
+    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng)
+    tests = tests_of(nominal, scores, bias)
     ranked = rank(context, tests)
-    base = conclusion.base(split, nominal, refused, reference)
+    base = conclusion.base(nominal, refused, reference)
     base = replace(base, candidates=ranked, separability=separability(context, tests))
     if not detected(context, tests) and not context.excess_noise(nominal) and not context.hidden_motion(nominal):
         if context.noise_dominated:
             raise FitError(context.noise_dominated)
         error = nominal_error(context, rng)
         if error is None or error <= EDGE:
-            return conclusion.nothing(replace(base, error=None if error is None else (error, error)), context.split,
-                                      nominal)
+            return conclusion.nothing(replace(base, error=None if error is None else (error, error)))
     known: list[ErrorTable] = []
     options, other = search(context, tests, say, stated,
                             lambda found: promise(context, found, material, rng, known))
@@ -135,15 +133,14 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
 def search(context: DiagnosisContext, tests: Tests, say: Progress, stated: Mechanism | None,
            promise: Callable[[Sequence[Explanation]], bool]) -> tuple[list[Explanation], Mechanism | None]:
     """Fitted explanations; or, as soon as friction has another rounding beside the best, the mechanism with that."""
-    split = context.split
     say("re-fitting the best explanations", 0.4)
     first = fit_first(context, tests)
-    other = rounding_beside(split, likeliest_of(first), stated)
+    other = rounding_beside(likeliest_of(first), stated)
     if other is not None:
         return [], other
     options = fit_singles(context, tests, first)
     best = likeliest_of([e.model for e in options])
-    other = None if any(best is m for m in first) else rounding_beside(split, best, stated)
+    other = None if any(best is m for m in first) else rounding_beside(best, stated)
     if other is not None:
         return [], other
     say("looking at what they leave over", 0.6)
@@ -153,13 +150,13 @@ def search(context: DiagnosisContext, tests: Tests, say: Progress, stated: Mecha
         every = fit_others(context, tests, options)
         found = likeliest_of([e.model for e in every])
         if found is not None and not any(found is e.model for e in options):
-            other = rounding_beside(split, found, stated)
+            other = rounding_beside(found, stated)
             if other is not None:
                 return [], other
             options = assess_residuals(context, every[:MOST_ASSESSED])
     options = explain(context, tests, options, say, promise)
     more = max((e for e in options if len(e.model.effects) > 1), key=lambda e: (e.adequate, e.gain), default=None)
-    return options, None if more is None else rounding_beside(split, more.model, stated)
+    return options, None if more is None else rounding_beside(more.model, stated)
 
 
 def likeliest_of(models: Sequence[Model]) -> Model | None:
@@ -167,16 +164,16 @@ def likeliest_of(models: Sequence[Model]) -> Model | None:
     return min(models, key=deviance, default=None)
 
 
-def rounding_beside(split: RunSplit, model: Model | None, stated: Mechanism | None) -> Mechanism | None:
+def rounding_beside(model: Model | None, stated: Mechanism | None) -> Mechanism | None:
     """The mechanism, where friction has another rounding beside the effects of `model`, sought from what is
     `stated`."""
     if stated is None or model is None:
         return None
     try:
-        found = likeliest_rounding(split, model, stated)
+        found = likeliest_rounding(model, stated)
     except FitError:
         return None
-    return None if np.array_equal(found.velocity_scales, split.mechanism.velocity_scales) else found
+    return None if np.array_equal(found.velocity_scales, model.split.mechanism.velocity_scales) else found
 
 
 def rank(context: DiagnosisContext, tests: Tests) -> tuple[CandidateScore, ...]:
@@ -184,11 +181,10 @@ def rank(context: DiagnosisContext, tests: Tests) -> tuple[CandidateScore, ...]:
     out = []
     for i in best_shapes(context, tests):
         effect, columns = context.candidates[i].effect, context.columns[i]
-        open_size = context.split.clock_bound_s if effect.name == SensorTimeSkew.name else 0.0
         detectable = tests.detectable(int(columns[0]), ALPHA / context.trials, least_gain(context, i))
         out.append(CandidateScore(effect.name, None if effect.joint is None else effect.joint + 1,
                           float(np.sqrt(max(context.gain(tests, i), 0.0))), p_of(context, tests, i),
-                          float(tests.size(columns)[0]), max(detectable, open_size),
+                          float(tests.size(columns)[0]), max(detectable, effect.open_size(context.split.clock_bound_s)),
                           context.split.mechanism.unit(effect.sizes[0].unit)))
     return tuple(out)
 
@@ -205,9 +201,9 @@ def separability(context: DiagnosisContext, tests: Tests) -> tuple[tuple[str, ..
 def nominal_error(context: DiagnosisContext, rng: np.random.Generator) -> float | None:
     """rms error of the nominal model's free runs on the confirm runs in units of what noise alone leaves; None where
     they cannot be carried through."""
-    split, nominal = context.split, context.nominal
+    nominal = context.nominal
     try:
-        table = measure_errors(split, [nominal], nominal, rng.integers(2**63, size=len(split.confirm)))
+        table = measure_errors([nominal], nominal, rng.integers(2**63, size=len(nominal.split.confirm)))
     except FitError:
         return None
     return table.error(NOMINAL)
@@ -219,11 +215,10 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], material: f
     takes away a good part of what must fall, or that error is beyond what a disturbance makes. What is measured is
     `known` then."""
     counts = sorted({len(e.model.effects) for e in found})
-    best = by_likelihood(two_of_each(found))
+    best = by_likelihood(first_of_each(found))
     models = [context.nominal, *(e.model for e in best)]
     try:
-        table = measure_errors(context.split, models, models[1],
-                               rng.integers(2**63, size=len(context.split.confirm)))
+        table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)))
     except FitError:
         return True
     known.append(table)
@@ -239,13 +234,12 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
     try:
         decision = decide(context, tests, options, material, rng, known)
     except FitError as error:  # something was detected, or nothing would be decided here
-        return conclusion.unexplained(base, split, context.nominal, None,
-                                      f"no simulation of the runs kept back can be carried through ({error})")
+        why = f"no simulation of the runs kept back can be carried through ({error})"
+        return conclusion.unexplained(base, context.nominal, None, why)
     if decision is None:
         nominal = context.nominal
         why = context.excess_noise(nominal) or context.hidden_motion(nominal) or context.noise_dominated
-        return conclusion.unexplained(base, split, context.nominal, None, why) if why else \
-            conclusion.nothing(base, split, context.nominal)
+        return conclusion.unexplained(base, nominal, None, why) if why else conclusion.nothing(base)
     base = replace(base, material=material, budget=budget(decision.table, decision.row, decision.without,
                                                           decision.best[0].model if decision.best else None,
                                                           decision.draws),
@@ -256,14 +250,14 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
     best = decision.best[0] if decision.best else None
     hidden = context.hidden_motion(best.model if best else context.nominal) if decision.verdict == "none" else ""
     if decision.verdict == "none" and not hidden:
-        return conclusion.nothing(base, split, context.nominal, best)
+        return conclusion.nothing(base, best)
     if decision.verdict in ("none", "unexplained") or best is None:
-        return conclusion.unexplained(base, split, context.nominal, best, hidden or decision.why, rng)
+        return conclusion.unexplained(base, context.nominal, best, hidden or decision.why, rng)
     if decision.more is not None:
         base = replace(base, immaterial=minor_causes(context, base, decision.more, best))
     p = chance_of(context, best, best.gain, best.model.effects)
     ties = [with_clock(context, best), *decision.best[1:]]
-    return conclusion.finding(base, split, context.nominal, ties, p, rng, decision.verdict == "partial")
+    return conclusion.finding(base, context.nominal, ties, p, rng, decision.verdict == "partial")
 
 
 def minor_causes(context: DiagnosisContext, found: Diagnosis, more: Explanation, best: Explanation
@@ -281,7 +275,7 @@ def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanati
     if not context.split.has_imu or bound <= 0.0 or skew.key in {e.key for e in model.effects}:
         return explanation
     try:
-        again = refit(context.split, model, [*zip(model.effects, model.sizes()), (skew, np.zeros(1))])
+        again = refit(model, [*zip(model.effects, model.sizes()), (skew, np.zeros(1))])
     except (FitError, np.linalg.LinAlgError):
         return explanation
     if not again.state.converged or abs(again.state.beta[-1]) > bound:

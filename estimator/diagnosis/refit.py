@@ -9,6 +9,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
+from estimator.diagnosis.decision_rule import BAD_REPLICATE, LENT_BIAS, REPLICATED_SAMPLES, REPLICATES
 from estimator.diagnosis.parametric_bootstrap import draw_replicate, simulate_run
 from estimator.diagnosis.score_statistics import RunScore, Tests, project, score_alone, score_run
 from estimator.effects import Effect
@@ -25,13 +26,8 @@ from estimator.fitting import (
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
+from estimator.signals import SignalSet
 
-REPLICATES = (2, 16)
-"""Fewest and most rehearsals of each run, in between as many as make up ..."""
-REPLICATED_SAMPLES = 24_000
-"""... so many samples in all: with two of short records a verdict hangs on the seed."""
-OFF = 1.5
-"""Times the run's own sum of squares above which a rehearsal is left out."""
 SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
 """Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
 LONGER = ((1000.0, 6), (200.0, 6), (40.0, 6), (16.0, 6), (8.0, 6), (4.0, 6), (2.0, 8), (1.4, 8), (1.0, 30))
@@ -52,8 +48,9 @@ FIRST = 12
 
 @dataclass(frozen=True)
 class Model:
-    """A fitted set of effects (none: the nominal model) on the discover runs."""
+    """A fitted set of effects (none: the nominal model) on the discover runs of a split."""
 
+    split: RunSplit
     effects: tuple[Effect, ...]
     state: State
     problem: ExtendedProblem
@@ -81,6 +78,16 @@ class Model:
     def std(self) -> FloatArray:
         """Standard deviations of the whole parameter vector, white noise taken for granted."""
         return np.sqrt(np.maximum(np.diag(self.state.covariance), 0.0))
+
+
+@dataclass(frozen=True)
+class SmoothedRun:
+    """The motion of one run, or of a replicate of it, as a model has it: parameters and noise are the model's."""
+
+    model: Model
+    run: int
+    problem: ExtendedProblem
+    state: State
 
 
 def fit_nominal(split: RunSplit) -> Model:
@@ -113,24 +120,26 @@ def fit_nominal(split: RunSplit) -> Model:
     if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    return Model((), state, split.problem(split.discover, angle_range))
+    return Model(split, (), state, split.problem(split.discover, angle_range))
 
 
-def begin_afresh(split: RunSplit, nominal: Model) -> Model:
+def begin_afresh(nominal: Model) -> Model:
     """`nominal` with motion, beta and noise levels as a fit would start from them."""
+    split = nominal.split
     signals = split.signals(split.discover)
     free, beta = free_mask(split.mechanism, split.options)
     state = gentle_start(nominal.problem, signals, split.mechanism, split.options, free, beta)
     return replace(nominal, state=state)
 
 
-def refit(split: RunSplit, start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30,
-          noise: Noise | None = None, hold_shapes: bool = False, hold_limits: bool = True) -> Model:
-    """Full non-linear fit of the discover runs with `effects` at their starting sizes; keeps `noise` if given.
+def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30, noise: Noise | None = None,
+          hold_shapes: bool = False, hold_limits: bool = True) -> Model:
+    """Full non-linear fit of `start`'s runs with `effects` at their starting sizes; keeps `noise` if given.
 
     `hold_shapes` estimates the sizes alone, `hold_limits` holds shapes that start at a limit of their range: a step
     beyond it foresees what never comes. Raises `FitError`.
     """
+    split = start.split
     problem = split.problem(split.discover, start.problem.stage.angle_range, [e for e, _ in effects])
     p = split.mechanism.p
     parameters = np.concatenate([start.state.beta[:p], *[s for _, s in effects]])
@@ -147,16 +156,16 @@ def refit(split: RunSplit, start: Model, effects: Sequence[tuple[Effect, FloatAr
     if floors is not None and mistakes_torque(problem, state, floors):
         raise FitError("the fit takes the torque for noise")
     settle_motion(problem, state, SETTLE_STEPS)
-    return Model(tuple(e for e, _ in effects), state, problem)
+    return Model(split, tuple(e for e, _ in effects), state, problem)
 
 
-def likeliest_rounding(split: RunSplit, model: Model, stated: Mechanism) -> Mechanism:
+def likeliest_rounding(model: Model, stated: Mechanism) -> Mechanism:
     """`stated` with the speeds of friction's rounding that fit the discover runs best beside the effects of `model`.
 
     Without them a wider rounding takes up a part of what they do. Raises `FitError`.
     """
-    bare = replace(split, mechanism=stated, stiction={})
-    problem = bare.problem(split.discover, model.problem.stage.angle_range, model.effects)
+    split = replace(model.split, mechanism=stated, stiction={})
+    problem = split.problem(split.discover, model.problem.stage.angle_range, model.effects)
     problem.seeks_rounding = True
     x = model.state.x
     state = replace(model.state, x=Latents(x.q.copy(), x.v.copy(), x.u.copy()), beta=model.state.beta.copy())
@@ -176,10 +185,10 @@ def objective_at(problem: ExtendedProblem, state: State) -> float:
     return problem.motion_equations(state.x, state.beta, state.noise).objective
 
 
-def misfit_by_run(split: RunSplit, model: Model) -> FloatArray:
+def misfit_by_run(model: Model) -> FloatArray:
     """(R,) the same for each discover run at the model's state."""
-    out = []
-    for i, state in zip(split.discover, run_states(split, model)):
+    split, out = model.split, []
+    for i, state in zip(split.discover, run_states(model)):
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
         out.append(objective_at(problem, state))
     return np.array(out)
@@ -198,9 +207,9 @@ def log_volume(problem: ExtendedProblem, noise: Noise) -> float:
     return problem.total * float(np.sum(np.log(levels)))
 
 
-def run_states(split: RunSplit, model: Model) -> list[State]:
+def run_states(model: Model) -> list[State]:
     """The discover fit's state cut into runs."""
-    out, begin = [], 0
+    split, out, begin = model.split, [], 0
     for i in split.discover:
         length = sum(len(s.time_s) for s in split.runs[i])
         where = slice(begin, begin + length)
@@ -210,9 +219,10 @@ def run_states(split: RunSplit, model: Model) -> list[State]:
     return out
 
 
-def smooth(split: RunSplit, model: Model, run: int, start: Latents | None = None,
-           signals: Sequence | None = None) -> tuple[ExtendedProblem, State]:  # type: ignore[type-arg]
-    """Motion of a run that the fit has not seen (or of a rehearsal of it), parameters and noise held."""
+def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequence[SignalSet] | None = None
+           ) -> SmoothedRun:
+    """Motion of a run that the fit has not seen, or of a replicate of it in `signals`, parameters and noise held."""
+    split = model.split
     own = list(split.runs[run]) if signals is None else list(signals)
     problem = split.problem([run], model.problem.stage.angle_range, model.effects, signals=own)
     if start is None:
@@ -236,11 +246,11 @@ def smooth(split: RunSplit, model: Model, run: int, start: Latents | None = None
     _, problem.stiction_variance, state = min(tried, key=lambda t: t[0])
     if signals is None:
         split.keep_stiction([run], problem)
-    return problem, state
+    return SmoothedRun(model, run, problem, state)
 
 
-def _settle(model: Model, problem: ExtendedProblem, start: Latents,
-            path: Sequence[tuple[float, int]], known: FloatArray | None) -> State:
+def _settle(model: Model, problem: ExtendedProblem, start: Latents, path: Sequence[tuple[float, int]],
+            known: FloatArray | None) -> State:
     """The motion that is reached from `start` along a path of slacks, of the passive joint and of steep laws.
 
     Parameters, noise and `known` rest are held.
@@ -266,9 +276,9 @@ def per_value(problem: ExtendedProblem, state: State) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def score_discover(split: RunSplit, model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
+def score_discover(model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
     """Scores of `candidates` at `model`, one a discover run."""
-    states = run_states(split, model)
+    split, states = model.split, run_states(model)
 
     def scored(k: int) -> RunScore:
         problem = split.problem([split.discover[k]], model.problem.stage.angle_range, model.effects, candidates)
@@ -277,28 +287,29 @@ def score_discover(split: RunSplit, model: Model, candidates: Sequence[Candidate
     return parallel_map(scored, len(states), split.workers)
 
 
-def bootstrap_scores(split: RunSplit, model: Model, candidates: Sequence[Candidate], scores: Sequence[RunScore],
+def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequence[RunScore],
                      rng: np.random.Generator) -> list[RunScore]:
     """Mean score of rehearsals of the model, one a discover run: the bias of `scores` when nothing is wrong.
 
     A rehearsal that the model fits worse than the run itself was not simulated well, and is left out; a run without
     any has the bias of the others. Raises `FitError` where there is none at all.
     """
-    states, seeds = run_states(split, model), rng.integers(2**63, size=len(split.discover))
+    split, states = model.split, run_states(model)
+    seeds = rng.integers(2**63, size=len(states))
     count = int(np.clip(REPLICATED_SAMPLES // model.problem.total, *REPLICATES))
 
     def bootstrap_bias(k: int) -> FloatArray | None:
         i, own = split.discover[k], np.random.default_rng(seeds[k])
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
-        found, worst = [], OFF * per_value(problem, states[k])
+        found, worst = [], BAD_REPLICATE * per_value(problem, states[k])
         staged = None if split.mechanism.passive else simulate_run(problem, states[k], own)
         for _ in range(count):
             signals = draw_replicate(problem, states[k], split.runs[i], own, staged)
-            replicate, again = smooth(split, model, i, states[k].x, signals)
-            if per_value(replicate, again) > worst:
+            again = smooth(model, i, states[k].x, signals)
+            if per_value(again.problem, again.state) > worst:
                 continue
             scored = split.problem([i], model.problem.stage.angle_range, model.effects, candidates, signals)
-            found.append(score_alone(scored, again))
+            found.append(score_alone(scored, again.state))
         return np.mean(found, axis=0) if found else None
 
     means = parallel_map(bootstrap_bias, len(states), split.workers)
@@ -315,11 +326,11 @@ def pooled_bias(bias: Sequence[RunScore], run: RunScore) -> RunScore:
     """
     score = np.mean([b.score for b in bias], axis=0)
     known = np.mean([np.diag(b.information) for b in bias], axis=0)
-    share = np.clip(np.diag(run.information) / np.maximum(known, 1e-100), 0.0, 3.0)
+    share = np.clip(np.diag(run.information) / np.maximum(known, 1e-100), 0.0, LENT_BIAS)
     return RunScore(score * share, run.information)
 
 
-def tests_of(split: RunSplit, model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None,
+def tests_of(model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None,
              scatter: Tests | None = None) -> Tests:
     """Efficient tests with the model's own parameters projected out."""
     return project(runs, model.problem.parameter_count, bias, scatter)

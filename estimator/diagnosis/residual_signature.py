@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from daq import FloatArray
-from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.refit import Model
 from estimator.diagnosis.result import Signature
 from estimator.effects import Axis, Effect, View
@@ -29,17 +28,18 @@ def abscissa(kind: Axis, view: View, joint: int) -> FloatArray:
     return {"v": s.v[joint], "u": s.u[-1], "q": s.q[joint], "a": s.a[joint], "session": s.session_s}[kind]
 
 
-def signature(split: RunSplit, nominal: Model, extended: Model, effect: Effect) -> Signature | None:
+def signature(nominal: Model, extended: Model, effect: Effect) -> Signature | None:
     """Binned left-over of the sensor that shows `effect` most, nominal and extended; None where it adds nothing."""
-    kind, joint = effect.depends_on, effect.shown_at(split.mechanism)
+    mechanism = extended.split.mechanism
+    kind, joint = effect.depends_on, effect.shown_at(mechanism)
     size = dict(zip((e.key for e in extended.effects), extended.sizes()))[effect.key]
     x = extended.state.x
-    view = extended.problem.view(x, extended.state.beta[: split.mechanism.p])
+    view = extended.problem.view(x, extended.state.beta[: mechanism.p])
     added = effect.perturb(view, size)
     # what an effect adds to both its joint's torque and its encoder (a gear) shows in the encoder
     if added.torque_at_samples is not None and not any(c.kind == "encoder" for c in added.readings):
         row = int(np.argmax(np.std(added.torque_at_samples, axis=1)))
-        curve, y_label = added.torque_at_samples[row], f"left over at joint {row + 1} [{split.mechanism.force_unit}]"
+        curve, y_label = added.torque_at_samples[row], f"left over at joint {row + 1} [{mechanism.force_unit}]"
         before = _torque_left(nominal)[:, row]
         after = _torque_left(extended)[:, row]
         sign = -1.0
@@ -59,7 +59,7 @@ def signature(split: RunSplit, nominal: Model, extended: Model, effect: Effect) 
 
     error = np.sqrt(np.maximum(mean(before**2) - mean(before) ** 2, 0.0) / np.maximum(count / 10.0, 1.0))
     label, unit = LABELS[kind]
-    x_label = f"{label.format(j=joint + 1)} [{split.mechanism.unit(unit)}]"
+    x_label = f"{label.format(j=joint + 1)} [{mechanism.unit(unit)}]"
     return Signature(effect.key, x_label, y_label, mean(along), sign * mean(before), error,
                      mean(curve), sign * mean(after))
 

@@ -64,8 +64,8 @@ def turn(split: RunSplit, confirm: tuple[int, ...], models: Sequence[Model], uni
     rest = tuple(k for k in range(len(split.runs)) if k not in confirm)
     other = replace(split, fit=rest, screen=(), confirm=confirm, workers=1)
     nominal = fit_nominal(other)
-    fitted = [nominal, *(refit(other, nominal, list(zip(m.effects, m.sizes()))) for m in models[1:])]
-    found = measure_errors(other, fitted, fitted[unit], seeds[: len(confirm)], [reader])
+    fitted = [nominal, *(refit(nominal, list(zip(m.effects, m.sizes()))) for m in models[1:])]
+    found = measure_errors(fitted, fitted[unit], seeds[: len(confirm)], [reader])
     return Turn(tuple(split.names[k] for k in confirm), found.values, found.agreement, found.runs,
                 tuple(fitted[1].sizes()))
 

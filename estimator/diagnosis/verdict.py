@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.diagnosis.context import DiagnosisContext, Explanation
-from estimator.diagnosis.decision_rule import EDGE, SHORTLIST, SUFFICES, SURE
+from estimator.diagnosis.decision_rule import EDGE, SHORTLIST, SHORTLIST_EACH, SUFFICES, SURE
 from estimator.diagnosis.error_budget import generic_extension
 from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors
 from estimator.diagnosis.model_comparison import indistinguishable_set
@@ -102,11 +102,11 @@ def ask(context: DiagnosisContext, begin: Decision, what: tuple[Sequence[Explana
         possible: Sequence[tuple[Explanation, int]]) -> Decision:
     """What is to be judged of explanations that cannot be told apart, and the row of the first: its errors without each
     of its effects, and with terms without a name beside it."""
-    (best, row), table, split = what, begin.table, context.split
+    (best, row), table = what, begin.table
     beside = generic_extension(context, best[0].model, best[0].left)
     pieces = without_each(context, best[0].model)
     first = len(table.models)
-    table = extend_errors(table, split, [*pieces, *([beside] if beside is not None else [])])
+    table = extend_errors(table, [*pieces, *([beside] if beside is not None else [])])
     return replace(begin, best=tuple(best), table=table, row=row, without=tuple(range(first, first + len(pieces))),
                    beside=first + len(pieces) if beside is not None else row, terms=beside or best[0].model,
                    more=with_minor(possible, best[0], row, table, begin.draws))
@@ -178,28 +178,28 @@ def measured_beside(context: DiagnosisContext, models: Sequence[Model], readers:
         if table.unit.reference is models[1]:
             more = [m for m in models if not any(m is k for k in table.models)]
             place = {id(m): k for k, m in enumerate((*table.models, *more))}
-            return choose_rows(extend_errors(table, context.split, more), [place[id(m)] for m in models])
+            return choose_rows(extend_errors(table, more), [place[id(m)] for m in models])
     seeds = rng.integers(2**63, size=len(context.split.confirm))
     for reference in models[1:]:
         try:
-            return measure_errors(context.split, models, reference, seeds, readers)
+            return measure_errors(models, reference, seeds, readers)
         except FitError:
             continue
-    return measure_errors(context.split, models, models[NOMINAL], seeds, readers)
+    return measure_errors(models, models[NOMINAL], seeds, readers)
 
 
 def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
-    """The likeliest explanations, of each number of effects at least two, and each set of effects once."""
+    """The likeliest explanations, of each number of effects at least `SHORTLIST_EACH`, and each set of effects once."""
     every = sorted(options, key=lambda o: -o.gain)
     ranked = [o for k, o in enumerate(every) if not any(keys_of(o) == keys_of(e) for e in every[:k])]
-    first = two_of_each(ranked)
+    first = first_of_each(ranked)
     return [*first, *(o for o in ranked if not any(o is f for f in first))][: max(SHORTLIST, len(first))]
 
 
-def two_of_each(options: Sequence[Explanation]) -> list[Explanation]:
-    """The first two of each number of effects, the fewest effects first."""
+def first_of_each(options: Sequence[Explanation]) -> list[Explanation]:
+    """The first of each number of effects, the fewest effects first."""
     counts = sorted({len(o.model.effects) for o in options})
-    return [o for n in counts for o in [o for o in options if len(o.model.effects) == n][:2]]
+    return [o for n in counts for o in [o for o in options if len(o.model.effects) == n][:SHORTLIST_EACH]]
 
 
 def by_likelihood(options: Sequence[Explanation]) -> list[Explanation]:
@@ -289,7 +289,7 @@ def without_each(context: DiagnosisContext, model: Model) -> list[Model]:
     out = []
     for k in range(len(pairs)):
         try:
-            out.append(refit(context.split, model, [*pairs[:k], *pairs[k + 1 :]]))
+            out.append(refit(model, [*pairs[:k], *pairs[k + 1 :]]))
         except (FitError, np.linalg.LinAlgError):
             return []
     return out

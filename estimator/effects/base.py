@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.errors import FitError
 from estimator.model import Mechanism
-from estimator.signals import Channel
+from estimator.signals import Channel, Kind
 
 WHEEL_M = 0.05
 """A slide's shapes are those of a joint that drives it by a wheel of this radius: grids of rad times this, in m."""
@@ -180,9 +180,8 @@ class Effect(ABC):
     """It acts where a joint reverses: there no rounded sign is right, and tests find a little of it in every leg."""
     strict: ClassVar[bool] = False
     """With a shape at a limit of its range it is another thing than its name says."""
-    rough: ClassVar[Mapping[str, float]] = {}
-    """Channel, as `noise_check` begins its name, to how much louder than usual it may stay beside this effect,
-    whose law is not exact there."""
+    rough: ClassVar[Mapping[Kind, float]] = {}
+    """Kind of channel to how much louder than usual it may stay beside this effect, whose law is not exact there."""
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
     """Sizes from which a re-fit begins, too, where the nominal fit is bad: its slopes say little of large ones."""
 
@@ -248,6 +247,14 @@ class Effect(ABC):
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         """(...) torque on its own joint [N m] by the motion at the same instant; nil where there is none."""
         return np.zeros_like(at.time_s)
+
+    def open_size(self, clock_bound_s: float) -> float:
+        """Below which the recorder's clocks, known to `clock_bound_s`, leave its first size open anyway."""
+        return 0.0
+
+    def delay_s(self, size: FloatArray) -> float:
+        """By how much it moves a reading in time [s]; nil where it does something else."""
+        return 0.0
 
     def by_torque(self, view: View, size: FloatArray) -> Mapping[Channel, FloatArray]:
         """Encoder or torque channel to the derivative (N,) of what it adds there by its joint's torque latent; else

@@ -20,7 +20,7 @@ class StribeckFriction(TorqueEffect):
     positive = 1
     sizes = (Size("excess_torque", "N m", 0.01),)
     shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.2, 0.4, 0.8), 1.25),)
-    """Slower is the rounding of sign(v), faster not near standstill. (Measured: with 1.4 rad/s, drag was named so.)"""
+    """Slower is the rounding of sign(v), faster not near standstill."""
     sentence = "friction is higher near standstill than in motion (Stribeck)"
     reference = "Stribeck 1902; Armstrong-Helouvry 1991"
     experiment = "slow reversals: a multisine below 0.3 Hz at small amplitude"
@@ -129,8 +129,7 @@ class PreslidingFriction(Effect):
     """LuGre bristles in place of part of the sign: A (z - sign v) + B (v - |v| z), dz/ds = (sign v - z) / s0.
 
     The state z lags the sign of the velocity over a displacement s0 along the path s after a reversal. Bristles that
-    bend also damp (B): while they do, not in steady sliding. (Measured on LuGre with s0 = 0.131 rad: without B 0.07 is
-    found, and a second effect is sought for what is left.)
+    bend also damp (B): while they do, not in steady sliding.
     """
 
     name = "presliding_friction"
@@ -141,7 +140,7 @@ class PreslidingFriction(Effect):
     defining = 1
     sizes = (Size("level", "N m", 0.01), Size("bristle_damping", "N m s/rad", 0.005))
     shapes = (Shape("displacement", "rad", (0.003, 0.01, 0.03, 0.1), below=1.0),)
-    """Shorter is how a reversal falls between two samples. (Measured: 1.5 mrad were found where there was none.)"""
+    """Shorter is how a reversal falls between two samples."""
     sentence = "after a reversal friction builds up over a displacement, like a spring (presliding)"
     reference = "Dahl 1968; Canudas de Wit et al. 1995 (LuGre)"
     experiment = "micro-motions: sines of a few milliradians about several angles"

@@ -20,7 +20,7 @@ from estimator.effects.base import (
     View,
 )
 from estimator.model import Mechanism, smooth_sign
-from estimator.signals import Channel, encoder_of, torque_of
+from estimator.signals import Channel, Kind, encoder_of, torque_of
 
 
 class JointStiffness(TorqueEffect):
@@ -70,8 +70,7 @@ class EndStopContact(TorqueEffect):
     shapes = (Shape("angle_share", "1", (-0.9, -0.8, -0.65, 0.65, 0.8, 0.9), above=1.1, below=1.3),)
     strict = True
     """What begins before half of the range is a spring that hardens, and what begins at its very end is never touched:
-    there the rounding of the law alone acts, a constant torque. (Measured: a cubic spring was named a stop of 0.5 N
-    m/rad from 42 % of the range on; an offset of the torque one of 530,000 N m/rad.)"""
+    there the rounding of the law alone acts, a constant torque."""
     sentence = "the joint touches a stop at the end of its range"
     reference = "Hunt and Crossley 1975 (linearised)"
     experiment = "slow approach to both ends of the range"
@@ -97,8 +96,7 @@ class GearEffect(Effect):
 
     Friction and inertia of the motor act on its own side, whose motion a record shows: there the torque latent is what
     comes through the gear, and the motor's torque that, friction at the encoder's rate and the inertia's share at its
-    acceleration. (Measured on c = 0.3 rad/(N m): with friction at the link's rate the twist is 9 mrad off, at the
-    motor's 3.) Without a record, both act at the link's rate.
+    acceleration. Without a record, both act at the link's rate.
     """
 
     per_joint = True
@@ -106,8 +104,7 @@ class GearEffect(Effect):
     family = "encoder"
     defining = 1
     lag_s = 0.005
-    """A gear damps, and its twist lags. (Measured on gears that damp: beside the twist alone an IMU was found to be 1.7
-    to 2.4 ms early, where the clocks were one.)"""
+    """A gear damps, and its twist lags."""
 
     @abstractmethod
     def twist(self, through: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -187,9 +184,8 @@ class Backlash(GearEffect):
     experiment = "slow torque reversals across zero with the link held by gravity"
     depends_on = "u"
     plans = ("slow", "ramps")
-    rough: ClassVar[Mapping[str, float]] = {"gyro": 1.6, "accelerometer": 2.0, "torque": 1.3}
-    """Flanks meet with an impact, shorter than a sample. (Measured on gaps of 0.09 to 0.13 rad, found to one part in a
-    hundred: the accelerometer is left up to 2.1 times as loud as its noise.)"""
+    rough: ClassVar[Mapping[Kind, float]] = {"gyro": 1.6, "accel_x": 2.0, "accel_y": 2.0, "torque": 1.3}
+    """Flanks meet with an impact, shorter than a sample."""
 
     def relaxed(self, size: FloatArray, slack: float) -> FloatArray:
         contact = abs(size[-1])

@@ -10,7 +10,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import SensorEffect, Size, View
 from estimator.model import Mechanism
-from estimator.signals import IMU_CHANNELS, Channel, accelerometer
+from estimator.signals import IMU_CHANNELS, Channel, Kind, accelerometer
 
 
 def shifted(x: FloatArray, delay_s: float, view: View) -> FloatArray:
@@ -34,9 +34,8 @@ class SensorTimeSkew(SensorEffect):
     depends_on = "a"
     plans = ("fast",)
     by_hand = "tap the leg once in one run"
-    rough: ClassVar[Mapping[str, float]] = {"gyro": 1.6, "accelerometer": 1.6}
-    """The record is interpolated between its samples, and misses what dry friction's reversals do there. (Measured on
-    26 ms: found to 0.1 ms, with the gyro 1.6 times above its noise.)"""
+    rough: ClassVar[Mapping[Kind, float]] = {"gyro": 1.6, "accel_x": 1.6, "accel_y": 1.6}
+    """The record is interpolated between its samples, and misses what dry friction's reversals do there."""
     starts = ((0.02,), (-0.02,))
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
@@ -46,6 +45,12 @@ class SensorTimeSkew(SensorEffect):
         s, m = view.samples, view.mechanism
         true = (s.v[0], *accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2))
         return {c: shifted(x, size[0], view) - x for c, x in zip(IMU_CHANNELS, true)}
+
+    def open_size(self, clock_bound_s: float) -> float:
+        return clock_bound_s
+
+    def delay_s(self, size: FloatArray) -> float:
+        return float(size[0])
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         return "" if has_imu else "no IMU on this path"

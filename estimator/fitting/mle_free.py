@@ -29,6 +29,7 @@ from estimator.fitting.identifiability import undetermined
 from estimator.fitting.noise_levels import accel_levels
 from estimator.fitting.wls import around_samples, design_rows, filtered_torque, free_mask, weighted_least_squares
 from estimator.model import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Collocation, Mechanism, Motion
+from estimator.numerics import pseudo_inverse
 from estimator.options import FitOptions
 from estimator.result import FitResult, Trajectory
 from estimator.signals import (
@@ -190,7 +191,7 @@ def minimise(problem: FreeProblem, w: FloatArray) -> Minimum:
             solver = splu(sparse.csc_array(damped), permc_spec="COLAMD")
             eliminated = solver.solve(np.column_stack([gradient, border]))
             schur = corner - border.T @ eliminated[:, 1:]
-            step_beta = -np.linalg.lstsq(schur, score - border.T @ eliminated[:, 0], rcond=None)[0]
+            step_beta = -pseudo_inverse(schur) @ (score - border.T @ eliminated[:, 0])
             moved = w - eliminated[:, 0] - eliminated[:, 1:] @ step_beta
             new_beta = problem.best_beta(problem.regressor(moved))
             new = problem.residual(moved, new_beta)
@@ -199,11 +200,11 @@ def minimise(problem: FreeProblem, w: FloatArray) -> Minimum:
                 break
             damping = max(4.0 * damping, 1e-4)
             if damping > 1e8:
-                return Minimum(w, beta, np.linalg.pinv(schur), objective, steps, True)
+                return Minimum(w, beta, pseudo_inverse(schur), objective, steps, True)
         converged = objective - lower <= TOLERANCE * objective
         w, beta, r, objective = moved, new_beta, new, lower
         damping = damping / 10.0 if damping > 1e-6 else 0.0
-    return Minimum(w, beta, np.linalg.pinv(schur), objective, steps, converged)
+    return Minimum(w, beta, pseudo_inverse(schur), objective, steps, converged)
 
 
 def build_problem(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> FreeProblem:

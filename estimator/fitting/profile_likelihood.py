@@ -318,12 +318,7 @@ def _linearise_each(problem: BatchProblem, records: Records, x: FloatArray, beta
 
 def _damped_step(information: FloatArray, score: FloatArray, damping: FloatArray) -> FloatArray:
     """(R, p) solution of (information + damping * its diagonal) step = -score."""
-    scale = np.sqrt(np.maximum(np.einsum("rii->ri", information), 1e-300))
-    values, vectors = np.linalg.eigh(information / (scale[:, :, None] * scale[:, None, :]))
-    values = np.maximum(values, 1e-13) + damping[:, None]
-    transposed = np.einsum("rij,ri->rj", vectors, score / scale) / values
-    step: FloatArray = -np.einsum("rij,rj->ri", vectors, transposed) / scale
-    return step
+    return np.asarray(-(pseudo_inverse(information, damping) @ score[..., None])[..., 0])
 
 
 def _shortened(step: FloatArray, n: int) -> FloatArray:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.fitting.run_scores import RunScores
-from estimator.numerics import pseudo_inverse
+from estimator.numerics import inverse_root, pseudo_inverse
 from estimator.result import TWO_SIDED, RunAgreement
 
 DISAGREE = 0.01
@@ -56,7 +56,7 @@ def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, fr
     if len(scores.runs) < 2 or not index.size:
         return covariance, RunAgreement(scores.runs, None, own_std)
     information = scores.information[:, index[:, None], index]
-    root = _root(information.sum(axis=0))
+    root = inverse_root(information.sum(axis=0))
     score = scores.score[:, index]
     score = score - information @ (root @ (root.T @ score.sum(axis=0)))  # what is left of steps not taken
     white, share = score @ root, root.T @ information @ root
@@ -143,14 +143,6 @@ def random_effects(score: FloatArray, information: FloatArray) -> RandomEffects:
         if np.all(np.abs(np.log(tau2 / before))[tau2 > 0.01 * len(s)] < SETTLED):
             break
     return RandomEffects(mean * size, np.sqrt(tau2) * size, effect * size, unsure * size**2)
-
-
-def _root(h: FloatArray) -> FloatArray:
-    """(m, m) R with R R' = H^-1; what no run knows of is left out."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(h), 1e-100))
-    values, vectors = np.linalg.eigh(h * np.outer(scale, scale))
-    known = values > 1e-13
-    return scale[:, None] * (vectors * (known / np.sqrt(np.where(known, values, 1.0))))
 
 
 def _adjusted(white: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:

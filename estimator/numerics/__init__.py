@@ -5,7 +5,7 @@ from estimator.numerics.block_bidiagonal_numba import solve_bidiagonal
 from estimator.numerics.block_cholesky_numba import Swept, eliminate
 from estimator.numerics.block_tridiagonal import BlockTridiagonal, padded
 from estimator.numerics.jit import Kernel, at
-from estimator.numerics.pseudo_inverse import pseudo_inverse
+from estimator.numerics.pseudo_inverse import inverse_root, pseudo_inverse
 
-__all__ = ["BlockTridiagonal", "Kernel", "Swept", "at", "eliminate", "jit", "padded", "pseudo_inverse",
-           "solve_bidiagonal"]
+__all__ = ["BlockTridiagonal", "Kernel", "Swept", "at", "eliminate", "inverse_root", "jit", "padded",
+           "pseudo_inverse", "solve_bidiagonal"]

@@ -1,6 +1,6 @@
 """From columns to signals: filters, segments without gaps, the IMU's tilt and rate."""
 
-from estimator.signals.channels import ACCEL_X, ACCEL_Y, GYRO, IMU_CHANNELS, Channel, encoder_of, torque_of
+from estimator.signals.channels import ACCEL_X, ACCEL_Y, GYRO, IMU_CHANNELS, Channel, Kind, encoder_of, torque_of
 from estimator.signals.filters import encoder_level, lowpass, quantum, white_noise_level
 from estimator.signals.imu import accelerometer, tilt
 from estimator.signals.segments import (
@@ -15,7 +15,7 @@ from estimator.signals.segments import (
 )
 
 __all__ = [
-    "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "Channel", "Kinematics", "SignalSet", "accelerometer",
-    "angle_column", "differentiate", "encoder_level", "encoder_of", "lowpass", "paper_differences", "quantum",
-    "split_signals", "tilt", "torque_column", "torque_of", "white_noise_level"
+    "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "Channel", "Kind", "Kinematics", "SignalSet",
+    "accelerometer", "angle_column", "differentiate", "encoder_level", "encoder_of", "lowpass", "paper_differences",
+    "quantum", "split_signals", "tilt", "torque_column", "torque_of", "white_noise_level",
 ]

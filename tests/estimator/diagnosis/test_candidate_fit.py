@@ -86,7 +86,7 @@ def test_an_unlikely_cause_that_leaves_little_does_not_close() -> None:
     ({0: 9.0, 1: 1.05, 2: 0.9}, False)])  # no room beside the first
 def test_three_effects_are_tried_where_the_second_lowers_the_error(
         errors: dict[int, float], promising: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    def measured(_: object, models: list[Fitted], *__: object) -> Any:
+    def measured(models: list[Fitted], *_: object) -> Any:
         return SimpleNamespace(error=lambda k: errors[len(models[k].effects)])
 
     monkeypatch.setattr(procedure, "measure_errors", measured)

@@ -18,6 +18,7 @@ from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.error_table import extend_errors, measure_errors
 from estimator.diagnosis.procedure import diagnose
 from estimator.diagnosis.refit import fit_nominal
+from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.score_statistics import RunScore, own_inflation, project
 from estimator.effects import CLASSES, library
 from estimator.effects.drive import TorqueOffset
@@ -39,6 +40,7 @@ CONTRACT = {
     "base_compliance", "torque_ripple", "torque_offset", "torque_saturation", "torque_delay", "sensor_time_skew",
     "gyro_bias", "gyro_scale", "accelerometer_bias", "imu_misalignment", "imu_lever_arm", "encoder_offset",
     "encoder_scale", "encoder_eccentricity"}
+CHOSEN = FitOptions(sensors="imu", hold="auto", rounding="auto")
 
 
 def test_the_library_is_the_contract() -> None:
@@ -49,6 +51,13 @@ def test_the_library_is_the_contract() -> None:
 def runs() -> tuple[Leg, list[Dataset]]:
     leg = Leg()
     return leg, [record(leg, np.random.default_rng(600 + k), seconds=10.0, name=f"r{k + 1}") for k in range(4)]
+
+
+@pytest.fixture(scope="module")
+def healthy(runs: tuple[Leg, list[Dataset]]) -> Diagnosis:
+    """Of runs in which nothing is hidden, hold and rounding chosen."""
+    leg, data = runs
+    return diagnose(data, leg2(lever_arm=leg.lever), CHOSEN, seed=1)
 
 
 def test_every_effect_vanishes_at_zero_size_and_acts_at_its_scale(runs: tuple[Leg, list[Dataset]]) -> None:
@@ -154,21 +163,17 @@ def test_the_order_of_files_changes_nothing(runs: tuple[Leg, list[Dataset]]) -> 
     assert sorted(name for part in fits[0][0] for name in part) == [run.name for run in data]
 
 
-def test_hold_and_rounding_are_chosen_alike_in_any_order(runs: tuple[Leg, list[Dataset]]) -> None:
+def test_hold_and_rounding_are_chosen_alike_in_any_order(runs: tuple[Leg, list[Dataset]], healthy: Diagnosis) -> None:
     leg, data = runs
-    options = FitOptions(sensors="imu", hold="auto", rounding="auto")
-    one, other = (diagnose([data[k] for k in order], leg2(lever_arm=leg.lever), options, seed=1)
-                  for order in ([0, 1, 2, 3], [2, 0, 3, 1]))
+    one, other = healthy, diagnose([data[k] for k in (2, 0, 3, 1)], leg2(lever_arm=leg.lever), CHOSEN, seed=1)
     assert one.hold == other.hold != "" and one.mechanism is not None and other.mechanism is not None
     assert one.mechanism.velocity_scale == other.mechanism.velocity_scale
     assert one.verdict == other.verdict and one.nominal == other.nominal
 
 
-def test_nothing_hidden_is_never_named(runs: tuple[Leg, list[Dataset]]) -> None:
-    leg, data = runs
-    found = diagnose(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), seed=1)
-    assert found.verdict == "none", found.sentence
-    assert all(r.smallest_detectable > 0 for r in found.candidates)
+def test_nothing_hidden_is_never_named(healthy: Diagnosis) -> None:
+    assert healthy.verdict == "none", healthy.sentence
+    assert all(r.smallest_detectable > 0 for r in healthy.candidates)
 
 
 def test_torque_that_is_mostly_noise_allows_no_verdict_that_nothing_is_wrong(runs: tuple[Leg, list[Dataset]]) -> None:
@@ -239,7 +244,7 @@ def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, li
     monkeypatch.setattr(refit, "iterate", stuck)
     nominal = fit_nominal(split)
     assert np.isinf(nominal.std()[:9]).all() and np.isfinite(nominal.state.beta).all()
-    assert any("no intervals" in warning for warning in base(split, nominal, {}, None).warnings)
+    assert any("no intervals" in warning for warning in base(nominal, {}, None).warnings)
 
 
 def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
@@ -247,7 +252,7 @@ def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
     leg, data = runs
     split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
     nominal, candidates = fit_nominal(split), [Candidate(kind(1)) for kind in (TorqueOffset, EncoderScale)]
-    scores = refit.score_discover(split, nominal, candidates)
+    scores = refit.score_discover(nominal, candidates)
     plain, count = refit.draw_replicate, len(split.discover)
 
     def going_off(problem: ExtendedProblem, state: State, signals: list[SignalSet], *rest: Any) -> list[SignalSet]:
@@ -257,19 +262,20 @@ def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
                 for s in found]
 
     monkeypatch.setattr(refit, "draw_replicate", going_off)
+    monkeypatch.setattr(refit, "REPLICATES", (2, 2))
     names = [split.runs[i][0].run for i in split.discover]
     bad: list[str] = []
     means = []
     for which in ([], names[:1]):
         bad[:] = which
         rng = np.random.default_rng(3)
-        means.append(refit.bootstrap_scores(split, nominal, candidates, scores, rng))
+        means.append(refit.bootstrap_scores(nominal, candidates, scores, rng))
     for k in range(1, count):
         assert means[1][k].score == pytest.approx(means[0][k].score, rel=1e-5)
     assert means[1][0].score == pytest.approx(refit.pooled_bias(means[0][1:], scores[0]).score, rel=1e-5)
     bad[:] = names
     with pytest.raises(FitError, match="rehearsal"):
-        refit.bootstrap_scores(split, nominal, candidates, scores, np.random.default_rng(3))
+        refit.bootstrap_scores(nominal, candidates, scores, np.random.default_rng(3))
 
 
 def test_a_combination_that_the_confirm_runs_hardly_know_is_not_tested_on_them() -> None:
@@ -296,8 +302,8 @@ def test_rows_that_are_measured_later_have_the_weights_of_the_first(runs: tuple[
     split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(), workers=workers)
     split = replace(split, confirm=split.confirm + split.screen, screen=())
     nominal = fit_nominal(split)
-    table = measure_errors(split, [nominal], nominal, np.arange(len(split.confirm)))
+    table = measure_errors([nominal], nominal, np.arange(len(split.confirm)))
     assert len(split.confirm) > 1 and set(split.confirm) <= set(split.stiction)
-    again = extend_errors(table, split, [nominal])
+    again = extend_errors(table, [nominal])
     assert again.agreement[1] == pytest.approx(0.0, abs=1e-3)
     assert again.error(1) == pytest.approx(again.error(0), rel=1e-4)  # a motion settles to a tenth of its objective

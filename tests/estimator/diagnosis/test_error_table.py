@@ -21,25 +21,26 @@ def test_the_model_under_which_the_runs_are_likeliest_reads_the_pivots_angle(mon
     """The vertical was 1.4 mrad off in the accelerometer, among ten small faults. A torque at the pivot, whose noise
     came out lowest, was the unit of all errors, and what it read as well: every other model seemed to err by what the
     two differ in, and the torque was named."""
-    def smooth(_: object, model: str, __: int) -> tuple[str, Any]:
-        return model, SimpleNamespace(x=SimpleNamespace(q=SWING[:, None] + TILTED[model]))
+    def smooth(model: Any, run: int) -> Any:
+        return SimpleNamespace(model=model, run=run, problem=None,
+                               state=SimpleNamespace(x=SimpleNamespace(q=SWING[:, None] + TILTED[model.name])))
 
-    def resimulate(_: object, fitted: tuple[str, Any], __: int, q1: np.ndarray, *___: object) -> Any:
-        return SimpleNamespace(measured={PIVOT: q1}, simulated={PIVOT: SWING + TILTED[fitted[0]] + 1e-4})
+    def resimulate(fitted: Any, q1: np.ndarray, *_: object) -> Any:
+        return SimpleNamespace(measured={PIVOT: q1}, simulated={PIVOT: SWING + TILTED[fitted.model.name] + 1e-4})
 
-    split = cast(Any, SimpleNamespace(confirm=(0,), workers=1, stiction={}, has_imu=True,
-                                      runs=[[SimpleNamespace(rate_hz=100.0)]]))
+    split = SimpleNamespace(confirm=(0,), workers=1, stiction={}, has_imu=True, runs=[[SimpleNamespace(rate_hz=100.0)]])
     monkeypatch.setattr(error_table, "HORIZONS_S", (np.inf,))
     monkeypatch.setattr(error_table, "smooth", smooth)
     monkeypatch.setattr(error_table, "resimulate", resimulate)
     monkeypatch.setattr(error_table, "sensors_of", lambda problem, q1: {PIVOT: q1})
     monkeypatch.setattr(error_table, "floor_errors", lambda *_: [{PIVOT: np.full(200, 1e-8)}])
     monkeypatch.setattr(error_table, "_columns_of", lambda *_: ((PIVOT, np.inf),))
-    monkeypatch.setattr(error_table, "_misfits", lambda fitted, _: np.array([MISFIT[name] for name, _ in fitted]))
-    models, seeds = cast(Any, ["nominal", "bias", "offset"]), np.zeros(1, dtype=np.int64)
+    monkeypatch.setattr(error_table, "_misfits", lambda fitted, _: np.array([MISFIT[f.model.name] for f in fitted]))
+    models = cast(Any, [SimpleNamespace(name=name, split=split) for name in TILTED])
+    seeds = np.zeros(1, dtype=np.int64)
 
-    table = error_table.measure_errors(split, models, models[2], seeds)
-    assert cast(Any, table.unit.reader) == "bias"
+    table = error_table.measure_errors(models, models[2], seeds)
+    assert table.unit.reader is models[1]
     assert [table.error(k) for k in range(3)] == pytest.approx([1.0, 1.0, 101.0], rel=1e-3)
-    told = error_table.measure_errors(split, models, models[2], seeds, [2])  # who may not read does not
+    told = error_table.measure_errors(models, models[2], seeds, [2])  # who may not read does not
     assert [told.error(k) for k in range(3)] == pytest.approx([99.0, 99.0, 1.0], rel=1e-3)

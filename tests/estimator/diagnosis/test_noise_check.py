@@ -13,12 +13,13 @@ from estimator.effects import Effect
 from estimator.effects.structure import Backlash
 from estimator.likelihood.noise import Noise
 from estimator.model.mechanism import leg2
+from estimator.signals import ACCEL_X, ACCEL_Y, GYRO
 
 DECLARED = {"torque_nm": 0.02, "encoder_rad": 2e-4, "gyro_radps": 0.005, "accel_mps2": 0.05}
 
 
-def ends(declared: dict[str, float], effects: tuple[Effect, ...] = (), **found: float) -> tuple[Any, Any]:
-    """Session and model with `effects` whose noise levels are those declared but for `found`."""
+def model_of(declared: dict[str, float], effects: tuple[Effect, ...] = (), **found: float) -> Any:
+    """A model with `effects` whose noise levels are those declared but for `found`."""
     levels = {"pivot": 0.002, "knee": 0.02, "encoder": 2e-4, "gyro": 0.005, "accel": 0.05} | found
     noise = Noise(np.array([levels["pivot"], levels["knee"]]), np.array([np.inf, levels["encoder"]]), levels["gyro"],
                   np.array([levels["accel"], levels.get("accel_y", levels["accel"])]))
@@ -26,12 +27,12 @@ def ends(declared: dict[str, float], effects: tuple[Effect, ...] = (), **found: 
     white = {name: rng.normal(0.0, level, 4000) for name, level in (("gyro", 0.005), ("ax", 0.05), ("ay", 0.05))}
     shown = Noise(np.zeros(2), np.array([np.inf, 2e-4]))
     problem = SimpleNamespace(has_encoder=np.array([False, True]), has_imu=True, shown=shown, **white)
-    return (SimpleNamespace(known=declared, mechanism=leg2()),
-            SimpleNamespace(problem=problem, state=SimpleNamespace(noise=noise), effects=effects))
+    split = SimpleNamespace(known=declared, mechanism=leg2())
+    return SimpleNamespace(split=split, problem=problem, state=SimpleNamespace(noise=noise), effects=effects)
 
 
 def test_declared_levels_are_in_order() -> None:
-    assert excess_noise(*ends(DECLARED)) == ""
+    assert excess_noise(model_of(DECLARED)) == ""
 
 
 @pytest.mark.parametrize(("channel", "level", "said"), [
@@ -40,34 +41,34 @@ def test_declared_levels_are_in_order() -> None:
     ("encoder", 0.002, "encoder of joint 2 is 10.0 times"), ("knee", 0.034, "torque at joint 2 is 1.7 times"),
     ("pivot", 0.04, "torque at joint 1 is 2.0 times")])
 def test_a_loud_channel_is_named(channel: str, level: float, said: str) -> None:
-    assert said in excess_noise(*ends(DECLARED, **{channel: level}))
+    assert said in excess_noise(model_of(DECLARED, **{channel: level}))
 
 
 def test_impacts_may_be_louder_beside_play() -> None:
-    assert excess_noise(*ends(DECLARED, (Backlash(1),), accel=0.1)) == ""
-    assert "accelerometer" in excess_noise(*ends(DECLARED, (Backlash(1),), accel=0.14))
-    assert "torque at joint 2" in excess_noise(*ends(DECLARED, (Backlash(1),), knee=0.045))
+    assert excess_noise(model_of(DECLARED, (Backlash(1),), accel=0.1)) == ""
+    assert "accelerometer" in excess_noise(model_of(DECLARED, (Backlash(1),), accel=0.14))
+    assert "torque at joint 2" in excess_noise(model_of(DECLARED, (Backlash(1),), knee=0.045))
 
 
 def test_process_torque_as_large_as_the_shunt_s_noise_is_no_fault() -> None:
-    assert excess_noise(*ends(DECLARED, knee=0.0283)) == ""
+    assert excess_noise(model_of(DECLARED, knee=0.0283)) == ""
 
 
 def test_an_explanation_may_leave_a_share_of_what_was_there() -> None:
-    before = ratios(*ends(DECLARED, knee=0.08))
-    assert excess_noise(*ends(DECLARED, knee=0.036), before) == ""  # 15 % of the excess variance
-    assert "joint 2" in excess_noise(*ends(DECLARED, knee=0.06), before)
+    before = ratios(model_of(DECLARED, knee=0.08))
+    assert excess_noise(model_of(DECLARED, knee=0.036), before) == ""  # 15 % of the excess variance
+    assert "joint 2" in excess_noise(model_of(DECLARED, knee=0.06), before)
 
 
 def test_without_a_declared_level_neighbouring_samples_stand_in_and_torque_is_not_judged() -> None:
-    assert set(ratios(*ends({}))) == {"gyro", "accelerometer's x axis", "accelerometer's y axis"}
-    assert excess_noise(*ends({}, gyro=0.008, knee=1.0)) == ""
-    assert "gyro" in excess_noise(*ends({}, gyro=0.02))
+    assert set(ratios(model_of({}))) == {GYRO, ACCEL_X, ACCEL_Y}
+    assert excess_noise(model_of({}, gyro=0.008, knee=1.0)) == ""
+    assert "gyro" in excess_noise(model_of({}, gyro=0.02))
 
 
 @pytest.mark.parametrize("declared", [{}, DECLARED])
 def test_an_encoder_that_is_louder_than_its_neighbouring_samples_hides_motion(declared: dict[str, float]) -> None:
     """A load that swings on the link was left to it, and the model called right."""
-    assert hidden_motion(*ends(declared, knee=1.0, pivot=1.0)) == ""
-    assert "encoder of joint 2 is 75.0 times" in hidden_motion(*ends(declared, encoder=0.015))
-    assert "gyro is 4.0 times" in hidden_motion(*ends(declared, gyro=0.02))
+    assert hidden_motion(model_of(declared, knee=1.0, pivot=1.0)) == ""
+    assert "encoder of joint 2 is 75.0 times" in hidden_motion(model_of(declared, encoder=0.015))
+    assert "gyro is 4.0 times" in hidden_motion(model_of(declared, gyro=0.02))

@@ -67,7 +67,7 @@ def fitted(case: DrawnCase, data: list[Dataset], effect: Effect, afresh: bool = 
     start[len(effect.sizes) :] = shapes
     if afresh:
         start[0] = 0.1
-    return nominal, refit(split, begin_afresh(split, nominal) if afresh else nominal, [(effect, start)], 40)
+    return nominal, refit(begin_afresh(nominal) if afresh else nominal, [(effect, start)], 40)
 
 
 def test_a_soft_gear_is_found_with_the_friction_of_its_motor() -> None:
@@ -91,15 +91,16 @@ def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     effect = Backlash(1)
     start = np.array([0.5 * gap, 0.0, 0.0, 0.0, 0.1])
     nominal = fit_nominal(split)
-    model = refit(split, nominal, [(effect, start)], 40)
+    model = refit(nominal, [(effect, start)], 40)
     # flanks that samples cross to and fro keep it from settling: 0.074 after 20 steps, 0.077 after 300, and one
     # processor's rounding takes another way there than another's
     assert model.sizes()[0][0] == pytest.approx(gap, rel=0.1)
-    picture = signature(split, nominal, model, effect)
+    picture = signature(nominal, model, effect)
     assert picture is not None and picture.y_label == "reading of encoder2"
     assert np.ptp(picture.curve) == pytest.approx(gap, rel=0.2)  # a step from one flank to the other
     # the law is a step of the torque: sought at once from filtered motion it leaves ten times as much
-    problem, state = smooth(split, model, split.confirm[0])
+    fitted = smooth(model, split.confirm[0])
+    problem, state = fitted.problem, fitted.state
     assert per_value(problem, state) < 2.0
 
 

@@ -42,8 +42,8 @@ def test_scores_alone_are_those_beside_the_information(nominal: tuple[RunSplit, 
     if name:
         effect = NAMED[name](1 if NAMED[name].per_joint else None)
         size = np.array([s.scale for s in effect.sizes] + [s.grid[0] for s in effect.shapes])
-        model = refit(split, model, [(effect, size)], limit=2)
-    state = run_states(split, model)[0]
+        model = refit(model, [(effect, size)], limit=2)
+    state = run_states(model)[0]
     if shared:
         correlation = np.array([[1.0, 0.3], [0.3, 1.0]])
         state = replace(state, noise=replace(state.noise, torque_correlation=correlation, accel_correlation=0.4))

@@ -146,7 +146,7 @@ def test_where_one_explanation_cannot_be_simulated_the_noise_of_another_is_the_u
         monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
-    def measured(_: object, models: list[str], reference: str, *__: object) -> str:
+    def measured(models: list[str], reference: str, *_: object) -> str:
         tried.append(reference)
         if reference != "nominal":
             raise FitError("the rehearsals diverge")
@@ -160,7 +160,7 @@ def test_where_one_explanation_cannot_be_simulated_the_noise_of_another_is_the_u
 
 
 def test_errors_that_are_known_are_not_measured_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    def extended(table: ErrorTable, _: object, more: list[Any]) -> ErrorTable:
+    def extended(table: ErrorTable, more: list[Any]) -> ErrorTable:
         asked.extend(more)
         return replace(table_of(5.0, 2.0, 4.0, 3.0), models=(*table.models, *more))
 

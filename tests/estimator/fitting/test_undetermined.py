@@ -17,7 +17,7 @@ from estimator.options import FitOptions
 from experiments.cli import main
 from tests.support.mujoco_leg import Leg, record
 
-LEG, G, N = Leg(), 9.81, 1000
+LEG, G, N = Leg(), 9.81, 600
 TIME = np.arange(N) / 100.0
 COUNT = 2 * np.pi / 8192
 LEG_RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
@@ -141,7 +141,7 @@ def test_no_model_is_written_with_values_that_mean_nothing(tmp_path: Path, capsy
 
 @pytest.mark.parametrize(("method", "sensors"), WAYS[2:])
 def test_a_good_record_is_not_accused(method: str, sensors: str) -> None:
-    run = record(LEG, np.random.default_rng(5), seconds=12.0)
+    run = record(LEG, np.random.default_rng(5), seconds=8.0)
     assert fit([run], leg2(lever_arm=LEG.lever), FitOptions(sensors=sensors), method).undetermined == ()
 
 

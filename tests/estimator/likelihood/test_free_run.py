@@ -254,7 +254,7 @@ def test_a_shape_at_a_limit_is_held_and_has_no_interval() -> None:
     low = effect.clipped(np.array([0.01, 1e-9]))[1]
     assert list(effect.at_limits(np.array([0.01, low]))) == [True]
     assert list(effect.at_limits(np.array([0.01, 1.5 * low]))) == [False]
-    held = refit(session, nominal, [(effect, np.array([0.01, low]))], 4)
-    free = refit(session, nominal, [(effect, np.array([0.01, low]))], 4, hold_limits=False)
+    held = refit(nominal, [(effect, np.array([0.01, low]))], 4)
+    free = refit(nominal, [(effect, np.array([0.01, low]))], 4, hold_limits=False)
     assert held.state.beta[-1] == low and held.state.covariance[-1, -1] == 0.0
     assert free.state.covariance[-1, -1] > 0.0

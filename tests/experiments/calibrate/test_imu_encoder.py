@@ -158,7 +158,7 @@ def test_the_command_writes_what_raw_readings_need(tmp_path: Path, capsys: pytes
 def test_a_driven_emulated_leg_shows_lever_and_bias(tmp_path: Path) -> None:
     """Through the emulated chips, drivers, recorder and clocks, which know nothing of the formulas used here."""
     text = (files("experiments.workflows") / "demo_rig.toml").read_text(encoding="utf-8")
-    record_emulated(tmp_path / "run.mcap", parse_rig(text), text, random_multisine(3, 16.0, 0.7), seed=1)
+    record_emulated(tmp_path / "run.mcap", parse_rig(text), text, random_multisine(3, 13.0, 0.7), seed=1)
     path = tmp_path / "rig.toml"
     path.write_text(text.replace("lever_arm_m = 0.20", "lever_arm_m = 0.15").replace("0.0, 0.0, 0.012]",
                                                                                       "0.0, 0.0, 0.0]"))

@@ -22,7 +22,6 @@ from drivers.mock.rig import MockRig
 from estimator.errors import FitError
 from experiments import cli
 from experiments.cli.main import COMMANDS
-from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.plant import LegBody, LegPlant
 from experiments.excite.multisine import random_multisine
 from experiments.models.mechanism_settings import mechanism_settings
@@ -36,14 +35,6 @@ from tests.support.processes import REAL_CLOCK
 pytestmark = REAL_CLOCK
 
 HEAVY = {"numpy", "scipy", "matplotlib", "jinja2", "mcap", "serial", "smbus2", "msgspec"}
-
-
-@pytest.fixture(scope="module")
-def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Five seconds on the emulated rig."""
-    path = tmp_path_factory.mktemp("run") / "run.mcap"
-    record_emulated(path, load_rig(RIG), RIG.read_text(), random_multisine(1, 5.0, 0.5), 1)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -139,10 +130,10 @@ def test_foreseen_by_nobody_can_be_traced(monkeypatch: pytest.MonkeyPatch) -> No
         legid("info", "x")
 
 
-def test_a_reader_that_leaves_is_no_fault(run_file: Path) -> None:
+def test_a_reader_that_leaves_is_no_fault(demo_run: Path) -> None:
     read, write = os.pipe()
     os.close(read)
-    done = subprocess.run([sys.executable, "-m", "experiments.cli", "info", str(run_file)], stdout=write,
+    done = subprocess.run([sys.executable, "-m", "experiments.cli", "info", str(demo_run)], stdout=write,
                           stderr=subprocess.PIPE, cwd=ROOT, check=False)
     os.close(write)
     assert done.stderr == b""
@@ -151,8 +142,8 @@ def test_a_reader_that_leaves_is_no_fault(run_file: Path) -> None:
 # -- looking into runs -------------------------------------------------------------------------------------
 
 
-def test_info_tells_streams_losses_clocks_and_rig(run_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert legid("info", run_file) == 0
+def test_info_tells_streams_losses_clocks_and_rig(demo_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert legid("info", demo_run) == 0
     text = capsys.readouterr().out
     for word in ("/imu", "/leg/telemetry", "telemetry frames lost: 0", "IMU gaps of unknown length: 0", "ppm, within",
                  "leg2", "the file is whole", "start: armed", "stop: plan done", "faults seen: none"):
@@ -167,24 +158,24 @@ def test_info_of_a_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "100 samples" in text and "100 Hz" in text and "gaps: 1, longest 0.51 s" in text and "ignored: note" in text
 
 
-def test_recover_saves_what_a_crash_left(run_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recover_saves_what_a_crash_left(demo_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cut = tmp_path / "cut.mcap"
-    data = run_file.read_bytes()
+    data = demo_run.read_bytes()
     cut.write_bytes(data[: len(data) * 2 // 3])
     assert legid("info", cut) == 0
     assert "cut off" in capsys.readouterr().out
     assert legid("recover", cut) == 0
     assert "was cut off" in capsys.readouterr().out
     saved = read_run(tmp_path / "cut.recovered.mcap")
-    assert saved.complete and 0.4 < saved.messages / read_run(run_file).messages < 0.8
+    assert saved.complete and 0.4 < saved.messages / read_run(demo_run).messages < 0.8
     assert "exists already" in fails(capsys, 2, "recover", cut)
     assert cut.read_bytes() == data[: len(data) * 2 // 3]
 
 
-def test_exports_agree(run_file: Path, tmp_path: Path) -> None:
+def test_exports_agree(demo_run: Path, tmp_path: Path) -> None:
     scipy_io, parquet = pytest.importorskip("scipy.io"), pytest.importorskip("pyarrow.parquet")
     for kind in ("csv", "parquet", "mat"):
-        assert legid("export", run_file, "--to", kind, "--out", tmp_path / f"r.{kind}") == 0
+        assert legid("export", demo_run, "--to", kind, "--out", tmp_path / f"r.{kind}") == 0
     table = read_csv(tmp_path / "r.csv")
     assert {"q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2", "q1_rad"} <= set(table.columns)
     columns = parquet.read_table(tmp_path / "r.parquet").to_pydict()
@@ -194,16 +185,16 @@ def test_exports_agree(run_file: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(matlab[name][:, 0], table.columns[name], rtol=1e-10, atol=1e-12)
 
 
-def test_export_of_a_csv_at_another_rate(run_file: Path, tmp_path: Path) -> None:
-    legid("export", run_file, "--to", "csv", "--out", tmp_path / "a.csv")
+def test_export_of_a_csv_at_another_rate(demo_run: Path, tmp_path: Path) -> None:
+    legid("export", demo_run, "--to", "csv", "--out", tmp_path / "a.csv")
     assert legid("export", tmp_path / "a.csv", "--to", "csv", "--rate", "50", "--out", tmp_path / "b.csv") == 0
     half, full = read_csv(tmp_path / "b.csv"), read_csv(tmp_path / "a.csv")
     assert half.time_s.size == pytest.approx(full.time_s.size / 5, abs=2)
 
 
-def test_output_that_cannot_be_written(run_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_output_that_cannot_be_written(demo_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for kind in ("csv", "mat", "parquet"):
-        assert "no/where" in fails(capsys, 2, "export", run_file, "--to", kind, "--out", tmp_path / "no/where")
+        assert "no/where" in fails(capsys, 2, "export", demo_run, "--to", kind, "--out", tmp_path / "no/where")
 
 
 # -- simulation --------------------------------------------------------------------------------------------

@@ -6,19 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from daq.rig import load_rig
 from experiments import cli
-from experiments.emulation.emulated_rig import record_emulated
-from experiments.excite.multisine import random_multisine
 from experiments.provenance import commit, read_origin, source_of
 from tests.support.paths import DEMO_RIG as RIG
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(demo_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of five seconds with everything that a fit writes of it, its rig taken from the run."""
     folder = tmp_path_factory.mktemp("fit")
-    record_emulated(folder / "run.mcap", load_rig(RIG), RIG.read_text(), random_multisine(1, 5.0, 0.5), 1)
+    shutil.copy(demo_run, folder)
     cli.main(["fit", str(folder / "run.mcap"), "--method", "wls", "--json", str(folder / "fit.json"),
               "--html", str(folder / "fit.html"), "--model-out", str(folder / "model.json")])
     return folder

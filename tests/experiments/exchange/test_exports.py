@@ -15,18 +15,9 @@ from daq.timing.align import decode
 from estimator.fitting.fit import fit
 from estimator.result import FitResult
 from experiments.cli import main
-from experiments.emulation.emulated_rig import record_emulated
 from experiments.exchange.reading import is_native, load_any_run
-from experiments.excite.multisine import random_multisine
 from experiments.rig.setup import setup_of
 from tests.support.paths import DEMO_RIG
-
-
-@pytest.fixture(scope="module")
-def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("run") / "run.mcap"
-    record_emulated(path, load_rig(DEMO_RIG), DEMO_RIG.read_text(), random_multisine(1, 4.0, 0.6), 1)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -40,45 +31,45 @@ def fitted(run: Dataset, rig: Rig) -> FitResult:
 
 
 @pytest.fixture(scope="module")
-def reference(run_file: Path, rig: Rig) -> FitResult:
-    return fitted(load_any_run(run_file, rig), rig)
+def reference(demo_run: Path, rig: Rig) -> FitResult:
+    return fitted(load_any_run(demo_run, rig), rig)
 
 
 @pytest.fixture(scope="module")
-def messages_file(run_file: Path) -> Path:
-    out = run_file.with_name("messages.mcap")
-    assert main(["export", str(run_file), "--to", "ros2", "--out", str(out)]) == 0
+def messages_file(demo_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("messages") / "messages.mcap"
+    assert main(["export", str(demo_run), "--to", "ros2", "--out", str(out)]) == 0
     return out
 
 
 @pytest.mark.parametrize("kind", ["parquet", "mat"])
-def test_to_the_bit(kind: str, run_file: Path, rig: Rig, tmp_path: Path) -> None:
+def test_to_the_bit(kind: str, demo_run: Path, rig: Rig, tmp_path: Path) -> None:
     out = tmp_path / f"r.{kind}"
-    assert main(["export", str(run_file), "--to", kind, "--out", str(out)]) == 0
-    was, again = load_any_run(run_file, rig), load_any_run(out, rig)
+    assert main(["export", str(demo_run), "--to", kind, "--out", str(out)]) == 0
+    was, again = load_any_run(demo_run, rig), load_any_run(out, rig)
     assert list(again.columns) == list(was.columns) and again.clock_bound_s == was.clock_bound_s > 0
     np.testing.assert_array_equal(again.time_s, was.time_s)
     for name, values in was.columns.items():
         np.testing.assert_array_equal(again[name], values)
 
 
-def test_a_fit_of_what_comes_back_is_the_same(run_file: Path, messages_file: Path, rig: Rig, reference: FitResult,
+def test_a_fit_of_what_comes_back_is_the_same(demo_run: Path, messages_file: Path, rig: Rig, reference: FitResult,
                                               tmp_path: Path) -> None:
     """In shares of a standard deviation. CSV keeps 12 digits, stamps of messages nanoseconds."""
-    assert main(["export", str(run_file), "--to", "csv", "--out", str(tmp_path / "r.csv")]) == 0
+    assert main(["export", str(demo_run), "--to", "csv", "--out", str(tmp_path / "r.csv")]) == 0
     for path, share in ((tmp_path / "r.csv", 1e-4), (messages_file, 1e-3)):
         again = fitted(load_any_run(path, rig), rig)
         assert np.abs((again.beta - reference.beta) / reference.std).max() < share
         assert np.abs(again.std / reference.std - 1.0).max() < share
 
 
-def test_ros2_messages_by_another_library(run_file: Path, rig: Rig, tmp_path: Path,
+def test_ros2_messages_by_another_library(demo_run: Path, rig: Rig, tmp_path: Path,
                                           capsys: pytest.CaptureFixture[str]) -> None:
     """Foxglove's reader decodes them: each sample at its own time of the wall clock, in SI units, right-handed."""
     out = tmp_path / "r.mcap"
-    assert main(["export", str(run_file), "--to", "ros2", "--out", str(out)]) == 0
+    assert main(["export", str(demo_run), "--to", "ros2", "--out", str(out)]) == 0
     assert "temperature_degc" in capsys.readouterr().err
-    raw = read_run(run_file)
+    raw = read_run(demo_run)
     *_, imu = decode(raw, rig).channels
     messages = list(read_ros2_messages(str(out), topics=["/imu"]))
     assert len(messages) == imu.time_s.size > 1000
@@ -93,15 +84,15 @@ def test_ros2_messages_by_another_library(run_file: Path, rig: Rig, tmp_path: Pa
     assert knee.name == ["knee"] and len(knee.effort) == 1
 
 
-def test_a_native_run_is_told_from_its_export(run_file: Path, messages_file: Path, tmp_path: Path) -> None:
-    assert is_native(run_file) and not is_native(messages_file)
+def test_a_native_run_is_told_from_its_export(demo_run: Path, messages_file: Path, tmp_path: Path) -> None:
+    assert is_native(demo_run) and not is_native(messages_file)
     (tmp_path / "broken.mcap").write_bytes(b"junk")
     assert is_native(tmp_path / "broken.mcap")  # whose reader says what is wrong
 
 
-def test_a_csv_becomes_messages_that_count_from_zero(run_file: Path, rig: Rig, tmp_path: Path,
+def test_a_csv_becomes_messages_that_count_from_zero(demo_run: Path, rig: Rig, tmp_path: Path,
                                                      capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", str(run_file), "--to", "csv", "--out", str(tmp_path / "r.csv")]) == 0
+    assert main(["export", str(demo_run), "--to", "csv", "--out", str(tmp_path / "r.csv")]) == 0
     assert main(["export", str(tmp_path / "r.csv"), "--to", "ros2", "--out", str(tmp_path / "r.mcap")]) == 0
     assert "no wall clock" in capsys.readouterr().err
     was, again = load_run(tmp_path / "r.csv", rig), load_any_run(tmp_path / "r.mcap", rig)

@@ -45,7 +45,7 @@ from tests.support.paths import DEMO_RIG as RIG
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Runs of a leg with a spring that nobody told of, and of one without."""
     out = tmp_path_factory.mktemp("trust")
-    for name, k in (("none", 0), ("none", 1), ("none", 2), ("joint_stiffness", 0), ("joint_stiffness", 1)):
+    for name, k in (("none", 0), ("none", 1), ("none", 2), ("joint_stiffness", 0)):
         record_emulated(out / f"{name}{k}.mcap", load_rig(RIG), RIG.read_text(), random_multisine(30 + k, 4.0, 0.6), k,
                         hidden=EFFECTS.get(name, NOTHING))
     return out
@@ -53,10 +53,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def fits(folder: Path) -> dict[str, str]:
-    """Leg -> first line of the fit to its first two runs, whose model is beside them."""
+    """Leg -> first line of the fit to its runs but the third, whose model is beside them."""
     said = {}
     for name in ("none", "joint_stiffness"):
-        runs = [str(folder / f"{name}{k}.mcap") for k in (0, 1)]
+        runs = [str(path) for k in (0, 1) if (path := folder / f"{name}{k}.mcap").exists()]
         with redirect_stdout(io.StringIO()) as out:
             assert cli.main(["fit", *runs, "--model-out", str(folder / f"{name}.json")]) == 0
         said[name] = out.getvalue().splitlines()[0]
