@@ -9,7 +9,7 @@ from .files import replacing_anything as replacing_anything
 from .files import write_file as write_file
 from .load import SUFFIXES as SUFFIXES
 from .load import load_run as load_run
-from .rig import JOINTS as JOINTS
+from .mechanisms import JOINTS as JOINTS
 from .rig import Calibration as Calibration
 from .rig import Column as Column
 from .rig import ControllerDevice as ControllerDevice

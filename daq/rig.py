@@ -12,6 +12,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from daq.errors import InputError, did_you_mean
+from daq.mechanisms import check_mechanism, joints_of
 
 # Bounds keep out what no rig is: a slip of units or keys, infinity, NaN. They are far beyond what any leg has.
 Positive = Annotated[float, Meta(gt=0, le=1e5)]
@@ -41,7 +42,8 @@ class _Table(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
 class Mechanism(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which mechanism hangs there, and which of its joints a motor drives."""
 
-    model: Literal["leg2", "biped3", "joint1", "chain"]
+    model: Annotated[str, Meta(max_length=60)]
+    """leg2 | biped3 | joint1 | chain, or one of one's own; see `daq.mechanisms`"""
     actuated: tuple[Joint, ...]
     gravity_mps2: Annotated[float, Meta(ge=0, le=100.0)] = 9.81
     links: Annotated[int, Meta(ge=1, le=20)] = 2
@@ -254,12 +256,9 @@ class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Column of the contract -> where files of other programs hold it."""
 
 
-JOINTS = {"leg2": 2, "biped3": 3, "joint1": 1}
-
-
 def joint_count(mechanism: Mechanism) -> int:
-    """Number of joints of the mechanism."""
-    return mechanism.links if mechanism.model == "chain" else JOINTS[mechanism.model]
+    """Number of joints of the mechanism. Raises KeyError where there is none of its name."""
+    return joints_of(mechanism.model, mechanism.links)
 
 
 def load_rig(path: Path | str) -> Rig:
@@ -300,6 +299,7 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     _check_finite(rig, where)
     _check_mount(rig, where)
     _check_accelerometer(rig.calibration, where)
+    check_mechanism(rig.mechanism.model, where)
     if rig.distance_meter is not None and rig.mechanism.model not in ("biped3", "chain"):
         raise InputError(where, f"a {rig.mechanism.model} stands on no ground that a distance_meter could see",
                          "take out the table [distance_meter]")

@@ -31,3 +31,4 @@ from .protocol import State as State
 from .protocol import Telemetry as Telemetry
 from .protocol import describe_faults as describe_faults
 from .serial_link import SerialLink as SerialLink
+from .transport import open_port as open_port

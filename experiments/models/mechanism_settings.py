@@ -5,7 +5,7 @@ from __future__ import annotations
 from msgspec import structs
 
 from daq import Rig, joint_count
-from estimator.model import VELOCITY_SCALE, Mechanism, biped3, chain, joint1, leg2
+from estimator.model import VELOCITY_SCALE, Mechanism, builders, settings_of
 from experiments.models.schema import MechanismSettings
 
 
@@ -28,30 +28,31 @@ def fitted_settings(settings: MechanismSettings, mechanism: Mechanism) -> Mechan
 
 
 def build_mechanism(s: MechanismSettings) -> Mechanism:
-    """The estimator's mechanism, joints counted from 0 there. Raises ValueError for settings it cannot have."""
+    """The estimator's mechanism, joints counted from 0 there. Raises ValueError for settings it cannot have.
+
+    Of what is set by default a mechanism is told what its function takes; what somebody declared it has to take.
+    """
+    if s.model not in builders():
+        raise ValueError(f"mechanism.model is {s.model!r}, and there are {', '.join(builders())}")
+    takes, build = settings_of(s.model), builders()[s.model]
     actuated, rotors, offsets = (tuple(j - 1 for j in joints)
                                  for joints in (s.actuated, s.rotor_inertia, s.torque_offset))
-    n = {"leg2": 2, "biped3": 3, "joint1": 1}.get(s.model, s.links)
+    n = s.links if "links" in takes else build().n
     if any(j >= n for j in (*actuated, *rotors, *offsets)):
         raise ValueError(f"a joint above {n} is named, {s.model} has {n}")
     speeds = s.friction_velocity_radps
     if isinstance(speeds, tuple) and len(speeds) != n:
         raise ValueError(f"terms.friction_velocity_radps has {len(speeds)} speeds, {s.model} has {n} joints")
-    if s.input == "voltage" and s.model != "joint1":
+    if s.input == "voltage" and "voltage" not in takes:
         raise ValueError(f'input = "voltage" is for joint1, not {s.model}')
-    if s.model == "leg2":
-        return leg2(gravity_mps2=s.gravity_mps2, lever_arm=s.lever_arm_m, actuated=actuated,
-                               rotor_inertia=rotors, torque_offset=offsets,
-                               velocity_scale=speeds)
-    if s.model == "chain":
-        return chain(s.links, gravity_mps2=s.gravity_mps2, actuated=actuated, rotor_inertia=rotors,
-                                torque_offset=offsets, velocity_scale=speeds)
-    if rotors:
-        raise ValueError(f"terms.rotor_inertia cannot be told from the inertia of {s.model}")
-    if s.model == "biped3":
-        if offsets:
-            raise ValueError("terms.torque_offset is not part of biped3")
-        return biped3(actuated=actuated, gravity_mps2=s.gravity_mps2)
-    return joint1(gravity_mps2=s.gravity_mps2, prismatic=s.prismatic, actuated=actuated,
-                             torque_offset=offsets, velocity_scale=speeds,
-                             voltage=s.input == "voltage", lever_arm=s.lever_arm_m)
+    for term, joints in (("rotor_inertia", rotors), ("torque_offset", offsets)):
+        if joints and term not in takes:
+            raise ValueError(f"terms.{term} is no term of {s.model}")
+    told = {"actuated": actuated, "gravity_mps2": s.gravity_mps2, "lever_arm": s.lever_arm_m, "links": s.links,
+            "prismatic": s.prismatic, "rotor_inertia": rotors, "torque_offset": offsets, "velocity_scale": speeds,
+            "voltage": s.input == "voltage"}
+    found = build(**{name: value for name, value in told.items() if name in takes})
+    if found.actuated != actuated:
+        raise ValueError(f"mechanism.actuated is {list(s.actuated)}, {s.model} is driven at joints "
+                         f"{[j + 1 for j in found.actuated]}")
+    return found

@@ -22,7 +22,8 @@ class _Part(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class MechanismSettings(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What `build_mechanism` needs; joints count from 1."""
 
-    model: Literal["leg2", "biped3", "joint1", "chain"]
+    model: str
+    """Of `builders` of estimator.model."""
     actuated: tuple[Joint, ...]
     gravity_mps2: NonNegative = 9.81
     links: Annotated[int, Meta(ge=1, le=20)] = 2

@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from daq import ControllerDevice, ImuDevice, InputError, Rig
-from drivers import MAG_ODR_HZ, ImuConfig, LegController, Lsm9ds1, MagConfig, Magnetometer, SerialLink, open_bus
+from drivers import MAG_ODR_HZ, ImuConfig, LegController, Lsm9ds1, MagConfig, Magnetometer, open_bus, open_port
 
 
 @contextmanager
@@ -28,9 +28,10 @@ def open_devices(rig: Rig, where: str) -> Iterator[tuple[Lsm9ds1 | None, LegCont
 
 
 def connect(device: ControllerDevice) -> LegController:
-    """The leg controller on its serial port or CAN bus, not yet greeted. Raises a `DriverError`."""
+    """The leg controller on its serial port, CAN bus, or whatever its port names, not yet greeted. Raises a
+    `DriverError`."""
     if device.can is None:
-        return LegController(SerialLink(device.port, device.baud))
+        return LegController(open_port(device.port, device.baud))
     from drivers import (
         CanCodec,  # python-can and cantools take a while to load
         CanLink,

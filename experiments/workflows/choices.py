@@ -13,7 +13,7 @@ from daq import Dataset, Rig
 from estimator import FitError, FitOptions, FitResult
 from estimator.calibration import find_differing, needed_terms
 from estimator.fitting import measured_states, prediction_score
-from estimator.model import Mechanism
+from estimator.model import Mechanism, settings_of
 from experiments.models import MechanismSettings, build_mechanism
 from experiments.rig import Setup, setup_of
 from experiments.workflows.fit import fit_setup
@@ -108,8 +108,8 @@ def _found_rounding(stated: Mechanism, found: Mechanism) -> list[Choice]:
 
 def _extra_terms(setup: Setup, rig: Rig) -> list[Choice]:
     settings, driven = setup.settings, setup.settings.actuated
-    rotors = tuple(j for j in driven if j > 1) if settings.model in ("leg2", "chain") else ()
-    offsets = driven if settings.model != "biped3" else ()
+    rotors = tuple(j for j in driven if j > 1) if "rotor_inertia" in settings_of(settings.model) else ()
+    offsets = driven if "torque_offset" in settings_of(settings.model) else ()
     rotors = rotors if rig.terms.rotor_inertia is None else ()
     offsets = offsets if rig.terms.torque_offset is None else ()
     if not rotors and not offsets:

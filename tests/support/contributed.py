@@ -7,12 +7,12 @@ import threading
 from pathlib import Path
 
 import numpy as np
-from drivers.tcp_link import TcpLink
 from estimator.model.crane import crane
 from msgspec import structs
 
-from daq import Dataset
+from daq import Dataset, parse_rig
 from daq.recording import Plan
+from daq.runs import write_csv
 from drivers import LegController, State
 from drivers.mock import FirmwareSettings, MockRig, RealClock
 from drivers.mock.plant import StillPlant
@@ -22,9 +22,11 @@ from estimator.model import leg2, simulate
 from experiments.cli import main
 from experiments.models import load_model
 from experiments.models.schema import EffectValue
+from experiments.rig.devices import connect
 from experiments.workflows.simulate import simulate_run
 from tests.support.models import LEG, write_model
 
+RIG = "[mechanism]\nmodel = \"leg2\"\nactuated = [2]\n"
 BETA = [0.14, 0.03, 0.05, 0.5, 0.15, 0.05, 0.03, 0.001, 0.001]
 
 
@@ -41,8 +43,8 @@ def effect(folder: Path) -> None:
     assert q1 > 0.05 and abs(needed - 0.5 * np.cos(q1)) < 0.005, (q1, q2, needed)
 
 
-def mechanism() -> None:
-    """Fitted from a motion of its own, with noise."""
+def mechanism(folder: Path) -> None:
+    """Fitted from a motion of its own, with noise, from Python and by a rig file that names it."""
     m, rng, time = crane(), np.random.default_rng(2), np.arange(1500) / 100.0
     beta = np.array([1.2, 0.3, 0.35, 2.0, 0.6, 0.2, 0.02, 0.1, 0.01])
     tau = np.column_stack([4.0 * np.sin(2.1 * time) + 3.0 * np.sin(5.3 * time + 1.0), np.zeros(time.size)])
@@ -54,6 +56,15 @@ def mechanism() -> None:
     found = fit([run], m, FitOptions(sensors="encoder"))
     assert found.converged and not found.undetermined
     assert np.abs(found.beta[:5] / beta[:5] - 1.0).max() < 0.03, found.beta
+
+    rig, model = folder / "crane.toml", folder / "crane.json"
+    write_csv(run, folder / "crane.csv")
+    rig.write_text('[mechanism]\nmodel = "crane"\nactuated = [1]\n')
+    assert main(["fit", str(folder / "crane.csv"), "--rig", str(rig), "--model-out", str(model)]) == 0
+    saved = load_model(model)
+    assert saved.mechanism.model == "crane" and np.abs(np.array(saved.beta)[:5] / beta[:5] - 1.0).max() < 0.03
+    rig.write_text('[mechanism]\nmodel = "crame"\nactuated = [1]\n')
+    assert main(["fit", str(folder / "crane.csv"), "--rig", str(rig)]) == 2
 
 
 def device() -> None:
@@ -76,7 +87,10 @@ def device() -> None:
 
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
-        controller = LegController(TcpLink("127.0.0.1", server.getsockname()[1]))
+        port = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        named = parse_rig(f"{RIG}[devices.controller]\nport = \"{port}\"\n").devices
+        assert named.controller is not None
+        controller = connect(named.controller)
         try:
             assert controller.open().boot_id == rig.firmware.boot_id
             controller.arm(100)
@@ -107,6 +121,6 @@ def command(folder: Path) -> None:
 if __name__ == "__main__":
     here = Path(sys.argv[1])
     effect(here)
-    mechanism()
+    mechanism(here)
     device()
     command(here)
