@@ -87,10 +87,13 @@ fixtures: $(STAMP)
 faults: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.faults --out docs/faults.md
 
-# Half an hour of real time: recordings killed at any moment, and others with a second process at their devices and file.
-KILLS ?= 1000
+# Two hours of real time: recordings killed at any moment, and others with a second process at their devices and file.
+# Called again it goes on where it stopped; after a change of the program give it a new KILLS_OUT.
+KILLS     ?= 1000
+KILLS_OUT ?= build/kills.jsonl
 kills: $(STAMP)
-	$(BIN)/python -m tests.studies.kills --kills $(KILLS) --beside 100 --out docs/kills.md
+	mkdir -p $(dir $(KILLS_OUT))
+	$(BIN)/python -m tests.studies.kills --kills $(KILLS) --beside $(KILLS) --keep $(KILLS_OUT) --out docs/kills.md
 
 # An hour or two: 10^5 broken files of each of five formats through their readers.
 FILES ?= 100000

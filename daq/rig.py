@@ -194,7 +194,8 @@ class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     torque_share: Annotated[float, Meta(gt=0, lt=1)] = 0.35
     """A drive that saturates, or follows late, stays within; one that is dead (1) or reversed (2) does not."""
     encoder_s: Seconds = 0.01
-    """The knee's encoder and its Hall angle disagree by more than `encoder_band_rad` over 0.25 s."""
+    """The knee's encoder and its Hall angle disagree by more than `encoder_band_rad` over 0.25 s, or by half of it
+    where one of them stands still to the digit."""
     encoder_band_rad: Positive = 0.04
     """Six counts of a Hall angle of 1024 a turn of the joint."""
     imu_stuck_s: Seconds = 0.08
@@ -202,7 +203,8 @@ class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     imu_rail_s: Seconds = 0.05
     """An axis of the IMU is at the end of its range. An impact is shorter."""
     pivot_s: Seconds = 0.03
-    """The gyro and the pivot's Hall angle disagree by more than `pivot_band_rad` over 0.25 s."""
+    """The gyro and the pivot's Hall angle disagree by more than `pivot_band_rad` over 0.25 s, or by half of it
+    where one of them stands still to the digit."""
     pivot_band_rad: Positive = 0.04
     """The same; the speed times 15 ms comes on top, by which the two may be apart in time."""
 

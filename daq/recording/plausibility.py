@@ -29,7 +29,10 @@ FAST_S, SLOW_S = 0.02, 0.25
 """Memory of the two comparisons of torque [s]: a wrong drive shows in the fast one, a dead shunt under a gentle plan in
 the slow one."""
 STUCK_SHARE = 0.5
-"""A reading of the shunt that stays the same to the digit while the command moves by so much of the band is stuck."""
+"""A reading that stays the same to the digit while what it follows moves by so much of the band is stuck: the shunt's
+beside the command, an angle's beside the joint's other one."""
+STUCK_STEPS = 1.5
+"""An angle that changes by steps may stay the same for one of either sensor's, and a little for noise."""
 WINDOW_S = 0.25
 """Two sensors of one joint are compared by how far they say that it turned within this [s]: zeros cancel."""
 SCALE_ERROR = 0.05
@@ -44,7 +47,8 @@ from which it is told [s]."""
 NEAR_S = 0.02
 """Readings of two devices are compared when they are no further apart [s]."""
 APART_S = 0.015
-"""How far apart in time two readings that came together may have been taken [s]: a serial adapter's 16 ms."""
+"""How far apart in time two readings that came together may have been taken [s], before more is known: a serial
+adapter's 16 ms."""
 RAIL = 32_700
 """Counts of 16 bits from which on a reading is at its rail."""
 
@@ -69,13 +73,10 @@ class Lasting:
         self._since_s: float | None = None
         self.lasted_s = 0.0
 
-    def see(self, wrong: bool, time_s: float) -> None:
-        """At `time_s` [s] it is wrong, or not."""
-        if not wrong:
-            self._since_s, self.lasted_s = None, 0.0
-            return
-        self._since_s = time_s if self._since_s is None else self._since_s
-        self.lasted_s = time_s - self._since_s
+    def see(self, wrong: bool, time_s: float, begun: bool = False) -> None:
+        """At `time_s` [s] it is wrong, or not; what is wrong later has been so since it had `begun`."""
+        self._since_s = None if not (wrong or begun) else time_s if self._since_s is None else self._since_s
+        self.lasted_s = time_s - self._since_s if wrong and self._since_s is not None else 0.0
 
 
 class Progress:
@@ -87,7 +88,8 @@ class Progress:
         self._advanced_ns = now_ns
         self._local_us = 0.0
         self._least_us = math.inf
-        self._behind_s = 0.0
+        self.late_s = 0.0
+        """How much later than the least late one the newest frame has come [s], by its tick."""
 
     def see(self, frame: Telemetry, host_ns: int) -> bool:
         """Whether this frame is one that the period makes possible after those before."""
@@ -105,12 +107,12 @@ class Progress:
         self._local_us += ticks_us
         late_us = host_ns * 1e-3 - self._local_us
         self._least_us = min(late_us, self._least_us + CLOCK_DRIFT * ticks_us)
-        self._behind_s = (late_us - self._least_us) * 1e-6
+        self.late_s = (late_us - self._least_us) * 1e-6
         return True
 
     def age_s(self, now_ns: int) -> float:
         """Age of what is known of the leg [s]."""
-        return max((now_ns - self._advanced_ns) * 1e-9, self._behind_s)
+        return max((now_ns - self._advanced_ns) * 1e-9, self.late_s)
 
 
 class Echo:
@@ -169,11 +171,16 @@ class TwoAngles:
         self._band, self._drifts = band_rad, drifts
         self._seen: deque[tuple[float, float, float]] = deque()
         self._zero: float | None = None
+        self._changed = [(math.nan, 0.0), (math.nan, 0.0)]
+        """Each reading, and the other one when it became that."""
+        self._step = [math.inf, math.inf]
+        """The least by which each has changed; one that never did may be a coarse one."""
         self.wrong = Lasting()
 
     def forget(self) -> None:
         """One of them has jumped, and is known to have."""
         self._seen.clear()
+        self._changed = [(math.nan, 0.0), (math.nan, 0.0)]
         self._zero = None
         self.wrong.see(False, 0.0)
 
@@ -188,8 +195,24 @@ class TwoAngles:
         _, first, second = self._seen[0]
         turned, other = first_rad - first, second_rad - second
         short = abs(turned - other) - SCALE_ERROR * max(abs(turned), abs(other)) > self._band + slack_rad
+        alone, steps = self._alone((first_rad, second_rad)) - slack_rad, STUCK_STEPS * max(self._step)
+        stuck = alone > max(STUCK_SHARE * self._band, steps)
         far = abs(second_rad - first_rad - self._zero) > ZERO_BANDS * self._band + SCALE_ERROR * abs(first_rad)
-        self.wrong.see(short or (far and not self._drifts), time_s)
+        self.wrong.see(short or stuck or (far and not self._drifts), time_s, alone > steps)
+
+    def look(self, first_rad: float, second_rad: float) -> None:
+        """What they read while it is too early to compare them: shows by what steps they change."""
+        for k, (one, other) in enumerate(((first_rad, second_rad), (second_rad, first_rad))):
+            if one == self._changed[k][0] or math.isnan(one):
+                continue
+            if not math.isnan(self._changed[k][0]):
+                self._step[k] = min(self._step[k], abs(one - self._changed[k][0]))
+            self._changed[k] = one, other
+
+    def _alone(self, both_rad: tuple[float, float]) -> float:
+        """By how much one has turned since the other last changed [rad]."""
+        self.look(*both_rad)
+        return max(abs(both_rad[1 - k] - self._changed[k][1]) for k in (0, 1))
 
 
 class ImuHealth:
@@ -232,6 +255,8 @@ class Plausibility:
         self._encoder = TwoAngles(limits.encoder_band_rad)
         self._imu = ImuHealth(imu_hz) if imu_hz else None
         self._pivot = TwoAngles(limits.pivot_band_rad, drifts=True)
+        self._trip_s = APART_S
+        self._periods_s = 1.0 / hello.telemetry_hz + (1.0 / imu_hz if imu_hz else 0.0)
         self._halls: deque[tuple[int, float]] = deque(maxlen=64)
         self._armed = False
         self._bias = 0.0
@@ -273,9 +298,12 @@ class Plausibility:
         if not self._armed:  # the gyro's bias, as the pivot's Hall angle shows it while the motor waits
             span_s = time_s - since_s
             bias = (apart - then) / span_s if span_s > LEAST_BIAS_S else 0.0
+            self._pivot.look(turned_rad, hall)
             self._bias = max(-GYRO_BIAS, min(GYRO_BIAS, bias))
             return
-        self._pivot.see(time_s, turned_rad - self._bias * (time_s - since_s), hall, APART_S * self._fastest(time_s))
+        turned_rad -= self._bias * (time_s - since_s)
+        apart_s = min(APART_S, self._trip_s + self._progress.late_s)
+        self._pivot.see(time_s, turned_rad, hall, apart_s * self._fastest(time_s))
 
     def _fastest(self, time_s: float) -> float:
         """Highest speed of the pivot over the window, by the gyro [rad/s]."""
@@ -283,9 +311,12 @@ class Plausibility:
             self._speeds.popleft()
         return max((speed for _, speed in self._speeds), default=0.0)
 
-    def arm(self) -> None:
-        """From now on the motor drives."""
+    def arm(self, trip_s: float = APART_S) -> None:
+        """From now on the motor drives; `trip_s`: the link's shortest round trip [s], which no frame's way exceeds that
+        came without delay."""
         self._armed = True
+        self._pivot.forget()
+        self._trip_s = trip_s + self._periods_s
 
     def doubts(self, now_ns: int) -> Doubts:
         """For how long each check has failed."""

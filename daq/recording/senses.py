@@ -43,11 +43,12 @@ class Senses:
         IMU's first second is one of a leg that waits."""
         if self._leg.telemetry is None:
             raise WorkError("leg controller: shook hands but sends no telemetry; restart it")
-        if self._leg.clock_bound_s() is None:
+        bound_s = self._leg.clock_bound_s()
+        if bound_s is None:
             raise WorkError("leg controller: answers no clock probe; restart it")
         if self._imu is not None:
             check_imu(self._imu, self._imu_hz, self._rig.mechanism.gravity_mps2)
-        self._plausible.arm()
+        self._plausible.arm(2.0 * bound_s)
 
     def sample(self, now_ns: int, torque_cmd_nm: float, unsaved_s: float | None) -> Sample:
         """The rig now, as the supervisor wants it: what cannot be read is NaN, unless the rig file gave it up."""

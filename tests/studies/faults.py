@@ -4,6 +4,7 @@
 """
 
 import argparse
+import math
 import re
 import tempfile
 from datetime import UTC, datetime
@@ -11,10 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.mock.settings import FirmwareSettings
+from experiments.emulation.plant import State
 from tests.studies.fault_list import FAULTS
 from tests.support.fault_bench import MOMENTS, PEAK_NM, FaultBench, Outcome
 
 TARGET_MS = 110.0
+SEEN_BY_S = 0.08
+"""After the first torque: the target less the time for which two angles of the pivot must disagree."""
 
 
 def strike(name: str, moment: str, folder: Path) -> Outcome:
@@ -26,6 +31,24 @@ def strike(name: str, moment: str, folder: Path) -> Outcome:
         return FaultBench(FAULTS[name], moment).run(folder)
     finally:
         mcap_run.WATCH_EVERY_S = watch
+
+
+def turned_rad(after_s: float) -> float:
+    """How far the healthy leg's pivot has turned so long after the first torque [rad]."""
+    bench, passed_s, turned = FaultBench(lambda bench: None, "never"), 0.0, 0.0
+    step = bench.mock._plant.step
+
+    def watched(dt_s: float, torque_nm: float) -> State:
+        nonlocal passed_s, turned
+        state = step(dt_s, torque_nm)
+        passed_s += dt_s if torque_nm or passed_s else 0.0
+        turned = max(turned, abs(state.q1)) if passed_s <= after_s else turned
+        return state
+
+    bench.mock._plant.step = watched  # type: ignore[method-assign]
+    with tempfile.TemporaryDirectory() as folder:
+        bench.run(Path(folder))
+    return turned
 
 
 def page(cells: dict[tuple[str, str], Outcome]) -> str:
@@ -47,7 +70,10 @@ def page(cells: dict[tuple[str, str], Outcome]) -> str:
     if late:
         lines += ["Beyond the target: " + "; ".join(f"{name} ({moment}, {cells[name, moment].zero_ms:.0f} ms)"
                                                     for name, moment in late) + ". A sensor of an angle that errs "
-                  "while its joint hardly turns shows when it has turned by its band; the pivot is the slower one.", ""]
+                  "while its joint hardly turns shows when it has turned by its band, half of it where the reading "
+                  f"stands still, for 30 ms; {1e3 * SEEN_BY_S:.0f} ms after the first torque, from which on it would "
+                  f"have to show, the pivot has turned by {turned_rad(SEEN_BY_S):.4f} rad; a count of its Hall sensor "
+                  f"is {math.tau / FirmwareSettings().hall_counts:.4f} rad.", ""]
     lines += ["## Time to zero torque [ms]", "", "| fault | " + " | ".join(MOMENTS) + " |",
               "| --- |" + " ---: |" * len(MOMENTS)]
     lines += [f"| {name} | " + " | ".join(f"{cells[name, moment].zero_ms:.0f}" for moment in MOMENTS) + " |"

@@ -1,11 +1,14 @@
 """Recordings killed at any moment, and recordings with a second process at their devices and at their file.
 
-    python -m tests.studies.kills --kills 1000 --beside 200 --out docs/kills.md
+    python -m tests.studies.kills --kills 1000 --beside 1000 --keep build/kills.jsonl --out docs/kills.md
+
+Called again with the same file to keep its findings in, it goes on where it stopped.
 
 `legid record`, with its own drivers over a port and a bus, on emulated rigs in processes of their own. A SIGKILL comes
 at a moment drawn over the whole of a recording; what it leaves must hold every message that had been handed to the
 system, be called cut off, and recover to a whole file; the next recording on the same devices must start. A second
-process must leave the first whole. A fault is everything else.
+process must leave the first whole. One of them is a stranger: it takes samples out of the IMU's FIFO and knows of no
+lock, as a script does; that recording must end itself, or be doubted by whoever reads it. A fault is everything else.
 """
 
 import argparse
@@ -29,14 +32,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.errors import InputError
+from daq.load import load_run
 from daq.recording.plan import write_plan
 from daq.rig import load_rig
 from daq.runs import read_run
 from daq.runs.mcap_run import FLUSH_MESSAGES, RunWriter, recover
 from daq.timing.align import configured
-from drivers import DriverError
+from drivers import DriverError, lsm9ds1_registers, open_bus
+from drivers.i2c_bus import read_registers
 from experiments.cli import main as legid
 from experiments.rig.devices import connect
 from tests.support.paths import ROOT
@@ -50,7 +56,10 @@ RATE_OFF = 0.06
 """By which an IMU's rate may be off the one that was set, in a run that nobody disturbed."""
 COUNTS = struct.Struct("<QQ")
 """Messages given to the run's writer, and those of them handed to the system."""
-
+EDGE_NS = 100_000_000
+"""What is missing so near to either end of a run puts nothing else out of its time."""
+STRANGER = "a stranger's reading"
+"""What the command that knows no lock is called."""
 
 PATIENT = ("[limits]\n" + "".join(f"{name} = 5.0\n" for name in (
     "staleness_s", "clock_bound_s", "echo_s", "torque_s", "encoder_s", "imu_stuck_s", "pivot_s")))
@@ -123,6 +132,31 @@ def ended(pid: int) -> int | None:
     return None
 
 
+def take(rig: Path, seed: int, taken: Path) -> int:
+    """In a forked process: samples out of the IMU's FIFO, a burst or many; when [ns] and which goes to `taken`."""
+    pid = os.fork()
+    if pid:
+        return pid
+    status = 70
+    try:
+        device = load_rig(rig).devices.imu
+        assert device is not None
+        rng, bus, lines = np.random.default_rng((seed, 1)), open_bus(device.bus), []
+        pauses = np.full(int(2 ** rng.uniform(0, 6)), rng.uniform(0.005, 0.1))
+        for pause in pauses.tolist():
+            before_ns = time.monotonic_ns()
+            level = read_registers(bus, device.address, lsm9ds1_registers.FIFO_SRC, 1)[0] & lsm9ds1_registers.FIFO_FSS
+            if level:
+                size = level * lsm9ds1_registers.SAMPLE_BYTES
+                data = read_registers(bus, device.address, lsm9ds1_registers.OUT_X_L_G, size)
+                lines.append(f"{before_ns} {time.monotonic_ns()} {data.hex()}\n")
+            time.sleep(pause)
+        taken.write_text("".join(lines))
+        status = 0
+    finally:
+        os._exit(status)
+
+
 def unlatch(rig: Path) -> None:
     """Acknowledge the watchdog's fault that a kill leaves, as a person has to: no recording starts upon it."""
     device = load_rig(rig).devices.controller
@@ -134,7 +168,7 @@ def unlatch(rig: Path) -> None:
 
 def kill_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
     """Record, kill at a moment drawn from seed and number, look at what is left."""
-    path, said, counts = folder / f"{number}.mcap", folder / f"{number}.txt", mmap.mmap(-1, COUNTS.size)
+    path, said, counts = _files(folder, "kill_one", number)
     rng = np.random.default_rng((seed, number))
     unlatch(rig)
     pid = start(["record", "--rig", str(rig), "--plan", str(folder / "plan.csv"), "--out", str(path)], said, counts)
@@ -142,11 +176,12 @@ def kill_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
     os.kill(pid, signal.SIGKILL)  # one that has ended is a zombie still
     status = ended(pid)
     given, handed = COUNTS.unpack_from(counts)
-    found = _judge(path, status, given, handed, said.read_text() if said.exists() else "")
-    for file in folder.glob(f"{number}.*"):
-        if not found.fault:
-            file.unlink()
-    return found
+    return _judge(path, status, given, handed, said.read_text() if said.exists() else "")
+
+
+def _files(folder: Path, name: str, number: int) -> tuple[Path, Path, mmap.mmap]:
+    """Where the run goes, and what was said; and the counts."""
+    return folder / f"{name}-{number}.mcap", folder / f"{name}-{number}.txt", mmap.mmap(-1, COUNTS.size)
 
 
 def _judge(path: Path, status: int | None, given: int, handed: int, said: str) -> Killed:
@@ -182,11 +217,11 @@ def _judge(path: Path, status: int | None, given: int, handed: int, said: str) -
 
 def beside_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
     """Record, and let a second process at the same devices or file meanwhile."""
-    path, said, counts = folder / f"b{number}.mcap", folder / f"b{number}.txt", mmap.mmap(-1, COUNTS.size)
+    path, said, counts = _files(folder, "beside_one", number)
     rng = np.random.default_rng((seed, number))
     plan = str(folder / "plan.csv")
     unlatch(rig)
-    other, heard = folder / f"b{number}.other.mcap", folder / f"b{number}.heard.txt"
+    other, heard = path.with_suffix(".other.mcap"), path.with_suffix(".heard.txt")
     refused = [["record", "--rig", str(rig), "--plan", plan, "--out", str(other)],
                ["record", "--rig", str(rig), "--plan", plan, "--out", str(path)], ["doctor", "--rig", str(rig)],
                ["calibrate", "imu", "--rig", str(rig)]]
@@ -196,7 +231,9 @@ def beside_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
     while not COUNTS.unpack_from(counts)[0] and time.monotonic() < deadline:
         time.sleep(0.005)
     time.sleep(float(rng.uniform(0.0, 1.5)))
-    command = (refused + harmless)[int(rng.integers(len(refused + harmless)))]
+    command = [*refused, *harmless, [STRANGER]][int(rng.integers(len(refused + harmless) + 1))]
+    if command == [STRANGER]:
+        return _shared(pid, take(rig, seed + number, heard), path, said, heard)
     second = start(command, heard)
     first = ended(pid)
     going_on = command in refused and os.waitid(os.P_PID, second, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
@@ -207,10 +244,36 @@ def beside_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
     wanted = (-signal.SIGKILL, 1, 2) if going_on else (1, 2) if command in refused else (0, 1, 2)
     faults = [f"{what} ends with {status}: {text[-300:]}"] * (status not in wanted or "internal error" in text)
     faults += filter(None, [_disturbed(path, first, said.read_text())])
-    for file in folder.glob(f"b{number}.*"):
-        if not faults:
-            file.unlink()
     return Killed(what + ("; the first ended itself and said why" if first else ""), 0, "; ".join(faults))
+
+
+def _shared(first: int, stranger: int, path: Path, said: Path, taken: Path) -> Killed:
+    """What came of a recording of whose IMU a stranger took samples."""
+    status, other = ended(first), ended(stranger)
+    if status:
+        fault = _unexplained(path, status, said.read_text())
+        return Killed(f"{STRANGER}; the first ended itself and said why", 0, fault)
+    samples = read_run(path).streams["/imu"]
+    first_ns, last_ns = samples["drain_after_ns"][0] + EDGE_NS, samples["drain_after_ns"][-1] - EDGE_NS
+    bursts = [line.split() for line in taken.read_text().splitlines()] if not other else []
+    taken_ones = np.frombuffer(bytes.fromhex("".join(burst for before_ns, after_ns, burst in bursts
+                                                     if first_ns < int(before_ns) and int(after_ns) < last_ns)), "<i2")
+    kept = {tuple(row) for row in _rows(samples).tolist()}
+    lost = len({tuple(row) for row in taken_ones.reshape(-1, 6).tolist()} - kept)
+    twice = int((np.diff(_rows(samples), axis=0) == 0).all(axis=1).sum())
+    marked = bool(samples["gap_before"].any())
+    doubt = load_run(path, load_rig(path.with_name("rig.toml"))).sources.get("doubt", "")
+    found = "nothing lost"
+    if lost or twice:
+        found = "doubted" if doubt else "its gaps are marked" if marked else "not a word"
+    fault = f"{lost} samples are gone, {twice} came twice, without a word" if found == "not a word" else ""
+    fault = fault or (f"doubted without a reason: {doubt}" if doubt and found == "nothing lost" and not bursts else "")
+    return Killed(f"{STRANGER}; {found}", 0, f"the stranger ended with {other}" if other else fault)
+
+
+def _rows(samples: NDArray[np.void]) -> NDArray[np.int16]:
+    """(n, 6) counts."""
+    return np.column_stack([samples[name] for name in ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")])
 
 
 def _unexplained(path: Path, status: int | None, said: str) -> str:
@@ -242,8 +305,8 @@ def page(kills: Sequence[Killed], beside: Sequence[Killed], seconds: float) -> s
     faults = [k.fault for k in (*kills, *beside) if k.fault]
     return "\n".join([
         f"# Recordings killed, and a second process beside them, {date.today()}", "",
-        f"By `make kills`, in {seconds / 60.0:.0f} minutes: `legid record` on emulated rigs in processes of their own, "
-        "over a port and a bus, in real time.", "",
+        f"By `make kills`, {len(kills)} and {len(beside)} recordings in {seconds / 60.0:.0f} minutes: `legid record` "
+        "on emulated rigs in processes of their own, over a port and a bus, in real time.", "",
         "## SIGKILL at any moment of a recording", "", "| found afterwards | times |", "| --- | ---: |", *rows,
         f"| faults | {sum(bool(k.fault) for k in kills)} |", "",
         "A file that was cut off holds every message that had been handed to the system, says that its end is missing, "
@@ -254,26 +317,42 @@ def page(kills: Sequence[Killed], beside: Sequence[Killed], seconds: float) -> s
         "themselves named a limit or a time-out, as on a computer that does much else.", "",
         "## A second process at the same devices, or at the file that is written", "",
         "| | times |", "| --- | ---: |", *rows2, f"| faults | {sum(bool(k.fault) for k in beside)} |", "",
-        "A first recording that did not end itself ended whole, with its IMU's rate.",
+        "A first recording that did not end itself ended whole, with its IMU's rate. A stranger is a process that "
+        "takes samples out of the IMU's FIFO, in a burst or up to 64, and knows of no lock: what it took from a "
+        "recording that went on is missing there, and whoever reads the run says so (`doubt`).",
         *(["", "## Faults", "", *(f"- {fault}" for fault in faults)] if faults else [])]) + "\n"
 
 
-def study(one: Callable[[Path, Path, int, int], Killed], rig: Path, numbers: Sequence[int], seed: int, minutes: float
-          ) -> list[Killed]:
-    """One after the other on one rig, in a process without threads, which do not go together with forks."""
-    found: list[Killed] = []
+def study(one: Callable[[Path, Path, int, int], Killed], rig: Path, numbers: Sequence[int], seed: int, minutes: float,
+          kept: Path) -> None:
+    """Those numbers that are not in `kept` yet, one after the other on one rig, in a process without threads, which do
+    not go together with forks; each is kept as it comes."""
     enough = time.monotonic() + 60.0 * minutes
+    done = {line["number"] for line in read(kept, one.__name__, seed)}
     for number in numbers:
-        if time.monotonic() > enough:
+        began = time.monotonic()
+        if number in done:
+            continue
+        if began > enough:
             break
-        found.append(one(rig, rig.parent, number, seed))
-        if found[-1].fault:
-            print(f"{one.__name__} {number}: {found[-1].fault}", file=sys.stderr, flush=True)
-    return found
+        found = one(rig, rig.parent, number, seed)
+        line = {"study": one.__name__, "seed": seed, "number": number, "seconds": time.monotonic() - began}
+        with kept.open("a") as lines:
+            lines.write(json.dumps(line | found._asdict()) + "\n")
+        if found.fault:
+            print(f"{one.__name__} {number}: {found.fault}", file=sys.stderr, flush=True)
+        for file in rig.parent.glob(f"{one.__name__}-{number}.*") if not found.fault else ():
+            file.unlink()
 
 
-def lane(index: int, lanes: int, kills: int, beside: int, seed: int, minutes: float, folder: Path) -> None:
-    """The share of one rig, written where the others' is collected."""
+def read(kept: Path, name: str, seed: int) -> list[dict[str, Any]]:
+    """What is kept of this study with this seed."""
+    lines = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+    return [line for line in lines if (line["study"], line["seed"]) == (name, seed)]
+
+
+def lane(index: int, lanes: int, kills: int, beside: int, seed: int, minutes: float, kept: Path, folder: Path) -> None:
+    """The share of one rig."""
     with favoured(), served_rig(folder) as rig:
         text = re.sub(r"^(staleness_s|clock_bound_s) = .*\n", "", rig.read_text(), flags=re.MULTILINE)
         rig.write_text(text.replace("[limits]\n", PATIENT).replace("watchdog_ms = 500", "watchdog_ms = 1000"))
@@ -281,36 +360,35 @@ def lane(index: int, lanes: int, kills: int, beside: int, seed: int, minutes: fl
         first = ["--rig", str(rig), "--plan", str(folder / "plan.csv"), "--out", str(folder / "first.mcap")]
         with redirect_stdout(io.StringIO()):
             legid(["record", *first])  # loads once what every fork would load
-        found = [study(one, rig, range(index, count, lanes), seed, share * minutes)
-                 for one, count, share in ((kill_one, kills, 0.75), (beside_one, beside, 0.25))]
-    (folder / "found.json").write_text(json.dumps(found))
+        for one, count, share in ((kill_one, kills, 0.5), (beside_one, beside, 0.5)):
+            study(one, rig, range(index, count, lanes), seed, share * minutes, kept)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--kills", type=int, default=1000)
-    parser.add_argument("--beside", type=int, default=200)
+    parser.add_argument("--beside", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rigs", type=int, default=1, help="at a time; each needs a core of its own")
-    parser.add_argument("--minutes", type=float, default=60.0, help="after which no further recording is started")
+    parser.add_argument("--minutes", type=float, default=240.0, help="after which no further recording is started")
+    parser.add_argument("--keep", type=Path, help="what was found, a line each; what is there is not done again")
     parser.add_argument("--lane", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     if args.lane is not None:
-        lane(args.lane, args.rigs, args.kills, args.beside, args.seed, args.minutes, args.folder)
+        lane(args.lane, args.rigs, args.kills, args.beside, args.seed, args.minutes, args.keep, args.folder)
         return 0
-    began = time.monotonic()
     with tempfile.TemporaryDirectory() as place, ThreadPoolExecutor(args.rigs) as pool:
-        folders = [Path(place) / str(k) for k in range(args.rigs)]
+        kept = (args.keep or Path(place) / "found.jsonl").absolute()
         numbers = ["--kills", str(args.kills), "--beside", str(args.beside), "--seed", str(args.seed), "--rigs",
-                   str(args.rigs), "--minutes", str(args.minutes)]
+                   str(args.rigs), "--minutes", str(args.minutes), "--keep", str(kept)]
         list(pool.map(lambda k: subprocess.run(
-            [sys.executable, "-m", "tests.studies.kills", *numbers, "--lane", str(k), "--folder", str(folders[k])],
+            [sys.executable, "-m", "tests.studies.kills", *numbers, "--lane", str(k), "--folder", f"{place}/{k}"],
             check=True, cwd=ROOT), range(args.rigs)))
-        parts = [json.loads((folder / "found.json").read_text()) for folder in folders]
-    kills, beside = ([Killed(*k) for part in parts for k in part[which]] for which in (0, 1))
-    text = page(kills, beside, time.monotonic() - began)
+        lines = [read(kept, name, args.seed) for name in ("kill_one", "beside_one")]
+    kills, beside = ([Killed(line["outcome"], line["lost"], line["fault"]) for line in part] for part in lines)
+    text = page(kills, beside, sum(line["seconds"] for part in lines for line in part))
     print(text)
     if args.out is not None:
         args.out.write_text(text)

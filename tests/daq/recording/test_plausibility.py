@@ -1,13 +1,13 @@
 """Each check of what devices say: silent while it is true, however dull, and in time when it cannot be."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from daq.recording.plausibility import Doubts, Plausibility
+from daq.recording.plausibility import Doubts, Plausibility, TwoAngles
 from daq.rig import Calibration, Limits
 from drivers.protocol import Hello, Telemetry
 
@@ -164,3 +164,37 @@ def test_gyro_and_hall_of_the_pivot_must_turn_alike() -> None:
     assert imu_doubts(noise(), q1, lambda t: 0.1).pivot_s > 0.0
     assert imu_doubts(noise(), lambda t: -q1(t), q1).pivot_s > 0.0
     assert imu_doubts(noise(), q1, lambda t: math.nan).pivot_s == 0.0
+
+
+def angles_apart(first: Callable[[float], float], second: Callable[[float], float], seconds: float = 1.0) -> float:
+    """When two angles [rad] were first in doubt for 20 ms [s]; `seconds` if they never were."""
+    both = TwoAngles(0.04)
+    for t in np.arange(0.0, seconds, 0.002).tolist():
+        both.see(t, first(t), second(t))
+        if both.wrong.lasted_s > 0.02:
+            return t
+    return seconds
+
+
+def test_a_stuck_angle_shows_at_half_the_band_a_coarse_one_is_believed() -> None:
+    """From rest, slowly: 0.02 rad are passed at 0.28 s, 0.04 rad within a quarter of a second at 0.46 s."""
+    rng = np.random.default_rng(0)
+
+    def slow(t: float) -> float:
+        return 0.5 * 0.5 * t**2
+
+    def noisy(t: float) -> float:
+        return round((slow(t) + 0.002 * rng.standard_normal()) / 0.006) * 0.006
+
+    def stuck(t: float) -> float:
+        return noisy(t) if t < 0.1 else 0.006
+
+    assert angles_apart(slow, noisy) == 1.0
+    assert 0.28 < angles_apart(slow, stuck) < 0.31
+    assert 0.46 < angles_apart(slow, lambda t: 0.006) < 0.50  # whose steps nobody has seen: the band decides
+    for counts in (256, 300, 500):
+        def coarse(q: float, step: float = math.tau / counts) -> float:
+            return math.floor(q / step) * step
+
+        assert angles_apart(lambda t: math.sin(3 * t), lambda t, coarse=coarse: coarse(math.sin(3 * t)), 5.0) == 5.0
+        assert angles_apart(lambda t: round(slow(t), 2), lambda t, coarse=coarse: coarse(slow(t)), 2.0) == 2.0

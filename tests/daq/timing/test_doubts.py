@@ -4,14 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from daq.errors import WorkError
 from daq.load import load_run
 from daq.recording.recorder import record_run
 from daq.rig import parse_rig
 from daq.runs.mcap_run import read_run
+from daq.runs.streams import IMU_STREAM
 from daq.timing.align import configured
-from daq.timing.doubts import doubts
+from daq.timing.doubts import _repeated, _unmarked, doubts
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import Lsm9ds1
 from drivers.mock.clock import VirtualClock
@@ -22,18 +24,24 @@ from drivers.mock.settings import ImuSettings
 from tests.support.recordings import RIG, sine
 
 
-def record(path: Path, rate: float = 0.012, gravity: float = 9.81, share: float = 0.0):
-    """A run whose chip is fast by `rate`, and of whose samples somebody else takes a share once it is driven."""
+def record(path: Path, rate: float = 0.012, gravity: float = 9.81, share: float = 0.0, burst: int = 0):
+    """A run whose chip is fast by `rate`, and of whose samples somebody else takes a share once it is driven, or one
+    burst."""
     clock = VirtualClock()
     mock = MockRig(StillPlant(), clock, ImuSettings(rate_error=rate, gravity_mps2=gravity), seed=2)
     controller = LegController(EmulatorLink(mock.firmware, clock), clock.now_ns)
     controller.open()
     imu = Lsm9ds1(mock.imu, now_ns=clock.now_ns, sleep=clock.sleep)
     imu.open()
-    push, rng = mock.imu.push, np.random.default_rng(0)
+    push, rng, left = mock.imu.push, np.random.default_rng(0), [burst]
+
+    def taken() -> bool:
+        left[0] -= 1
+        return left[0] >= 0 or rng.random() < share
 
     def steal(now_s: float, total_s: float) -> None:
-        mock.imu.push = lambda raw: None if rng.random() < share else push(raw)
+        if now_s > 1.2:
+            mock.imu.push = lambda raw: None if taken() else push(raw)
 
     record_run(path, parse_rig(RIG), RIG, sine(2.5), imu, controller, clock.now_ns, threaded=False, progress=steal)
     return load_run(path, parse_rig(RIG)).sources
@@ -42,6 +50,54 @@ def record(path: Path, rate: float = 0.012, gravity: float = 9.81, share: float 
 def test_a_run_that_is_shared_is_doubted(tmp_path: Path) -> None:
     found = record(tmp_path / "shared.mcap", share=0.1)
     assert "another program may have read it" in found["doubt"]
+
+
+def test_a_run_of_which_one_burst_is_missing_is_doubted(tmp_path: Path) -> None:
+    """Six of 900 samples: the rate is as it was, but all later ones are 25 ms early."""
+    assert "missing without a mark" in record(tmp_path / "burst.mcap", burst=6)["doubt"]
+
+
+@pytest.mark.parametrize("rate", [119.0, 240.9, 923.4])
+@pytest.mark.parametrize("every_s", [0.003, 0.01, 0.02])
+def test_drains_contradict_each_other_only_where_samples_are_missing(rate: float, every_s: float) -> None:
+    """Drains held up, and looks that take long, are no reason to doubt; three samples less are, wherever they were."""
+    nominal = min((119.0, 238.0, 952.0), key=lambda hz: abs(hz - rate))
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        samples = drains(rng, 4.0, rate, every_s)
+        assert not _unmarked(samples, nominal)
+        begins = np.flatnonzero(np.diff(samples["drain_before_ns"])) + 1
+        at = begins[int(rng.uniform(0.1, 0.9) * begins.size)]
+        less = np.concatenate((samples[:at], samples[at + 3:]))
+        less["index"][at:] -= 3
+        assert "another program may have read it" in _unmarked(less, nominal)[0]
+
+
+def drains(rng: np.random.Generator, seconds: float, rate_hz: float, every_s: float) -> NDArray[np.void]:
+    """Samples of a chip whose period jitters by 2 %, drained one look after the other."""
+    n, m = int(seconds / every_s), int(1.5 * seconds * rate_hz)
+    taken = np.sort((np.arange(m) + 0.02 * rng.standard_normal(m)) / rate_hz)
+    took = np.where(rng.random(n) < 0.01, 3e-3, 90e-6)
+    pause = rng.uniform(0.8, 1.2, n) * every_s + np.where(rng.random(n) < 0.01, rng.uniform(0, 0.03, n), 0.0)
+    look = np.cumsum(pause) + np.append(0.0, np.cumsum(took)[:-1])
+    newest = np.searchsorted(taken, look + rng.uniform(0, 1, n) * took, side="right") - 1
+    drain = np.searchsorted(newest, np.arange(newest[-1] + 1))
+    out = np.zeros(drain.size, IMU_STREAM.dtype)
+    out["index"] = np.arange(drain.size)
+    out["drain_before_ns"], out["drain_after_ns"] = (np.rint(t[drain] * 1e9) for t in (look, look + took))
+    return out
+
+
+def test_samples_that_came_twice_are_doubted_a_quiet_chip_is_not(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    quiet = np.rint(rng.normal(0.0, 0.8, (20_000, 6))).astype(np.int16)
+    assert (np.diff(quiet, axis=0) == 0).all(axis=1).sum() > 5 and not _repeated(quiet)
+    lively = np.rint(rng.normal(0.0, 8.0, (20_000, 6))).astype(np.int16)
+    assert not _repeated(lively)
+    lively[700:703] = lively[699]
+    assert "3 IMU samples repeat the one before" in _repeated(lively)[0]
+    quiet[900:1000] = quiet[899]
+    assert _repeated(quiet)
 
 
 def test_a_chip_at_another_rate_or_without_gravity_is_refused_before_the_motor_is_armed(tmp_path: Path) -> None:

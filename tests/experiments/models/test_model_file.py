@@ -147,6 +147,7 @@ def changed(path: list[Any], value: Any) -> dict[str, Any]:
     (json.dumps(changed(["hold"], "cubic")), "hold"),
     (json.dumps(changed(["surprise"], 1)), "surprise"),
     (json.dumps(changed(["parameters", 3, "value"], 12345.5)).replace("12345.5", "1e999"), "parameters"),
+    ('{"schema": ' + "[" * 100_000, "schema"), ('{"a": ' * 100_000, "unknown field"),
 ])
 def test_bad_files_are_refused_in_one_line(tmp_path: Path, content: str, place: str) -> None:
     path = tmp_path / "model.json"
