@@ -81,6 +81,7 @@ class RunSplit:
                       angle_range, self.gear_ratio)
         problem = ExtendedProblem(self.signals(which) if signals is None else signals, self.mechanism,
                                   self.options.hold, stage, effects, candidates)
+        problem.one_a_passage = True  # as in a fit whose speeds of rounding are known
         if all(i in self.stiction for i in which):
             problem.stiction_variance = np.concatenate([self.stiction[i] for i in which])
         return problem

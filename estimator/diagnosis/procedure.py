@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -46,7 +47,7 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
-from estimator.diagnosis.verdict import NOMINAL, by_likelihood, decide, first_of_each
+from estimator.diagnosis.verdict import NOMINAL, Decision, by_likelihood, decide, first_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, rounding_words
@@ -81,6 +82,7 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
             seeks = options.rounding == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
             split = replace(split, mechanism=mechanism, options=replace(split.options, hold=hold, rounding="given"))
             found = _diagnose(split, seed, say, reference, material, stated if seeks else None)
+            assert found is not None
             mechanism = found.mechanism or mechanism
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
@@ -90,9 +92,14 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 
 
 def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str, tuple[float, float]] | None,
-              material: float, stated: Mechanism | None, bias: Sequence[RunScore] | None = None) -> Diagnosis:
+              material: float, stated: Mechanism | None, bias: Sequence[RunScore] | None = None,
+              ordinary: Model | None = None) -> Diagnosis | None:
     """The diagnosis; beside the best explanation friction's rounding is sought again, from what is `stated`, and where
-    it is another there, all is done again with that, but for the `bias` of the scores: quantisers and noise make it."""
+    it is another there, all is done again with that, but for the `bias` of the scores: quantisers and noise make it.
+
+    What is found with another rounding stands only where it betters the `ordinary` model, whose rounding is the
+    likeliest without any effect; else the answer is None, and the search goes on with that.
+    """
     say("fitting the nominal model", 0.02)
     rng = np.random.default_rng(seed)
     jit.expect()
@@ -117,17 +124,23 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     if not detected(context, tests) and not context.excess_noise(nominal) and not context.hidden_motion(nominal):
         if context.noise_dominated:
             raise FitError(context.noise_dominated)
+        if ordinary is not None:
+            return None
         error = nominal_error(context, rng)
         if error is None or error <= EDGE:
             return conclusion.nothing(replace(base, error=None if error is None else (error, error)))
     known: list[ErrorTable] = []
-    options, other = search(context, tests, say, stated,
-                            lambda found: promise(context, found, material, rng, known))
+    options, other = search(context, tests, say, stated, lambda found: promise(context, found, material, rng, known))
     if other is not None:
-        return _diagnose(replace(split, mechanism=other, stiction={}), seed, say, reference, material, None,
-                         bias)
+        with suppress(FitError):
+            again = _diagnose(replace(split, mechanism=other, stiction={}), seed, say, reference, material, None, bias,
+                              nominal)
+            if again is not None:
+                return again
+        options, _ = search(context, tests, say, None, lambda found: promise(context, found, material, rng, known))
     say("opening the confirm runs", 0.85)
-    return replace(conclude(context, base, tests, options, rng, material, known), mechanism=split.mechanism)
+    concluded = conclude(context, base, tests, options, rng, material, known, ordinary)
+    return None if concluded is None else replace(concluded, mechanism=split.mechanism)
 
 
 def search(context: DiagnosisContext, tests: Tests, say: Progress, stated: Mechanism | None,
@@ -228,14 +241,18 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], material: f
 
 
 def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: Sequence[Explanation],
-             rng: np.random.Generator, material: float = MATERIAL, known: Sequence[ErrorTable] = ()) -> Diagnosis:
-    """Verdict, gain and budget by the confirm runs, and what a report draws; errors that are `known` already."""
+             rng: np.random.Generator, material: float = MATERIAL, known: Sequence[ErrorTable] = (),
+             ordinary: Model | None = None) -> Diagnosis | None:
+    """Verdict, gain and budget by the confirm runs, and what a report draws; errors that are `known` already. None
+    where nothing is established that betters the `ordinary` model."""
     split = context.split
     try:
         decision = decide(context, tests, options, material, rng, known)
     except FitError as error:  # something was detected, or nothing would be decided here
         why = f"no simulation of the runs kept back can be carried through ({error})"
         return conclusion.unexplained(base, context.nominal, None, why)
+    if ordinary is not None and not outdoes(decision, ordinary, material, rng):
+        return None
     if decision is None:
         nominal = context.nominal
         why = context.excess_noise(nominal) or context.hidden_motion(nominal) or context.noise_dominated
@@ -258,6 +275,19 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
     p = chance_of(context, best, best.gain, best.model.effects)
     ties = [with_clock(context, best), *decision.best[1:]]
     return conclusion.finding(base, context.nominal, ties, p, rng, decision.verdict == "partial")
+
+
+def outdoes(decision: Decision | None, ordinary: Model, material: float, rng: np.random.Generator) -> bool:
+    """Whether something is established beside which the runs kept back err less than with the `ordinary` model, by what
+    matters."""
+    if decision is None or decision.verdict not in ("named", "partial"):
+        return False
+    best = decision.best[0].model
+    try:
+        table = measure_errors([ordinary, best], best, rng.integers(2**63, size=len(best.split.confirm)))
+    except FitError:
+        return False
+    return table.error(1) < (1.0 - material) * table.error(0)
 
 
 def minor_causes(context: DiagnosisContext, found: Diagnosis, more: Explanation, best: Explanation
