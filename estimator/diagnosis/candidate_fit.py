@@ -9,7 +9,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext, Explanation
-from estimator.diagnosis.decision_rule import HOPELESS, WEIGHED
+from estimator.diagnosis.decision_rule import COMPARED, HOPELESS
 from estimator.diagnosis.refit import Model, deviance, log_volume, misfit, misfit_by_run, refit
 from estimator.diagnosis.score_statistics import Tests
 from estimator.effects import Effect
@@ -21,7 +21,7 @@ Start = list[tuple[Effect, FloatArray]]
 """Effects with the sizes at which a fit begins."""
 HELD_STEPS, FREE_STEPS = 12, 24
 """Most steps of a re-fit with shapes held, and then with all free."""
-WEIGH_STEPS = 25
+COMPARE_STEPS = 25
 """... and of one under the noise levels of the best explanation."""
 _NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
 
@@ -30,7 +30,7 @@ def fit_candidates(context: DiagnosisContext, starts: Sequence[Start], fits: Seq
                    ) -> list[Explanation]:
     """Fit every start, compare all and `fits` under the noise of the best, most likely first, each set of effects
     once."""
-    return weigh(context, [*fits, *fit_models(context, starts, fits)], fits)
+    return compare_fits(context, [*fits, *fit_models(context, starts, fits)], fits)
 
 
 def fit_models(context: DiagnosisContext, starts: Sequence[Start], fits: Sequence[Model] = ()) -> list[Model]:
@@ -125,20 +125,20 @@ def climb_whole(context: DiagnosisContext, model: Model) -> Model:
         model = likeliest
 
 
-def weigh(context: DiagnosisContext, models: Sequence[Model], keep: Sequence[Model] = ()) -> list[Explanation]:
+def compare_fits(context: DiagnosisContext, models: Sequence[Model], keep: Sequence[Model] = ()) -> list[Explanation]:
     """Explanations by their gain under the noise of the best: the likeliest of `models` under their own noise, and
     those to `keep` in any case."""
     if not models:
         return []
     noise = min((m.state.noise for m in models), key=lambda s: log_volume(context.nominal.problem, s))
     models = sorted(models, key=deviance)
-    models = [*models[:WEIGHED], *(m for m in models[WEIGHED:] if any(m is f for f in keep))]
+    models = [*models[:COMPARED], *(m for m in models[COMPARED:] if any(m is f for f in keep))]
     every = [context.nominal, *models]
 
     def refitted(k: int) -> tuple[float, FloatArray] | None:
         m = every[k]
         try:
-            again = refit(m, list(zip(m.effects, m.sizes())), WEIGH_STEPS, noise)
+            again = refit(m, list(zip(m.effects, m.sizes())), COMPARE_STEPS, noise)
         except FitError:
             if k > 0:  # under the noise of the best one it has no fit at all
                 return None

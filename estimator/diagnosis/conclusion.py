@@ -24,7 +24,7 @@ from estimator.parallel import parallel_map
 from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, encoder_of
 
 ATTEMPTS = 10
-"""Rehearsals, one after the other, until one does not run off: their noise is drawn."""
+"""Replicates, one after the other, until one does not run off: their noise is drawn."""
 NO_GAP = ("a free run over a whole run cannot show the gain: noise alone, added up, leaves about as much error as the "
           "nominal model has; what speaks for the extension is the likelihood of the confirm runs")
 UNSURE_GAP = "free runs over whole runs leave open whether the extension helps: the interval of its share holds zero"
@@ -146,7 +146,7 @@ def floor_errors(fitted: SmoothedRun, rng: np.random.Generator, horizons_s: Sequ
         errors = [{k: (sensed(problem, f)[k] - v) ** 2 for k, v in measured.items()} for f in found if f is not None]
         if len(errors) == len(found):
             return errors
-    raise FitError("the rehearsals diverge")
+    raise FitError("the replicates diverge")
 
 
 @dataclass(frozen=True)
@@ -281,14 +281,14 @@ def unexplained(found: Diagnosis, nominal: Model, best: Explanation | None, why:
                    "missing shows in one kind more than in the others. A new effect can be added in a file of its own.")
 
 
-def finding(found: Diagnosis, nominal: Model, ties: Sequence[Explanation], p_value: float,
+def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explanation], p_value: float,
             rng: np.random.Generator, partial: bool = False) -> Diagnosis:
     """Verdict `named`, or `one_of` where several explanations fit alike; `partial` where what is left matters."""
-    best = ties[0]
+    best = indistinguishable[0]
     found = with_gain(found, nominal, best, rng)
-    causes = {c.effect + str(c.joint): c for t in ties for c in causes_of(t, p_value, found)}
-    rivals = [causes_of(t, p_value, found) for t in ties]
-    if len(ties) == 1:
+    causes = {c.effect + str(c.joint): c for t in indistinguishable for c in causes_of(t, p_value, found)}
+    rivals = [causes_of(t, p_value, found) for t in indistinguishable]
+    if len(indistinguishable) == 1:
         told = "; ".join(f"{c.sentence} ({label(c.effect, c.joint)}: {sizes_text(c)})" for c in rivals[0])
         sentence = f"{told[0].upper()}{told[1:]}."
         steps = "; ".join(sorted({e.experiment for e in best.model.named}))
@@ -301,7 +301,7 @@ def finding(found: Diagnosis, nominal: Model, ties: Sequence[Explanation], p_val
     told = " or ".join(" with ".join(f"{c.sentence} ({label(c.effect, c.joint)}: {sizes_text(c)})" for c in r)
                        for r in rivals)
     steps = "; ".join(f"for {' and '.join(e.key for e in t.model.named)}: "
-                      f"{'; '.join(e.experiment for e in t.model.named)}" for t in ties)
+                      f"{'; '.join(e.experiment for e in t.model.named)}" for t in indistinguishable)
     return replace(found, verdict="one_of", sentence=f"One of these, and these runs cannot say which: {told}.",
                    causes=tuple(causes.values()), next_experiment=f"To tell them apart: {steps}.")
 

@@ -74,7 +74,7 @@ class RunSplit:
 
     def problem(self, which: Sequence[int], angle_range: FloatArray, effects: Sequence[Effect] = (),
                 candidates: Sequence[Candidate] = (), signals: Sequence[SignalSet] | None = None) -> ExtendedProblem:
-        """Likelihood of these runs; `signals` stand in for their own (a rehearsal of them)."""
+        """Likelihood of these runs; `signals` stand in for their own (a replicate of them)."""
         run = [i for i in which for _ in self.runs[i]]
         begin = [s.time_s[0] - self.runs[i][0].time_s[0] for i in which for s in self.runs[i]]
         stage = Stage(tuple(run), tuple(self.starts_s[i] + b for i, b in zip(run, begin)), tuple(map(float, begin)),

@@ -73,7 +73,7 @@ scatters by itself."""
 HOPELESS = 0.1
 """Share of the log likelihood that the best gains, each under its own noise, below which a fit is given up: what leads
 to the truth gains nearly all that can be gained."""
-WEIGHED = 6
+COMPARED = 6
 """Most fits that are compared under the noise of the best: the likeliest under their own."""
 MOST_ASSESSED = 4
 """Of them, those whose rest is looked at: the likeliest."""

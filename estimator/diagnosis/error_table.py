@@ -1,7 +1,7 @@
 """How far free runs of several models are off, on runs that chose nothing.
 
 A free run starts from the fitted motion and is driven by the measured torque alone, over pieces of `HORIZONS_S`. Its
-squared errors, in units of what noise alone leaves in a rehearsal of the same piece, are comparable over channels and
+squared errors, in units of what noise alone leaves in a replicate of the same piece, are comparable over channels and
 horizons; their mean over all of them is the error of a model. Where no encoder measures the pivot's angle, it is what
 the model reads out of the sensors under which these runs are likeliest.
 """

@@ -45,17 +45,17 @@ def equivalent(one: Explanation, other: Explanation) -> bool:
     return first == second
 
 
-def settled(ties: list[Explanation]) -> list[Explanation]:
-    """Ties among effects of one group settled by the sizes that set them apart (`Effect.distinguishing_size`).
+def settled(near: list[Explanation]) -> list[Explanation]:
+    """Those among effects of one group settled by the sizes that set them apart (`Effect.distinguishing_size`).
 
     Where the best has such a size, those without it are out. Where it has none, those are out that say no more than
     another does with fewer sizes: a spring without stiffness beside an offset of the torque.
     """
-    best, others = ties[0], ties[1:]
+    best, others = near[0], near[1:]
     if set_apart(best):
         return [best, *(o for o in others if not equivalent(o, best) or set_apart(o))]
-    plain = [o for o in ties if all(e.distinguishing_size is None for e in o.model.effects if e.equivalence_class)]
-    return [o for o in ties if set_apart(o) or any(o is p for p in plain) or not any(nested(p, o) for p in plain)]
+    plain = [o for o in near if all(e.distinguishing_size is None for e in o.model.effects if e.equivalence_class)]
+    return [o for o in near if set_apart(o) or any(o is p for p in plain) or not any(nested(p, o) for p in plain)]
 
 
 def set_apart(explanation: Explanation) -> bool:

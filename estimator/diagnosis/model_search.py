@@ -193,8 +193,8 @@ def promising(context: DiagnosisContext, tests: Tests, most: int, skip: Sequence
 
 
 def same_family(best: Explanation, pair: Explanation) -> bool:
-    """Whether what `pair` adds to `best` is of the kin of one of its effects, at the same joint, or a delay that a law
-    leaves out."""
+    """Whether what `pair` adds to `best` is of the family of one of its effects, at the same joint, or a delay that a
+    law leaves out."""
     own = {(e.family, e.joint) for e in best.model.effects if e.family}
     lag_s = max(e.lag_s for e in best.model.effects)
     more = [(e, s) for e, s in zip(pair.model.effects, pair.model.sizes()) if e.key not in keys_of(best)]
@@ -214,7 +214,7 @@ def start_size(context: DiagnosisContext, tests: Tests, i: int) -> FloatArray:
 def assess_residuals(context: DiagnosisContext, explanation: Sequence[Explanation], bias: Sequence[RunScore] = ()
                      ) -> list[Explanation]:
     """Each with what it leaves over, gains over the scatter that the most likely one leaves; with its `bias`, which is
-    rehearsed where it is not given."""
+    drawn where it is not given."""
     if not explanation:
         return []
     scores = score_discover(explanation[0].model, context.candidates)

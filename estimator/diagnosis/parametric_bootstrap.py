@@ -1,7 +1,7 @@
 """`draw_replicate`: records that a fitted model would have given, with its own noise and quantisers.
 
 What a score is on average when nothing is wrong is not exactly zero: quantisers, the sampling of reversals and
-the smoothing leave traces. They are measured on rehearsals and taken off.
+the smoothing leave traces. They are measured on replicates and taken off.
 """
 
 from __future__ import annotations

@@ -273,8 +273,8 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
     if decision.more is not None:
         base = replace(base, immaterial=minor_causes(context, base, decision.more, best))
     p = chance_of(context, best, best.gain, best.model.effects)
-    ties = [with_clock(context, best), *decision.best[1:]]
-    return conclusion.finding(base, context.nominal, ties, p, rng, decision.verdict == "partial")
+    indistinguishable = [with_clock(context, best), *decision.best[1:]]
+    return conclusion.finding(base, context.nominal, indistinguishable, p, rng, decision.verdict == "partial")
 
 
 def outdoes(decision: Decision | None, ordinary: Model, material: float, rng: np.random.Generator) -> bool:

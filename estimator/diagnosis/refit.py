@@ -229,7 +229,7 @@ def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequen
         begin = start_state(problem, own, split.mechanism, split.options,
                             np.zeros(split.mechanism.p, dtype=bool), model.state.beta[: split.mechanism.p])
         start = begin.x
-    # a small model error, enforced at once from far off, does not settle; a rehearsal starts at its own motion
+    # a small model error, enforced at once from far off, does not settle; a replicate starts at its own motion
     known, tried = problem.stiction_variance, []
     steep = not np.array_equal(problem.relaxed(model.state.beta, np.inf), model.state.beta)
     for path in (SLACK[-1:] if signals is not None else LONGER if steep else SLACK, LONGER):
@@ -289,9 +289,9 @@ def score_discover(model: Model, candidates: Sequence[Candidate]) -> list[RunSco
 
 def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequence[RunScore],
                      rng: np.random.Generator) -> list[RunScore]:
-    """Mean score of rehearsals of the model, one a discover run: the bias of `scores` when nothing is wrong.
+    """Mean score of replicates of the model, one a discover run: the bias of `scores` when nothing is wrong.
 
-    A rehearsal that the model fits worse than the run itself was not simulated well, and is left out; a run without
+    A replicate that the model fits worse than the run itself was not simulated well, and is left out; a run without
     any has the bias of the others. Raises `FitError` where there is none at all.
     """
     split, states = model.split, run_states(model)
@@ -315,7 +315,7 @@ def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequ
     means = parallel_map(bootstrap_bias, len(states), split.workers)
     good = [RunScore(mean, s.information) for mean, s in zip(means, scores) if mean is not None]
     if not good:
-        raise FitError("no rehearsal of the model is like its run")
+        raise FitError("no replicate of the model is like its run")
     return [pooled_bias(good, s) if mean is None else RunScore(mean, s.information) for mean, s in zip(means, scores)]
 
 

@@ -62,7 +62,7 @@ class SensorGain:
     before: float
     after: float
     floor: float
-    """What noise alone would leave: rehearsals of the extended model."""
+    """What noise alone would leave: replicates of the extended model."""
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,7 @@ def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | 
             scatter: Tests | None = None) -> Tests:
     """Efficient scores with the first `nuisance` parameters projected out over all `runs`.
 
-    `bias`, if given, holds for each run the mean score of rehearsals of the fitted model, which is subtracted.
+    `bias`, if given, holds for each run the mean score of replicates of the fitted model, which is subtracted.
     `scatter` lends its inflation, and its judgement of what can be known, to a set with few runs.
     """
     total = np.sum([r.information for r in runs], axis=0)

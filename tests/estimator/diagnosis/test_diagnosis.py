@@ -274,7 +274,7 @@ def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
         assert means[1][k].score == pytest.approx(means[0][k].score, rel=1e-5)
     assert means[1][0].score == pytest.approx(refit.pooled_bias(means[0][1:], scores[0]).score, rel=1e-5)
     bad[:] = names
-    with pytest.raises(FitError, match="rehearsal"):
+    with pytest.raises(FitError, match="replicate"):
         refit.bootstrap_scores(nominal, candidates, scores, np.random.default_rng(3))
 
 
