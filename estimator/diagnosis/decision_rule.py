@@ -128,7 +128,8 @@ MATERIAL = 0.1
 """Share by which the rms error of free runs must fall for a cause to matter; the user's to set (`--material`)."""
 SUFFICES = 0.5
 """Least share of what can be explained at all, listed effects and terms without a name together, that the named causes
-must explain for them to be the answer, in part or whole: less, and they imitate something else."""
+must explain for them to be the answer, in part or whole: less, and they imitate something else. And of the whole mean
+square beyond noise, where they are the answer in part."""
 GENERIC_TERMS = 4
 """Most terms without a name that stand for what a library does not list."""
 SHORTLIST, SHORTLIST_EACH = 6, 2

@@ -80,11 +80,12 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
     begin = Decision("named", (), table, NOMINAL, (), NOMINAL, own, generic, draws)
     asked = ask(context, begin, choose(possible, table, material, draws), possible)
     found = judge(asked, generic, material)
-    if found.verdict not in ("named", "partial"):
-        if not is_open(table, asked.row, NOMINAL, material, draws):
-            return found
+    # what leaves much has to show on all runs, not on those alone that were kept back
+    if found.verdict == "partial" or (found.verdict != "named" and is_open(table, asked.row, NOMINAL, material, draws)):
         turned = turn_runs(context, asked, rng)
-        return found if turned is None else judge(turned[0], generic, material)
+        found = found if turned is None else judge(turned[0], generic, material)
+    if found.verdict != "named":
+        return found
     second = second_cause(possible, asked, material)
     if second is None:
         return found
@@ -158,6 +159,8 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
         return replace(asked, verdict="unexplained", why="terms without a name take away more of the error than it")
     beyond = [table.error(row, d) > max(EDGE, 1.0 + material * table.error(NOMINAL, d)) for d in draws]
     if np.mean(beyond) >= SURE or matters(table, more, row, material, draws, NOMINAL):  # the rest of all
+        if table.excess(row) > SUFFICES * table.excess(NOMINAL):
+            return replace(asked, verdict="unexplained", why="it leaves more of the error than it takes away")
         return replace(asked, verdict="partial")
     return asked
 
