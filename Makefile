@@ -90,7 +90,7 @@ faults: $(STAMP)
 # An hour and a half of real time: recordings killed at any moment, and others with a second process at their devices and file.
 # A fifth have ended before their kill. Called again it goes on where it stopped; after a change of the program give it a
 # new KILLS_OUT.
-KILLS     ?= 1260
+KILLS     ?= 1280
 KILLS_OUT ?= build/kills.jsonl
 kills: $(STAMP)
 	mkdir -p $(dir $(KILLS_OUT))
