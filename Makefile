@@ -87,13 +87,14 @@ fixtures: $(STAMP)
 faults: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.faults --out docs/faults.md
 
-# Two hours of real time: recordings killed at any moment, and others with a second process at their devices and file.
-# Called again it goes on where it stopped; after a change of the program give it a new KILLS_OUT.
-KILLS     ?= 1000
+# An hour and a half of real time: recordings killed at any moment, and others with a second process at their devices and file.
+# A fifth have ended before their kill. Called again it goes on where it stopped; after a change of the program give it a
+# new KILLS_OUT.
+KILLS     ?= 1280
 KILLS_OUT ?= build/kills.jsonl
 kills: $(STAMP)
 	mkdir -p $(dir $(KILLS_OUT))
-	$(BIN)/python -m tests.studies.kills --kills $(KILLS) --beside $(KILLS) --keep $(KILLS_OUT) --out docs/kills.md
+	$(BIN)/python -m tests.studies.kills --kills $(KILLS) --beside 1000 --keep $(KILLS_OUT) --out docs/kills.md
 
 # An hour or two: 10^5 broken files of each of five formats through their readers.
 FILES ?= 100000

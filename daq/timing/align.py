@@ -22,6 +22,7 @@ RAIL = 32_767
 """Counts of 16 bits at the end of an axis's range."""
 LEAST_SHARE = 0.05
 """An axis of the chip with less in the link's plane than this has no part in what is fitted."""
+LEAST_IMU_HZ, MOST_IMU_HZ = 1.0, 1e5
 MOST = 1e9
 """Largest magnitude of a reading [rad, N m, A, degC]; beyond it is a broken record."""
 
@@ -142,10 +143,13 @@ def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: R
     facts = configured(raw, "imu")
     try:
         scale = (float(facts["gyro_radps_per_lsb"]), float(facts["accel_mps2_per_lsb"]))
+        rate_hz = float(facts.get("rate_hz") or LEAST_IMU_HZ)
     except (KeyError, TypeError, ValueError):
         raise _unusable(raw, "holds IMU samples without their scale") from None
     if not all(0.0 < value < 1.0 for value in scale):
         raise _unusable(raw, f"gives its IMU the scale {scale[0]:g}, {scale[1]:g}, which no chip has")
+    if not LEAST_IMU_HZ <= rate_hz <= MOST_IMU_HZ:
+        raise _unusable(raw, f"gives its IMU the rate {rate_hz:g} Hz, which no chip has")
     rows = _increasing(clock.time_ns)
     counts = np.column_stack([samples[f"{kind}_{axis}"][rows] for kind in ("gyro", "accel") for axis in "xyz"])
     x, y, z = np.abs(rig.calibration.imu_mount)

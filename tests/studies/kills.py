@@ -303,14 +303,15 @@ def page(kills: Sequence[Killed], beside: Sequence[Killed], seconds: float) -> s
     rows = [f"| {what} | {n} |" for what, n in sorted(Counter(k.outcome for k in kills).items(), key=lambda x: -x[1])]
     rows2 = [f"| {what} | {n} |" for what, n in sorted(Counter(k.outcome for k in beside).items())]
     faults = [k.fault for k in (*kills, *beside) if k.fault]
+    killed = sum(not k.outcome.startswith("ended") for k in kills)
     return "\n".join([
         f"# Recordings killed, and a second process beside them, {date.today()}", "",
         f"By `make kills`, {len(kills)} and {len(beside)} recordings in {seconds / 60.0:.0f} minutes: `legid record` "
         "on emulated rigs in processes of their own, over a port and a bus, in real time.", "",
         "## SIGKILL at any moment of a recording", "", "| found afterwards | times |", "| --- | ---: |", *rows,
         f"| faults | {sum(bool(k.fault) for k in kills)} |", "",
-        "A file that was cut off holds every message that had been handed to the system, says that its end is missing, "
-        "and recovers to a whole one. Of what the recorder had it lost "
+        f"{killed} were killed while they ran. A file that was cut off holds every message that had been handed to the "
+        "system, says that its end is missing, and recovers to a whole one. Of what the recorder had it lost "
         f"{np.median(lost or [0]):.0f} messages in the median, {max(lost or [0])} at most; it hands them over every "
         f"{FLUSH_MESSAGES}. A kill while the motor drives leaves the firmware's watchdog fault, "
         "upon which no recording starts until it is acknowledged; the study does that. Recordings that ended "

@@ -1,18 +1,20 @@
 """Runs that a second reader of the IMU spoiled, or whose gravity is impossible, are to be doubted."""
 
+import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.errors import WorkError
+from daq.errors import InputError, WorkError
 from daq.load import load_run
 from daq.recording.recorder import record_run
 from daq.rig import parse_rig
 from daq.runs.mcap_run import read_run
 from daq.runs.streams import IMU_STREAM
-from daq.timing.align import configured
+from daq.timing.align import configured, decode
 from daq.timing.doubts import _repeated, _unmarked, doubts
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import Lsm9ds1
@@ -98,6 +100,15 @@ def test_samples_that_came_twice_are_doubted_a_quiet_chip_is_not(tmp_path: Path)
     assert "3 IMU samples repeat the one before" in _repeated(lively)[0]
     quiet[900:1000] = quiet[899]
     assert _repeated(quiet)
+
+
+@pytest.mark.parametrize("rate", ['"fast"', "1e308", "5e-324", "-238", "[238]"])
+def test_a_rate_that_no_chip_has_is_refused(rate: str, tmp_path: Path) -> None:
+    record(tmp_path / "r.mcap")
+    raw = read_run(tmp_path / "r.mcap")
+    notes = [note._replace(text=re.sub(r'"rate_hz":[^,}]*', f'"rate_hz":{rate}', note.text)) for note in raw.config]
+    with pytest.raises(InputError, match=r"r\.mcap"):
+        decode(dataclasses.replace(raw, config=notes), parse_rig(RIG))
 
 
 def test_a_chip_at_another_rate_or_without_gravity_is_refused_before_the_motor_is_armed(tmp_path: Path) -> None:
