@@ -1,4 +1,4 @@
-"""A walker's records by the commands: fitted over steps, validated across touchdowns, diagnosed, refused in one line."""
+"""A walker's records by the commands: fitted over steps, validated across touchdowns, diagnosed, or refused."""
 
 import json
 from dataclasses import replace
