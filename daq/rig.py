@@ -84,6 +84,13 @@ class DistanceMeter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """q1 where the link stands upright; it grows as the link leans towards the spot."""
 
 
+class Walker(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A `biped3` that walks: its records go over many steps, in the joints that its motors turn (docs/formats.md)."""
+
+    touchdown_s: Seconds = 0.005
+    """How far a change of column `stance` may be off the landing; samples nearer to it are left out."""
+
+
 class Motor(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     gear_ratio: Positive = 1.0
 
@@ -247,6 +254,7 @@ class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     terms: Terms = Terms()
     imu: Imu = Imu()
     distance_meter: DistanceMeter | None = None
+    walker: Walker | None = None
     motor: Motor = Motor()
     noise: Noise = Noise()
     sampling: Sampling = Sampling()
@@ -305,6 +313,8 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     if rig.distance_meter is not None and rig.mechanism.model not in ("biped3", "chain"):
         raise InputError(where, f"a {rig.mechanism.model} stands on no ground that a distance_meter could see",
                          "take out the table [distance_meter]")
+    if rig.walker is not None and (rig.mechanism.model != "biped3" or rig.distance_meter is not None):
+        raise InputError(where, "has a table [walker]: that is for a biped3 without a distance_meter", "take one out")
     n = joint_count(rig.mechanism)
     named = [("mechanism.actuated", rig.mechanism.actuated), ("terms.rotor_inertia", rig.terms.rotor_inertia or ()),
              ("terms.torque_offset", rig.terms.torque_offset or ()),

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,8 @@ class Points:
     """Since the start of the first run, pauses left out."""
     run: FloatArray
     """Number of the run, 0, 1, ..."""
+    exchanged: FloatArray | float = 0.0
+    """1 where a walker's leg 2 stands, see `Mechanism.exchanged`."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,15 @@ class Perturbation:
                                "ACCEL_X, ACCEL_Y, torque_of(joint) or encoder_of(joint) of estimator.signals")
 
 
+class Joined(Protocol):
+    """What has a law at a joint."""
+
+    joint: int | None
+
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        """(...) torque on the joint [N m]."""
+
+
 class Effect(ABC):
     """Base of all effects; `size` vectors hold the sizes first, then the shapes."""
 
@@ -191,6 +202,11 @@ class Effect(ABC):
     def __init__(self, joint: int | None = None) -> None:
         self.joint = joint
         """0-based; None for effects of the whole rig."""
+
+    @property
+    def parts(self) -> tuple[Joined, ...]:
+        """What its law is the sum of, joint by joint."""
+        return (self,)
 
     @property
     def key(self) -> str:

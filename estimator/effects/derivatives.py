@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects.base import Effect, Points, View
+from estimator.effects.base import Effect, Joined, Points, View
 from estimator.model import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Motion, mean_sign
 
 STEPS = {"q": 1e-5, "v": 1e-5, "a": 1e-3, "sign": 1e-4}
 """Of the central differences, by field of `Points`."""
 
 
-def by_motion(effect: Effect, at: Points, size: FloatArray, view: View) -> dict[str, FloatArray]:
+def by_motion(effect: Joined, at: Points, size: FloatArray, view: View) -> dict[str, FloatArray]:
     """Derivatives (...) of an effect's law by its own joint's angle, rate, acceleration and rounded sign."""
     j = effect.joint or 0
     return {name: (effect.law(_moved(at, name, j, h), size, view)
@@ -42,8 +42,8 @@ class Laws:
     def torque(self, motion: Motion, where: slice) -> FloatArray:
         """(n, 2, K) torque taken on the intervals `where`."""
         at, out = self._points(motion, where), np.zeros_like(motion.angle)
-        for effect, size in self.pairs:
-            out[effect.joint or 0] += effect.law(at, size, self.view)
+        for part, size in self._parts():
+            out[part.joint or 0] += part.law(at, size, self.view)
         return out
 
     def slopes(self, motion: Motion, where: slice) -> FloatArray:
@@ -51,9 +51,9 @@ class Laws:
         at = self._points(motion, where)
         n = len(motion.angle)
         out = np.zeros((n, 5, n, *motion.angle.shape[1:]))
-        for effect, size in self.pairs:
-            j = effect.joint or 0
-            found = by_motion(effect, at, size, self.view)
+        for part, size in self._parts():
+            j = part.joint or 0
+            found = by_motion(part, at, size, self.view)
             for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
                 out[j, feature, j] += found[name]
             scale = self.view.mechanism.velocity_scales[j]
@@ -62,9 +62,12 @@ class Laws:
             out[j, RATE_TO, j] += found["sign"] * by_to
         return out
 
+    def _parts(self) -> Iterator[tuple[Joined, FloatArray]]:
+        return ((part, size) for effect, size in self.pairs for part in effect.parts)
+
     def _points(self, motion: Motion, where: slice) -> Points:
         g = self.view.gauss
         cut = (..., slice(self.first + where.start, self.first + where.stop))
         sign = mean_sign(motion.rate_from, motion.rate_to, self.view.mechanism.velocity_scales[:, None, None])[0]
         return Points(motion.angle, motion.rate, motion.accel, g.u[cut], sign, g.time_s[cut], g.session_s[cut],
-                      g.run[cut])
+                      g.run[cut], np.asarray(g.exchanged)[cut] if np.ndim(g.exchanged) else g.exchanged)

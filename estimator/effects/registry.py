@@ -7,7 +7,8 @@ from pathlib import Path
 from pkgutil import iter_modules
 
 from estimator.effects import drive, friction, sensors, stand, structure, timing
-from estimator.effects.base import Effect, Perturbation, Points, Shape, Size, View
+from estimator.effects.base import BodyEffect, Effect, Perturbation, Points, SensorEffect, Shape, Size, View
+from estimator.effects.by_leg import by_leg
 from estimator.model import Mechanism
 
 CLASSES: tuple[type[Effect], ...] = (
@@ -26,7 +27,7 @@ ENTRY_POINT = "legid.effects"
 """Group under which a user's own package names its `Effect` classes."""
 
 
-MACHINERY = {"base", "derivatives", "generic_terms", "registry"}
+MACHINERY = {"base", "by_leg", "derivatives", "generic_terms", "registry"}
 """Modules beside this one that hold no effects of the library."""
 
 
@@ -54,9 +55,8 @@ def library(mechanism: Mechanism, has_imu: bool) -> tuple[list[Effect], dict[str
     for kind in classes():
         joints: list[int | None] = list(range(mechanism.n)) if kind.per_joint else [None]
         for joint in joints:
-            effect = kind(joint)
-            effect.slide = mechanism.length_unit == "m"
-            why = effect.testable(mechanism, has_imu, mechanism.actuated)
+            effect = placed(kind, joint, mechanism)
+            why = effect.testable(mechanism, has_imu, mechanism.actuated) or _walking(effect, mechanism)
             if why:
                 refused[effect.key] = why
             else:
@@ -64,4 +64,24 @@ def library(mechanism: Mechanism, has_imu: bool) -> tuple[list[Effect], dict[str
     return found, refused
 
 
-__all__ = ["CLASSES", "Effect", "Perturbation", "Points", "Shape", "Size", "View", "classes", "library"]
+def placed(kind: type[Effect], joint: int | None, mechanism: Mechanism) -> Effect:
+    """An effect of this kind on this rig, at a joint (0-based), of a walker at the hip of a leg."""
+    if joint is not None and joint in mechanism.exchanged:
+        return by_leg(kind, joint, mechanism.exchanged)
+    effect = kind(joint)
+    effect.slide = mechanism.length_unit == "m"
+    return effect
+
+
+def _walking(effect: Effect, mechanism: Mechanism) -> str:
+    """Why an effect makes no sense on a walker; empty where it does."""
+    if not mechanism.exchanged:
+        return ""
+    if isinstance(effect, BodyEffect):
+        return "a walker's foot stands elsewhere at every step"
+    if effect.joint is not None and effect.joint not in mechanism.exchanged and not isinstance(effect, SensorEffect):
+        return "a walker's joint 1 is the torso against the vertical: nothing rubs or pulls there"
+    return ""
+
+
+__all__ = ["CLASSES", "Effect", "Perturbation", "Points", "Shape", "Size", "View", "classes", "library", "placed"]

@@ -61,6 +61,7 @@ class BaseCompliance(BodyEffect):
         terms += [("inertia", (i, n), FAR * g) for i, g in enumerate(_moments(mechanism, beta)) if g]
         parameters = [Parameter(f"{self.name}_{k}", self.sentence, "", *term[:2]) for k, term in enumerate(terms)]
         whole = replace(mechanism, transform=transform, parameters=(*mechanism.parameters, *parameters),
+                        zero=(*mechanism.zero, 0.0) if mechanism.zero else (),
                         velocity_scale=(*mechanism.velocity_scales, 1.0))
         return whole, np.concatenate([beta, [value for *_, value in terms]])
 
@@ -74,7 +75,7 @@ class BaseCompliance(BodyEffect):
     def _momentum(self, view: View, rates: FloatArray) -> tuple[FloatArray, FloatArray]:
         """g_i cos th_i of each link (n, N) and p (N,) at joint rates (n, N)."""
         t = view.mechanism.transform
-        lever = _moments(view.mechanism, view.beta)[:, None] * np.cos(t @ view.samples.q)
+        lever = _moments(view.mechanism, view.beta)[:, None] * np.cos(view.mechanism.from_zero(t @ view.samples.q))
         return lever, np.asarray((lever * (t @ rates)).sum(axis=0))
 
     def _rates(self, view: View) -> FloatArray:

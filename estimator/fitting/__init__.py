@@ -20,6 +20,7 @@ from estimator.fitting.prediction import (
 )
 from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.validation import Validation, validate
+from estimator.fitting.walking import StepsAhead, WalkAhead, Whole, walk_ahead
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 
 __all__ = [
@@ -30,7 +31,10 @@ __all__ = [
     "Horizons",
     "Measured",
     "Predicted",
+    "StepsAhead",
     "Validation",
+    "WalkAhead",
+    "Whole",
     "between_samples",
     "design_rows",
     "faults",
@@ -53,5 +57,6 @@ __all__ = [
     "start_state",
     "torque_levels",
     "validate",
+    "walk_ahead",
     "weighted_least_squares"
 ]

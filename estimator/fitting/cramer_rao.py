@@ -15,17 +15,30 @@ def cramer_rao(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatA
                rate_hz: float, hold: str, noise: Noise) -> FloatArray:
     """Smallest covariance (p, p) of beta (p,) on the true motion q, qd and torque (N, n) of one record.
 
+    The inverse of `fisher_information`. Raises numpy.linalg.LinAlgError where the record leaves a direction of beta
+    undetermined.
+    """
+    return inverse_information(fisher_information(mechanism, beta, q, qd, torque, rate_hz, hold, noise))
+
+
+def fisher_information(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatArray, torque: FloatArray,
+                       rate_hz: float, hold: str, noise: Noise) -> FloatArray:
+    """What one stretch says of beta, (p, p); that of several is their sum.
+
     Posed as `mle` poses it: the motion obeys the equation of motion, its states and the true torque are unknown
     and eliminated, encoders, torque and IMU carry white noise of the levels in `noise` (an encoder with an
-    infinite level is not there, nor is an IMU with an infinite gyro level). Raises numpy.linalg.LinAlgError where
-    the record leaves a direction of beta undetermined.
+    infinite level is not there, nor is an IMU with an infinite gyro level).
     """
     angles = np.where(np.isfinite(noise.encoder), q, np.nan)
     imu = {name: np.zeros(len(q)) for name in IMU_COLUMNS} if np.isfinite(noise.gyro) else {}
     signals = SignalSet("truth", rate_hz, np.arange(len(q)) / rate_hz, angles, torque, imu)
     problem = LatentProblem([signals], mechanism, hold)
     point = problem.linearise(Latents(q, qd, torque), beta, noise)
-    information = point.corner - eliminate(point.chain).product()[1:, 1:]
+    return np.asarray(point.corner - eliminate(point.chain).product()[1:, 1:], dtype=np.float64)
+
+
+def inverse_information(information: FloatArray) -> FloatArray:
+    """The covariance (p, p) that belongs to it. Raises numpy.linalg.LinAlgError where it is singular."""
     scale = 1.0 / np.sqrt(np.diag(information))
     covariance = np.linalg.inv(0.5 * (information + information.T) * np.outer(scale, scale))
     return np.asarray(covariance * np.outer(scale, scale), dtype=np.float64)

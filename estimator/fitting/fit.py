@@ -13,7 +13,7 @@ from estimator.fitting.excitation import LEAST_POWER, LEAST_POWER_MLE, undetermi
 from estimator.fitting.hekf import fit_hekf
 from estimator.fitting.hold_choice import FIRST
 from estimator.fitting.mle import fit_mle
-from estimator.fitting.profile_likelihood import suits
+from estimator.fitting.profile_likelihood import knows_noise, suits
 from estimator.fitting.rls import fit_rls
 from estimator.fitting.wls import fit_wls
 from estimator.methods import METHODS
@@ -44,7 +44,8 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
             raise
         raise FitError(f"this data does not determine {', '.join(map(str, names))}: move every joint, or give "
                        f"parameters with --fix NAME=VALUE ({error})") from None
-    if result.method == "mle" and suits(split_signals(datasets, mechanism, options), mechanism, options):
+    if result.method == "mle" and (suits(split_signals(datasets, mechanism, options), mechanism, options)
+                                   or (result.converged and knows_noise(mechanism, options))):
         return result
     sound = result.method == "mle" and result.converged
     names = undetermined_by_design(datasets, mechanism, options, LEAST_POWER_MLE if sound else LEAST_POWER)

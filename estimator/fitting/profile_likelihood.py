@@ -86,10 +86,15 @@ def empty(records: Records, p: int) -> Searched:
 
 def suits(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> bool:
     """Whether this search can do a fit: one short record on the encoder path, nothing fixed, all noise known."""
-    known = all(options.torque_noise(j, j in mechanism.actuated) is not None for j in range(mechanism.n))
-    return (options.sensors == "encoder" and len(signals) == 1 and len(signals[0].time_s) <= MOST_SAMPLES
-            and not options.fixed and known and not options.torque_correlation
-            and all(options.encoder_noise(j) is not None for j in range(mechanism.n)))
+    return (len(signals) == 1 and len(signals[0].time_s) <= MOST_SAMPLES and not options.fixed
+            and not options.torque_correlation and knows_noise(mechanism, options))
+
+
+def knows_noise(mechanism: Mechanism, options: FitOptions) -> bool:
+    """Whether `options` give every level of the encoder path, so that none is estimated."""
+    joints = range(mechanism.n)
+    return (options.sensors == "encoder" and all(options.encoder_noise(j) is not None for j in joints)
+            and all(options.torque_noise(j, j in mechanism.actuated) is not None for j in joints))
 
 
 def known_noise(mechanism: Mechanism, options: FitOptions) -> Noise:

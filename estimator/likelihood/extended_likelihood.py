@@ -79,6 +79,7 @@ class ExtendedProblem(LatentProblem):
         self._run = np.asarray(stage.run, dtype=np.float64)[which]
         self._time = np.asarray(stage.time_s)[which] + index
         self._session = np.asarray(stage.session_s)[which] + index
+        self._exchanged = np.repeat([float(s.exchanged) for s in signals], lengths)
         self._starts = np.concatenate([[0], self.ends[:-1]])
 
     @property
@@ -99,20 +100,22 @@ class ExtendedProblem(LatentProblem):
         sign = mean_sign(motion.rate_from, motion.rate_to, m.velocity_scales[:, None, None])[0]
         gauss = Points(motion.angle, motion.rate, motion.accel, c.torque(x.u, left), sign, *self._gauss_times)
         samples = Points(x.q.T, x.v.T, qdd, x.u.T, smooth_sign(x.v.T, m.velocity_scales[:, None]), self._time,
-                         self._session, self._run)
+                         self._session, self._run, self._exchanged)
         view = View(m, beta, gauss, samples, left, (GAUSS[0], GAUSS[1]), self._starts, self.dt, self.stage.angle_range,
                     self.stage.gear_ratio)
         return view, inverse
 
     @cached_property
-    def _gauss_times(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(2, K) time in the run, time in the session, and number of the run at the Gauss points."""
+    def _gauss_times(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """(2, K) time in the run, time in the session, number of the run, and which leg stands at the Gauss points."""
         left = self.left
 
         def between(values: FloatArray) -> FloatArray:
             return np.stack([values[left] + w * (values[left + 1] - values[left]) for w in GAUSS])
 
-        return between(self._time), between(self._session), np.broadcast_to(self._run[left], (2, left.size))
+        both = 2, left.size
+        return (between(self._time), between(self._session), np.broadcast_to(self._run[left], both),
+                np.broadcast_to(self._exchanged[left], both))
 
     @cached_property
     def _measured(self) -> Record:
@@ -234,15 +237,15 @@ class ExtendedProblem(LatentProblem):
 
     def _law_slopes(self, view: View, sizes: Sequence[FloatArray]) -> tuple[FloatArray | None, FloatArray | None]:
         """Derivatives of the torque laws by the features of the motion, at Gauss points and at samples."""
-        laws = [(e, s) for e, s in zip(self.effects, sizes) if isinstance(e, TorqueEffect)]
+        laws = [(part, s) for e, s in zip(self.effects, sizes) if isinstance(e, TorqueEffect) for part in e.parts]
         if not laws:
             return None, None
         n, scale = self.n, self.mechanism.velocity_scales
         at_gauss, at_samples = np.zeros((n, 5, n, 2, self.left.size)), np.zeros((n, 5, n, self.total))
-        for effect, size in laws:
-            j = effect.joint or 0
+        for law, size in laws:
+            j = law.joint or 0
             for at, out in ((view.gauss, at_gauss), (view.samples, at_samples)):
-                found = by_motion(effect, at, size, view)
+                found = by_motion(law, at, size, view)
                 for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
                     out[j, feature, j] += found[name]
                 out[j, RATE, j] += found["sign"] * np.maximum(1.0 - at.sign[j] ** 2, 0.0) ** 1.5 / scale[j]

@@ -130,7 +130,7 @@ class Collocation:
         Rigid terms live in absolute link angles; `to_joint` turns rows, and features, to joint ones.
         """
         m, t = self.mechanism, self.mechanism.transform
-        links = motion._replace(angle=_turned(t, motion.angle), rate=_turned(t, motion.rate),
+        links = motion._replace(angle=m.from_zero(_turned(t, motion.angle)), rate=_turned(t, motion.rate),
                                 accel=_turned(t, motion.accel))
         z = np.zeros((m.p, m.n, *motion.angle.shape[1:]))
         slopes: list[list[Slope]] = []

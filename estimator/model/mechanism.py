@@ -49,7 +49,7 @@ class Mechanism:
 
     name: str
     transform: FloatArray
-    """(n, n) T of theta = T q, entries 0 or 1."""
+    """(n, n) T of theta = T q + `zero`, entries 0, 1 or -1."""
     parameters: tuple[Parameter, ...]
     gravity: float
     """Factor of sin(theta) per unit of a gravity parameter: g where it is in kg m, -1 for an upright
@@ -64,6 +64,11 @@ class Mechanism:
     """Velocity over which sign(qd) is rounded off [rad/s]."""
     length_unit: str = field(default="rad")
     """Unit of q: rad, or m for a prismatic joint."""
+    zero: tuple[float, ...] = ()
+    """Links' angles where all joints are at zero [rad]; empty: zero."""
+    exchanged: tuple[int, ...] = ()
+    """Of a walker, the joints that change places with the legs: what they are as leg 1 stands, in reversed order as leg
+    2 does. Empty where nothing does."""
 
     @property
     def n(self) -> int:
@@ -131,8 +136,13 @@ class Mechanism:
 
     def _motion(self, *motion: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
         """Joint and link angles, rates, ... (n, ...) from joint ones (..., n)."""
-        return ([np.moveaxis(x, -1, 0) for x in motion],
-                [np.moveaxis(x @ self.transform.T, -1, 0) for x in motion])
+        joints = [np.moveaxis(x, -1, 0) for x in motion]
+        links = [np.moveaxis(x @ self.transform.T, -1, 0) for x in motion]
+        return joints, [self.from_zero(links[0]), *links[1:]]
+
+    def from_zero(self, links: FloatArray) -> FloatArray:
+        """Links' angles (n, ...) from what joints turn them by, T q."""
+        return links + np.reshape(self.zero, (self.n, *(1,) * (links.ndim - 1))) if self.zero else links
 
     def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray, beta: FloatArray) -> FloatArray:
         """tau (..., n) [N m] that makes the motion happen; beta (..., p)."""
@@ -207,15 +217,22 @@ def leg2(*, gravity_mps2: float = 9.81, lever_arm: float = 0.0, actuated: tuple[
                      gravity_mps2, actuated, lever_arm, gravity_mps2, velocity_scale)
 
 
-def biped3(*, actuated: tuple[int, ...] = (1, 2), gravity_mps2: float = 9.8) -> Mechanism:
+def biped3(*, actuated: tuple[int, ...] = (1, 2), gravity_mps2: float = 9.8, hips: bool = False) -> Mechanism:
     """The 3-link walker of section V: both relative angles count from link 1, q1 from upright, g inside beta6-8.
 
-    The printed G lost its third row, -beta8*s(1,3); it follows here from the potential.
+    The printed G lost its third row, -beta8*s(1,3); it follows here from the potential. With `hips` the joints are
+    those that a walker's motors turn: q1 the torso from upright, q2 and q3 the torso against the leg that stands and
+    the one that swings, each leg from foot to hip. Beta is the same; the swing leg of the paper counts from the hip
+    down, half a turn away. As the other leg stands, both hips change places.
     """
     rigid = tree_parameters(
         [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2)], [0, 1, 2],
         ["I1 + l1^2*m2 + l1^2*m3 + lc1^2*m1", "I2 + m2*lc2^2", "I3 + m3*lc3^2", "l1*lc2*m2", "l1*lc3*m3",
          "g*(l1*m2 + l1*m3 + lc1*m1)", "g*lc2*m2", "g*lc3*m3"], gravity_unit="N m")
+    if hips:
+        transform = np.array([[1.0, -1.0, 0.0], [1.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+        return Mechanism("biped3", transform, tuple(rigid), -1.0, actuated, 0.0, gravity_mps2,
+                         zero=(0.0, np.pi, 0.0), exchanged=(1, 2))
     transform = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 0.0, 1.0]])
     return Mechanism("biped3", transform, tuple(rigid), -1.0, actuated, 0.0, gravity_mps2)
 

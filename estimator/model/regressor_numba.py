@@ -33,7 +33,7 @@ class FastTerms:
 
     def transposed(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Cosine and sine of the links' angles, each (n, S, K), from the joints' (n, S, K)."""
-        theta = self.transform @ angle.reshape(len(angle), -1)
+        theta = self.mechanism.from_zero(self.transform @ angle.reshape(len(angle), -1))
         cosine, sine = np.empty(angle.shape), np.empty(angle.shape)
         _cosine_sine()(theta.ravel(), cosine.ravel(), sine.ravel())
         return cosine, sine

@@ -5,6 +5,7 @@ from estimator.signals.filters import encoder_level, lowpass, quantum, white_noi
 from estimator.signals.imu import accelerometer, tilt
 from estimator.signals.segments import (
     IMU_COLUMNS,
+    STANCE,
     Kinematics,
     SignalSet,
     angle_column,
@@ -13,9 +14,11 @@ from estimator.signals.segments import (
     split_signals,
     torque_column,
 )
+from estimator.signals.steps import SINCE, Touchdowns, cut_steps, find_touchdowns
 
 __all__ = [
-    "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "Channel", "Kind", "Kinematics", "SignalSet",
-    "accelerometer", "angle_column", "differentiate", "encoder_level", "encoder_of", "lowpass", "paper_differences",
-    "quantum", "split_signals", "tilt", "torque_column", "torque_of", "white_noise_level",
+    "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "SINCE", "STANCE", "Channel", "Kind", "Kinematics",
+    "SignalSet", "Touchdowns", "accelerometer", "angle_column", "cut_steps", "differentiate", "encoder_level",
+    "encoder_of", "find_touchdowns", "lowpass", "paper_differences", "quantum", "split_signals", "tilt",
+    "torque_column", "torque_of", "white_noise_level"
 ]

@@ -16,6 +16,8 @@ from estimator.signals.filters import central_difference, lowpass
 from estimator.signals.imu import fuse_tilt, tilt
 
 IMU_COLUMNS = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
+STANCE = "stance"
+"""Column of a walker's record: which leg is on the ground."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,8 @@ class SignalSet:
     spread: FloatArray | None = None
     """(n, joints) how much larger than its channel's level an angle's error is expected to be at each sample; None: it
     is the same throughout."""
+    exchanged: bool = False
+    """Of a walker's step, whether leg 2 stands: `Mechanism.exchanged` joints have changed places."""
 
 
 def angle_column(mechanism: Mechanism, joint: int) -> str:
@@ -73,7 +77,8 @@ def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
             for j, column in zip(mechanism.actuated, torques):
                 tau[:, j] = data[column][where]
             found.append(SignalSet(data.name, data.rate_hz, data.time_s[where], q, tau,
-                                   {name: data[name][where] for name in imu}, _spread(data, where, levels)))
+                                   {name: data[name][where] for name in imu}, _spread(data, where, levels),
+                                   bool(mechanism.exchanged) and STANCE in data and data[STANCE][where.start] == 2))
     if not found:
         raise GapError("no stretch of 20 samples without a gap in any run")
     if len({s.rate_hz for s in found}) > 1:

@@ -16,7 +16,7 @@ def mechanism_settings(rig: Rig, prismatic: bool = False) -> MechanismSettings:
         model=m.model, actuated=m.actuated, gravity_mps2=m.gravity_mps2, links=joint_count(m), input=m.input,
         prismatic=prismatic, lever_arm_m=rig.imu.lever_arm_m, rotor_inertia=terms.rotor_inertia or (),
         torque_offset=terms.torque_offset or (),
-        friction_velocity_radps=terms.friction_velocity_radps or VELOCITY_SCALE)
+        friction_velocity_radps=terms.friction_velocity_radps or VELOCITY_SCALE, hips=rig.walker is not None)
 
 
 def fitted_settings(settings: MechanismSettings, mechanism: Mechanism) -> MechanismSettings:
@@ -48,9 +48,9 @@ def build_mechanism(s: MechanismSettings) -> Mechanism:
     for term, joints in (("rotor_inertia", rotors), ("torque_offset", offsets)):
         if joints and term not in takes:
             raise ValueError(f"terms.{term} is no term of {s.model}")
-    told = {"actuated": actuated, "gravity_mps2": s.gravity_mps2, "lever_arm": s.lever_arm_m, "links": s.links,
-            "prismatic": s.prismatic, "rotor_inertia": rotors, "torque_offset": offsets, "velocity_scale": speeds,
-            "voltage": s.input == "voltage"}
+    told = {"actuated": actuated, "gravity_mps2": s.gravity_mps2, "hips": s.hips, "lever_arm": s.lever_arm_m,
+            "links": s.links, "prismatic": s.prismatic, "rotor_inertia": rotors, "torque_offset": offsets,
+            "velocity_scale": speeds, "voltage": s.input == "voltage"}
     found = build(**{name: value for name, value in told.items() if name in takes})
     if found.actuated != actuated:
         raise ValueError(f"mechanism.actuated is {list(s.actuated)}, {s.model} is driven at joints "

@@ -34,6 +34,8 @@ class MechanismSettings(_Part, frozen=True, kw_only=True, forbid_unknown_fields=
     torque_offset: tuple[Joint, ...] = ()
     friction_velocity_radps: Positive | tuple[Positive, ...] = VELOCITY_SCALE
     """One for all joints, or one each."""
+    hips: bool = False
+    """Of a biped3, whether its joints are a walker's hips and its legs change places; see docs/formats.md."""
 
 
 class ParameterValue(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):

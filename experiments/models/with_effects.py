@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray, WorkError
 from estimator import FitOptions
-from estimator.effects import Effect
+from estimator.effects import Effect, placed
 from estimator.fitting import Validation, iterate, noise_floors, start_state
 from estimator.likelihood import ExtendedProblem, FreeRun, Latents, Noise, Stage, State, free_run
 from estimator.model import Mechanism, simulate
 from estimator.signals import IMU_COLUMNS, SignalSet, angle_column, encoder_of, split_signals
 from experiments.models.effect_library import known_effects
+from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import EffectValue, Model
 
 
@@ -48,11 +49,10 @@ def effects_fault(model: Model) -> str:
 
 def effects_of(model: Model) -> list[tuple[Effect, FloatArray]]:
     """The model's effects with their sizes and shapes, in the estimator's order."""
-    known, found = known_effects(), []
+    known, found, mechanism = known_effects(), [], build_mechanism(model.mechanism)
     for value in model.effects:
         kind = known[value.name]
-        effect = kind(None if value.joint is None else value.joint - 1)
-        effect.slide = model.mechanism.prismatic
+        effect = placed(kind, None if value.joint is None else value.joint - 1, mechanism)
         size = [*(value.sizes[s.name] for s in kind.sizes), *(value.shapes[s.name] for s in kind.shapes)]
         found.append((effect, np.array(size)))
     return found

@@ -83,3 +83,6 @@ from .validation_page import validation_picture as validation_picture
 from .validation_page import validation_rows as validation_rows
 from .validation_page import validation_section as validation_section
 from .validation_page import validation_text as validation_text
+from .walk_ahead import walk_document as walk_document
+from .walk_ahead import walk_section as walk_section
+from .walk_ahead import walk_text as walk_text

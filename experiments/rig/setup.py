@@ -15,6 +15,7 @@ from daq.runs import IMU
 from estimator import FitOptions
 from estimator.calibration import DistanceMeter, angle_record, find_zeros, subtract, zeros_text
 from estimator.model import Mechanism
+from estimator.signals import STANCE, cut_steps
 from experiments.console import detail, progress
 from experiments.exchange import load_any_run
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
@@ -44,7 +45,8 @@ def load_setup(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None
 def load_runs(paths: Sequence[Path | str], rig: Rig, damaged: bool = False) -> tuple[Dataset, ...]:
     """Runs read, aligned, with the input that the mechanism is driven by.
 
-    Raises `InputError`, for a run of whose file something is missing too, unless `damaged` ones are wanted.
+    Raises `InputError`, for a run of whose file something is missing too, unless `damaged` ones are wanted, and
+    `FitError` as `prepare`.
     """
     return tuple(prepare(require_whole(_loaded(path, rig), damaged), rig)
                  for path in progress(list(paths), "reading runs", unit="run"))
@@ -94,6 +96,7 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
             level = float(np.sqrt(np.nanmean(np.square(np.concatenate(sigmas)))))
             options = replace(options, noise={**options.noise, "encoder1_rad": level})
     notes = tuple(f"{d.name} is to be doubted: {d.sources['doubt']}" for d in datasets if "doubt" in d.sources)
+    notes += tuple(f"{d.name}: {d.sources['steps']}" for d in datasets if "steps" in d.sources)
     return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes, rig.motor.gear_ratio), rig, beta)
 
 
@@ -109,11 +112,14 @@ def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> S
 
 
 def prepare(data: Dataset, rig: Rig) -> Dataset:
-    """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts; and with the
-    absolute angle that a distance meter shows.
+    """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts; with the
+    absolute angle that a distance meter shows; and a walker's cut into steps.
 
-    The column keeps its torque name; every parameter is then in volt units, and said to be.
+    The column keeps its torque name; every parameter is then in volt units, and said to be. Raises `FitError`
+    where a walker's steps cannot be told.
     """
+    if rig.walker is not None:
+        return walked(data, rig.walker.touchdown_s)
     if rig.distance_meter is not None and "distance_m" in data:
         d = rig.distance_meter
         data = angle_record(data, DistanceMeter(d.mount_m, d.gamma_rad, d.sigma_m, d.sigma_per_m), d.upright_rad)
@@ -121,6 +127,14 @@ def prepare(data: Dataset, rig: Rig) -> Dataset:
         return data
     column = "tau1_n" if "q1_m" in data and "q1_rad" not in data else "tau1_nm"
     return replace(data, columns={**data.columns, column: data["duty"] * data["volts"]})
+
+
+def walked(data: Dataset, open_s: float) -> Dataset:
+    """A walker's record by role, and in its sources what was seen of its steps. Raises `FitError`."""
+    cut, found = cut_steps(data, open_s)
+    told = f"its column {STANCE} says" if STANCE in data else \
+        f"its angles show, to {1e3 * float(found.open_s.max()):.1f} ms, for it has no column {STANCE}"
+    return replace(cut, sources={**cut.sources, "steps": f"{found.time_s.size} touchdowns, as {told}"})
 
 
 def choose_sensors(rig: Rig, datasets: Sequence[Dataset], wanted: str | None) -> str:

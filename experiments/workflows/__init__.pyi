@@ -26,6 +26,7 @@ from .tune import write_choices as write_choices
 from .usable import SetAside as SetAside
 from .usable import set_aside as set_aside
 from .validate import foretell as foretell
+from .validate import foretell_steps as foretell_steps
 from .validate import predict_runs as predict_runs
 from .validate import seen_in_fit as seen_in_fit
 from .validate import validate_runs as validate_runs

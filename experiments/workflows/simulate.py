@@ -24,6 +24,9 @@ def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = N
     Raises `InputError` (the plan does not fit the mechanism) or `WorkError` (the motion runs away).
     """
     mechanism = build_mechanism(model.mechanism)
+    if mechanism.exchanged:
+        raise InputError(where, "is a walker, which falls under a plan: its controller keeps it up",
+                         "legid validate carries it across a record's touchdowns, under the torques measured there")
     if len(mechanism.actuated) != 1:
         raise InputError(where, f"has {len(mechanism.actuated)} driven joints, a plan drives one",
                          "give a model with one actuated joint")

@@ -34,7 +34,10 @@ class Suspicion(NamedTuple):
 def suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float,
             suspected: bool) -> Suspicion:
     """Other readings of the columns, tried where a fit is `suspected`, or slow least squares leaves more than
-    `SUSPICIOUS`; the IMU is always asked whether it contradicts itself."""
+    `SUSPICIOUS`; the IMU is always asked whether it contradicts itself. A walker's columns hold either hip by turns, so
+    no other reading of one can be tried there."""
+    if mechanism.exchanged:
+        return Suspicion()
     try:
         with np.errstate(all="ignore"):
             return _suspect(datasets, mechanism, options, gear_ratio, suspected)

@@ -7,7 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from daq import FloatArray, InputError
-from estimator.fitting import HORIZONS_S, Horizons, Validation, predict, smoothed_states, validate
+from estimator.fitting import (
+    HORIZONS_S,
+    Horizons,
+    Validation,
+    WalkAhead,
+    predict,
+    smoothed_states,
+    validate,
+    walk_ahead,
+)
 from estimator.model import Mechanism
 from experiments.console import progress
 from experiments.models import FreeRuns, Model, Prediction, build_mechanism, validate_extended
@@ -71,6 +80,15 @@ def foretell(model: Model, setup: Setup, against: Model | None = None) -> Horizo
     return Horizons(columns, tuple(t for t in tables[0] if t.pieces),
                     tuple(t for t in tables[1] if t.pieces) if against is not None else (),
                     np.sqrt(np.mean(residual**2, axis=0)))
+
+
+def foretell_steps(model: Model, setup: Setup) -> WalkAhead | None:
+    """Free runs of a walker's `model` across touchdowns; None for what does not walk, and for a model with effects,
+    whose states a step does not begin in. Raises `FitError`."""
+    mechanism = build_mechanism(model.mechanism)
+    if not mechanism.exchanged or model.effects:
+        return None
+    return walk_ahead(setup.datasets, mechanism, np.array(model.beta), replace(setup.options, hold=model.hold))
 
 
 def seen_in_fit(model: Model, origin: Origin) -> tuple[str, ...]:

@@ -43,10 +43,13 @@ def run(args: argparse.Namespace) -> int:
         validation_section,
         validation_text,
         validation_trust,
+        walk_document,
+        walk_section,
+        walk_text,
         with_origin,
     )
     from experiments.rig import load_setup
-    from experiments.workflows import foretell, predict_runs, seen_in_fit, set_aside, validate_runs
+    from experiments.workflows import foretell, foretell_steps, predict_runs, seen_in_fit, set_aside, validate_runs
 
     model = load_model(args.model)
     against = load_model(args.against) if args.against else None
@@ -65,16 +68,20 @@ def run(args: argparse.Namespace) -> int:
     validations, predictions = validate_runs(model, setup, args.model), predict_runs(model, setup)
     contradictions = [*rig.warnings, *model_contradictions(model.mechanism, setup.settings)]
     trust = validation_trust(predictions, seen, contradictions)
-    horizons = foretell(model, setup, against)
+    horizons, steps = foretell(model, setup, against), foretell_steps(model, setup)
     print("\n".join([trust.sentence, *trust.reasons, "", validation_text(validations, predictions)]))
     if horizons is not None:
         print(horizons_text(horizons))
+    if steps is not None:
+        print(walk_text(steps))
     if args.json:
         document = validation_document(validations, setup.options.sensors, predictions)
         document |= {"trust": trust.document, "fitted_to": list(seen),
                      "set_aside": [run.document for run in aside]}
         if horizons is not None:
             document["horizons"] = horizons_document(horizons)
+        if steps is not None:
+            document["walk"] = walk_document(steps)
         write_json(args.json, with_origin(document, origin, setup.datasets))
     if args.html:
         from experiments.reports import origin_section, write_page
@@ -85,5 +92,6 @@ def run(args: argparse.Namespace) -> int:
                    f"run{'s' * (len(validations) != 1)}.",
                    [validation_section(validations, predictions),
                     *([horizons_section(horizons)] if horizons is not None else []),
+                    *([walk_section(steps)] if steps is not None else []),
                     origin_section(origin, setup.datasets)], origin, trust.verdict())
     return 0

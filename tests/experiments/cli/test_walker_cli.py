@@ -1,0 +1,123 @@
+"""A walker's records by the commands: fitted over steps, validated across touchdowns, diagnosed, or refused."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq import Dataset
+from daq.runs import write_csv
+from experiments import cli
+from tests.support.walker_plant import Gait, Law, Plant, Walker, no_loss, record, walk
+
+RIG = """[mechanism]
+model = "biped3"
+actuated = [2, 3]
+gravity_mps2 = 9.8
+[walker]
+[motor]
+gear_ratio = 20.0
+[sampling]
+rate_hz = 100.0
+hold = "zero"
+[noise]
+torque_nm = 0.3
+encoder_rad = [2e-3, 2e-4, 2e-4]
+passive_nm = 0.05
+"""
+
+
+def put(folder: Path, seed: int, steps: int, stance: bool, loss: Law = no_loss) -> Path:
+    rng = np.random.default_rng(seed)
+    path = folder / f"walk{seed}.csv"
+    write_csv(record(path.name, walk(Plant(Walker(), loss), Gait(), steps, rng, 100.0, 4), rng, stance=stance), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("walks")
+    (made / "rig.toml").write_text(RIG)
+    put(made, 2, 12, False)
+    put(made, 3, 12, True)
+    return made
+
+
+@pytest.fixture(scope="module")
+def model(folder: Path) -> Path:
+    out = folder / "model.json"
+    assert cli.main(["fit", str(folder / "walk2.csv"), "--rig", str(folder / "rig.toml"), "--json",
+                     str(folder / "fit.json"), "--model-out", str(out)]) == 0
+    return out
+
+
+def test_a_record_without_contacts_is_fitted_over_its_steps(folder: Path, model: Path) -> None:
+    document = json.loads((folder / "fit.json").read_text())
+    assert document["converged"] and not document["undetermined"]
+    assert any(text.startswith("walk2.csv: 11 touchdowns, as its angles show, to ") for text in document["assumptions"])
+    for p, true in zip(document["parameters"], Walker().beta):
+        assert abs(p["value"] - true) < 4.0 * p["std"] < 0.1 * true
+    assert json.loads(model.read_text())["mechanism"]["hips"] is True
+
+
+def test_free_runs_go_on_until_they_fall(folder: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder / "v.json"
+    assert cli.main(["validate", str(model), str(folder / "walk3.csv"), "--rig", str(folder / "rig.toml"), "--json",
+                     str(out), "--html", str(folder / "v.html")]) == 0
+    text, walked = capsys.readouterr().out, json.loads(out.read_text())["walk"]
+    assert "all fell" in text and "falls after" in text and "nothing is said of it from there on" in text
+    assert "across touchdowns" in (folder / "v.html").read_text()
+    first, last = walked["ahead"][0], walked["ahead"][-1]
+    assert first["fell"] == 0 and first["pieces"] == 12 and 0.0 < first["rmse"]["q1_rad"] < 0.1
+    assert last["fell"] == last["pieces"] and set(last["rmse"].values()) == {None}
+    assert walked["runs"][0]["fell_s"] > 1.0 and 1 < walked["runs"][0]["fell_in_step"] < 12
+
+
+def test_a_plan_alone_keeps_no_walker_up(folder: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = folder / "plan.csv"
+    plan.write_text("time_s,tau2_cmd_nm\n0,1\n0.1,1\n")
+    assert cli.main(["simulate", str(model), "--plan", str(plan), "--out", str(folder / "x.csv")]) == 2
+    assert "is a walker, which falls under a plan" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    ("stance", "column stance never changes from one leg to the other"),
+    ("still", "no touchdown stands out of the angles' noise; give a column stance"),
+])
+def test_a_record_that_cannot_be_cut_is_refused(folder: Path, capsys: pytest.CaptureFixture[str], change: str, said: str
+                                                ) -> None:
+    count, rng = 400, np.random.default_rng(0)
+    columns = {name: 1e-3 * rng.normal(size=count) for name in ("q1_rad", "q2_rad", "q3_rad", "tau2_nm", "tau3_nm")}
+    data = Dataset(f"{change}.csv", 100.0, np.arange(count) / 100.0, columns)
+    if change == "stance":
+        data = replace(data, columns=columns | {"stance": np.ones(count)})
+    path = folder / data.name
+    write_csv(data, path)
+    assert cli.main(["fit", str(path), "--rig", str(folder / "rig.toml")]) == 1
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+
+
+def test_only_a_biped_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n[walker]\n')
+    assert cli.main(["fit", str(rig), "--rig", str(rig)]) == 2
+    assert "[walker]: that is for a biped3" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_spring_at_one_leg_is_named_there(folder: Path) -> None:
+    """Half a minute."""
+    def spring(leg: int, angle: float, rate: float, torque: float) -> float:
+        return 8.0 * angle if leg == 1 else 0.0
+
+    runs = [str(put(folder, seed, 6, True, spring)) for seed in range(20, 28)]
+    out = folder / "d.json"
+    assert cli.main(["diagnose", *runs, "--rig", str(folder / "rig.toml"), "--json", str(out), "--workers", "1"]) == 0
+    document = json.loads(out.read_text())
+    cause, = document["causes"]
+    assert (document["verdict"], cause["effect"], cause["joint"]) == ("named", "joint_stiffness", 3)
+    low, high = cause["size"][0]["ci95"]
+    assert low < 8.0 < high
