@@ -23,6 +23,7 @@ from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.noise_levels import imu_levels, independence, torque_levels
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
+from estimator.fitting.run_levels import run_noise
 from estimator.fitting.run_scatter import agreement_of
 from estimator.fitting.run_scores import score_runs
 from estimator.fitting.warm_start import from_excerpt
@@ -83,6 +84,7 @@ def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
     problem = LatentProblem(signals, mechanism, options.hold)
     problem.seeks_rounding = options.rounding == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
     problem.one_a_passage = not problem.seeks_rounding
+    problem.seeks_loudness = True
     if suits(signals, mechanism, options):
         noise = known_noise(mechanism, options)
         spread = None if problem.spread is None else problem.spread[None]
@@ -109,7 +111,7 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
     the lines stay as they are, and there is no skew.
     """
     wide = _skewed(signals, problem.mechanism, options.hold)
-    wide.stiction_variance = problem.stiction_variance
+    wide.stiction_variance, wide.loud = problem.stiction_variance, problem.loud
     again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
     iterate(wide, again, np.append(free, True), options, floors)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
@@ -216,4 +218,4 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
     return FitResult(mechanism, "mle", options.sensors, beta, state.covariance, noise,
                      np.sqrt(np.mean(residual**2, axis=0)), state.converged, state.iterations, problem.total, wall_s,
                      undetermined(mechanism, beta, state.covariance, free), assumptions, (), tuple(trajectories),
-                     dict(options.fixed), options.hold)
+                     dict(options.fixed), options.hold, run_noise=run_noise(problem, signals, state.noise))

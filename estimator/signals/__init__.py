@@ -8,6 +8,7 @@ from estimator.signals.segments import (
     Kinematics,
     SignalSet,
     angle_column,
+    by_run,
     differentiate,
     paper_differences,
     split_signals,
@@ -16,6 +17,6 @@ from estimator.signals.segments import (
 
 __all__ = [
     "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "Channel", "Kind", "Kinematics", "SignalSet",
-    "accelerometer", "angle_column", "differentiate", "encoder_level", "encoder_of", "lowpass", "paper_differences",
-    "quantum", "split_signals", "tilt", "torque_column", "torque_of", "white_noise_level",
+    "accelerometer", "angle_column", "by_run", "differentiate", "encoder_level", "encoder_of", "lowpass",
+    "paper_differences", "quantum", "split_signals", "tilt", "torque_column", "torque_of", "white_noise_level",
 ]
