@@ -55,9 +55,9 @@ def known(rig: Rig | None, present: Collection[str]) -> set[str]:
 
 
 def _torque_joints(rig: Rig) -> list[int]:
-    # The knee's torque is required on every leg, driven or not: the contract names it so.
+    # The knee's torque is required on every leg that is driven at all: the contract names it so.
     joints = set(rig.mechanism.actuated)
-    return sorted(joints | {2} if rig.mechanism.model == "leg2" else joints)
+    return sorted(joints | {2} if rig.mechanism.model == "leg2" and joints else joints)
 
 
 def _missing_angle(rig: Rig, present: Collection[str]) -> Missing | None:

@@ -52,7 +52,9 @@ PASSIVE_HASTE = 4.0
 """Where a passive joint's model error is nil its level falls by a constant factor a step; after PASSIVE_WAIT
 steps a fall steeper than STEEP is taken to this power. (Measured on legs of 10 s: with a gyro of 0.02 or 0.05 rad/s the
 level falls by 4 % a step, and 2 of 8 or 7 of 8 fits had not settled in 60 steps; all do within 12 to 51.) So is a rise
-that is steeper than that and slower than SLOW: a level that fell too far came back by 5 % a step."""
+slower than SLOW where runs have levels of their own, which come late: a level that fell too far came back by 5 % a
+step. (Elsewhere it keeps a leg with a hidden spring from settling.) Not where no joint is driven: two levels that are
+hastened swing against each other."""
 MARGIN = 1.1
 """On the misfit that a step foresees at the samples: the Gauss points add to it, and it may still grow."""
 
@@ -181,7 +183,8 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
         size = r.size if count is None else count
         freedom = max(size - gamma, 0.002 * size)
         ratio = float(np.sqrt(np.vdot(r, r) / freedom)) / previous
-        value = previous * ratio ** (haste if ratio < STEEP or 1.0 / STEEP < ratio < SLOW else 1.0)
+        rises = problem.loud is not None and 1.0 / STEEP < ratio < SLOW
+        value = previous * ratio ** (haste if ratio < STEEP or rises else 1.0)
         return max(floor, float(np.clip(value, previous / 2.0, previous * 3.0)))
 
     torque, encoder = old.torque.copy(), old.encoder.copy()
@@ -189,7 +192,8 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
     for j in range(problem.n):
         if options.torque_noise(j, j in actuated) is None:
             r, count = weight[:, j] * residuals["torque"][:, j], float(weight[:, j].sum())
-            haste = 1.0 if j in actuated or state.iterations <= PASSIVE_WAIT else PASSIVE_HASTE
+            waits = j in actuated or not actuated or state.iterations <= PASSIVE_WAIT
+            haste = 1.0 if waits else PASSIVE_HASTE
             torque[j] = level(np.sqrt(excess[j]) * r, excess[j] * float(effective_dof["torque"][j]), floors.torque[j],
                               old.torque[j], haste, count)
             if j in actuated:

@@ -40,9 +40,6 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     start = time.perf_counter()
     signals = split_signals(datasets, mechanism, options)
     free, beta = free_mask(mechanism, options)
-    if not any(np.any(s.torque) for s in signals) and bool(free.all()):
-        raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
-                       "--fix NAME=VALUE")
     chosen: HoldChoice | None = None
     auto, options = options.hold == AUTO, replace(options, hold=FIRST if options.hold == AUTO else options.hold)
     problem, state = _search(signals, mechanism, options, free, beta)
@@ -165,6 +162,12 @@ def state_of(found: Searched, record: int, noise: Noise) -> State:
                  bool(found.converged[record]), int(found.steps[record]))
 
 
+def _levels_given(mechanism: Mechanism, options: FitOptions) -> bool:
+    """Whether the noise of every joint that counts is given: of the driven ones, or of all where there are none."""
+    joints = mechanism.actuated or range(mechanism.n)
+    return all(options.torque_noise(j, bool(mechanism.actuated)) is not None for j in joints)
+
+
 def _refuse_collapse(problem: LatentProblem, state: State, mechanism: Mechanism) -> None:
     """Raise where nearly all measured torque was put down to noise: then beta shrinks to nothing.
 
@@ -212,7 +215,7 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
     assumptions = (
         f"torque acts between samples by the '{options.hold}' hold",
         f"all noise is white, Gaussian and {independence(options)}; levels "
-        + ("as given" if all(options.torque_noise(j, True) is not None for j in mechanism.actuated) else
+        + ("as given" if _levels_given(mechanism, options) else
            "estimated from the data"),
         "the model's form is right: what it leaves out is counted as torque noise")
     return FitResult(mechanism, "mle", options.sensors, beta, state.covariance, noise,

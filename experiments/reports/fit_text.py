@@ -9,6 +9,7 @@ import numpy as np
 
 from estimator import FitResult
 from experiments.console import text_table
+from experiments.reports.friction_form import friction_lines
 from experiments.reports.numbers import number
 from experiments.reports.run_agreement import agreement_lines
 
@@ -89,6 +90,7 @@ def fit_text(result: FitResult, model: str) -> str:
         f"joint {j + 1} {rms:.3g} {result.mechanism.force_unit}" for j, rms in enumerate(result.torque_residual_rms)))
     if result.mechanism.force_unit == "V":
         lines.append(VOLTS)
+    lines += friction_lines(result)
     lines += agreement_lines(result)
     lines += [f"not determined by this data: {name}" for name in result.undetermined]
     lines += [f"warning: {text}" for text in (*result.inadmissible, *result.warnings)]

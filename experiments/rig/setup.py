@@ -8,16 +8,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from daq import Dataset, InputError, Rig, joint_count
 from daq.runs import IMU
 from estimator import FitOptions
 from estimator.calibration import DistanceMeter, angle_record, find_zeros, subtract, zeros_text
+from estimator.fitting import has_torque
 from estimator.model import Mechanism
 from experiments.console import detail, progress
 from experiments.exchange import load_any_run
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
+
+FREE_SWING = "no joint is driven, for every torque of every run is exactly zero"
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,10 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
         mechanism = build_mechanism(settings)
     except ValueError as error:
         raise InputError("the rig file", str(error), "correct [mechanism] and [terms]") from None
+    free_swing = bool(datasets and settings.actuated) and not has_torque(datasets, mechanism)
+    if free_swing:
+        settings = structs.replace(settings, actuated=())
+        mechanism = build_mechanism(settings)
     for name in fixed or {}:
         if name not in mechanism.names:
             raise InputError("--fix", f"{settings.model} has no parameter {name}",
@@ -93,7 +101,8 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
         if sigmas:
             level = float(np.sqrt(np.nanmean(np.square(np.concatenate(sigmas)))))
             options = replace(options, noise={**options.noise, "encoder1_rad": level})
-    notes = tuple(f"{d.name} is to be doubted: {d.sources['doubt']}" for d in datasets if "doubt" in d.sources)
+    doubts = (f"{d.name} is to be doubted: {d.sources['doubt']}" for d in datasets if "doubt" in d.sources)
+    notes = (*[FREE_SWING] * free_swing, *doubts)
     return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes, rig.motor.gear_ratio), rig, beta)
 
 
