@@ -248,9 +248,6 @@ class LatentProblem:
             else:
                 yield slice(start, start + part.size), part
 
-    def _torque_precision(self, variances: FloatArray, noise: Noise) -> FloatArray:
-        return noise.torque_precision(variances, None if self.loud is None else self.loud.torque)
-
     def _alike(self, noise: Noise) -> Iterator[tuple[slice, Noise]]:
         """Samples piece by piece, and the accelerometer's noise there."""
         ends = [*self.run_starts[1:], self.total] if self.loud is not None else [self.total]
@@ -350,8 +347,9 @@ class LatentProblem:
                 diagonal[:, column, other] += slope * weight
                 gradient[:, other] += slope * pull
             total += float(r @ pull)
+        loud = self.loud and self.loud.torque
         if noise.torque_correlation is not None:
-            total += correlated_torque.add_samples(residuals["torque"], self._torque_precision(variances, noise), extra,
+            total += correlated_torque.add_samples(residuals["torque"], noise.torque_precision(variances, loud), extra,
                                                    diagonal[:, 2 * n :, 2 * n :], gradient[:, 2 * n :])
         return total
 
@@ -368,8 +366,9 @@ class LatentProblem:
                 border[:, 2 * self.n + column % self.n, p:] += (extra.by_torque[channel] * c).T
             corner[p:, p:] += c @ extra.reading_columns[channel].T
             gradient_beta[p:] += c @ of_channel(residuals, channel)
+        loud = self.loud and self.loud.torque
         if noise.torque_correlation is not None:
-            correlated_torque.add_columns(residuals["torque"], self._torque_precision(variances, noise), extra,
+            correlated_torque.add_columns(residuals["torque"], noise.torque_precision(variances, loud), extra,
                                           border[:, 2 * self.n :, p:], corner[p:, p:], gradient_beta[p:])
 
     def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,

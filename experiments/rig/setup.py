@@ -20,6 +20,7 @@ from estimator.model import Mechanism
 from experiments.console import detail, progress
 from experiments.exchange import load_any_run
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
+from experiments.rig.servo_law import with_law
 
 FREE_SWING = "no joint is driven, for every torque of every run is exactly zero"
 
@@ -118,14 +119,16 @@ def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> S
 
 
 def prepare(data: Dataset, rig: Rig) -> Dataset:
-    """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts; and with the
-    absolute angle that a distance meter shows.
+    """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts, for one without
+    a torque channel what its law gives; and with the absolute angle that a distance meter shows.
 
     The column keeps its torque name; every parameter is then in volt units, and said to be.
     """
     if rig.distance_meter is not None and "distance_m" in data:
         d = rig.distance_meter
         data = angle_record(data, DistanceMeter(d.mount_m, d.gamma_rad, d.sigma_m, d.sigma_per_m), d.upright_rad)
+    if rig.servo is not None and rig.servo.gain is not None:
+        data = with_law(data, rig, rig.servo)
     if rig.mechanism.input != "voltage" or "duty" not in data:
         return data
     column = "tau1_n" if "q1_m" in data and "q1_rad" not in data else "tau1_nm"

@@ -90,6 +90,8 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, with_origin(
             {**fit_document(result, setup.settings, trust),
              "set_aside": [run.document for run in fitted.aside],
+             "servo_gain": None if fitted.servo_gain is None else {"value": fitted.servo_gain[0],
+                                                                   "ci95": list(fitted.servo_gain[1:])},
              "chosen": [choice.document for choice in fitted.choices]}, origin, setup.datasets))
     if args.html and origin:
         from experiments.reports import fit_sections, fit_summary, origin_section, write_page
