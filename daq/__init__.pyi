@@ -25,4 +25,5 @@ from .rig import load_rig as load_rig
 from .rig import parse_rig as parse_rig
 from .rig_text import ASSUMED as ASSUMED
 from .rig_text import set_values as set_values
+from .servo import Servo as Servo
 from .si_units import imu_columns as imu_columns

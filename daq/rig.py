@@ -13,6 +13,7 @@ from msgspec import Meta, Struct
 
 from daq.errors import InputError, did_you_mean
 from daq.mechanisms import check_mechanism, joints_of
+from daq.servo import Servo, faults
 
 # Bounds keep out what no rig is: a slip of units or keys, infinity, NaN. They are far beyond what any leg has.
 Positive = Annotated[float, Meta(gt=0, le=1e5)]
@@ -262,6 +263,7 @@ class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     devices: Devices = Devices()
     limits: Limits = Limits()
     calibration: Calibration = Calibration()
+    servo: Servo | None = None
     columns: dict[str, Column] = {}
     """Column of the contract -> where files of other programs hold it."""
 
@@ -329,6 +331,9 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     if isinstance(levels, tuple) and len(levels) != n:
         raise InputError(where, f"noise.encoder_rad has {len(levels)} levels, {rig.mechanism.model} has {n} joints",
                          "give one number for all encoders, or one for each joint")
+    wrong = None if rig.servo is None else faults(rig.servo, len(rig.mechanism.actuated))
+    if wrong is not None:
+        raise InputError(where, *wrong)
     _check_levels(rig, where)
     _check_correlations(rig, where)
     return rig

@@ -7,5 +7,9 @@ class FitError(Exception):
     """The fit cannot be done on this data; the message says what is missing in one line."""
 
 
+class ScaleError(FitError):
+    """Nothing tells how heavy the mechanism is."""
+
+
 class GapError(FitError):
     """Every stretch of the data without a gap is too short."""

@@ -77,6 +77,16 @@ class RunAgreement:
 
 
 @dataclass(frozen=True)
+class RunNoise:
+    """Noise of single runs, 1 sigma, of the channels in which runs differ."""
+
+    runs: tuple[str, ...]
+    """Their names."""
+    levels: Mapping[str, FloatArray]
+    """gyro_radps, accel_x_mps2, accel_y_mps2, torque1_nm ..., encoder1_rad ... -> (runs,)"""
+
+
+@dataclass(frozen=True)
 class FitResult:
     """Identified parameters with their covariance, noise levels and the motion they came with."""
 
@@ -118,6 +128,10 @@ class FitResult:
     """Set-ups under which the same records make sense, the best first, with what to write into the rig file."""
     agreement: RunAgreement | None = None
     """Whether the runs agree; the covariance has in it what they disagree about. None: the method does not ask."""
+
+    run_noise: RunNoise | None = None
+    """Where runs have levels of their own, each weighs by its own; `noise` is then their root mean square over samples.
+    None: all runs have those."""
 
     @property
     def open_parameters(self) -> frozenset[str]:

@@ -109,20 +109,21 @@ def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str 
 
 def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,
              progress: Callable[[str, float], None] | None = None, workers: int = 1,
-             material: float = MATERIAL) -> Diagnosis:
+             material: float = MATERIAL, fixed: Mapping[str, float] | None = None) -> Diagnosis:
     """What the simulation of the rig's model gets wrong on `runs`, why, and what extending it gains.
 
     Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good. Of four alike in
     excitation two are fitted, one helps to choose, one is opened once at the end. `material` is the share by which the
     rms error of free runs must fall for a cause to matter. `seed` draws rehearsals and intervals; `reference`
     is an earlier model whose parameters are compared; `progress` is called with (stage, fraction done). More `workers`
-    are processes forked from this one, so leave it at one in a program with threads.
+    are processes forked from this one, so leave it at one in a program with threads. `fixed`: parameters that are
+    given, by name; runs without a torque need one.
 
     The result's `verdict` is none, named, partial, one_of, unexplained or fit_failed; `causes` have sizes with units
     and 95 % intervals. Raises `InputError` for runs that do not belong together.
     """
     given, known = _given(runs, rig)
-    setup = setup_of(given, known)
+    setup = setup_of(given, known, fixed=fixed)
     values = None if reference is None else reference_values(reference, "reference", setup)
     found = diagnose_setup(setup, known, seed, values, progress, workers, material)
     return dressed(Diagnosis, found, fitted=given, rig=known)

@@ -13,14 +13,14 @@ OPTIONAL = ("tau2_cmd_nm", "temperature_degc", "q2_motor_rad", "distance_m", "st
 """Columns with a meaning that no mechanism requires; their cells are checked like required ones."""
 
 
-_JOINT_COLUMN = re.compile(r"(q|tau)([1-9]|1[0-9]|20)_(rad|nm)")
+_JOINT_COLUMN = re.compile(r"(q|tau)([1-9]|1[0-9]|20)_(rad|nm|cmd_rad)")
 
 
 def is_contract_column(name: str) -> bool:
     """The contract gives this column a meaning."""
     match = _JOINT_COLUMN.fullmatch(name)
     if match:
-        return (match[1] == "q") == (match[3] == "rad")
+        return (match[1] == "q") == (match[3] != "nm")
     return name in ("time_s", "q1_m", "tau1_n", "duty", "volts", *IMU, *OPTIONAL)
 
 
@@ -42,6 +42,10 @@ def missing(rig: Rig, present: Collection[str]) -> Missing | None:
         return lacking
     for joint in _torque_joints(rig):
         if f"tau{joint}_nm" not in present:
+            if rig.servo is not None and joint in rig.mechanism.actuated:
+                if f"q{joint}_cmd_rad" in present:
+                    continue
+                return Missing(f"q{joint}_cmd_rad", "add the angle that the servo was commanded in rad, for [servo]")
             return Missing(f"tau{joint}_nm", f"add the torque of joint {joint} in N m, "
                                              f"or take {joint} out of actuated in the rig file")
     return None
@@ -55,9 +59,9 @@ def known(rig: Rig | None, present: Collection[str]) -> set[str]:
 
 
 def _torque_joints(rig: Rig) -> list[int]:
-    # The knee's torque is required on every leg, driven or not: the contract names it so.
+    # The knee's torque is required on every leg that is driven at all: the contract names it so.
     joints = set(rig.mechanism.actuated)
-    return sorted(joints | {2} if rig.mechanism.model == "leg2" else joints)
+    return sorted(joints | {2} if rig.mechanism.model == "leg2" and joints else joints)
 
 
 def _missing_angle(rig: Rig, present: Collection[str]) -> Missing | None:
@@ -82,6 +86,9 @@ def _missing_joint1(rig: Rig, present: Collection[str]) -> Missing | None:
         return Missing("q1_rad", "add the joint's position: q1_rad, or q1_m for a prismatic joint")
     if 1 not in rig.mechanism.actuated:
         return None
+    if rig.servo is not None and not prismatic and "q1_cmd_rad" in present:
+        return None if rig.mechanism.input == "torque" or "volts" in present else Missing(
+            "volts", 'input = "voltage" needs the supply\'s volts')
     if rig.mechanism.input == "voltage":
         absent = [name for name in ("duty", "volts") if name not in present]
         return Missing(absent[0], 'input = "voltage" needs duty and volts') if absent else None

@@ -12,7 +12,7 @@ from daq import Dataset, FloatArray
 from estimator.diagnosis.decision_rule import KEPT_BACK, LEAST_S, PARTS
 from estimator.effects import Effect
 from estimator.errors import FitError
-from estimator.fitting import noise_floors
+from estimator.fitting import noise_floors, require_scale
 from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage
 from estimator.model import Mechanism
 from estimator.options import FitOptions, accel_level, encoder_level, torque_level
@@ -106,8 +106,7 @@ def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
     if single:
         datasets = _parts(datasets[0])
     runs = [tuple(split_signals([d], mechanism, options)) for d in datasets]
-    if not any(np.any(s.torque) for run in runs for s in run):
-        raise FitError("every torque is zero, so the scale of the parameters is not determined")
+    require_scale(datasets, mechanism, options)
     rates = {s.rate_hz for run in runs for s in run}
     if len(rates) > 1:
         raise FitError("the runs are on grids of different rates; give one rate_hz under [sampling]")

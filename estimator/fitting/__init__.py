@@ -19,6 +19,7 @@ from estimator.fitting.prediction import (
     smoothed_states,
 )
 from estimator.fitting.profile_likelihood import known_noise
+from estimator.fitting.scale import has_torque, require_scale
 from estimator.fitting.validation import Validation, validate
 from estimator.fitting.walking import StepsAhead, WalkAhead, Whole, walk_ahead
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
@@ -43,6 +44,7 @@ __all__ = [
     "fit_each",
     "free_mask",
     "gentle_start",
+    "has_torque",
     "imu_levels",
     "iterate",
     "known_noise",
@@ -51,6 +53,7 @@ __all__ = [
     "noise_floors",
     "predict",
     "prediction_score",
+    "require_scale",
     "rounding_words",
     "settle_motion",
     "smoothed_states",

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from daq import Dataset
-from estimator.errors import FitError
+from estimator.errors import FitError, ScaleError
 from estimator.fitting.excitation import LEAST_POWER, LEAST_POWER_MLE, undetermined_by_design
 from estimator.fitting.hekf import fit_hekf
 from estimator.fitting.hold_choice import FIRST
 from estimator.fitting.mle import fit_mle
 from estimator.fitting.profile_likelihood import knows_noise, suits
 from estimator.fitting.rls import fit_rls
+from estimator.fitting.scale import require_scale
 from estimator.fitting.wls import fit_wls
 from estimator.methods import METHODS
 from estimator.model import Mechanism
@@ -38,6 +39,8 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
     """
     try:
         result = estimate(datasets, mechanism, options, method)
+    except ScaleError:
+        raise
     except FitError as error:
         names = undetermined_by_design(datasets, mechanism, options)
         if not names:
@@ -75,6 +78,7 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     if options.hold == AUTO and (method != "mle" or options.latent == "free"):
         options = replace(options, hold="linear")
     _refuse_correlations(options, method)
+    require_scale(datasets, mechanism, options)
     run = ESTIMATORS[method]
     if method == "mle" and options.latent == "free":
         from estimator.fitting.mle_free import fit_mle_free as run  # it alone needs sparse matrices

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.errors import FitError
 from estimator.fitting.correlated_levels import correlation_of, excess_variance
-from estimator.likelihood import LatentProblem, Linearised, Noise, State
+from estimator.fitting.run_levels import renewed
+from estimator.likelihood import LatentProblem, Linearised, Loudness, Noise, State, effective_samples
 from estimator.numerics import Swept, eliminate, pseudo_inverse
 from estimator.options import FitOptions
 
@@ -30,6 +31,8 @@ SAME_NOISE = 0.003
 RISE = 1.05
 """Growth of the objective by which a step went too far. (Measured: where one joint reversed beside a sample it doubled,
 and two runs alike, scored there, seemed to differ at p = 0.0002; a step on it was 0.7.)"""
+ANEW = 0.1
+"""Change of a noise level beyond which objectives of before and after say nothing of a step."""
 LOOSE_AFTER = 15
 LOOSE = 0.15
 """After so many steps this share of a standard deviation will do: a joint that reverses, or rests, close to a
@@ -44,11 +47,14 @@ REST_STEPS = 8
 ROUGH_STEPS = 2
 """Steps whose noise levels are too rough to tell over which speed friction is rounded off."""
 PASSIVE_WAIT = 1
-STEEP = 0.985
+STEEP, SLOW = 0.985, 1.1
 PASSIVE_HASTE = 4.0
 """Where a passive joint's model error is nil its level falls by a constant factor a step; after PASSIVE_WAIT
 steps a fall steeper than STEEP is taken to this power. (Measured on legs of 10 s: with a gyro of 0.02 or 0.05 rad/s the
-level falls by 4 % a step, and 2 of 8 or 7 of 8 fits had not settled in 60 steps; all do within 12 to 51.)"""
+level falls by 4 % a step, and 2 of 8 or 7 of 8 fits had not settled in 60 steps; all do within 12 to 51.) So is a rise
+slower than SLOW where runs have levels of their own, which come late: a level that fell too far came back by 5 % a
+step. (Elsewhere it keeps a leg with a hidden spring from settling.) Not where no joint is driven: two levels that are
+hastened swing against each other."""
 MARGIN = 1.1
 """On the misfit that a step foresees at the samples: the Gauss points add to it, and it may still grow."""
 
@@ -83,6 +89,8 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
             swings = along < -0.25 * float(before @ information @ before)
             share = max(0.1, 0.5 * share) if swings or point.objective > RISE * lowest else min(1.0, 1.2 * share)
             lowest = min(lowest, point.objective)
+        if change > ANEW:
+            lowest = point.objective
         before = step_beta
         damping = shortened(step[:, : problem.n], share)
         state.x = state.x.moved(damping * step)
@@ -92,24 +100,27 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         state.covariance[np.ix_(index, index)] = covariance
         if not np.isfinite(state.beta).all():
             raise FitError(RAN_AWAY)
+        std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        moved = damping * float(np.max(np.abs(step_beta) / std, initial=0.0))
+        if not index.size:
+            moved = float(np.max(np.abs(step[:, : problem.n]))) / ANGLE_TOLERANCE * TOLERANCE
         residuals = problem.residuals_after(point, step, step_beta, index)
         if floors is not None:
             if effective_dof is None or change > SAME_NOISE:
-                effective_dof = problem.effective_samples(point, solved.inverse_diagonal(), state.noise)
+                effective_dof = effective_samples(problem, point, solved.inverse_diagonal(), state.noise)
             found_rounding = False
             if problem.seeks_rounding and iteration >= ROUGH_STEPS:
                 spread = np.einsum("kii->ki", solved.inverse_diagonal())[:, 2 * problem.n :]
                 same = problem.find_rounding(state.x, state.beta, state.noise, residuals["torque"], spread)
                 found_rounding = same or iteration + 1 >= REST_STEPS
                 problem.seeks_rounding, problem.one_a_passage = not found_rounding, found_rounding
-            change = _update_noise(problem, state, effective_dof, residuals, options, floors)
+            change = 0.0
+            if problem.seeks_loudness and (problem.loud is not None or moved < ROUGH):
+                change = _update_loudness(problem, state.noise, residuals, effective_dof, options, floors)
+            change = max(change, _update_noise(problem, state, effective_dof, residuals, options, floors))
         share_left = np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / problem.torque_variance(state.noise))
         state.misfit = np.minimum(share_left / problem.total, 1.0)
         problem.predicted_misfit = MARGIN * problem.total * state.misfit
-        std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        moved = damping * float(np.max(np.abs(step_beta) / std, initial=0.0))
-        if not index.size:
-            moved = float(np.max(np.abs(step[:, : problem.n]))) / ANGLE_TOLERANCE * TOLERANCE
         enough = ROUGH if rough else TOLERANCE if iteration < LOOSE_AFTER else LOOSE
         overshot = point.objective > RISE * objective and iteration < LOOSE_AFTER
         still = moved < enough and change < (0.1 if rough else 0.01) and not problem.seeks_rounding and not overshot
@@ -163,6 +174,8 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
     Mixing them with the residuals before it, or after a part of it, makes the levels swing with period two.
     """
     weight = problem.torque_weight(state.noise)
+    effective_dof = {kind: values.sum(axis=0) for kind, values in effective_dof.items()}
+    residuals = whitened(residuals, problem.loud)
     old, actuated = state.noise, problem.mechanism.actuated
 
     def level(r: FloatArray, gamma: float, floor: float, previous: float, haste: float = 1.0,
@@ -170,7 +183,8 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
         size = r.size if count is None else count
         freedom = max(size - gamma, 0.002 * size)
         ratio = float(np.sqrt(np.vdot(r, r) / freedom)) / previous
-        value = previous * ratio ** (haste if ratio < STEEP else 1.0)
+        rises = problem.loud is not None and 1.0 / STEEP < ratio < SLOW
+        value = previous * ratio ** (haste if ratio < STEEP or rises else 1.0)
         return max(floor, float(np.clip(value, previous / 2.0, previous * 3.0)))
 
     torque, encoder = old.torque.copy(), old.encoder.copy()
@@ -178,7 +192,8 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
     for j in range(problem.n):
         if options.torque_noise(j, j in actuated) is None:
             r, count = weight[:, j] * residuals["torque"][:, j], float(weight[:, j].sum())
-            haste = 1.0 if j in actuated or state.iterations <= PASSIVE_WAIT else PASSIVE_HASTE
+            waits = j in actuated or not actuated or state.iterations <= PASSIVE_WAIT
+            haste = 1.0 if waits else PASSIVE_HASTE
             torque[j] = level(np.sqrt(excess[j]) * r, excess[j] * float(effective_dof["torque"][j]), floors.torque[j],
                               old.torque[j], haste, count)
             if j in actuated:
@@ -186,14 +201,15 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
         if problem.has_encoder[j] and options.encoder_noise(int(j)) is None:
             r = residuals["encoder"][:, j] / (1.0 if problem.spread is None else problem.spread[:, j])
             encoder[j] = level(r, float(effective_dof["encoder"][j]), floors.encoder[j], old.encoder[j])
-    driven = [torque[j] for j in actuated]
+    quietest = np.ones(problem.n) if problem.loud is None else problem.loud.torque.min(axis=0)
+    driven = [torque[j] * quietest[j] for j in actuated]
     most = max((TORQUE_SHARE * float(problem.torque_spread[j]) for j in actuated), default=np.inf) or np.inf
     for j in problem.mechanism.passive:
         if driven:
             torque[j] = min(max(torque[j], PASSIVE_SHARE * min(driven)), most)
     gyro, accel = old.gyro, old.accel.copy()
     if problem.has_imu and "gyro_radps" not in options.noise:
-        gyro = level(residuals["gyro"], float(effective_dof["gyro"][0]), floors.gyro, old.gyro)
+        gyro = level(residuals["gyro"], float(effective_dof["gyro"]), floors.gyro, old.gyro)
     if problem.has_imu:
         excess = accel_excess(old, residuals["accel"], effective_dof["accel"])
         for i in range(2):
@@ -203,6 +219,28 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
     state.noise = replace(old, torque=torque, encoder=encoder, gyro=gyro, accel=accel)
     pairs = [(torque, old.torque), (encoder, old.encoder), (np.append(accel, gyro), np.append(old.accel, old.gyro))]
     return max(float(np.max(np.abs(np.log(a[np.isfinite(a)] / b[np.isfinite(a)])), initial=0.0)) for a, b in pairs)
+
+
+def whitened(residuals: Mapping[str, FloatArray], loud: Loudness | None) -> Mapping[str, FloatArray]:
+    """Residuals over the loudness of their run."""
+    if loud is None:
+        return residuals
+    return {kind: values / getattr(loud, kind) for kind, values in residuals.items()}
+
+
+def _update_loudness(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatArray],
+                     effective_dof: Mapping[str, FloatArray], options: FitOptions, floors: Noise) -> float:
+    """Renew what sets runs apart in noise; returns the largest relative change."""
+    before = problem.loud
+    problem.loud, problem.loud_channels = renewed(problem, noise, residuals, effective_dof, options, floors)
+    if problem.loud is None:
+        return 0.0
+    driven = list(problem.mechanism.actuated)
+    if driven:  # a passive joint's level stays as far below the torque's in each run as it is in all
+        quietest = np.min(noise.torque[driven] * problem.loud.torque[:, driven], axis=1)
+        problem.loud.torque[:, list(problem.mechanism.passive)] = (quietest / np.min(quietest))[:, None]
+    return max(float(np.max(np.abs(np.log(new / (1.0 if before is None else old)))))
+               for new, old in zip(problem.loud, before or problem.loud, strict=True))
 
 
 def accel_excess(noise: Noise, residual: FloatArray, by_latents: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ from daq import FloatArray
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import RAN_AWAY, newton_step
 from estimator.fitting.warm_start import LEAST_STRETCH, cut
-from estimator.likelihood import TIGHT, LatentProblem, Latents, Noise, State
+from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.model import HOLDS, Mechanism
 from estimator.numerics import eliminate
 from estimator.signals import SignalSet
@@ -73,6 +73,7 @@ def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State
         problem = LatentProblem(parts, mechanism, hold)
         if fitted.stiction_variance is not None:
             problem.stiction_variance = fitted.stiction_variance[index]
+        problem.loud = fitted.loud and fitted.loud.of(index)
         problem.curve(x.u)
         runners[hold] = _Runner(problem, x, state.beta.copy(), state.noise, np.flatnonzero(free))
     found = {hold: runner.step() for hold, runner in runners.items()}
@@ -105,7 +106,7 @@ class _Runner:
             return -np.inf
         latents, step, _, _ = newton_step(point, solved, index)
         size = np.linalg.slogdet(problem.mechanism.inertia_matrix(self.x.q[problem.left], self.beta))[1]
-        held = (problem.motion_weight(self.noise) * (TIGHT * self.noise.torque)[:, None]) ** 2
+        held = (problem.motion_weight(self.noise) * problem.motion_level(self.noise)) ** 2
         squares = point.objective - solved.product()[0, 0]
         self.x = self.x.moved(latents)
         self.beta[index] += step

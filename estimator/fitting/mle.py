@@ -23,6 +23,7 @@ from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.noise_levels import imu_levels, independence, torque_levels
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
+from estimator.fitting.run_levels import run_noise
 from estimator.fitting.run_scatter import agreement_of
 from estimator.fitting.run_scores import score_runs
 from estimator.fitting.warm_start import from_excerpt
@@ -39,9 +40,6 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     start = time.perf_counter()
     signals = split_signals(datasets, mechanism, options)
     free, beta = free_mask(mechanism, options)
-    if not any(np.any(s.torque) for s in signals) and bool(free.all()):
-        raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
-                       "--fix NAME=VALUE")
     chosen: HoldChoice | None = None
     auto, options = options.hold == AUTO, replace(options, hold=FIRST if options.hold == AUTO else options.hold)
     problem, state = _search(signals, mechanism, options, free, beta)
@@ -83,6 +81,7 @@ def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
     problem = LatentProblem(signals, mechanism, options.hold)
     problem.seeks_rounding = options.rounding == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
     problem.one_a_passage = not problem.seeks_rounding
+    problem.seeks_loudness = True
     if suits(signals, mechanism, options):
         noise = known_noise(mechanism, options)
         spread = None if problem.spread is None else problem.spread[None]
@@ -109,7 +108,7 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
     the lines stay as they are, and there is no skew.
     """
     wide = _skewed(signals, problem.mechanism, options.hold)
-    wide.stiction_variance = problem.stiction_variance
+    wide.stiction_variance, wide.loud = problem.stiction_variance, problem.loud
     again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
     iterate(wide, again, np.append(free, True), options, floors)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
@@ -163,6 +162,12 @@ def state_of(found: Searched, record: int, noise: Noise) -> State:
                  bool(found.converged[record]), int(found.steps[record]))
 
 
+def _levels_given(mechanism: Mechanism, options: FitOptions) -> bool:
+    """Whether the noise of every joint that counts is given: of the driven ones, or of all where there are none."""
+    joints = mechanism.actuated or range(mechanism.n)
+    return all(options.torque_noise(j, bool(mechanism.actuated)) is not None for j in joints)
+
+
 def _refuse_collapse(problem: LatentProblem, state: State, mechanism: Mechanism) -> None:
     """Raise where nearly all measured torque was put down to noise: then beta shrinks to nothing.
 
@@ -210,10 +215,10 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
     assumptions = (
         f"torque acts between samples by the '{options.hold}' hold",
         f"all noise is white, Gaussian and {independence(options)}; levels "
-        + ("as given" if all(options.torque_noise(j, True) is not None for j in mechanism.actuated) else
+        + ("as given" if _levels_given(mechanism, options) else
            "estimated from the data"),
         "the model's form is right: what it leaves out is counted as torque noise")
     return FitResult(mechanism, "mle", options.sensors, beta, state.covariance, noise,
                      np.sqrt(np.mean(residual**2, axis=0)), state.converged, state.iterations, problem.total, wall_s,
                      undetermined(mechanism, beta, state.covariance, free), assumptions, (), tuple(trajectories),
-                     dict(options.fixed), options.hold)
+                     dict(options.fixed), options.hold, run_noise=run_noise(problem, signals, state.noise))

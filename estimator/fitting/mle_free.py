@@ -266,9 +266,6 @@ def fit_mle_free(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     if not np.all(mechanism.transform[:, 0] == 1.0):
         raise FitError(f"free latents need every link of {mechanism.name} to turn with joint 1")
     problem = build_problem(signals, mechanism, options)
-    if not np.any(problem.torque) and bool(problem.free.all()):
-        raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
-                       "--fix NAME=VALUE")
     found = minimise(problem, first_latents(problem))
     covariance = np.zeros((mechanism.p, mechanism.p))
     covariance[np.ix_(problem.free, problem.free)] = found.covariance

@@ -20,6 +20,8 @@ def accel_levels(options: FitOptions, ax: FloatArray, ay: FloatArray) -> FloatAr
 def torque_levels(noise: Noise, mechanism: Mechanism) -> dict[str, float]:
     """The largest level of a driven joint, and where there are several those of all."""
     driven = sorted(mechanism.actuated)
+    if not driven:
+        return {}
     found = {"torque_nm": float(np.max(noise.torque[driven], initial=0.0))}
     return found | ({f"torque{j + 1}_nm": float(noise.torque[j]) for j in driven} if len(driven) > 1 else {})
 

@@ -20,7 +20,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator.errors import FitError
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.wls import design_rows, free_mask, trajectory, weighted_least_squares
 from estimator.model import Mechanism
@@ -63,9 +62,6 @@ def fit_rls(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     signals = split_signals(datasets, mechanism, options)
     design = design_rows(signals, mechanism, options)
     free, beta = free_mask(mechanism, options)
-    if not np.any(design.torque) and bool(free.all()):
-        raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
-                       "--fix NAME=VALUE")
     beta, _, sigma = weighted_least_squares(design.z, design.torque, free, beta, 1.0)
     known = design.z[:, :, ~free] @ beta[~free]
     variance = torque_variance(mechanism, np.maximum(sigma, 1e-12), options)

@@ -193,9 +193,6 @@ def fit_wls(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     design = design_rows(signals, mechanism, options)
     motions, z, tau = design.motions, design.z, design.torque
     free, beta = free_mask(mechanism, options)
-    if not np.any(tau) and bool(free.all()):
-        raise FitError("every torque is zero, so the scale of the parameters is not determined; fix one with "
-                       "--fix NAME=VALUE")
     weights = known_weights(mechanism, options)
     beta, covariance, sigma = weighted_least_squares(z, tau, free, beta, design.samples_per_dof, weights)
     trajectories = tuple(trajectory(s, k, mechanism, beta) for s, k in zip(signals, motions))

@@ -2,8 +2,10 @@
 
 from estimator.likelihood.batch_likelihood import BatchProblem, Point, Records
 from estimator.likelihood.dry_friction import REST_SPREAD, held_variance
+from estimator.likelihood.effective_samples import effective_samples
 from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage
 from estimator.likelihood.free_run import FreeRun, free_run
+from estimator.likelihood.loudness import Loudness, even
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents, Linearised
 from estimator.likelihood.prepare import compile_kernels
@@ -13,6 +15,6 @@ from estimator.likelihood.trajectory_likelihood import TIGHT, LatentProblem
 
 __all__ = [
     "REST_SPREAD", "TIGHT", "BatchProblem", "Candidate", "ExtendedProblem", "FreeRun", "LatentProblem", "Latents",
-    "Linearised", "Noise", "Point", "Records", "Stage", "State", "compile_kernels", "free_run",
-    "held_variance", "pull_after"
+    "Linearised", "Loudness", "Noise", "Point", "Records", "Stage", "State", "compile_kernels", "effective_samples",
+    "even", "free_run", "held_variance", "pull_after"
 ]

@@ -35,15 +35,18 @@ class Noise:
         mixed = -self.accel_correlation / (own * self.accel[0] * self.accel[1])
         return np.array([[1.0 / (own * self.accel[0] ** 2), mixed], [mixed, 1.0 / (own * self.accel[1] ** 2)]])
 
-    def torque_precision(self, variances: FloatArray) -> FloatArray:
+    def torque_precision(self, variances: FloatArray, loud: FloatArray | None = None) -> FloatArray:
         """(N, n, n), or (1, n, n) where all samples are alike, inverse covariance of torque samples.
 
-        `variances` (N, n) [N^2 m^2] have what dry friction may hold in them, which is each joint's own.
+        `variances` (N, n) [N^2 m^2] have what dry friction may hold in them, which is each joint's own; `loud` (N, n)
+        are the samples' standard deviations over the levels, where they differ.
         """
         assert self.torque_correlation is not None
         shared = np.outer(self.torque, self.torque) * self.torque_correlation
         diagonal = np.arange(self.torque.size)
         alike = variances.strides[0] == 0  # one level, broadcast
         out = np.repeat(shared[None], 1 if alike else len(variances), axis=0)
+        if loud is not None:
+            out = out * loud[:, :, None] * loud[:, None, :]
         out[:, diagonal, diagonal] = variances[: len(out)]
         return np.asarray(np.linalg.inv(out), dtype=np.float64)

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.likelihood import assembly_numba, correlated_torque
 from estimator.likelihood.dry_friction import REST_SPREAD, held_variance, likeliest_scale, passage_samples
+from estimator.likelihood.loudness import Loudness
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents, Linearised
 from estimator.model import Collocation, Mechanism, Samples
@@ -35,6 +36,7 @@ from estimator.signals import (
     IMU_COLUMNS,
     Channel,
     SignalSet,
+    by_run,
     encoder_level,
     encoder_of,
     lowpass,
@@ -88,6 +90,14 @@ class LatentProblem:
         spread = [s.spread for s in signals if s.spread is not None]
         self.spread = np.concatenate(spread) if spread else None
         """(N, n) of `SignalSet`, where angles of a channel are not all read alike well"""
+        self.run_starts = np.array([where.start for _, _, where in by_run(signals)])
+        """First sample of each run."""
+        self.loud: Loudness | None = None
+        """Where runs differ in noise, ..."""
+        self.loud_channels: frozenset[str] = frozenset()
+        """... those that do, and ..."""
+        self.seeks_loudness = False
+        """... whether a search finds them."""
         self.has_encoder = np.isfinite(self.angles).all(axis=0)
         self.has_imu = bool(signals[0].imu)
         self.stiction_variance: FloatArray | None = None
@@ -178,9 +188,8 @@ class LatentProblem:
         residuals: dict[str, FloatArray] = {}
         accel = np.empty((self.total if self.has_imu else 0, 2, b + width))
         if self.has_imu:
-            for start in range(0, self.total, PIECE):
-                here = slice(start, min(start + PIECE, self.total))
-                assembly_numba.add_accelerometer(self.collocation, x, beta, self.accel, noise, here, extra,
+            for here, own in self._alike(noise):
+                assembly_numba.add_accelerometer(self.collocation, x, beta, self.accel, own, here, extra,
                                                  accumulators, accel)
             residuals["accel"] = accel[:, :, b]
         upper = np.triu(accumulators.square)
@@ -239,6 +248,16 @@ class LatentProblem:
             else:
                 yield slice(start, start + part.size), part
 
+    def _alike(self, noise: Noise) -> Iterator[tuple[slice, Noise]]:
+        """Samples piece by piece, and the accelerometer's noise there."""
+        ends = [*self.run_starts[1:], self.total] if self.loud is not None else [self.total]
+        start = 0
+        for end in ends:
+            own = noise if self.loud is None else replace(noise, accel=noise.accel * self.loud.accel[start])
+            for first in range(start, end, PIECE):
+                yield slice(first, min(first + PIECE, end)), own
+            start = end
+
     @cached_property
     def shown(self) -> Noise:
         """Noise levels that differences between neighbouring samples show; inf for what is not measured."""
@@ -256,24 +275,41 @@ class LatentProblem:
 
     def motion_weight(self, noise: Noise) -> FloatArray:
         """(n, K) of the equation of motion at the Gauss points of every interval [1/(N m)]."""
-        level = np.broadcast_to(((TIGHT * noise.torque) ** 2)[:, None], (self.n, self.left.size))
+        level = np.broadcast_to(self.motion_level(noise) ** 2, (self.n, self.left.size))
         rest = self.stiction_variance
         return np.sqrt(1.0 / (level if rest is None else level + rest[self.left, 1].T))
+
+    def motion_level(self, noise: Noise) -> FloatArray:
+        """(n, K) standard deviation there by noise, not by rest [N m]; (n, 1) where runs are alike."""
+        level = TIGHT * noise.torque[:, None]
+        return level if self.loud is None else level * self.loud.torque[self.left].T
+
+    def torque_level(self, noise: Noise) -> FloatArray:
+        """(N, n) standard deviation of every torque sample's noise [N m]."""
+        level = np.broadcast_to(noise.torque, (self.total, self.n))
+        return level if self.loud is None else level * self.loud.torque
 
     def torque_variance(self, noise: Noise) -> FloatArray:
         """(N, n) of every torque sample [N^2 m^2]."""
         level = np.broadcast_to(noise.torque**2, (self.total, self.n))
+        level = level if self.loud is None else level * self.loud.torque**2
         return level if self.stiction_variance is None else level + self.stiction_variance[:, 0]
 
     def angle_variance(self, joint: int, noise: Noise) -> float | FloatArray:
         """Of a joint's encoder [rad^2]; (N,) where its readings are not alike."""
-        level = float(noise.encoder[joint]) ** 2
-        return level if self.spread is None else level * self.spread[:, joint] ** 2
+        level, scale = float(noise.encoder[joint]) ** 2, self.angle_scale()
+        return level if scale is None else level * scale[:, joint] ** 2
+
+    def angle_scale(self) -> FloatArray | None:
+        """(N, n) standard deviation of each angle over its channel's level; None where all are alike."""
+        if self.loud is None:
+            return self.spread
+        return self.loud.encoder if self.spread is None else self.loud.encoder * self.spread
 
     def torque_weight(self, noise: Noise) -> FloatArray:
         """(N, n) share of each torque sample's variance that is noise, not dry friction at rest; see also
         `correlated_torque.whole_samples`."""
-        share = noise.torque**2 / self.torque_variance(noise)
+        share = self.torque_level(noise) ** 2 / self.torque_variance(noise)
         if noise.torque_correlation is None:
             return share
         return correlated_torque.whole_samples(share, self.mechanism.actuated)
@@ -285,7 +321,8 @@ class LatentProblem:
         if noise.torque_correlation is None:
             found += [(torque_of(i), 2 * n + i, variances[:, i]) for i in range(n)]
         found += [(encoder_of(i), i, self.angle_variance(i, noise)) for i in range(n) if self.has_encoder[i]]
-        return [*found, (GYRO, n, noise.gyro**2)] if self.has_imu else found
+        gyro = noise.gyro**2 if self.loud is None else noise.gyro**2 * self.loud.gyro**2
+        return [*found, (GYRO, n, gyro)] if self.has_imu else found
 
     def _node_rows(self, x: Latents, variances: FloatArray, noise: Noise, diagonal: FloatArray, gradient: FloatArray,
                    residuals: dict[str, FloatArray], extra: Extra | None) -> float:
@@ -310,8 +347,9 @@ class LatentProblem:
                 diagonal[:, column, other] += slope * weight
                 gradient[:, other] += slope * pull
             total += float(r @ pull)
+        loud = self.loud and self.loud.torque
         if noise.torque_correlation is not None:
-            total += correlated_torque.add_samples(residuals["torque"], noise.torque_precision(variances), extra,
+            total += correlated_torque.add_samples(residuals["torque"], noise.torque_precision(variances, loud), extra,
                                                    diagonal[:, 2 * n :, 2 * n :], gradient[:, 2 * n :])
         return total
 
@@ -328,8 +366,9 @@ class LatentProblem:
                 border[:, 2 * self.n + column % self.n, p:] += (extra.by_torque[channel] * c).T
             corner[p:, p:] += c @ extra.reading_columns[channel].T
             gradient_beta[p:] += c @ of_channel(residuals, channel)
+        loud = self.loud and self.loud.torque
         if noise.torque_correlation is not None:
-            correlated_torque.add_columns(residuals["torque"], noise.torque_precision(variances), extra,
+            correlated_torque.add_columns(residuals["torque"], noise.torque_precision(variances, loud), extra,
                                           border[:, 2 * self.n :, p:], corner[p:, p:], gradient_beta[p:])
 
     def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,
@@ -353,40 +392,6 @@ class LatentProblem:
                 if channel.kind in out:  # an accelerometer's are in its rows
                     of_channel(out, channel)[:] += size[p:] @ columns
         return out
-
-    def effective_samples(self, point: Linearised, p_diagonal: FloatArray, noise: Noise) -> dict[str, FloatArray]:
-        """Degrees of freedom that the latents took from each channel, gamma = sum J P J^T / sigma^2.
-
-        Torque samples count by the square of `torque_weight`: so much they say of the noise. The accelerometer's are
-        (2, 2), both axes' products, those with each other where they are correlated.
-        """
-        n = self.n
-        variance = np.einsum("kii->ki", p_diagonal)
-        weight = self.torque_weight(noise)
-        effective_dof = {"torque": np.einsum("kj,kj->j", variance[:, 2 * n:], weight**2) / noise.torque**2,
-                 "encoder": (variance[:, :n] if self.spread is None else variance[:, :n] / self.spread**2).sum(axis=0)
-                 / noise.encoder**2}
-        if noise.torque_correlation is not None:
-            products = np.einsum("ki,kij,kj->ij", weight, p_diagonal[:, 2 * n :, 2 * n :], weight)
-            effective_dof["torque_products"] = products / np.outer(noise.torque, noise.torque)
-        for channel, slope in (point.extra.by_torque.items() if point.extra is not None else ()):
-            j = channel.joint or 0
-            u = 2 * n + j
-            own = u if channel.kind == "torque" else j
-            both = slope**2 * variance[:, u] + 2.0 * slope * p_diagonal[:, own, u]
-            if channel.kind == "torque":
-                both *= weight[:, j] ** 2
-            level = (noise.torque if channel.kind == "torque" else noise.encoder)[j]
-            effective_dof[channel.kind][j] += both.sum() / level**2
-        if self.has_imu:
-            effective_dof["gyro"] = np.array([variance[:, n].sum() / noise.gyro**2])
-            a = point.accel_rows
-            spread = a @ p_diagonal
-            products = np.diag([np.vdot(spread[:, i], a[:, i]) for i in range(2)])
-            if noise.accel_correlation != 0.0:
-                products[0, 1] = products[1, 0] = np.vdot(spread[:, 0], a[:, 1])
-            effective_dof["accel"] = products / np.outer(noise.accel, noise.accel)
-        return effective_dof
 
 
 def of_channel(residuals: Mapping[str, FloatArray], channel: Channel) -> FloatArray:

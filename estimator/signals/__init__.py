@@ -9,6 +9,7 @@ from estimator.signals.segments import (
     Kinematics,
     SignalSet,
     angle_column,
+    by_run,
     differentiate,
     paper_differences,
     split_signals,
@@ -18,7 +19,7 @@ from estimator.signals.steps import SINCE, Touchdowns, cut_steps, find_touchdown
 
 __all__ = [
     "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "SINCE", "STANCE", "Channel", "Kind", "Kinematics",
-    "SignalSet", "Touchdowns", "accelerometer", "angle_column", "cut_steps", "differentiate", "encoder_level",
-    "encoder_of", "find_touchdowns", "lowpass", "paper_differences", "quantum", "split_signals", "tilt",
-    "torque_column", "torque_of", "white_noise_level"
+    "SignalSet", "Touchdowns", "accelerometer", "angle_column", "by_run", "cut_steps", "differentiate",
+    "encoder_level", "encoder_of", "find_touchdowns", "lowpass", "paper_differences", "quantum", "split_signals",
+    "tilt", "torque_column", "torque_of", "white_noise_level",
 ]

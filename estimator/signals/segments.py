@@ -41,6 +41,21 @@ class SignalSet:
     """Of a walker's step, whether leg 2 stands: `Mechanism.exchanged` joints have changed places."""
 
 
+def by_run(signals: Sequence[SignalSet]) -> list[tuple[str, list[SignalSet], slice]]:
+    """Name, stretches and samples of each run; stretches of a run follow each other, in time too."""
+    found: list[tuple[str, list[SignalSet], slice]] = []
+    start = 0
+    for s in signals:
+        end = start + len(s.time_s)
+        if found and found[-1][0] == s.run and found[-1][1][-1].time_s[-1] < s.time_s[0]:
+            _, stretches, where = found.pop()
+            found.append((s.run, [*stretches, s], slice(where.start, end)))
+        else:
+            found.append((s.run, [s], slice(start, end)))
+        start = end
+    return found
+
+
 def angle_column(mechanism: Mechanism, joint: int) -> str:
     """Contract's column of a joint's angle (joint 0-based)."""
     return f"q{joint + 1}_m" if mechanism.length_unit == "m" else f"q{joint + 1}_rad"

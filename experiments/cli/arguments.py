@@ -58,6 +58,15 @@ def chosen_rig(args: argparse.Namespace, runs: Sequence[str]) -> ChosenRig:
     return chosen
 
 
+def assignment(text: str) -> tuple[str, float]:
+    """NAME=VALUE."""
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE") from None
+
+
 def add_force(parser: argparse.ArgumentParser) -> None:
     """`--force`."""
     parser.add_argument("--force", action="store_true",

@@ -39,6 +39,7 @@ def fit_document(result: FitResult, settings: MechanismSettings, trust: Trust | 
                         **({"at_bound": True} if p.name in result.at_bound else {})}
                        for p, value, std, (low, high) in rows],
         "noise": noise_document(result.noise),
+        "noise_by_run": _by_run(result),
         "torque_residual_rms_nm": [float(rms) for rms in result.torque_residual_rms],
         "converged": bool(result.converged), "iterations": int(result.iterations), "samples": int(result.samples),
         "wall_s": float(result.wall_s), "undetermined": list(map(str, result.undetermined)),
@@ -102,6 +103,13 @@ def noise_document(noise: Mapping[str, float]) -> dict[str, float | list[float]]
             assert isinstance(own, list)
             own.append(float(level))
     return found
+
+
+def _by_run(result: FitResult) -> dict[str, Any] | None:
+    """Levels of single runs; None where all have the same."""
+    found = result.run_noise
+    return None if found is None else {
+        "runs": list(found.runs), "levels": {name: [float(x) for x in own] for name, own in found.levels.items()}}
 
 
 def _intervals(result: FitResult) -> tuple[tuple[float, float] | None, ...]:

@@ -12,7 +12,7 @@ from estimator import FitResult, Trajectory
 from estimator.model import Mechanism
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points, window
-from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows
+from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows, run_noise_lines
 from experiments.reports.html import Picture, Section, Table
 from experiments.reports.numbers import Estimate, number
 from experiments.reports.residual_tests import (
@@ -219,7 +219,8 @@ def _noise(result: FitResult) -> Section:
     if not rows:
         return Section("Noise levels", [f"{result.method} neither uses nor estimates any."])
     return Section("Noise levels", ["One standard deviation, estimated from the data where the rig file gives none."],
-                   [Table(["channel", "1 sigma", "unit"], rows, right=frozenset({1}))])
+                   [Table(["channel", "1 sigma", "unit"], rows, right=frozenset({1}))],
+                   notes=[f"{line[:1].upper()}{line[1:]}." for line in run_noise_lines(result)])
 
 
 def _limits(result: FitResult) -> Section:

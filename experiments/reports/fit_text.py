@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 import re
 
+import numpy as np
+
 from estimator import FitResult
 from experiments.console import text_table
+from experiments.reports.friction_form import friction_lines
 from experiments.reports.numbers import number
 from experiments.reports.run_agreement import agreement_lines
 
@@ -35,22 +38,42 @@ PARAMETER_HEADER = ["parameter", "value", "std", "95 % interval", "unit", "meani
 NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "accel_x_mps2": "accelerometer x",
                "accel_y_mps2": "accelerometer y", "accel_correlation": "their correlation, as given",
                "torque_nm": "torque", "encoder_rad": "encoder", "passive_joint_nm": "passive joint, model error"}
-OF_ONE_JOINT = re.compile(r"torque([0-9]+)_nm")
+OF_ONE_JOINT = re.compile(r"(torque|encoder)([0-9]+)_(?:nm|rad)")
 
 
 def noise_rows(result: FitResult) -> list[list[str]]:
     """channel, level, unit of every noise level; none of several together whose own are there."""
-    force, length = result.mechanism.force_unit, result.mechanism.length_unit
-    units = {"gyro_radps": "rad/s", "accel_mps2": "m/s^2", "accel_x_mps2": "m/s^2", "accel_y_mps2": "m/s^2",
-             "torque_nm": force, "encoder_rad": length, "passive_joint_nm": force}
     rows = []
     for name, level in result.noise.items():
-        joint = OF_ONE_JOINT.fullmatch(name)
-        told, unit = (f"torque {joint[1]}", force) if joint else (NOISE_NAMES.get(name, name), units.get(name, ""))
+        told, unit = _channel(result, name)
         if not ((name == "accel_mps2" and "accel_x_mps2" in result.noise)
                 or (name == "torque_nm" and any(map(OF_ONE_JOINT.fullmatch, result.noise)))):
             rows.append([told, f"{level:.3g}", unit])
     return rows
+
+
+def _channel(result: FitResult, name: str) -> tuple[str, str]:
+    """A noise channel in words, and its unit."""
+    force, length = result.mechanism.force_unit, result.mechanism.length_unit
+    units = {"gyro_radps": "rad/s", "accel_mps2": "m/s^2", "accel_x_mps2": "m/s^2", "accel_y_mps2": "m/s^2",
+             "torque_nm": force, "encoder_rad": length, "passive_joint_nm": force}
+    joint = OF_ONE_JOINT.fullmatch(name)
+    if joint:
+        return f"{joint[1]} {joint[2]}", units[f"{joint[1]}_{'nm' if joint[1] == 'torque' else 'rad'}"]
+    return NOISE_NAMES.get(name, name), units.get(name, "")
+
+
+def run_noise_lines(result: FitResult) -> list[str]:
+    """A line for each channel in which runs differ: the quietest run, the loudest, and what follows."""
+    found, lines = result.run_noise, list[str]()
+    if found is None:
+        return lines
+    for name, own in found.levels.items():
+        told, unit = _channel(result, name)
+        quiet, loud = int(np.argmin(own)), int(np.argmax(own))
+        lines.append(f"noise of runs differs: {told} {own[quiet]:.3g} {unit} ({found.runs[quiet]}) to {own[loud]:.3g} "
+                     f"({found.runs[loud]}); each run weighs by its own")
+    return lines
 
 
 def fit_text(result: FitResult, model: str) -> str:
@@ -62,10 +85,12 @@ def fit_text(result: FitResult, model: str) -> str:
     if result.noise:
         lines.append("noise (1 sigma): " + ", ".join(
             f"{name} {level} {unit}".rstrip() for name, level, unit in noise_rows(result)))
+    lines += run_noise_lines(result)
     lines.append("torque residual (rms): " + ", ".join(
         f"joint {j + 1} {rms:.3g} {result.mechanism.force_unit}" for j, rms in enumerate(result.torque_residual_rms)))
     if result.mechanism.force_unit == "V":
         lines.append(VOLTS)
+    lines += friction_lines(result)
     lines += agreement_lines(result)
     lines += [f"not determined by this data: {name}" for name in result.undetermined]
     lines += [f"warning: {text}" for text in (*result.inadmissible, *result.warnings)]

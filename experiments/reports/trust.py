@@ -89,6 +89,9 @@ def fit_trust(result: FitResult, contradictions: Sequence[str] = ()) -> Trust:
                if min(torque.values()) >= GOOD_FIT else " Good for rough torque feedforward only."
                if min(torque.values()) >= ROUGH_FIT else " Not good for torque feedforward either.")
         return Trust("caution", f"DO NOT TRUST the parameters: {'; '.join(doubts)}.{use}", tuple(facts))
+    if tested and not result.mechanism.actuated:
+        return Trust("caution", f"TRUST the ratios of the parameters within their intervals: no torque was measured, "
+                     f"and their scale is that of {', '.join(result.fixed)}, which was given.", tuple(facts))
     if not tested or not torque:
         return Trust("caution", f"NOT TESTED: what {result.method} leaves over is coloured by its filters and cannot "
                      "judge the parameters; mle's can.", tuple(facts))

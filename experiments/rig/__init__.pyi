@@ -6,10 +6,12 @@ from .devices import open_devices as open_devices
 from .devices import open_imu as open_imu
 from .discovery import probe as probe
 from .questions import ask_facts as ask_facts
+from .servo_law import needs_law as needs_law
 from .setup import Setup as Setup
 from .setup import damaged_runs as damaged_runs
 from .setup import load_runs as load_runs
 from .setup import load_setup as load_setup
+from .setup import prepare as prepare
 from .setup import require_whole as require_whole
 from .setup import setup_of as setup_of
 from .writer import RigFacts as RigFacts

@@ -8,17 +8,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from daq import Dataset, InputError, Rig, joint_count
 from daq.runs import IMU
 from estimator import FitOptions
 from estimator.calibration import DistanceMeter, angle_record, find_zeros, subtract, zeros_text
+from estimator.fitting import has_torque
 from estimator.model import Mechanism
 from estimator.signals import STANCE, cut_steps
 from experiments.console import detail, progress
 from experiments.exchange import load_any_run
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
+from experiments.rig.servo_law import with_law
+
+FREE_SWING = "no joint is driven, for every torque of every run is exactly zero"
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,10 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
         mechanism = build_mechanism(settings)
     except ValueError as error:
         raise InputError("the rig file", str(error), "correct [mechanism] and [terms]") from None
+    free_swing = bool(datasets and settings.actuated) and not has_torque(datasets, mechanism)
+    if free_swing:
+        settings = structs.replace(settings, actuated=())
+        mechanism = build_mechanism(settings)
     for name in fixed or {}:
         if name not in mechanism.names:
             raise InputError("--fix", f"{settings.model} has no parameter {name}",
@@ -95,8 +104,9 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
         if sigmas:
             level = float(np.sqrt(np.nanmean(np.square(np.concatenate(sigmas)))))
             options = replace(options, noise={**options.noise, "encoder1_rad": level})
-    notes = tuple(f"{d.name} is to be doubted: {d.sources['doubt']}" for d in datasets if "doubt" in d.sources)
-    notes += tuple(f"{d.name}: {d.sources['steps']}" for d in datasets if "steps" in d.sources)
+    doubts = (f"{d.name} is to be doubted: {d.sources['doubt']}" for d in datasets if "doubt" in d.sources)
+    steps = (f"{d.name}: {d.sources['steps']}" for d in datasets if "steps" in d.sources)
+    notes = (*[FREE_SWING] * free_swing, *doubts, *steps)
     return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes, rig.motor.gear_ratio), rig, beta)
 
 
@@ -112,8 +122,9 @@ def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> S
 
 
 def prepare(data: Dataset, rig: Rig) -> Dataset:
-    """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts; with the
-    absolute angle that a distance meter shows; and a walker's cut into steps.
+    """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts, for one without
+    a torque channel what its law gives; with the absolute angle that a distance meter shows; and a walker's cut into
+    steps.
 
     The column keeps its torque name; every parameter is then in volt units, and said to be. Raises `FitError`
     where a walker's steps cannot be told.
@@ -123,6 +134,8 @@ def prepare(data: Dataset, rig: Rig) -> Dataset:
     if rig.distance_meter is not None and "distance_m" in data:
         d = rig.distance_meter
         data = angle_record(data, DistanceMeter(d.mount_m, d.gamma_rad, d.sigma_m, d.sigma_per_m), d.upright_rad)
+    if rig.servo is not None and rig.servo.gain is not None:
+        data = with_law(data, rig, rig.servo)
     if rig.mechanism.input != "voltage" or "duty" not in data:
         return data
     column = "tau1_n" if "q1_m" in data and "q1_rad" not in data else "tau1_nm"

@@ -9,20 +9,23 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
-from daq import Dataset, Rig
+from daq import Dataset, InputError, Rig, Servo
 from estimator import FitError, FitOptions, FitResult
 from estimator.calibration import find_differing, needed_terms
 from estimator.fitting import measured_states, prediction_score
 from estimator.model import Mechanism, settings_of
 from experiments.models import MechanismSettings, build_mechanism
-from experiments.rig import Setup, setup_of
+from experiments.rig import Setup, needs_law, prepare, setup_of
 from experiments.workflows.fit import fit_setup
+from experiments.workflows.servo_gain import scaled
 from experiments.workflows.usable import SetAside, set_aside
 
 SPEED_SHARE = 1e-3
 """Of a slide's speed, over which its friction's sign is rounded: what 0.005 rad/s is of a joint at 5 rad/s."""
 NOISY = 0.2
 """Share of a torque's spread that, put down to noise, asks whether the angles err by more than their encoder shows."""
+UNLIMITED = 1e6
+"""Torque limit [rad of error] of a servo in units of its gain."""
 DOUBTFUL = 0.25
 """Such a share that is left at the end is said: intervals take it for white. (On two real arms the published values lie
 up to eight half widths away.)"""
@@ -148,6 +151,8 @@ class Fitted:
     choices: tuple[Choice, ...]
     aside: tuple[SetAside, ...] = ()
     """Runs that were not used."""
+    servo_gain: tuple[float, float, float] | None = None
+    """Value and 95 % interval of a servo's gain that the fit found"""
 
 
 def fit_runs(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
@@ -156,6 +161,8 @@ def fit_runs(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
 
     Raises `InputError` as `setup_of`, `FitError` as `fit_setup`.
     """
+    if rig.servo is not None and rig.servo.gain is None and any(needs_law(data, rig) for data in datasets):
+        return _with_gain(datasets, rig, rig.servo, sensors, fixed, latent, method)
     bare = structs.replace(rig, terms=structs.replace(rig.terms, encoder_zero=()))
     usable, aside = set_aside(setup_of(datasets, bare, sensors, fixed))
     datasets = usable.datasets
@@ -176,6 +183,27 @@ def fit_runs(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
                      warnings=(*told, *result.warnings))
     choices = (*choices, *_found_rounding(setup.mechanism, result.mechanism))  # its fit has said so
     return Fitted(setup, result, with_choices(rig, choices), choices, aside)
+
+
+def _with_gain(datasets: Sequence[Dataset], rig: Rig, servo: Servo, sensors: str | None,
+               fixed: Mapping[str, float] | None, latent: str, method: str) -> Fitted:
+    """`fit_runs` of a servo whose gain is not known: in units of the gain, which the one parameter given then tells."""
+    if fixed is None or len(fixed) != 1:
+        raise FitError("nothing tells the servo's gain: give it as gain under [servo], or one parameter, as "
+                       "--fix NAME=VALUE, by which the fit finds it")
+    (name, value), = fixed.items()
+    unit = structs.replace(rig, servo=structs.replace(servo, gain=1.0, limit=UNLIMITED))
+    fitted = fit_runs([prepare(data, unit) for data in datasets], unit, sensors, None, latent, method)
+    if name not in fitted.result.mechanism.names:
+        raise InputError("--fix", f"{rig.mechanism.model} has no parameter {name}",
+                         f"it has {', '.join(fitted.result.mechanism.names)}")
+    result, gain, half = scaled(fitted.result, name, value)
+    told = (f"the servo's gain is {gain:.4g} [{gain - half:.4g}, {gain + half:.4g}] "
+            f"{'1/rad of duty' if rig.mechanism.input == 'voltage' else result.mechanism.force_unit + '/rad'}, by "
+            f"{name} = {value:g}, which was given")
+    found = structs.replace(fitted.rig, servo=structs.replace(servo, gain=gain))
+    return replace(fitted, result=replace(result, assumptions=(told, *result.assumptions)), rig=found,
+                   servo_gain=(gain, gain - half, gain + half))
 
 
 def encoder_error(setup: Setup, result: FitResult) -> tuple[tuple[Choice, ...], Setup, FitResult]:

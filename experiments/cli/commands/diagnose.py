@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import argparse
 
-from experiments.cli.arguments import MOST_WORKERS, add_force, add_output, add_rig, chosen_rig, share, whole_number
+from experiments.cli.arguments import (
+    MOST_WORKERS,
+    add_force,
+    add_output,
+    add_rig,
+    assignment,
+    chosen_rig,
+    share,
+    whole_number,
+)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -28,6 +37,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="a cause matters where the rms error of free runs falls by this share of it; default: 0.1")
     parser.add_argument("--workers", metavar="N", type=whole_number(1, MOST_WORKERS),
                         help="processes that share the work; default: one a core")
+    parser.add_argument("--fix", metavar="NAME=VALUE", action="append", default=[], type=assignment,
+                        help="give a parameter, as runs without a torque need for their scale; may be repeated")
     parser.add_argument("--reference", metavar="MODEL.json",
                         help="an earlier model of this rig: parameters that changed are reported, a payload for one")
     parser.set_defaults(run=run)
@@ -54,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     origin = origin_of(args.runs, chosen.source, args.reference, args.seed, command=command_line())
     earlier = load_model(args.reference) if args.reference else None
     require_one_rig(args.runs)
-    setup, aside = set_aside(load_setup(args.runs, rig, damaged=args.damaged))
+    setup, aside = set_aside(load_setup(args.runs, rig, fixed=dict(args.fix), damaged=args.damaged))
     for run in aside:
         warn(str(run))
     reference = None if earlier is None else reference_values(earlier, args.reference, setup)

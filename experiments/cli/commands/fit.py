@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from estimator import METHODS
-from experiments.cli.arguments import MOST_WORKERS, add_force, add_output, add_rig, chosen_rig, whole_number
+from experiments.cli.arguments import MOST_WORKERS, add_force, add_output, add_rig, assignment, chosen_rig, whole_number
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -22,7 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="what gives the pivot's angle; default: imu where all runs have its columns")
     parser.add_argument("--latent", choices=("trajectory", "free"), default="trajectory",
                         help="mle only: one consistent motion (default), or the paper's free samples")
-    parser.add_argument("--fix", metavar="NAME=VALUE", action="append", default=[], type=_assignment,
+    parser.add_argument("--fix", metavar="NAME=VALUE", action="append", default=[], type=assignment,
                         help="give a parameter instead of estimating it, e.g. --fix beta8=0; may be repeated")
     parser.add_argument("--each", action="store_true",
                         help="fit every run alone, side by side; --json then has schema legid.fits/1")
@@ -37,14 +37,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_output(parser, "--model-out", "legid.model/1", "MODEL.json", help="write the model for validate and simulate")
     add_force(parser)
     parser.set_defaults(run=run)
-
-
-def _assignment(text: str) -> tuple[str, float]:
-    name, _, value = text.partition("=")
-    try:
-        return name.strip(), float(value)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE") from None
 
 
 def _run_each(args: argparse.Namespace) -> int:
@@ -98,6 +90,8 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, with_origin(
             {**fit_document(result, setup.settings, trust),
              "set_aside": [run.document for run in fitted.aside],
+             "servo_gain": None if fitted.servo_gain is None else {"value": fitted.servo_gain[0],
+                                                                   "ci95": list(fitted.servo_gain[1:])},
              "chosen": [choice.document for choice in fitted.choices]}, origin, setup.datasets))
     if args.html and origin:
         from experiments.reports import fit_sections, fit_summary, origin_section, write_page

@@ -146,7 +146,7 @@ def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
     (LEG, NAMES[1:], "time_s"), (LEG, ["time_s", "tau2_nm", "q1_rad"], "q2_rad"),
     (LEG, ["time_s", "q2_rad", "q1_rad"], "tau2_nm"), (LEG, ["time_s", "q2_rad", "tau2_nm"], "q1_rad"),
     (LEG, NAMES[:5], "accel_y_mps2"), (rig("leg2", "[1, 2]"), NAMES, "tau1_nm"),
-    (rig("leg2", "[]"), ["time_s", "q2_rad", "q1_rad"], "tau2_nm"),
+    (rig("leg2", "[1]"), ["time_s", "q2_rad", "q1_rad", "tau1_nm"], "tau2_nm"),
     (rig("joint1", "[1]"), ["time_s", "tau1_nm"], "q1_rad"), (rig("joint1", "[1]"), ["time_s", "q1_rad"], "tau1_nm"),
     (rig("joint1", "[1]"), ["time_s", "q1_m", "tau1_nm"], "tau1_n"),
     (rig("joint1", "[1]", 'input = "voltage"\n'), ["time_s", "q1_rad", "volts"], "duty"),
@@ -156,6 +156,11 @@ def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
 ])
 def test_a_missing_column_is_named(tmp_path: Path, rig_: Rig, names: list[str], column: str) -> None:
     assert f"line 1: column {column} is missing" in refusal(put(tmp_path / "r.csv", rows(60, names), names), rig_)
+
+
+def test_a_leg_without_a_motor_needs_no_torque(tmp_path: Path) -> None:
+    names = ["time_s", "q2_rad", "q1_rad"]
+    assert read_csv(put(tmp_path / "r.csv", rows(60, names), names), rig("leg2", "[]")).time_s.size == 60
 
 
 @pytest.mark.parametrize(("rig_", "names"), [

@@ -20,6 +20,7 @@ from estimator.effects.friction import StribeckFriction
 from estimator.effects.sensors import EncoderOffset
 from estimator.effects.stand import BaseCompliance
 from estimator.effects.structure import Backlash, RotorInertia
+from estimator.likelihood.effective_samples import effective_samples
 from estimator.likelihood.extended_likelihood import ExtendedProblem, Stage
 from estimator.likelihood.free_run import _Plant, free_run, pieces
 from estimator.likelihood.noise import Noise
@@ -227,7 +228,7 @@ def test_readings_that_follow_the_torque_are_linearised(effect: Effect) -> None:
         assert after[channel] - point.residuals[channel] == pytest.approx(change, rel=1e-2, abs=1e-8)
     variance = np.einsum("k,ij->kij", rng.uniform(1.0, 2.0, count), np.eye(problem.block))
     by_u = 1.0 + point.extra.by_torque.get(torque_of(1), 0.0)
-    taken = problem.effective_samples(point, variance, noise)["torque"][1]
+    taken = effective_samples(problem, point, variance, noise)["torque"][0, 1]
     assert taken == pytest.approx(np.sum(by_u**2 * variance[:, 5, 5]) / 2.0**2)
 
 

@@ -128,7 +128,7 @@ def test_free_swing_gives_the_published_ratios_and_prefers_coulomb_friction(
         assert {name: fit["found"][name] for name in published} == pytest.approx(published, rel=0.02)
     assert both["found"]["beta8"] > 5 * both["std"]["beta8"]  # Coulomb friction at the pivot, beside viscous
     assert coulomb["torque_residual_rms"][0] < viscous["torque_residual_rms"][0]
-    assert "scale of the parameters is not determined" in without["refused"]
+    assert "up to a common factor only: give one, e.g. --fix beta5=VALUE" in without["refused"]
 
 
 @needs_records

@@ -1,0 +1,171 @@
+r"""A noise level of each run's own, where runs ask for it.
+
+With one level for all, a run that is noisier than the others weighs as much as they do. Each channel's runs are cut
+into pieces of one length; of each there is the logarithm of what is left over, as a variance. These are compared
+between runs and within them (analysis of variance of log variances: Bartlett and Kendall, J. R. Stat. Soc. Suppl. 8,
+1946):
+what noise and model make differ from piece to piece of one run does not count as a difference between runs. Runs get
+levels where that is beyond chance, and where equal weights would cost more than WORTH in the variance of what is
+estimated. A run's level is then drawn to the mean of all by what its pieces do not know of it (DerSimonian and Laird,
+Control. Clin. Trials 7, 1986), so a short run keeps nearly that of the others.
+
+Of a channel of which the latents took all but a share f, what is left over tells little: the information about the
+logarithm of its variance is N f^2 / 2, since what is left grows with the level, which is sought, as well. So a variance
+by pieces counts 1 / f^2 times. (Measured: without it the torques of two runs
+of a real arm, whose encoders cannot tell it from its noise, fell to nothing.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import FloatArray
+from estimator.likelihood import LatentProblem, Loudness, Noise, even
+from estimator.options import FitOptions
+from estimator.result import RunNoise
+from estimator.signals import SignalSet, by_run
+
+CHANCE = 0.01
+"""Probability that runs alike differ as much, below which they count as different."""
+WORTH = 1.05
+"""Variance by equal weights over that by the runs' own, below which equal weights stay."""
+PIECES = 8
+"""Pieces into which a run of mean length is cut, of no fewer than ..."""
+LEAST_PIECE = 50
+"""... so many samples."""
+LEAST_LEFT = 0.02
+"""Share of a channel's samples that the latents leave at least."""
+STEP = 2.0
+"""Most by which a level changes at once."""
+IntArray = NDArray[np.intp]
+
+
+class Column(NamedTuple):
+    """One channel of a fit whose noise is estimated."""
+
+    name: str
+    """As levels by joint and axis are called."""
+    square: FloatArray
+    """(N,) what is left over, squared, times ..."""
+    weight: FloatArray
+    """(N,) ... the share of it that is noise"""
+    taken: FloatArray
+    """(R,) degrees of freedom that the latents took of each run"""
+    kind: str
+    """Of `Loudness`, and the column in it, None for a kind of one channel."""
+    at: int | None
+    level: float
+    floor: float
+
+
+class RunLevels(NamedTuple):
+    """Levels of R runs."""
+
+    ratio: FloatArray
+    """(R,) over the root mean square of all"""
+    differ: bool
+    """Whether the runs differ by more than chance, and by what matters."""
+
+
+def columns(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatArray], taken: Mapping[str, FloatArray],
+            options: FitOptions, floors: Noise) -> Iterator[Column]:
+    """Every driven joint's torque, encoder, gyro and axis of the accelerometer whose level is not given."""
+    whole, weight = np.ones(problem.total), problem.torque_weight(noise)
+    for j in problem.mechanism.actuated:
+        if options.torque_noise(j, True) is None:
+            yield Column(f"torque{j + 1}_nm", residuals["torque"][:, j] ** 2 * weight[:, j] ** 2, weight[:, j],
+                         taken["torque"][:, j], "torque", j, float(noise.torque[j]), float(floors.torque[j]))
+    for j in map(int, np.flatnonzero(problem.has_encoder)):
+        if options.encoder_noise(j) is None:
+            r = residuals["encoder"][:, j] / (1.0 if problem.spread is None else problem.spread[:, j])
+            yield Column(f"encoder{j + 1}_rad", r**2, whole, taken["encoder"][:, j], "encoder", j,
+                         float(noise.encoder[j]), float(floors.encoder[j]))
+    if problem.has_imu and "gyro_radps" not in options.noise:
+        yield Column("gyro_radps", residuals["gyro"] ** 2, whole, taken["gyro"], "gyro", None, noise.gyro, floors.gyro)
+    for i, axis in enumerate("xy" if problem.has_imu else ""):
+        if options.accel_noise(i) is None:
+            yield Column(f"accel_{axis}_mps2", residuals["accel"][:, i] ** 2, whole, taken["accel"][:, i, i], "accel",
+                         i, float(noise.accel[i]), float(floors.accel[i]))
+
+
+def renewed(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatArray], taken: Mapping[str, FloatArray],
+            options: FitOptions, floors: Noise) -> tuple[Loudness | None, frozenset[str]]:
+    """The runs' levels over those of all, and the channels that have them; None where runs are alike, or one.
+
+    `residuals` are after a step, not weighted, `taken` is of `effective_samples`. A channel that had levels of its runs
+    before keeps them, whatever the test says now.
+    """
+    asked, loud = set(problem.loud_channels), even(problem.total, problem.n)
+    if len(problem.run_starts) < 2:
+        return None, frozenset()
+    lengths = np.diff(np.append(problem.run_starts, problem.total))
+    for column in columns(problem, noise, residuals, taken, options, floors):
+        found = run_levels(column, problem.run_starts, lengths)
+        if not found.differ and column.name not in asked:
+            continue
+        asked.add(column.name)
+        ratio = found.ratio
+        if problem.loud is not None:
+            before = _of(problem.loud, column)[problem.run_starts]
+            ratio = before * np.clip(ratio / before, 1.0 / STEP, STEP)
+        ratio = np.maximum(ratio, column.floor / column.level)
+        _of(loud, column)[:] = np.repeat(ratio, lengths)
+    return (loud if asked else None), frozenset(asked)
+
+
+def run_levels(column: Column, starts: IntArray, lengths: IntArray) -> RunLevels:
+    """How loud the runs are, which begin at samples `starts` (R,) and have so many, `lengths` (R,)."""
+    size = max(LEAST_PIECE, int(np.mean(lengths)) // PIECES)
+    counts = np.maximum(lengths // size, 1)
+    begin = np.concatenate([s + (np.arange(c) * n) // c for s, n, c in zip(starts, lengths, counts, strict=True)])
+    run = np.repeat(np.arange(len(starts)), counts)
+    weight = np.maximum(np.add.reduceat(column.weight, starts), 1e-9)
+    left = np.clip(1.0 - column.taken / weight, LEAST_LEFT, 1.0)
+    known = np.maximum(np.add.reduceat(column.weight, begin) * left[run], 1e-9)
+    log = np.log(np.maximum(np.add.reduceat(column.square, begin), 1e-300) / known)
+    mean = np.bincount(run, log) / counts
+    freedom = len(log) - len(starts)
+    within = 2.0 * float(np.mean(left[run] / known))
+    if freedom:
+        within = max(within, float(np.sum((log - mean[run]) ** 2)) / freedom)
+    variance = within / (counts * left**2)
+    w = 1.0 / variance
+    centre = float(np.average(mean, weights=w))
+    q, others = float(np.sum(w * (mean - centre) ** 2)), len(starts) - 1
+    scatter = max(0.0, (q - others) / float(np.sum(w) - np.sum(w**2) / np.sum(w)))
+    centre = float(np.average(mean, weights=1.0 / (scatter + variance)))
+    ratio = np.exp(0.5 * (mean - centre) * scatter / (scatter + variance))
+    ratio /= np.sqrt(np.average(ratio**2, weights=lengths))
+    worth = float(np.mean(ratio**2) * np.mean(ratio**-2))
+    differ = freedom > 0 and worth > WORTH and _above(q / others, others, freedom) < CHANCE
+    return RunLevels(ratio, differ)
+
+
+def run_noise(problem: LatentProblem, signals: Sequence[SignalSet], noise: Noise) -> RunNoise | None:
+    """The runs' own levels, of the channels that have them."""
+    if problem.loud is None:
+        return None
+    of_run = problem.loud.of(problem.run_starts)
+    found = {f"torque{j + 1}_nm": noise.torque[j] * of_run.torque[:, j] for j in range(problem.n)}
+    found |= {f"encoder{j + 1}_rad": noise.encoder[j] * of_run.encoder[:, j] for j in range(problem.n)}
+    found["gyro_radps"] = noise.gyro * of_run.gyro
+    found |= {f"accel_{axis}_mps2": noise.accel[i] * of_run.accel[:, i] for i, axis in enumerate("xy")}
+    return RunNoise(tuple(run for run, _, _ in by_run(signals)),
+                    {name: levels for name, levels in found.items() if name in problem.loud_channels})
+
+
+def _of(loud: Loudness, column: Column) -> FloatArray:
+    """(N,) a view."""
+    values: FloatArray = getattr(loud, column.kind)
+    return values if column.at is None else values[:, column.at]
+
+
+def _above(ratio: float, freedom: int, other: int) -> float:
+    """Probability of Fisher's F above `ratio` (Paulson, Ann. Math. Stat. 13, 1942)."""
+    a, b, root = 2.0 / (9.0 * freedom), 2.0 / (9.0 * other), math.cbrt(ratio)
+    return 0.5 * math.erfc(((1.0 - b) * root - (1.0 - a)) / math.sqrt(2.0 * (b * root**2 + a)))

@@ -1,0 +1,56 @@
+"""`effective_samples`: how much of each channel the latents took, so that what is left tells of its noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.likelihood.noise import Noise
+from estimator.likelihood.normal_equations import Linearised
+from estimator.likelihood.trajectory_likelihood import LatentProblem
+
+
+def effective_samples(problem: LatentProblem, point: Linearised, p_diagonal: FloatArray, noise: Noise
+                      ) -> dict[str, FloatArray]:
+    """Degrees of freedom that the latents took from each channel, gamma = sum J P J^T / sigma^2, by run (R, ...).
+
+    `p_diagonal` (N, b, b) are the diagonal blocks of the latents' covariance. Torque samples count by the square of
+    `torque_weight`: so much they say of the noise. The accelerometer's are (R, 2, 2), both axes' products, those with
+    each other where they are correlated.
+    """
+    n, starts = problem.n, problem.run_starts
+
+    def by_run(values: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(values, starts, axis=0))
+
+    variance = np.einsum("kii->ki", p_diagonal)
+    weight = problem.torque_weight(noise)
+    scale = problem.torque_level(noise)
+    angles = problem.angle_scale()
+    found = {"torque": by_run(variance[:, 2 * n :] * (weight / scale) ** 2),
+             "encoder": by_run(variance[:, :n] if angles is None else variance[:, :n] / angles**2) / noise.encoder**2}
+    if noise.torque_correlation is not None:
+        shares = weight / scale
+        found["torque_products"] = by_run(shares[:, :, None] * p_diagonal[:, 2 * n :, 2 * n :] * shares[:, None, :])
+    for channel, slope in (point.extra.by_torque.items() if point.extra is not None else ()):
+        j = channel.joint or 0
+        u = 2 * n + j
+        own = u if channel.kind == "torque" else j
+        both = slope**2 * variance[:, u] + 2.0 * slope * p_diagonal[:, own, u]
+        if channel.kind == "torque":
+            both = both * (weight[:, j] / scale[:, j]) ** 2
+        else:
+            both = both / (noise.encoder[j] * (1.0 if problem.loud is None else problem.loud.encoder[:, j])) ** 2
+        found[channel.kind][:, j] += by_run(both)
+    if problem.has_imu:
+        gyro = variance[:, n] if problem.loud is None else variance[:, n] / problem.loud.gyro**2
+        found["gyro"] = by_run(gyro) / noise.gyro**2
+        rows = point.accel_rows if problem.loud is None else point.accel_rows / problem.loud.accel[:, :, None]
+        spread = rows @ p_diagonal
+        products = np.zeros((len(starts), 2, 2))
+        for i in range(2):
+            products[:, i, i] = by_run(np.einsum("kb,kb->k", spread[:, i], rows[:, i]))
+        if noise.accel_correlation != 0.0:
+            products[:, 0, 1] = products[:, 1, 0] = by_run(np.einsum("kb,kb->k", spread[:, 0], rows[:, 1]))
+        found["accel"] = products / np.outer(noise.accel, noise.accel)
+    return found

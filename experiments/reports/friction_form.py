@@ -1,0 +1,43 @@
+"""Which form friction has in a motion without motors: what each of its terms takes of the energy that is lost."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq import FloatArray
+from estimator import FitResult
+
+
+def friction_lines(result: FitResult) -> list[str]:
+    """A line for each joint: the share that Coulomb friction takes of what both terms take, with its 95 % interval.
+
+    None where a joint is driven, where the motor's power hides what is lost.
+    """
+    if result.mechanism.actuated or not result.trajectories:
+        return []
+    qd = np.concatenate([path.qd for path in result.trajectories])
+    lines = []
+    for j in range(result.mechanism.n):
+        columns = [k for k, p in enumerate(result.mechanism.parameters)
+                   if p.term in ("coulomb", "viscous") and p.at[0] == j]
+        if len(columns) < 2 or {result.mechanism.parameters[k].name for k in columns} & result.open_parameters:
+            continue
+        share, half = coulomb_share(result, columns, qd[:, j])
+        low, high = max(share - half, 0.0), min(share + half, 1.0)
+        lines.append(f"friction of joint {j + 1}: its Coulomb part takes {100 * share:.0f} % [{100 * low:.0f}, "
+                     f"{100 * high:.0f}] of the energy that friction takes, its viscous part the rest; legid diagnose "
+                     "tells whether another form is missing")
+    return lines
+
+
+def coulomb_share(result: FitResult, columns: list[int], qd: FloatArray) -> tuple[float, float]:
+    """Share of the work of Coulomb friction in that of both parameters `columns`, at speeds `qd` (N,), and half of its
+    95 % interval, to first order."""
+    coulomb = [result.mechanism.parameters[k].term == "coulomb" for k in columns]
+    work = np.array([np.sum(np.abs(qd)) if dry else np.sum(qd**2) for dry in coulomb])
+    loss = work * result.beta[columns]
+    share = float(loss @ coulomb / np.sum(loss))
+    slope = work * (np.array(coulomb, dtype=float) - share) / np.sum(loss)
+    variance = float(slope @ result.covariance[np.ix_(columns, columns)] @ slope)
+    widest = float(np.max(result.half_width[columns] / np.maximum(result.std[columns], 1e-300)))
+    return share, widest * np.sqrt(variance)

@@ -1,0 +1,162 @@
+"""A noise level of each run's own: the plants, their noise and the least squares held against it are the tests'."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq import Dataset, FloatArray
+from estimator import FitOptions, FitResult, fit
+from estimator.fitting.run_levels import Column, run_levels
+from estimator.likelihood import LatentProblem, Latents, Loudness, Noise
+from estimator.model import leg2
+from estimator.signals import split_signals
+from experiments.models import MechanismSettings
+from experiments.reports.fit_json import fit_document
+from experiments.reports.fit_text import fit_text
+from tests.support.mujoco_leg import Leg, random_leg, record
+
+LEVELS = {"gyro_radps": 0.01, "accel_x_mps2": 0.05, "accel_y_mps2": 0.05, "tau2_nm": 0.02, "q1_rad": 3e-4,
+          "q2_rad": 3e-4}
+LOUD, TIMES, RUNS, FITS = 1, 4.0, 4, 12
+ROUND = 0.05
+Plant = tuple[Leg, list[Dataset]]
+
+
+@pytest.fixture(scope="module")
+def plant() -> Plant:
+    """A leg of MuJoCo and four runs of 8 s of it, without noise."""
+    rng = np.random.default_rng(911)
+    leg = random_leg(rng)
+    return leg, [record(leg, rng, seconds=8.0, gyro=0.0, accel=0.0, torque=0.0, counts=2**24, friction_velocity=ROUND,
+                        name=f"run{k}") for k in range(RUNS)]
+
+
+def noisy(plant: Plant, rng: np.random.Generator, times: float, samples: int = 800) -> list[Dataset]:
+    """Its runs with noise; the one that is LOUD has `times` as much, and so many samples."""
+    runs = []
+    for k, run in enumerate(plant[1]):
+        if k == LOUD:
+            run = run.part(slice(0, samples))
+        loud = times if k == LOUD else 1.0
+        columns = {c: run[c] + loud * s * rng.normal(size=len(run)) for c, s in LEVELS.items()}
+        runs.append(replace(run, columns=columns))
+    return runs
+
+
+def fits(plant: Plant, times: float, sensors: str, count: int = FITS, samples: int = 800) -> list[FitResult]:
+    mechanism = leg2(lever_arm=plant[0].lever, velocity_scale=ROUND)
+    return [fit(noisy(plant, np.random.default_rng([3, k]), times, samples), mechanism, FitOptions(sensors=sensors))
+            for k in range(count)]
+
+
+def error(plant: Plant, found: list[FitResult]) -> FloatArray:
+    return np.array([f.beta / plant[0].beta() - 1.0 for f in found])
+
+
+@pytest.mark.parametrize(("sensors", "channels"), [
+    ("imu", {"gyro_radps": 0.01, "accel_y_mps2": 0.05, "torque2_nm": 0.02, "encoder2_rad": 3e-4}),
+    ("encoder", {"torque2_nm": 0.02, "encoder1_rad": 3e-4, "encoder2_rad": 3e-4})])
+def test_a_noisy_run_costs_no_more_than_leaving_it_out(plant: Plant, sensors: str, channels: dict[str, float]) -> None:
+    found, quiet = fits(plant, TIMES, sensors), fits(plant, 1.0, sensors)
+    assert all(f.converged for f in (*found, *quiet)) and all(f.run_noise is None for f in quiet)
+    for name, level in channels.items():
+        levels = np.mean([f.run_noise.levels[name] for f in found if f.run_noise is not None], axis=0)
+        told = [TIMES if k == LOUD else 1.0 for k in range(RUNS)]
+        assert levels == pytest.approx(level * np.array(told), rel=0.15)
+    spread = [np.exp(np.mean(np.log(np.sqrt(np.mean(error(plant, some) ** 2, axis=0))))) for some in (found, quiet)]
+    assert spread[0] < 1.4 * spread[1]  # with three runs of four 1.15; with one level for all of them 2.2
+    held = np.abs(error(plant, found)) < np.array([f.half_width for f in found]) / plant[0].beta()
+    assert np.mean(held) > 0.88
+
+
+def test_a_short_run_among_runs_alike_gets_no_level_of_its_own(plant: Plant) -> None:
+    assert all(f.run_noise is None for f in fits(plant, 1.0, "imu", 6, 60))
+
+
+def test_runs_alike_get_levels_of_their_own_seldom() -> None:
+    rng, alarms = np.random.default_rng(4), 0
+    starts, lengths = np.array([0, 1000, 1100, 2000]), np.array([1000, 100, 900, 1000])
+    for _ in range(400):
+        alarms += run_levels(_column(rng.normal(size=3000) ** 2), starts, lengths).differ
+    assert alarms <= 12  # 1 % is chance
+
+
+def test_what_differs_within_a_run_does_not_tell_runs_apart() -> None:
+    """Loud and quiet seconds, drawn alike in every run."""
+    rng, alarms = np.random.default_rng(5), 0
+    starts, lengths = np.arange(4) * 1000, np.full(4, 1000)
+    for _ in range(200):
+        within = np.repeat(np.exp(0.5 * rng.normal(size=32)), 125)
+        alarms += run_levels(_column((within * rng.normal(size=4000)) ** 2), starts, lengths).differ
+    assert alarms <= 8
+
+
+def test_levels_are_drawn_to_the_mean_by_what_a_run_does_not_know() -> None:
+    rng, drawn = np.random.default_rng(6), []
+    starts, lengths = np.array([0, 1000, 2000, 3000, 4000]), np.array([1000, 1000, 1000, 1000, 50])
+    true = np.repeat([1.0, 1.5, 0.7, 1.2, 2.0], lengths)
+    for _ in range(100):
+        found = run_levels(_column((true * rng.normal(size=4050)) ** 2), starts, lengths)
+        assert found.differ
+        drawn.append(found.ratio / found.ratio[0])
+    mean = np.mean(drawn, axis=0)
+    assert mean[:4] == pytest.approx([1.0, 1.5, 0.7, 1.2], rel=0.03)
+    assert 1.6 < mean[4] < 2.0
+
+
+def test_runs_whose_noise_the_motion_took_say_nothing() -> None:
+    """The second run's latents took 98 % of its samples: what little is left over is no quiet channel."""
+    rng = np.random.default_rng(7)
+    starts, lengths = np.arange(4) * 1000, np.full(4, 1000)
+    scale = np.repeat([1.0, 0.01, 1.0, 1.0], 1000)
+    column = _column((scale * rng.normal(size=4000)) ** 2)
+    found = run_levels(column._replace(taken=np.array([0.0, 980.0, 0.0, 0.0])), starts, lengths)
+    assert not found.differ and found.ratio[1] > 0.9
+
+
+def _column(square: FloatArray) -> Column:
+    return Column("gyro_radps", square, np.ones(square.size), np.zeros(1), "gyro", None, 1.0, 0.0)
+
+
+def test_the_likelihood_is_the_sum_of_runs_under_their_own_levels(plant: Plant) -> None:
+    """Objective, score and corner of all runs with a loudness each are the sums of single runs with levels so high."""
+    rng = np.random.default_rng(8)
+    mechanism = leg2(lever_arm=plant[0].lever, velocity_scale=ROUND)
+    runs = noisy(plant, rng, TIMES)
+    signals = split_signals(runs, mechanism, FitOptions())
+    problem = LatentProblem(signals, mechanism, "smooth")
+    x = Latents(*(rng.normal(size=(problem.total, 2)) for _ in range(3)))
+    problem.stiction_variance = rng.uniform(size=(problem.total, 2, 2))
+    ratio = rng.uniform(0.5, 2.0, size=(RUNS, 4))
+    lengths = [len(s.time_s) for s in signals]
+    rows = np.repeat(ratio, lengths, axis=0)
+    problem.loud = Loudness(rows[:, [0, 0]], rows[:, [1, 1]], rows[:, 2], rows[:, [3, 3]])
+    noise = Noise(np.array([0.1, 0.2]), np.array([np.inf, 1e-3]), 0.01, np.array([0.05, 0.07]), 0.3,
+                  np.array([[1.0, 0.4], [0.4, 1.0]]))
+    beta = plant[0].beta()
+    problem.predicted_misfit = np.zeros(2)
+    parts = []
+    for k, where in enumerate(np.split(np.arange(problem.total), problem.ends[:-1])):
+        alone = LatentProblem([signals[k]], mechanism, "smooth")
+        alone.stiction_variance = problem.stiction_variance[where]
+        alone.predicted_misfit = np.zeros(2)
+        own = replace(noise, torque=noise.torque * ratio[k, 0], encoder=noise.encoder * ratio[k, 1],
+                      gyro=noise.gyro * ratio[k, 2], accel=noise.accel * ratio[k, 3])
+        parts.append(alone.linearise(Latents(x.q[where], x.v[where], x.u[where]), beta, own))
+    whole = problem.linearise(x, beta, noise)
+    assert whole.objective == pytest.approx(sum(p.objective for p in parts), rel=1e-9)
+    assert whole.gradient_beta == pytest.approx(sum(p.gradient_beta for p in parts), rel=1e-9)
+    assert whole.corner == pytest.approx(sum(p.corner for p in parts), rel=1e-9)
+
+
+def test_levels_by_run_are_told(plant: Plant) -> None:
+    found = fits(plant, TIMES, "imu", 1)[0]
+    told = fit_document(found, MechanismSettings(model="leg2", actuated=(2,), lever_arm_m=0.2))["noise_by_run"]
+    assert told["runs"] == ["run0", "run1", "run2", "run3"]
+    assert found.run_noise is not None
+    assert told["levels"]["gyro_radps"] == pytest.approx(found.run_noise.levels["gyro_radps"])
+    line, = (line for line in fit_text(found, "leg2").splitlines() if "gyro" in line and "differs" in line)
+    assert line.startswith("noise of runs differs: gyro 0.009") and line.endswith("(run1); each run weighs by its own")

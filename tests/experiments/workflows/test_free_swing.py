@@ -1,0 +1,79 @@
+"""Runs without a torque: swings of MuJoCo's leg, through the commands as they are typed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.runs.csv_run import write_csv
+from experiments.cli import main
+from tests.support.free_swing import swing
+from tests.support.mujoco_leg import Leg, random_leg
+
+STARTS = ((1.0, 0.5), (-0.8, 1.2), (0.6, -1.5), (1.3, -0.4))
+RIG = '[mechanism]\nmodel = "leg2"\nactuated = {}\n'
+
+
+@pytest.fixture(scope="module")
+def leg() -> Leg:
+    return replace(random_leg(np.random.default_rng(77)), viscous=(0.002, 0.0015), coulomb=(0.01, 0.004))
+
+
+def files(folder: Path, leg: Leg, actuated: str, torque: bool, count: int = 2) -> list[str]:
+    """Swings as CSV files, and the arguments that name them and their rig."""
+    rng = np.random.default_rng(78)
+    (folder / "rig.toml").write_text(RIG.format(actuated))
+    paths = [folder / f"swing{k}.csv" for k in range(count)]
+    for path, start in zip(paths, STARTS):
+        run = swing(leg, rng, start, torque=torque)
+        write_csv(run, path)
+    return [*map(str, paths), "--rig", str(folder / "rig.toml")]
+
+
+@pytest.mark.parametrize(("actuated", "torque"), [("[2]", True), ("[]", True), ("[]", False)])
+def test_with_one_parameter_given_the_others_follow(tmp_path: Path, leg: Leg, actuated: str, torque: bool,
+                                                    capsys: pytest.CaptureFixture[str]) -> None:
+    runs, beta = files(tmp_path, leg, actuated, torque), leg.beta()
+    assert main(["fit", *runs, "--fix", f"beta5={beta[4]}", "--json", str(tmp_path / "fit.json")]) == 0
+    told = json.loads((tmp_path / "fit.json").read_text())
+    found = np.array([p["value"] for p in told["parameters"]])
+    assert found[:5] == pytest.approx(beta[:5], rel=2e-3)
+    assert found[5:] == pytest.approx(beta[5:], rel=0.03)
+    text = capsys.readouterr().out
+    assert "TRUST the ratios" in text and "torque 0" not in text
+    # of what the joint loses Coulomb friction takes c |v|, viscous d v^2; held against the swing itself
+    line, = (line for line in text.splitlines() if line.startswith("friction of joint 2"))
+    qd = np.concatenate([np.gradient(np.loadtxt(path, delimiter=",", skiprows=1, usecols=2), 0.01)
+                         for path in runs[:2]])
+    dry, wet = beta[8] * np.sum(np.abs(qd)), beta[6] * np.sum(qd**2)
+    share = float(line.split("takes ")[1].split(" %")[0])
+    assert share == pytest.approx(100 * dry / (dry + wet), abs=3.0)
+
+
+def test_without_one_the_remedy_is_named_in_one_line(tmp_path: Path, leg: Leg, capsys: pytest.CaptureFixture[str]
+                                                     ) -> None:
+    runs = files(tmp_path, leg, "[2]", True, 1)
+    for command in ("fit", "diagnose"):
+        assert main([command, *runs, "--quiet"] if command == "diagnose" else [command, *runs]) == 1
+        told = capsys.readouterr().err.strip().splitlines()[-1]
+        assert "give one, e.g. --fix beta5=VALUE (m2*lc2 [kg m])" in told
+
+
+@pytest.mark.slow
+def test_a_drag_with_the_square_of_speed_is_told_from_the_other_forms(tmp_path: Path, leg: Leg) -> None:
+    rng, paths = np.random.default_rng(79), []
+    (tmp_path / "rig.toml").write_text(RIG.format("[]"))
+    for k, start in enumerate(STARTS):
+        run = swing(leg, rng, start, quadratic=0.004, torque=False)
+        paths.append(str(tmp_path / f"swing{k}.csv"))
+        write_csv(run, tmp_path / f"swing{k}.csv")
+    assert main(["diagnose", *paths, "--rig", str(tmp_path / "rig.toml"), "--fix", f"beta5={leg.beta()[4]}", "--quiet",
+                 "--json", str(tmp_path / "d.json")]) == 0
+    told = json.loads((tmp_path / "d.json").read_text())
+    assert told["verdict"] == "named"
+    cause, = told["causes"]
+    assert (cause["effect"], cause["joint"]) == ("quadratic_drag", 2)

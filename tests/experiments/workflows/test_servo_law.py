@@ -1,0 +1,94 @@
+"""Runs of a servo that says what it was commanded and not what it gave: MuJoCo's leg, through `legid fit` as typed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq import Dataset, InputError, load_run
+from daq.rig import parse_rig
+from daq.runs.csv_run import write_csv
+from experiments.cli import main
+from experiments.rig.setup import prepare
+from tests.support.mujoco_leg import Leg, random_leg
+from tests.support.servo_leg import follow
+
+GAIN, DAMPING, LIMIT = 6.0, 0.15, 0.3
+RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[servo]\n'
+
+
+@pytest.fixture(scope="module")
+def leg() -> Leg:
+    return replace(random_leg(np.random.default_rng(51)), viscous=(0.01, 0.02), coulomb=(0.01, 0.03))
+
+
+def fitted(folder: Path, runs: list[Dataset], servo: str, *options: str) -> dict[str, Any]:
+    """The document of a fit under this [servo]."""
+    (folder / "rig.toml").write_text(RIG + servo)
+    paths = [folder / f"{run.name}.csv" for run in runs]
+    for run, path in zip(runs, paths):
+        write_csv(run, path)
+    out = folder / "fit.json"
+    assert main(["fit", *map(str, paths), "--rig", str(folder / "rig.toml"), *options, "--json", str(out)]) == 0
+    told: dict[str, Any] = json.loads(out.read_text())
+    return told
+
+
+def values(told: dict[str, Any]) -> np.ndarray:
+    return np.array([p["value"] for p in told["parameters"]])
+
+
+def test_a_law_with_damping_and_a_limit_stands_for_the_torque(tmp_path: Path, leg: Leg) -> None:
+    rng = np.random.default_rng(52)
+    runs = [follow(leg, rng, gain=GAIN, damping=DAMPING, limit=LIMIT, name=f"run{k}") for k in range(3)]
+    error = runs[0]["q2_cmd_rad"] - runs[0]["q2_rad"]
+    lost = np.abs(GAIN * error - DAMPING * np.gradient(runs[0]["q2_rad"], 0.01)) > LIMIT
+    assert 0.05 < np.mean(lost) < 0.6  # the limit is met
+    told = fitted(tmp_path, runs, f"gain = {GAIN}\ndamping = {DAMPING}\nlimit = {LIMIT}\n")
+    assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.03)
+    assert values(told)[[6, 8]] == pytest.approx(leg.beta()[[6, 8]], rel=0.2)
+    assert told["servo_gain"] is None
+
+
+def test_a_gain_is_found_by_one_parameter_that_is_given(tmp_path: Path, leg: Leg) -> None:
+    rng = np.random.default_rng(53)
+    runs = [follow(leg, rng, gain=GAIN, name=f"run{k}") for k in range(3)]
+    told = fitted(tmp_path, runs, "", "--fix", f"beta5={leg.beta()[4]}")
+    low, high = told["servo_gain"]["ci95"]
+    assert told["servo_gain"]["value"] == pytest.approx(GAIN, rel=0.03) and high - low < 0.2 * GAIN
+    assert values(told)[:5] == pytest.approx(leg.beta()[:5], rel=0.03)
+    fixed, = (p for p in told["parameters"] if p["fixed"])
+    assert (fixed["name"], fixed["value"], fixed["std"]) == ("beta5", pytest.approx(leg.beta()[4]), 0.0)
+    same = fitted(tmp_path, [replace(r, name=f"again{r.name}") for r in runs], f"gain = {GAIN}\n")
+    assert values(same) == pytest.approx(values(told) * GAIN / told["servo_gain"]["value"], rel=1e-3)
+
+
+def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, capsys: pytest.CaptureFixture[str]) -> None:
+    run = follow(leg, np.random.default_rng(54), gain=GAIN, seconds=3.0)
+    (tmp_path / "rig.toml").write_text(RIG)
+    write_csv(run, tmp_path / "run.csv")
+    assert main(["fit", str(tmp_path / "run.csv"), "--rig", str(tmp_path / "rig.toml")]) == 1
+    assert "give it as gain under [servo], or one parameter" in capsys.readouterr().err
+    bare = replace(run, columns={name: run[name] for name in ("q1_rad", "q2_rad")})
+    write_csv(bare, tmp_path / "bare.csv")
+    with pytest.raises(InputError, match="q2_cmd_rad is missing; add the angle that the servo was commanded"):
+        load_run(tmp_path / "bare.csv", parse_rig(RIG))
+    for servo, what in (("damping = 0.1\n", "say nothing without a gain"),
+                        ("gain = [1.0, 2.0]\n", r"servo\.gain has 2 numbers"), ("gain = -1.0\n", "gain")):
+        with pytest.raises(InputError, match=what):
+            parse_rig(RIG + servo)
+
+
+def test_a_measured_torque_goes_before_the_law_and_volts_are_duty_of_the_law() -> None:
+    time = np.arange(60) / 100.0
+    columns = {"q1_rad": 0.1 * np.sin(time), "q1_cmd_rad": np.linspace(0.0, 3.0, 60), "volts": np.full(60, 7.4)}
+    rig = parse_rig('[mechanism]\nmodel = "joint1"\nactuated = [1]\ninput = "voltage"\n[servo]\ngain = 0.5\n')
+    found = prepare(Dataset("run", 100.0, time, columns), rig)
+    assert found["tau1_nm"] == pytest.approx(7.4 * np.clip(0.5 * (columns["q1_cmd_rad"] - columns["q1_rad"]), -1, 1))
+    measured = prepare(Dataset("run", 100.0, time, {**columns, "duty": np.full(60, 0.25)}), rig)
+    assert measured["tau1_nm"] == pytest.approx(np.full(60, 7.4 * 0.25))
