@@ -249,6 +249,8 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
     try:
         decision = decide(context, tests, options, material, rng, known)
     except FitError as error:  # something was detected, or nothing would be decided here
+        if ordinary is not None:
+            return None
         why = f"no simulation of the runs kept back can be carried through ({error})"
         return conclusion.unexplained(base, context.nominal, None, why)
     if ordinary is not None and not outdoes(decision, ordinary, material, rng):
