@@ -132,6 +132,7 @@ def test_each_set_of_effects_is_measured_once_by_its_likeliest_fit() -> None:
 
 @pytest.mark.parametrize(("before", "after", "verdict"), [
     (9.0, 1.2, "named"), (9.0, 2.9, "named"), (9.0, 4.3, "partial"),
+    (12.1, 9.4, "unexplained"),  # a spring for long bristles: it leaves more than it takes away
     (53.0, 3.6, "named")])  # the prismatic axis: a fifteenth of the error is left
 def test_a_cause_that_leaves_much_is_named_in_part(before: float, after: float, verdict: str) -> None:
     """Nothing without a name lowers the rest; yet more of it is left than noise and a disturbance with memory make, and
@@ -140,6 +141,42 @@ def test_a_cause_that_leaves_much_is_named_in_part(before: float, after: float, 
     best = explained(900.0, "drag")
     asked = Decision("named", (best,), table, 1, (), 1, 0, best.model, table.draws(np.random.default_rng(1)))
     assert judge(asked, None, MATERIAL).verdict == verdict
+
+
+def test_what_leaves_much_has_to_show_on_all_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`partial` by the runs kept back alone is asked of the others, too; `named` is not."""
+    best = explained(900.0, "drag")
+    first, all_runs = table_of(9.0, 4.3), table_of(9.0, 8.8)
+
+    def turned(_: object, asked: Decision, rng: np.random.Generator) -> tuple[Decision, dict[int, int]]:
+        turns.append(asked)
+        return replace(asked, table=all_runs, draws=all_runs.draws(rng)), {}
+
+    turns: list[Decision] = []
+    monkeypatch.setattr(verdict, "turn_runs", turned)
+    monkeypatch.setattr(verdict, "by_likelihood", list)
+    monkeypatch.setattr(verdict, "admissible", lambda _: True)
+    monkeypatch.setattr(verdict, "generic_extension", lambda *_: None)
+    monkeypatch.setattr(verdict, "without_each", lambda *_: [])
+    monkeypatch.setattr(verdict, "extend_errors", lambda table, more: table)
+    context = cast(Any, SimpleNamespace(nominal=None))
+    for table, expected in ((first, "unexplained"), (table_of(9.0, 1.2), "named")):
+        monkeypatch.setattr(verdict, "measured_beside", lambda *_, table=table: table)
+        found = verdict.decide(context, NOTHING_LEFT, [best], MATERIAL, np.random.default_rng(1))
+        assert found is not None and found.verdict == expected
+    assert len(turns) == 1
+
+
+@pytest.mark.parametrize(("verdict_", "errors", "expected"), [
+    ("named", (5.0, 1.3), True), ("named", (1.4, 1.3), False), ("partial", (9.0, 3.0), True),
+    ("unexplained", (5.0, 1.3), False), ("none", (5.0, 1.3), False)])
+def test_a_cause_beside_a_sharper_friction_betters_the_plain_model_of_the_likeliest(
+        verdict_: str, errors: tuple[float, float], expected: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(procedure, "measure_errors", lambda *_: table_of(*errors))
+    model = SimpleNamespace(split=SimpleNamespace(confirm=(1, 6)))
+    decision = cast(Any, SimpleNamespace(verdict=verdict_, best=[SimpleNamespace(model=model)]))
+    assert procedure.outdoes(decision, cast(Any, model), MATERIAL, np.random.default_rng(1)) is expected
+    assert not procedure.outdoes(None, cast(Any, model), MATERIAL, np.random.default_rng(1))
 
 
 def test_where_one_explanation_cannot_be_simulated_the_noise_of_another_is_the_unit(
