@@ -166,7 +166,7 @@ def likeliest_rounding(model: Model, stated: Mechanism) -> Mechanism:
     """
     split = replace(model.split, mechanism=stated, stiction={})
     problem = split.problem(split.discover, model.problem.stage.angle_range, model.effects)
-    problem.seeks_rounding = True
+    problem.seeks_rounding, problem.one_a_passage = True, False  # until it is found: a passage may be anything
     x = model.state.x
     state = replace(model.state, x=Latents(x.q.copy(), x.v.copy(), x.u.copy()), beta=model.state.beta.copy())
     free = np.ones(state.beta.size, dtype=bool)
