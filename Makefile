@@ -11,7 +11,7 @@ LOCKED := $(BIN)/python -m pip install --quiet --disable-pip-version-check --req
 TOOLS  := build/tools
 
 .PHONY: install demo test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs untuned \
-	table5 replication seven-links bench blind family port port-faults fuzz tutorial screenshots wheel arm64 lock sbom \
+	table5 replication seven-links imu-links bench blind family port port-faults fuzz tutorial screenshots wheel arm64 lock sbom \
 	docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -120,6 +120,10 @@ replication: $(STAMP)
 # Fig. 1's chain of seven links from the absolute angle of the first: do its intervals hold?
 seven-links: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.seven_links --fits $(FITS) --out docs/seven-links.md
+
+# IMUs on any links and a subset of encoders: legs, a walker, chains of three and seven links; do their intervals hold?
+imu-links: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.imu_links --fits $(FITS) --out docs/imu-links.md
 
 # Runs that differ: coverage and width of intervals that allow for it; FITS=24 takes a quarter of an hour.
 runs: $(STAMP)

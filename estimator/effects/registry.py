@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
@@ -47,8 +48,12 @@ def _further() -> list[type[Effect]]:
             if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == name and "name" in vars(kind)]
 
 
-def library(mechanism: Mechanism, has_imu: bool) -> tuple[list[Effect], dict[str, str]]:
-    """Effects that can be tested on this rig, joint by joint, and why the others cannot (key -> reason)."""
+def library(mechanism: Mechanism, has_imu: bool, encoders: Collection[int] | None = None
+            ) -> tuple[list[Effect], dict[str, str]]:
+    """Effects that can be tested on this rig, joint by joint, and why the others cannot (key -> reason).
+
+    `encoders`: 0-based joints that have one; None: those of `has_imu`'s usual path.
+    """
     found: list[Effect] = []
     refused = dict(UNTESTABLE)
     for kind in classes():
@@ -57,6 +62,8 @@ def library(mechanism: Mechanism, has_imu: bool) -> tuple[list[Effect], dict[str
             effect = kind(joint)
             effect.slide = mechanism.length_unit == "m"
             why = effect.testable(mechanism, has_imu, mechanism.actuated)
+            if not why and isinstance(effect, sensors.EncoderEffect) and joint not in (encoders or range(mechanism.n)):
+                why = sensors.NO_ENCODER
             if why:
                 refused[effect.key] = why
             else:

@@ -15,13 +15,15 @@ from estimator.signals import torque_of
 
 MOVING, LEAST_MOVING = 0.9, 0.1
 """Least share of a torque sample's variance that is noise, and least share of samples in which all joints have it so.
-(Measured on an arm of dry friction, torques correlated by 0.8: with every sample by its share levels are 12 % low.)"""
+(Measured on an arm of dry friction, torques correlated by 0.8: with every sample by its share levels are 12 % low; on
+16 chains of seven links 7 %, and 92.1 % of the 95 % intervals held, where now they are 4 % low and 94.0 % hold.)"""
 
 
 def whole_samples(share: FloatArray, driven: Sequence[int]) -> FloatArray:
     """(N, n) `share` of each torque sample's variance that is noise; of `driven` joints 1 where none rests, else 0.
 
-    The rest of one joint is in what is left over of the others. Where there are too few such samples shares stay.
+    What friction may hold near rest it seldom does, and of joints that are correlated the rest of one is in what is
+    left over of the others. Where there are too few such samples shares stay.
     """
     joints = list(driven)
     moving = np.min(share[:, joints], axis=1) > MOVING

@@ -21,3 +21,5 @@ class State:
     iterations: int = 0
     misfit: FloatArray | None = None
     """(n,) of each joint's torque at a sample, in variances of its noise, as the last step foresaw it."""
+    falls: FloatArray | None = None
+    """(n,) logarithm of the factor by which the last step changed the level of each passive joint."""

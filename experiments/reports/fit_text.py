@@ -36,6 +36,7 @@ NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "accel_x_mps
                "accel_y_mps2": "accelerometer y", "accel_correlation": "their correlation, as given",
                "torque_nm": "torque", "encoder_rad": "encoder", "passive_joint_nm": "passive joint, model error"}
 OF_ONE_JOINT = re.compile(r"torque([0-9]+)_nm")
+OF_ONE_IMU = re.compile(r"(gyro|accel)([0-9]+)(_[xy])?(_radps|_mps2)")
 
 
 def noise_rows(result: FitResult) -> list[list[str]]:
@@ -47,7 +48,12 @@ def noise_rows(result: FitResult) -> list[list[str]]:
     for name, level in result.noise.items():
         joint = OF_ONE_JOINT.fullmatch(name)
         told, unit = (f"torque {joint[1]}", force) if joint else (NOISE_NAMES.get(name, name), units.get(name, ""))
-        if not ((name == "accel_mps2" and "accel_x_mps2" in result.noise)
+        if imu := OF_ONE_IMU.fullmatch(name):
+            told, unit = (part[imu[1] + (imu[3] or "") + imu[4]] for part in (NOISE_NAMES, units))
+            told += f" of IMU {imu[2]}"
+        several = any(map(OF_ONE_IMU.fullmatch, result.noise))
+        if not ((name.startswith("accel") and name.replace("_mps2", "_x_mps2") in result.noise)
+                or (several and name in ("gyro_radps", "accel_x_mps2", "accel_y_mps2"))
                 or (name == "torque_nm" and any(map(OF_ONE_JOINT.fullmatch, result.noise)))):
             rows.append([told, f"{level:.3g}", unit])
     return rows

@@ -56,7 +56,7 @@ def evaluate(posed: Posed) -> Callable[[], None]:
             motion_rows(p.collocation, x, beta, weight, intervals, left, by=by_kernels)
         for start in range(0, p.total, PIECE):
             here = slice(start, min(start + PIECE, p.total))
-            accelerometer_rows(p.collocation, x, beta, p.accel, here, by=by_kernels)
+            accelerometer_rows(p.collocation, x, beta, p.accel[0], here, by=by_kernels)
 
     return run
 
