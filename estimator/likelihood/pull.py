@@ -17,7 +17,7 @@ from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents, Linearised
 from estimator.likelihood.trajectory_likelihood import LatentProblem, of_channel
 from estimator.model import invert
-from estimator.signals import Channel, torque_of
+from estimator.signals import Channel, accelerometer_slopes, imu_channels, torque_of
 
 
 @dataclass(frozen=True)
