@@ -271,11 +271,10 @@ class LatentProblem:
         share = noise.torque**2 / self.torque_variance(noise)
         if self.stiction_variance is None:
             return share
-        driven = self.mechanism.actuated
-        groups = [(j,) for j in range(self.n)] if noise.torque_correlation is None else [tuple(driven)]
-        for joints in groups:
-            share = correlated_torque.whole_samples(share, joints)
-        return share
+        if noise.torque_correlation is not None:
+            return correlated_torque.whole_samples(share, self.mechanism.actuated)
+        moving = share > correlated_torque.MOVING
+        return np.where(moving.mean(axis=0) < correlated_torque.LEAST_MOVING, share, moving)
 
     def channels(self, variances: FloatArray, noise: Noise
                  ) -> list[tuple[Channel, tuple[int, ...], float | FloatArray]]:
