@@ -75,16 +75,20 @@ def accelerometer_at(mechanism: Mechanism, place: ImuPlace, q: FloatArray, qd: F
     return x + more_x, y + more_y
 
 
-def accelerometer_slopes(mechanism: Mechanism, place: ImuPlace, q: FloatArray, qd: FloatArray, qdd: FloatArray
+def accelerometer_slopes(mechanism: Mechanism, place: ImuPlace, q: FloatArray, qd: FloatArray, qdd: FloatArray,
+                         turned: tuple[FloatArray, FloatArray] | None = None
                          ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """`accelerometer_at` (2, N), and its derivatives (2, n, N) by the joints' angles, rates and accelerations (n, N).
+
+    `turned`, where they are known, are cosine and sine of the link's absolute angle, (N,) each.
     """
     n, count = q.shape
     joints = mechanism.joints_to(place.link)
     by_angle, by_rate, by_acceleration = np.zeros((3, 2, n, count))  # of absolute angles, then of the joints'
     here, g, own, lever = total(q, joints), mechanism.felt_gravity, place.link, place.lever_arm
     rate = total(qd, joints)
-    by_angle[0, own], by_angle[1, own] = g * np.cos(here), g * np.sin(here)
+    cosine, sine = (np.cos(here), np.sin(here)) if turned is None else turned
+    by_angle[0, own], by_angle[1, own] = g * cosine, g * sine
     by_rate[1, own] = -2.0 * lever * rate
     by_acceleration[0, own] = lever
     felt = np.stack([lever * total(qdd, joints) + by_angle[1, own], -lever * rate**2 - by_angle[0, own]])

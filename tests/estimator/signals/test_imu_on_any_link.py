@@ -54,6 +54,10 @@ def test_slopes_are_the_readings_own(name: str) -> None:
     for place in mechanism.imus:
         felt, *slopes = accelerometer_slopes(mechanism, place, *motion)
         np.testing.assert_allclose(felt, accelerometer_at(mechanism, place, *motion), atol=1e-13)
+        angle = mechanism.transform[place.link] @ motion[0]
+        for one, other in zip(accelerometer_slopes(mechanism, place, *motion, (np.cos(angle), np.sin(angle))),
+                              (felt, *slopes)):
+            np.testing.assert_allclose(one, other, atol=1e-13)
         for which, slope in enumerate(slopes):
             for j in range(mechanism.n):
                 up, down = motion.copy(), motion.copy()
@@ -99,3 +103,5 @@ def test_an_imu_needs_the_lengths_it_rides_on() -> None:
     with pytest.raises(ValueError, match="IMU 1 is on link 3, leg2 has 2"):
         leg2().with_imus((ImuPlace(2, 0.1),), (0.3, 0.3))
     assert biped3().with_imus((ImuPlace(2, 0.1),), (0.7,)).joints_to(2) == (0, 2)
+    with pytest.raises(ValueError, match="hips change places has no IMUs"):
+        biped3(hips=True).with_imus((ImuPlace(2, 0.1),), (0.7,))
