@@ -76,7 +76,7 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
     chain, motion = accumulators.chain, (q[:, 0], v[:, 0], qdd[:, 0])
     for k, place in enumerate(m.imus[: len(measured)]):
         turned = transposed[0][place.link, 0], transposed[1][place.link, 0]
-        left, by_angle, by_rate, by_acceleration = accelerometer_slopes(m, place, *motion, turned)
+        left, by_angle, by_rate, by_acceleration = accelerometer_slopes(m, place, *motion, turned=turned)
         left -= measured[k, :, here]
         if place.link == 0:  # along link 1 nothing feels an acceleration
             reach = place.lever_arm * inverse[:1]

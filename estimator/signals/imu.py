@@ -76,7 +76,7 @@ def accelerometer_at(mechanism: Mechanism, place: ImuPlace, q: FloatArray, qd: F
 
 
 def accelerometer_slopes(mechanism: Mechanism, place: ImuPlace, q: FloatArray, qd: FloatArray, qdd: FloatArray,
-                         turned: tuple[FloatArray, FloatArray] | None = None
+                         *, turned: tuple[FloatArray, FloatArray] | None = None
                          ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """`accelerometer_at` (2, N), and its derivatives (2, n, N) by the joints' angles, rates and accelerations (n, N).
 
@@ -91,7 +91,9 @@ def accelerometer_slopes(mechanism: Mechanism, place: ImuPlace, q: FloatArray, q
     by_angle[0, own], by_angle[1, own] = g * cosine, g * sine
     by_rate[1, own] = -2.0 * lever * rate
     by_acceleration[0, own] = lever
-    felt = np.stack([lever * total(qdd, joints) + by_angle[1, own], -lever * rate**2 - by_angle[0, own]])
+    felt = by_angle[::-1, own].copy()
+    felt[0] += lever * total(qdd, joints)
+    felt[1] = 0.5 * rate * by_rate[1, own] - felt[1]
     if len(joints) == 1:
         return felt, by_angle, by_rate, by_acceleration
     felt += carried(mechanism, place, q, qd, qdd)

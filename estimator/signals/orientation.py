@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -52,7 +53,7 @@ def sight(mechanism: Mechanism, encoders: Sequence[int], has_imu: bool) -> Sight
     numbers = sorted(range(len(mechanism.imus)), key=lambda k: mechanism.imus[k].link) if has_imu else []
     for k in numbers:
         more = [*rows, mechanism.transform[mechanism.imus[k].link]]
-        if np.linalg.matrix_rank(np.array(more)) == len(more):
+        if _rank(tuple(map(tuple, more))) == len(more):
             rows, imus = more, [*imus, k]
     if len(rows) < mechanism.n:
         free = np.linalg.svd(np.array(rows).reshape(-1, mechanism.n))[2][len(rows):]
@@ -63,6 +64,12 @@ def sight(mechanism: Mechanism, encoders: Sequence[int], has_imu: bool) -> Sight
                        f"{'IMU' if len(numbers) == 1 else 'IMUs'} {mechanism.n - len(rows)} of {mechanism.n} angles "
                        "stay open; give an encoder, or an IMU on a link between them")
     return Sight(np.array(rows), tuple(encoders), tuple(imus))
+
+
+@cache
+def _rank(rows: tuple[tuple[float, ...], ...]) -> int:
+    """Of the matrix of these rows; a fit asks the same some ten times."""
+    return int(np.linalg.matrix_rank(np.array(rows)))
 
 
 def with_imus(k: Kinematics, imu: Mapping[str, FloatArray], mechanism: Mechanism, rate_hz: float,

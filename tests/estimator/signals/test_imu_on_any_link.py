@@ -55,7 +55,7 @@ def test_slopes_are_the_readings_own(name: str) -> None:
         felt, *slopes = accelerometer_slopes(mechanism, place, *motion)
         np.testing.assert_allclose(felt, accelerometer_at(mechanism, place, *motion), atol=1e-13)
         angle = mechanism.transform[place.link] @ motion[0]
-        for one, other in zip(accelerometer_slopes(mechanism, place, *motion, (np.cos(angle), np.sin(angle))),
+        for one, other in zip(accelerometer_slopes(mechanism, place, *motion, turned=(np.cos(angle), np.sin(angle))),
                               (felt, *slopes)):
             np.testing.assert_allclose(one, other, atol=1e-13)
         for which, slope in enumerate(slopes):
