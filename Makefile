@@ -11,8 +11,8 @@ LOCKED := $(BIN)/python -m pip install --quiet --disable-pip-version-check --req
 TOOLS  := build/tools
 
 .PHONY: install demo test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs untuned \
-	table5 replication seven-links walker bench blind family port port-faults fuzz tutorial screenshots wheel arm64 lock sbom \
-	docs clean
+	table5 replication seven-links imu-links walker bench blind family port port-faults fuzz tutorial screenshots wheel arm64 \
+	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed"; exit 1; }
@@ -126,6 +126,10 @@ seven-links: $(STAMP)
 WALKS ?= 24
 walker: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.walker --fits $(WALKS) --out docs/walker.md
+
+# IMUs on any links and a subset of encoders: legs, a walker, chains of three and seven links; do their intervals hold?
+imu-links: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.imu_links --fits $(FITS) --out docs/imu-links.md
 
 # Runs that differ: coverage and width of intervals that allow for it; FITS=24 takes a quarter of an hour.
 runs: $(STAMP)

@@ -12,6 +12,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from daq.errors import InputError, did_you_mean
+from daq.imu_mount import check_accelerometer, check_mount
 from daq.mechanisms import check_mechanism, joints_of
 from daq.servo import Servo, faults
 
@@ -29,10 +30,6 @@ Joint = Annotated[int, Meta(ge=1, le=20)]
 Vector3 = tuple[Signed, Signed, Signed]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 Correlation = Annotated[float, Meta(ge=-1.0, le=1.0)]
-MOUNT_SLACK = 0.05
-"""How far the products of a mount's rows may be off those of a rotation: rows are typed with few digits."""
-LEAST_VOLUME = 0.05
-"""Smallest determinant of a matrix that scales: below it one of the accelerometer's axes is lost."""
 IDENTITY3: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -50,6 +47,10 @@ class Mechanism(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     links: Annotated[int, Meta(ge=1, le=20)] = 2
     """Number of links; read for `chain` only."""
     input: Literal["torque", "voltage"] = "torque"
+    link_lengths_m: tuple[Annotated[float, Meta(gt=0, le=10.0)], ...] = ()
+    """From joint to joint, of the first links: as many as IMUs ride on."""
+    encoders: tuple[Joint, ...] | None = None
+    """Joints whose encoders are read; None: all, beside an IMU all but joint 1's."""
 
 
 class Terms(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -67,7 +68,14 @@ class Terms(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Imu(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One IMU, or one of several under [[imu]], whose columns are numbered in this order."""
+
+    link: Joint = 1
     lever_arm_m: Length = 0.0
+    """From the link's joint to the IMU along it."""
+    gyro_radps: Positive | None = None
+    """Its own noise levels, which go before those of [noise]."""
+    accel_mps2: Positive | None = None
 
 
 class DistanceMeter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -253,7 +261,8 @@ class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     mechanism: Mechanism
     terms: Terms = Terms()
-    imu: Imu = Imu()
+    imu: Imu | tuple[Imu, ...] | None = None
+    """`imus` has them all."""
     distance_meter: DistanceMeter | None = None
     walker: Walker | None = None
     motor: Motor = Motor()
@@ -266,6 +275,11 @@ class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     servo: Servo | None = None
     columns: dict[str, Column] = {}
     """Column of the contract -> where files of other programs hold it."""
+
+    @property
+    def imus(self) -> tuple[Imu, ...]:
+        """In the file's order; one on link 1 where none is declared."""
+        return self.imu if isinstance(self.imu, tuple) else (self.imu or Imu(),)
 
 
 def joint_count(mechanism: Mechanism) -> int:
@@ -309,18 +323,18 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     except RecursionError:
         raise InputError(where, "is nested too deep", "a rig file has tables of lists, no more") from None
     _check_finite(rig, where)
-    _check_mount(rig, where)
-    _check_accelerometer(rig.calibration, where)
+    check_mount(rig.calibration.imu_mount, where)
+    check_accelerometer(rig.calibration.accel_matrix, where)
     check_mechanism(rig.mechanism.model, where)
     if rig.distance_meter is not None and rig.mechanism.model not in ("biped3", "chain"):
         raise InputError(where, f"a {rig.mechanism.model} stands on no ground that a distance_meter could see",
                          "take out the table [distance_meter]")
-    if rig.walker is not None and (rig.mechanism.model != "biped3" or rig.distance_meter is not None):
-        raise InputError(where, "has a table [walker]: that is for a biped3 without a distance_meter", "take one out")
+    if rig.walker is not None and (rig.mechanism.model != "biped3" or rig.distance_meter or rig.imu is not None):
+        raise InputError(where, "has a [walker]: that is for a biped3 without distance_meter or imu", "take one out")
     n = joint_count(rig.mechanism)
     named = [("mechanism.actuated", rig.mechanism.actuated), ("terms.rotor_inertia", rig.terms.rotor_inertia or ()),
              ("terms.torque_offset", rig.terms.torque_offset or ()),
-             ("terms.encoder_zero", rig.terms.encoder_zero or ())]
+             ("terms.encoder_zero", rig.terms.encoder_zero or ()), ("mechanism.encoders", rig.mechanism.encoders or ())]
     for key, joints in named:
         bad = [j for j in joints if j > n]
         if bad:
@@ -334,6 +348,8 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     wrong = None if rig.servo is None else faults(rig.servo, len(rig.mechanism.actuated))
     if wrong is not None:
         raise InputError(where, *wrong)
+    if not rig.imus:
+        raise InputError(where, "imu is an empty list", "give a table [[imu]] for each IMU, or take the key out")
     _check_levels(rig, where)
     _check_correlations(rig, where)
     return rig
@@ -376,30 +392,8 @@ def _check_finite(table: Struct, where: str, path: str = "") -> None:
     """TOML writes inf and nan; a limit that is either limits nothing."""
     for name in table.__struct_fields__:
         value = getattr(table, name)
-        if isinstance(value, Struct):
-            _check_finite(value, where, f"{path}{name}.")
-            continue
-        for number in value if isinstance(value, tuple) else (value,):
-            if isinstance(number, float) and not math.isfinite(number):
-                raise InputError(where, f"{path}{name} is {number:g}", "give a number that the rig really has")
-
-
-def _check_mount(rig: Rig, where: str) -> None:
-    """Axes of length one at right angles: a mount without rank makes a sensor blind. Left-handed ones are a chip's own
-    (the LSM9DS1's frame is drawn so); `legid calibrate mount` finds the hand."""
-    m = rig.calibration.imu_mount
-    for i in range(3):
-        for j in range(i, 3):
-            product = sum(a * b for a, b in zip(m[i], m[j]))
-            if not abs(product - (i == j)) <= MOUNT_SLACK:
-                what = f"row {i + 1} has length {math.sqrt(product):.3g}" if i == j and product >= 0 else \
-                    f"rows {i + 1} and {j + 1} are not at right angles"
-                raise InputError(where, f"calibration.imu_mount is no rotation: {what}",
-                                 "give the link's axes in the chip's frame, or run legid calibrate mount")
-
-
-def _check_accelerometer(calibration: Calibration, where: str) -> None:
-    (a, b, d), (e, f, g), (h, i, j) = calibration.accel_matrix
-    if abs(a * (f * j - g * i) - b * (e * j - g * h) + d * (e * i - f * h)) < LEAST_VOLUME:
-        raise InputError(where, "calibration.accel_matrix maps several readings to one",
-                         "it is near the identity; legid calibrate imu --six-positions finds it")
+        for item in value if isinstance(value, tuple) else (value,):
+            if isinstance(item, Struct):
+                _check_finite(item, where, f"{path}{name}.")
+            elif isinstance(item, float) and not math.isfinite(item):
+                raise InputError(where, f"{path}{name} is {item:g}", "give a number that the rig really has")

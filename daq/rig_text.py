@@ -54,7 +54,7 @@ def _check(old: str, new: str, tables: Mapping[str, Mapping[str, object]], where
         raise InputError(where, f"cannot be changed by program ({error})", f"set {keys} by hand") from None
     wanted = msgspec.to_builtins(before)
     for table, values in tables.items():
-        wanted[table] |= values
+        wanted[table] = {**(wanted[table] or {}), **values}
     if after != msgspec.convert(wanted, Rig):
         raise InputError(where, f"its [{', '.join(tables)}] is written in a way that cannot be changed by program",
                          f"set {keys} by hand")

@@ -14,8 +14,10 @@ from estimator.model import HOLDS
 AUTO = "auto"
 """What the likelihood chooses."""
 NOISE_CHANNELS = ("gyro_radps", "accel_mps2", "accel_x_mps2", "accel_y_mps2", "torque_nm", "encoder_rad", "passive_nm")
-OWN_JOINT = re.compile(r"encoder[1-9][0-9]*_rad|torque[1-9][0-9]*_nm")
-"""One joint's encoder or torque, counted from 1: it goes before `encoder_rad` and `torque_nm`, which stand for all."""
+OWN_LEVEL = re.compile(r"encoder[1-9][0-9]*_rad|torque[1-9][0-9]*_nm|gyro[1-9][0-9]*_radps|"
+                       r"accel[1-9][0-9]*(_x|_y)?_mps2")
+"""One joint's encoder or torque, or one IMU's sensor, counted from 1: it goes before `encoder_rad`, `torque_nm` and so
+on, which stand for all."""
 Levels = Mapping[str, float]
 """Known standard deviations by channel."""
 
@@ -30,9 +32,15 @@ def torque_level(known: Levels, joint: int, driven: bool) -> float | None:
     return known.get(f"torque{joint + 1}_nm", known.get("torque_nm")) if driven else known.get("passive_nm")
 
 
-def accel_level(known: Levels, axis: int) -> float | None:
-    """Of the accelerometer's axis 0 (x) or 1 (y) [m/s^2]."""
-    return known.get(("accel_x_mps2", "accel_y_mps2")[axis], known.get("accel_mps2"))
+def gyro_level(known: Levels, imu: int = 0) -> float | None:
+    """Of an IMU's gyro [rad/s], 0-based in the rig's order."""
+    return known.get(f"gyro{imu + 1}_radps", known.get("gyro_radps"))
+
+
+def accel_level(known: Levels, axis: int, imu: int = 0) -> float | None:
+    """Of axis 0 (x) or 1 (y) of an IMU's accelerometer [m/s^2]."""
+    names = [f"accel{own}{which}_mps2" for own in (imu + 1, "") for which in (("_x", "_y")[axis], "")]
+    return next((known[name] for name in names if name in known), None)
 
 
 def _is_correlation(r: FloatArray) -> bool:
@@ -46,7 +54,9 @@ class FitOptions:
     """Checked when made; raises ValueError naming the option."""
 
     sensors: str = "imu"
-    """imu: gyro and accelerometer give the pivot's angle. encoder: `q1_rad` does."""
+    """imu: the mechanism's IMUs are read, and give the angles of joints without an encoder. encoder: encoders alone."""
+    encoders: tuple[int, ...] | None = None
+    """0-based joints whose encoders are read; None: all, on the IMU path all but joint 1's."""
     hold: str = "linear"
     """How the torque acts between samples: zero | linear | average | smooth; auto: as is likeliest (`mle`; the other
     methods take it for linear)."""
@@ -94,13 +104,17 @@ class FitOptions:
             raise ValueError(f"half_power {self.half_power} is not in (0, 1]")
         if self.spacing < 1:
             raise ValueError(f"spacing {self.spacing} is below 1")
-        unknown = {name for name in self.noise if name not in NOISE_CHANNELS and not OWN_JOINT.fullmatch(name)}
+        unknown = {name for name in self.noise if name not in NOISE_CHANNELS and not OWN_LEVEL.fullmatch(name)}
         if unknown:
             raise ValueError(f"noise channel {sorted(unknown)[0]!r} is none of {NOISE_CHANNELS}")
         if not -1.0 < self.accel_correlation < 1.0:
             raise ValueError(f"accel_correlation {self.accel_correlation} is not in (-1, 1)")
         if self.torque_correlation and not _is_correlation(np.array(self.torque_correlation)):
             raise ValueError(f"torque_correlation {self.torque_correlation} is no matrix of correlations")
+
+    def encoders_of(self, joints: int) -> tuple[int, ...]:
+        """0-based joints of a mechanism of so many whose encoders are read."""
+        return tuple(range(int(self.sensors == "imu"), joints)) if self.encoders is None else self.encoders
 
     def encoder_noise(self, joint: int) -> float | None:
         """Known standard deviation of one joint's encoder [rad], joint 0-based; None where it is to be estimated."""
@@ -110,9 +124,13 @@ class FitOptions:
         """Of one joint's torque [N m], joint 0-based; on one that is not driven what the model may lack."""
         return torque_level(self.noise, joint, driven)
 
-    def accel_noise(self, axis: int) -> float | None:
-        """Of the accelerometer's axis 0 (x) or 1 (y) [m/s^2]."""
-        return accel_level(self.noise, axis)
+    def gyro_noise(self, imu: int = 0) -> float | None:
+        """Of an IMU's gyro [rad/s], 0-based in the rig's order."""
+        return gyro_level(self.noise, imu)
+
+    def accel_noise(self, axis: int, imu: int = 0) -> float | None:
+        """Of axis 0 (x) or 1 (y) of an IMU's accelerometer [m/s^2]."""
+        return accel_level(self.noise, axis, imu)
 
     def cutoff(self, rate_hz: float) -> float:
         """The low pass in force [Hz]."""

@@ -13,6 +13,18 @@ OPTIONAL = ("tau2_cmd_nm", "temperature_degc", "q2_motor_rad", "distance_m", "st
 """Columns with a meaning that no mechanism requires; their cells are checked like required ones."""
 
 
+def imu_columns(number: int) -> tuple[str, str, str]:
+    """Gyro, accelerometer x and y of an IMU, 0-based in the rig's order."""
+    own = number + 1
+    return IMU if number == 0 else (f"gyro{own}_radps", f"accel{own}_x_mps2", f"accel{own}_y_mps2")
+
+
+def imu_columns_of(rig: Rig) -> list[str]:
+    """Of all IMUs of the rig."""
+    return [name for k in range(len(rig.imus)) for name in imu_columns(k)]
+
+
+_IMU_COLUMN = re.compile(r"gyro([2-9]|1[0-9]|20)_radps|accel([2-9]|1[0-9]|20)_[xy]_mps2")
 _JOINT_COLUMN = re.compile(r"(q|tau)([1-9]|1[0-9]|20)_(rad|nm|cmd_rad)")
 
 
@@ -21,7 +33,7 @@ def is_contract_column(name: str) -> bool:
     match = _JOINT_COLUMN.fullmatch(name)
     if match:
         return (match[1] == "q") == (match[3] != "nm")
-    return name in ("time_s", "q1_m", "tau1_n", "duty", "volts", *IMU, *OPTIONAL)
+    return bool(_IMU_COLUMN.fullmatch(name)) or name in ("time_s", "q1_m", "tau1_n", "duty", "volts", *IMU, *OPTIONAL)
 
 
 class Missing(NamedTuple):
@@ -64,8 +76,23 @@ def _torque_joints(rig: Rig) -> list[int]:
     return sorted(joints | {2} if rig.mechanism.model == "leg2" and joints else joints)
 
 
+def encoders_beside_imus(rig: Rig) -> tuple[int, ...]:
+    """1-based joints whose encoders are read beside the rig's IMUs."""
+    named = rig.mechanism.encoders
+    return tuple(range(2, joint_count(rig.mechanism) + 1)) if named is None else named
+
+
 def _missing_angle(rig: Rig, present: Collection[str]) -> Missing | None:
-    if rig.mechanism.model != "leg2":
+    m, imus = rig.mechanism, imu_columns_of(rig)
+    elsewhere = len(rig.imus) > 1 or rig.imus[0].link > 1 or m.encoders is not None
+    if elsewhere or (m.model != "leg2" and rig.imu is not None and any(name in present for name in imus)):
+        needed = [*imus, *(f"q{j}_rad" for j in encoders_beside_imus(rig))]
+        absent = [name for name in needed if name not in present]
+        angles = [f"q{j}_rad" for j in range(1, joint_count(m) + 1)]
+        alone = len(m.encoders or angles) == len(angles) and all(name in present for name in angles)
+        return Missing(absent[0], "the rig's IMUs and encoders need " + ", ".join(needed)) if absent and not alone \
+            else None
+    if m.model != "leg2":
         by_meter = rig.distance_meter is not None and "distance_m" in present
         names = [f"q{joint}_rad" for joint in range(2 if by_meter else 1, joint_count(rig.mechanism) + 1)]
         absent = [name for name in names if name not in present]

@@ -107,7 +107,7 @@ def find_remedies(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
     imu = options.sensors == "imu"
     found = [_read(motion, mechanism, options, remedy)
              for remedy in _likely(mechanism, imu, gear_ratio, np.ptp(motion.q, axis=0))]
-    for j in range(int(imu), mechanism.n):
+    for j in options.encoders_of(mechanism.n):
         span = float(np.ptp(motion.q[:, j]))
         steps = GEAR_STEPS if span < SPANS[1] else COUNT_SPANS / span
         reading = _best_gear(motion, mechanism, options, j, steps)

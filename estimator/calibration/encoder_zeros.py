@@ -67,7 +67,7 @@ def find_differing(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
     Each run's halves have zeros of their own. If these scatter as much within runs as between them, they are but what
     the model gets wrong; an analysis of variance tells.
     """
-    joints = [j for j in range(mechanism.n) if j > 0 or options.sensors != "imu"]
+    joints = list(options.encoders_of(mechanism.n))
     if len(datasets) < FEWEST_RUNS or not joints:
         return None
     from scipy.special import fdtrc

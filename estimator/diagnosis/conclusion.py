@@ -20,8 +20,9 @@ from estimator.effects import AnonymousReading, AnonymousTorque, Shape, Size
 from estimator.errors import FitError
 from estimator.fitting import imu_levels, torque_levels
 from estimator.likelihood import ExtendedProblem, FreeRun, free_run
+from estimator.model import Mechanism
 from estimator.parallel import parallel_map
-from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, encoder_of
+from estimator.signals import Channel, encoder_of, imu_channels, imu_columns
 
 ATTEMPTS = 10
 """Replicates, one after the other, until one does not run off: their noise is drawn."""
@@ -94,7 +95,7 @@ def sensors_of(problem: ExtendedProblem, q1: FloatArray) -> dict[str, FloatArray
     unit = problem.mechanism.length_unit
     out = {f"q{j + 1}_{unit}": problem.angles[:, j] for j in range(problem.n) if problem.has_encoder[j]}
     if problem.has_imu:
-        out |= {PIVOT: q1, "gyro_radps": problem.gyro, "accel_x_mps2": problem.ax, "accel_y_mps2": problem.ay}
+        out = {PIVOT: q1} | out | _imu_columns(problem.mechanism, problem.imu_readings())
     return dict(sorted(out.items()))
 
 
@@ -102,7 +103,12 @@ def sensed(problem: ExtendedProblem, run: FreeRun) -> dict[str, FloatArray]:
     """What the sensors would read, by column."""
     unit = problem.mechanism.length_unit
     out = {f"q{j + 1}_{unit}": run.readings[encoder_of(j)] for j in range(problem.n)}
-    return out | {column: run.readings[channel] for column, channel in zip(IMU_COLUMNS, IMU_CHANNELS)}
+    return out | _imu_columns(problem.mechanism, run.readings)
+
+
+def _imu_columns(mechanism: Mechanism, readings: Mapping[Channel, FloatArray]) -> dict[str, FloatArray]:
+    return {column: readings[channel] for k in range(len(mechanism.imus))
+            for column, channel in zip(imu_columns(k), imu_channels(k))}
 
 
 def resimulate(fitted: SmoothedRun, q1: FloatArray, or_still: bool = False, horizon_s: float = np.inf) -> Resimulated:

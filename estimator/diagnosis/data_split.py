@@ -15,7 +15,7 @@ from estimator.errors import FitError
 from estimator.fitting import noise_floors, require_scale
 from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage
 from estimator.model import Mechanism
-from estimator.options import FitOptions, accel_level, encoder_level, torque_level
+from estimator.options import FitOptions, accel_level, encoder_level, gyro_level, torque_level
 from estimator.signals import SignalSet, split_signals
 
 
@@ -55,6 +55,11 @@ class RunSplit:
     def has_imu(self) -> bool:
         return bool(self.runs[0][0].imu)
 
+    @property
+    def encoders(self) -> tuple[int, ...]:
+        """0-based joints whose encoders are read."""
+        return self.options.encoders_of(self.mechanism.n)
+
     def floors(self, problem: ExtendedProblem, beta: FloatArray) -> Noise:
         """Least noise levels of a fit at beta (p,)."""
         least, known = noise_floors(problem, self.mechanism, beta), self.known
@@ -64,9 +69,10 @@ class RunSplit:
             torque[j] = _or(torque_level(known, j, j in self.mechanism.actuated), torque[j])
             if np.isfinite(encoder[j]):
                 encoder[j] = _or(encoder_level(known, j), encoder[j])
-        for i in range(2):
-            accel[i] = _or(accel_level(known, i), accel[i])
-        return Noise(torque, encoder, known.get("gyro_radps", least.gyro), accel)
+        gyro = np.array([_or(gyro_level(known, k), float(level)) for k, level in enumerate(least.gyro)])
+        for k, i in np.ndindex(accel.shape):
+            accel[k, i] = _or(accel_level(known, i, k), float(accel[k, i]))
+        return Noise(torque, encoder, gyro, accel)
 
     def signals(self, which: Sequence[int]) -> list[SignalSet]:
         """All stretches of these runs."""

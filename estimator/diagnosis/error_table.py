@@ -179,7 +179,7 @@ def _squares(fitted: Sequence[SmoothedRun], pivots: FloatArray) -> FloatArray:
         for row, one in zip(errors, fitted):
             found = resimulate(one, pivots[0], True, horizon)
             for column, y in found.measured.items():
-                read = pivots if column == PIVOT and split.has_imu else y[None]
+                read = pivots if column == PIVOT and split.has_imu and 0 not in split.encoders else y[None]
                 squares = _blocks((found.simulated[column] - read) ** 2, size)
                 row.append(np.broadcast_to(squares, (len(pivots), squares.shape[1])))
     return np.stack([np.stack(row, axis=-1) for row in errors], axis=1)

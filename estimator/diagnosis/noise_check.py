@@ -14,8 +14,8 @@ import numpy as np
 from estimator.diagnosis.decision_rule import LOUD_SENSOR, LOUD_TORQUE, LOUD_UNDECLARED, STILL_LOUD
 from estimator.diagnosis.refit import Model
 from estimator.fitting import TORQUE_SHARE, mistakes_torque
-from estimator.options import accel_level, encoder_level, torque_level
-from estimator.signals import ACCEL_X, ACCEL_Y, GYRO, Channel, encoder_of, torque_of, white_noise_level
+from estimator.options import accel_level, encoder_level, gyro_level, torque_level
+from estimator.signals import GYRO, Channel, encoder_of, imu_channels, torque_of, white_noise_level
 
 Ratios = Mapping[Channel, tuple[float, float]]
 """Channel to (noise found over its level, most it may be)."""
@@ -44,11 +44,11 @@ def motion_ratios(model: Model, undeclared: bool = False) -> Ratios:
             out[encoder_of(j)] = level / declared, LOUD_SENSOR
         elif undeclared:
             out[encoder_of(j)] = level / max(1e-12, float(problem.shown.encoder[j])), LOUD_UNDECLARED
-    if problem.has_imu:
-        for channel, level, readings, declared in (
-                (GYRO, noise.gyro, problem.gyro, known.get("gyro_radps")),
-                (ACCEL_X, noise.accel[0], problem.ax, accel_level(known, 0)),
-                (ACCEL_Y, noise.accel[1], problem.ay, accel_level(known, 1))):
+    for k in range(problem.imu_count):
+        levels = (noise.gyro[k], *noise.accel[k])
+        known_levels = (gyro_level(known, k), accel_level(known, 0, k), accel_level(known, 1, k))
+        for channel, level, readings, declared in zip(imu_channels(k), levels, (problem.gyro[k], *problem.accel[k]),
+                                                      known_levels, strict=True):
             if declared is None:
                 out[channel] = float(level) / max(1e-12, white_noise_level(readings)), LOUD_UNDECLARED
             else:

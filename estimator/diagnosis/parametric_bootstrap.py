@@ -14,7 +14,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.errors import FitError
 from estimator.likelihood import ExtendedProblem, FreeRun, Noise, State, free_run
-from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, SignalSet, encoder_of, quantum, torque_of
+from estimator.signals import SignalSet, encoder_of, imu_channels, imu_columns, quantum, torque_of
 
 
 def simulate_run(problem: ExtendedProblem, state: State, rng: np.random.Generator) -> FreeRun:
@@ -58,15 +58,16 @@ def draw_replicate(problem: ExtendedProblem, state: State, signals: Sequence[Sig
         for j in problem.mechanism.actuated:
             torque[:, j] = run.readings[torque_of(j)][where] + noise.torque[j] * draws[:, j]
         imu = {}
-        if problem.has_imu:
-            for column, channel, drawn in zip(IMU_COLUMNS, IMU_CHANNELS, draw_imu(noise, len(where), rng)):
+        for k in range(problem.imu_count):
+            for column, channel, drawn in zip(imu_columns(k), imu_channels(k), draw_imu(noise, len(where), rng, k)):
                 imu[column] = run.readings[channel][where] + drawn
         out.append(replace(s, angles=angles, torque=torque, imu=imu))
     return out
 
 
-def draw_imu(noise: Noise, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Noise of gyro, accelerometer x and y, (count,) each: white, both axes correlated as declared."""
+def draw_imu(noise: Noise, count: int, rng: np.random.Generator, imu: int = 0
+             ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Noise of an IMU's gyro, accelerometer x and y, (count,) each: white, both axes correlated as declared."""
     gyro, x, own = (rng.normal(size=count) for _ in range(3))
     y = noise.accel_correlation * x + np.sqrt(1.0 - noise.accel_correlation**2) * own
-    return noise.gyro * gyro, noise.accel[0] * x, noise.accel[1] * y
+    return noise.gyro[imu] * gyro, noise.accel[imu, 0] * x, noise.accel[imu, 1] * y

@@ -104,10 +104,10 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     rng = np.random.default_rng(seed)
     jit.expect()
     nominal = fit_nominal(split)
-    effects, refused = library(split.mechanism, split.has_imu)
+    effects, refused = library(split.mechanism, split.has_imu, split.encoders)
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     named = len(candidates)
-    candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu)]
+    candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu, split.encoders)]
     say("scoring the library", 0.15)
     scores = score_discover(nominal, candidates)
     say("rehearsing the nominal model", 0.2)

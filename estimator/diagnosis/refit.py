@@ -203,7 +203,7 @@ def log_volume(problem: ExtendedProblem, noise: Noise) -> float:
     """Sum over samples of the log standard deviations of all channels."""
     levels = [*noise.torque, *noise.encoder[np.isfinite(noise.encoder)]]
     if problem.has_imu:
-        levels += [noise.gyro, *noise.accel]
+        levels += [*noise.gyro, *noise.accel.ravel()]
     return problem.total * float(np.sum(np.log(levels)))
 
 
@@ -271,7 +271,7 @@ def _settle(model: Model, problem: ExtendedProblem, start: Latents, path: Sequen
 
 def per_value(problem: ExtendedProblem, state: State) -> float:
     """Sum of squares over samples times channels; inf where it is no number."""
-    channels = problem.n + int(problem.has_encoder.sum()) + (3 if problem.has_imu else 0)
+    channels = problem.n + int(problem.has_encoder.sum()) + 3 * problem.imu_count
     value = objective_at(problem, state) / (channels * problem.total)
     return value if np.isfinite(value) else np.inf
 

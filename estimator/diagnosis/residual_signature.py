@@ -8,7 +8,7 @@ from daq import FloatArray
 from estimator.diagnosis.refit import Model
 from estimator.diagnosis.result import Signature
 from estimator.effects import Axis, Effect, View
-from estimator.signals import ACCEL_X, ACCEL_Y, Channel
+from estimator.signals import Channel
 
 BINS = 24
 LABELS: dict[Axis, tuple[str, str]] = {
@@ -72,6 +72,7 @@ def _torque_left(model: Model) -> FloatArray:
 def _reading_left(model: Model, channel: Channel) -> FloatArray:
     """(N,) measured less predicted reading of one sensor."""
     residuals = model.problem.linearise(model.state.x, model.state.beta, model.state.noise).residuals
-    if channel in (ACCEL_X, ACCEL_Y):
-        return -residuals["accel"][:, (ACCEL_X, ACCEL_Y).index(channel)]
-    return -residuals[channel.kind] if channel.joint is None else -residuals[channel.kind][:, channel.joint]
+    number = channel.joint or 0
+    if channel.kind in ("accel_x", "accel_y"):
+        return -residuals["accel"][number, :, ("accel_x", "accel_y").index(channel.kind)]
+    return -residuals["gyro"][number] if channel.kind == "gyro" else -residuals[channel.kind][:, number]

@@ -5,7 +5,7 @@ They serve the closure test. A verdict stands only where neither a listed effect
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -101,10 +101,11 @@ class AnonymousReading(Effect):
         return Perturbation(readings={self.channel: size[0] * self._law(view)})
 
 
-def battery(mechanism: Mechanism, has_imu: bool) -> list[Effect]:
-    """All terms without a name that make sense on this rig."""
+def battery(mechanism: Mechanism, has_imu: bool, encoders: Sequence[int] | None = None) -> list[Effect]:
+    """All terms without a name that make sense on this rig; `encoders` as for `library`."""
     found: list[Effect] = [AnonymousTorque(j, label, law) for j in range(mechanism.n)
                            for label, law in TORQUE_LAWS.items()]
-    channels = [*IMU_CHANNELS, encoder_of(mechanism.n - 1)] if has_imu else [encoder_of(j) for j in range(mechanism.n)]
+    readable = range(mechanism.n) if encoders is None else encoders
+    channels = [*IMU_CHANNELS, *map(encoder_of, readable[-1:])] if has_imu else [encoder_of(j) for j in readable]
     found += [AnonymousReading(c, label, law) for c in channels for label, law in READINGS.items()]
     return found

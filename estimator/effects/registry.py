@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
@@ -48,15 +49,22 @@ def _further() -> list[type[Effect]]:
             if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == name and "name" in vars(kind)]
 
 
-def library(mechanism: Mechanism, has_imu: bool) -> tuple[list[Effect], dict[str, str]]:
-    """Effects that can be tested on this rig, joint by joint, and why the others cannot (key -> reason)."""
+def library(mechanism: Mechanism, has_imu: bool, encoders: Collection[int] | None = None
+            ) -> tuple[list[Effect], dict[str, str]]:
+    """Effects that can be tested on this rig, joint by joint, and why the others cannot (key -> reason).
+
+    `encoders`: 0-based joints that have one; None: those of `has_imu`'s usual path.
+    """
     found: list[Effect] = []
     refused = dict(UNTESTABLE)
+    read = range(mechanism.n) if encoders is None else encoders
     for kind in classes():
         joints: list[int | None] = list(range(mechanism.n)) if kind.per_joint else [None]
         for joint in joints:
             effect = placed(kind, joint, mechanism)
             why = effect.testable(mechanism, has_imu, mechanism.actuated) or _walking(effect, mechanism)
+            if not why and issubclass(kind, sensors.EncoderEffect) and joint not in read:
+                why = sensors.NO_ENCODER
             if why:
                 refused[effect.key] = why
             else:

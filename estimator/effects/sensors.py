@@ -7,7 +7,9 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import SensorEffect, Size, View
 from estimator.model import Mechanism
-from estimator.signals import ACCEL_X, ACCEL_Y, GYRO, Channel, accelerometer, encoder_of
+from estimator.signals import ACCEL_X, ACCEL_Y, GYRO, Channel, accelerometer_at, encoder_of, total
+
+NO_ENCODER = "this joint has no encoder on this path"
 
 
 class ImuEffect(SensorEffect):
@@ -44,7 +46,7 @@ class GyroScale(ImuEffect):
     plans = ("rest",)
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
-        return {GYRO: size[0] * view.samples.v[0]}
+        return {GYRO: size[0] * _rate(view)}
 
 
 class AccelerometerBias(ImuEffect):
@@ -64,9 +66,14 @@ class AccelerometerBias(ImuEffect):
 
 
 def true_acceleration(view: View) -> tuple[FloatArray, FloatArray]:
-    """(a_x, a_y) at the samples by the nominal sensor model."""
+    """(a_x, a_y) at the samples by the nominal sensor model of the first IMU."""
     s, m = view.samples, view.mechanism
-    return accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2)
+    return accelerometer_at(m, m.imus[0], s.q, s.v, s.a)
+
+
+def _rate(view: View) -> FloatArray:
+    """Absolute rate of the first IMU's link at the samples."""
+    return total(view.samples.v, view.mechanism.joints_to(view.mechanism.imus[0].link))
 
 
 class ImuMisalignment(ImuEffect):
@@ -87,7 +94,7 @@ class ImuMisalignment(ImuEffect):
 
 
 class ImuLeverArm(ImuEffect):
-    """The IMU sits d further from the pivot than declared: d q1dd, -d q1d^2."""
+    """The IMU sits d further from its link's joint than declared: on link 1 d q1dd, -d q1d^2."""
 
     name = "imu_lever_arm"
     sizes = (Size("excess", "m", 0.002),)
@@ -98,8 +105,8 @@ class ImuLeverArm(ImuEffect):
     plans = ("fast", "swing")
 
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
-        s = view.samples
-        return {ACCEL_X: size[0] * s.a[0], ACCEL_Y: -size[0] * s.v[0] ** 2}
+        joints = view.mechanism.joints_to(view.mechanism.imus[0].link)
+        return {ACCEL_X: size[0] * total(view.samples.a, joints), ACCEL_Y: -size[0] * _rate(view) ** 2}
 
 
 class EncoderEffect(SensorEffect):
@@ -117,7 +124,7 @@ class EncoderEffect(SensorEffect):
         return {encoder_of(j): self.error(view.samples.q[j], size)}
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
-        return "this joint has no encoder on this path" if has_imu and self.joint == 0 else ""
+        return NO_ENCODER if has_imu and self.joint == 0 else ""
 
 
 class EncoderOffset(EncoderEffect):

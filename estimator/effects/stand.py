@@ -9,7 +9,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import BodyEffect, Perturbation, Shape, Size, View
 from estimator.model import Mechanism, Parameter
-from estimator.signals import ACCEL_X, ACCEL_Y, GYRO
+from estimator.signals import GYRO, Channel, imu_channels, total
 
 FAR = 1000.0
 """Metres of the base's motion for a radian of the body that stands for it in a simulation."""
@@ -41,13 +41,17 @@ class BaseCompliance(BodyEffect):
     by_hand = "tap the stand in one run"
 
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
-        t, q1 = view.mechanism.transform, view.samples.q[0]
+        t = view.mechanism.transform
         lever, momentum = self._momentum(view, self._rates(view))
         k = 2.0 / view.dt_s
         driven = [differenced(momentum[where], view.dt_s) for where in view.stretches()]
         base = size[0] * _filtered(driven, -k * k * SECOND, k, size)
         torque = t.T @ (lever * base)
-        return Perturbation(view.to_gauss(torque), torque, {ACCEL_X: base * np.cos(q1), ACCEL_Y: base * np.sin(q1)})
+        felt: dict[Channel, FloatArray] = {}
+        for k, place in enumerate(view.mechanism.imus):
+            along = total(view.samples.q, view.mechanism.joints_to(place.link))
+            felt |= dict(zip(imu_channels(k)[1:], (base * np.cos(along), base * np.sin(along))))
+        return Perturbation(view.to_gauss(torque), torque, felt)
 
     def body(self, mechanism: Mechanism, beta: FloatArray, size: FloatArray) -> tuple[Mechanism, FloatArray]:
         """The base as a link that turns by b = x / FAR, so little that cos(th_i - b) is cos th_i and sin b is b: then
@@ -84,7 +88,7 @@ class BaseCompliance(BodyEffect):
         The pivot's fitted rate follows the equation of motion, and through that the base: fits went round in circles.
         The gyro's noise would act as torque noise, so it comes low-passed.
         """
-        if view.measured is None or GYRO not in view.measured.slow:
+        if view.measured is None or GYRO not in view.measured.slow or view.mechanism.imus[0].link > 0:
             return view.samples.v
         return np.concatenate([view.measured.slow[GYRO][None], view.samples.v[1:]])
 

@@ -10,7 +10,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import SensorEffect, Size, View
 from estimator.model import Mechanism
-from estimator.signals import IMU_CHANNELS, Channel, Kind, accelerometer
+from estimator.signals import Channel, Kind, imu_channels, imu_readings
 
 
 def shifted(x: FloatArray, delay_s: float, view: View) -> FloatArray:
@@ -41,10 +41,10 @@ class SensorTimeSkew(SensorEffect):
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
         if view.measured is not None:  # x(t - d) - y(t) is x(t) - y(t + d), whose dependence on x is plain
             read = view.measured.readings
-            return {c: read[c] - shifted(read[c], -size[0], view) for c in IMU_CHANNELS}
-        s, m = view.samples, view.mechanism
-        true = (s.v[0], *accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2))
-        return {c: shifted(x, size[0], view) - x for c, x in zip(IMU_CHANNELS, true)}
+            channels = [c for k in range(len(view.mechanism.imus)) for c in imu_channels(k)]
+            return {c: read[c] - shifted(read[c], -size[0], view) for c in channels}
+        s = view.samples
+        return {c: shifted(x, size[0], view) - x for c, x in imu_readings(view.mechanism, s.q, s.v, s.a).items()}
 
     def open_size(self, clock_bound_s: float) -> float:
         return clock_bound_s

@@ -8,7 +8,7 @@ from daq import FloatArray
 from estimator.likelihood import LatentProblem, Latents, Noise
 from estimator.model import Mechanism
 from estimator.numerics import eliminate
-from estimator.signals import IMU_COLUMNS, SignalSet
+from estimator.signals import SignalSet, imu_columns
 
 
 def cramer_rao(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatArray, torque: FloatArray,
@@ -27,10 +27,10 @@ def fisher_information(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd
 
     Posed as `mle` poses it: the motion obeys the equation of motion, its states and the true torque are unknown
     and eliminated, encoders, torque and IMU carry white noise of the levels in `noise` (an encoder with an
-    infinite level is not there, nor is an IMU with an infinite gyro level).
+    infinite level is not there, nor are IMUs without a level).
     """
     angles = np.where(np.isfinite(noise.encoder), q, np.nan)
-    imu = {name: np.zeros(len(q)) for name in IMU_COLUMNS} if np.isfinite(noise.gyro) else {}
+    imu = {name: np.zeros(len(q)) for k in range(noise.gyro.size) for name in imu_columns(k)}
     signals = SignalSet("truth", rate_hz, np.arange(len(q)) / rate_hz, angles, torque, imu)
     problem = LatentProblem([signals], mechanism, hold)
     point = problem.linearise(Latents(q, qd, torque), beta, noise)

@@ -20,7 +20,7 @@ from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import Combination
-from estimator.signals import IMU_COLUMNS, SignalSet, quantum, split_signals, white_noise_level
+from estimator.signals import IMU_COLUMNS, SignalSet, imu_columns, quantum, split_signals, white_noise_level
 
 DRAWS = 2
 """Times that noise is added; its part of Z is the mean over them."""
@@ -95,9 +95,9 @@ def _levels(s: SignalSet, options: FitOptions) -> dict[int | str, float]:
         if np.isfinite(s.angles[:, j]).all():
             declared = options.encoder_noise(j)
             found[j] = _level(s.angles[:, j]) if declared is None else declared
-    known = (options.noise.get("gyro_radps"), options.accel_noise(0), options.accel_noise(1))
-    for name, declared in zip(IMU_COLUMNS, known):
-        if name in s.imu:
+    for k in range(len(s.imu) // len(IMU_COLUMNS)):
+        known = (options.gyro_noise(k), options.accel_noise(0, k), options.accel_noise(1, k))
+        for name, declared in zip(imu_columns(k), known):
             found[name] = _level(s.imu[name]) if declared is None else declared
     return found
 

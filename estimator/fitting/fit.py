@@ -21,7 +21,7 @@ from estimator.methods import METHODS
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
 from estimator.result import FitResult
-from estimator.signals import split_signals
+from estimator.signals import is_plain, split_signals
 
 Estimator = Callable[[Sequence[Dataset], Mechanism, FitOptions], FitResult]
 ESTIMATORS: dict[str, Estimator] = dict(zip(METHODS, (fit_mle, fit_wls, fit_rls, fit_hekf), strict=True))
@@ -79,6 +79,9 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
         options = replace(options, hold="linear")
     _refuse_correlations(options, method)
     require_scale(datasets, mechanism, options)
+    if (method != "mle" or options.latent == "free") and not is_plain(mechanism, options):
+        own = "--latent free" if method == "mle" else f"--method {method}"
+        raise FitError(f"{own} knows one IMU on link 1 and encoders of all other joints: fit by --method mle")
     run = ESTIMATORS[method]
     if method == "mle" and options.latent == "free":
         from estimator.fitting.mle_free import fit_mle_free as run  # it alone needs sparse matrices

@@ -207,15 +207,16 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
     for j in problem.mechanism.passive:
         if driven:
             torque[j] = min(max(torque[j], PASSIVE_SHARE * min(driven)), most)
-    gyro, accel = old.gyro, old.accel.copy()
-    if problem.has_imu and "gyro_radps" not in options.noise:
-        gyro = level(residuals["gyro"], float(effective_dof["gyro"]), floors.gyro, old.gyro)
-    if problem.has_imu:
-        excess = accel_excess(old, residuals["accel"], effective_dof["accel"])
+    gyro, accel = old.gyro.copy(), old.accel.copy()
+    for k in range(problem.imu_count):
+        if options.gyro_noise(k) is None:
+            gyro[k] = level(residuals["gyro"][k], float(effective_dof["gyro"][k]), floors.gyro[k], old.gyro[k])
+        own, by_latents = residuals["accel"][k], effective_dof["accel"][k]
+        excess = accel_excess(old.accel[k], old.accel_correlation, own, by_latents)
         for i in range(2):
-            if options.accel_noise(i) is None:
-                accel[i] = level(np.sqrt(excess[i]) * residuals["accel"][:, i],
-                                 excess[i] * float(effective_dof["accel"][i, i]), floors.accel[i], old.accel[i])
+            if options.accel_noise(i, k) is None:
+                accel[k, i] = level(np.sqrt(excess[i]) * own[:, i], excess[i] * float(by_latents[i, i]),
+                                    floors.accel[k, i], old.accel[k, i])
     state.noise = replace(old, torque=torque, encoder=encoder, gyro=gyro, accel=accel)
     pairs = [(torque, old.torque), (encoder, old.encoder), (np.append(accel, gyro), np.append(old.accel, old.gyro))]
     return max(float(np.max(np.abs(np.log(a[np.isfinite(a)] / b[np.isfinite(a)])), initial=0.0)) for a, b in pairs)
@@ -239,16 +240,16 @@ def _update_loudness(problem: LatentProblem, noise: Noise, residuals: Mapping[st
     if driven:  # a passive joint's level stays as far below the torque's in each run as it is in all
         quietest = np.min(noise.torque[driven] * problem.loud.torque[:, driven], axis=1)
         problem.loud.torque[:, list(problem.mechanism.passive)] = (quietest / np.min(quietest))[:, None]
-    return max(float(np.max(np.abs(np.log(new / (1.0 if before is None else old)))))
+    return max(float(np.max(np.abs(np.log(new / (1.0 if before is None else old))), initial=0.0))
                for new, old in zip(problem.loud, before or problem.loud, strict=True))
 
 
-def accel_excess(noise: Noise, residual: FloatArray, by_latents: FloatArray) -> FloatArray:
-    """(2,) see `excess_variance`, from residuals (N, 2) and what the latents take of both axes (2, 2)."""
-    if noise.accel_correlation == 0.0:
+def accel_excess(levels: FloatArray, rho: float, residual: FloatArray, by_latents: FloatArray) -> FloatArray:
+    """(2,) see `excess_variance`, from the `levels` (2,) and residuals (N, 2) of both axes, correlated by `rho`, and
+    what the latents take of them (2, 2)."""
+    if rho == 0.0:
         return np.ones(2)
-    rho = noise.accel_correlation
-    products = residual.T @ residual + by_latents * np.outer(noise.accel, noise.accel)
+    products = residual.T @ residual + by_latents * np.outer(levels, levels)
     return excess_variance(np.array([[1.0, rho], [rho, 1.0]]),
                            correlation_of(products, np.full((2, 2), float(len(residual)))))
 

@@ -44,12 +44,13 @@ def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mec
     for j in map(int, np.flatnonzero(problem.has_encoder)):
         given = options.encoder_noise(j)
         encoder[j] = max(shown.encoder[j], 1e-7) if given is None else max(given, EXACT_ENCODER)
-    gyro, accel = np.inf, shown.accel.copy()
-    if problem.has_imu:
-        gyro = options.noise.get("gyro_radps", max(shown.gyro, 1e-6))
+    gyro, accel = shown.gyro.copy(), shown.accel.copy()
+    for k in range(problem.imu_count):
+        given = options.gyro_noise(k)
+        gyro[k] = max(shown.gyro[k], 1e-6) if given is None else given
         for i in range(2):
-            given = options.accel_noise(i)
-            accel[i] = max(shown.accel[i], 1e-5) if given is None else given
+            given = options.accel_noise(i, k)
+            accel[k, i] = max(shown.accel[k, i], 1e-5) if given is None else given
     return State(x, beta, Noise(torque, encoder, gyro, accel, options.accel_correlation,
                                 joint_correlation(mechanism, options)), covariance)
 
@@ -89,10 +90,10 @@ def gentle_start(problem: LatentProblem, signals: list[SignalSet], mechanism: Me
 
     torque, encoder = (np.array([level(left[k][:, j], least[j]) for j in range(problem.n)])
                        for k, least in (("torque", noise.torque), ("encoder", noise.encoder)))
-    gyro, accel = noise.gyro, noise.accel
-    if problem.has_imu:
-        gyro = level(left["gyro"], noise.gyro)
-        accel = np.array([level(left["accel"][:, i], noise.accel[i]) for i in range(2)])
+    gyro, accel = noise.gyro.copy(), noise.accel.copy()
+    for k in range(problem.imu_count):
+        gyro[k] = level(left["gyro"][k], noise.gyro[k])
+        accel[k] = [level(left["accel"][k, :, i], noise.accel[k, i]) for i in range(2)]
     state.noise = replace(noise, torque=torque, encoder=encoder, gyro=gyro, accel=accel)
     return state
 
@@ -103,4 +104,4 @@ def noise_floors(problem: LatentProblem, mechanism: Mechanism, beta: FloatArray)
                 1e-6)
     shown = problem.shown
     return Noise(np.full(mechanism.n, 2e-3 * scale), np.maximum(0.7 * shown.encoder, 1e-8),
-                 max(0.7 * shown.gyro, 1e-6), np.maximum(0.7 * shown.accel, 1e-5))
+                 np.maximum(0.7 * shown.gyro, 1e-6), np.maximum(0.7 * shown.accel, 1e-5))

@@ -32,7 +32,7 @@ from estimator.likelihood import BatchProblem, ExtendedProblem, LatentProblem, L
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
 from estimator.result import TWO_SIDED, FitResult, Trajectory
-from estimator.signals import SignalSet, accelerometer, angle_column, split_signals
+from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals
 
 
 def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:
@@ -207,17 +207,20 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
             column = angle_column(mechanism, int(j))
             measured[column], predicted[column] = s.angles[:, j], x.q[where, j]
         if s.imu:
-            ax, ay = accelerometer(x.q[where, 0], x.v[where, 0], qdd[where, 0], mechanism.lever_arm,
-                                   mechanism.gravity_mps2)
-            predicted |= {"gyro_radps": x.v[where, 0], "accel_x_mps2": ax, "accel_y_mps2": ay}
+            predicted |= predicted_columns(mechanism, x.q[where], x.v[where], qdd[where])
         trajectories.append(Trajectory(s.run, s.time_s, x.q[where], x.v[where], qdd[where], tau[where], s.torque,
                                        measured, predicted))
-    assumptions = (
+    assumptions: tuple[str, ...] = (
         f"torque acts between samples by the '{options.hold}' hold",
         f"all noise is white, Gaussian and {independence(options)}; levels "
         + ("as given" if _levels_given(mechanism, options) else
            "estimated from the data"),
         "the model's form is right: what it leaves out is counted as torque noise")
+    riders = [f"IMU {k + 1} on link {place.link + 1}" for k, place in enumerate(mechanism.imus) if place.link]
+    if problem.has_imu and riders:
+        lengths = ", ".join(f"{length:g} m" for length in mechanism.link_lengths)
+        assumptions += (f"{' and '.join(riders)} ride{'s' if len(riders) == 1 else ''} on links of exactly the lengths "
+                        f"declared ({lengths} from link 1 on)",)
     return FitResult(mechanism, "mle", options.sensors, beta, state.covariance, noise,
                      np.sqrt(np.mean(residual**2, axis=0)), state.converged, state.iterations, problem.total, wall_s,
                      undetermined(mechanism, beta, state.covariance, free), assumptions, (), tuple(trajectories),

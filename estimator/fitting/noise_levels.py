@@ -27,9 +27,14 @@ def torque_levels(noise: Noise, mechanism: Mechanism) -> dict[str, float]:
 
 
 def imu_levels(noise: Noise) -> dict[str, float]:
-    """Of the gyro, of both accelerometer axes together (root mean square) and of each, with what correlates them."""
-    found = {"gyro_radps": float(noise.gyro), "accel_mps2": float(np.sqrt(np.mean(noise.accel**2))),
-             "accel_x_mps2": float(noise.accel[0]), "accel_y_mps2": float(noise.accel[1])}
+    """Of the gyro, of both accelerometer axes together (root mean square) and of each, with what correlates them; of
+    several IMUs the largest, and those of all."""
+    levels = [{"gyro{}_radps": float(gyro), "accel{}_mps2": float(np.sqrt(np.mean(accel**2))),
+               "accel{}_x_mps2": float(accel[0]), "accel{}_y_mps2": float(accel[1])}
+              for gyro, accel in zip(noise.gyro, noise.accel)]
+    found = {name.format(""): max(own[name] for own in levels) for name in levels[0]}
+    if len(levels) > 1:
+        found |= {name.format(k + 1): value for k, own in enumerate(levels) for name, value in own.items()}
     return found | ({"accel_correlation": noise.accel_correlation} if noise.accel_correlation else {})
 
 

@@ -57,8 +57,8 @@ class Column(NamedTuple):
     taken: FloatArray
     """(R,) degrees of freedom that the latents took of each run"""
     kind: str
-    """Of `Loudness`, and the column in it, None for a kind of one channel."""
-    at: int | None
+    """Of `Loudness`, and the channel in it: a joint, an IMU, or an IMU and its axis."""
+    at: int | tuple[int, int]
     level: float
     floor: float
 
@@ -85,12 +85,21 @@ def columns(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatA
             r = residuals["encoder"][:, j] / (1.0 if problem.spread is None else problem.spread[:, j])
             yield Column(f"encoder{j + 1}_rad", r**2, whole, taken["encoder"][:, j], "encoder", j,
                          float(noise.encoder[j]), float(floors.encoder[j]))
-    if problem.has_imu and "gyro_radps" not in options.noise:
-        yield Column("gyro_radps", residuals["gyro"] ** 2, whole, taken["gyro"], "gyro", None, noise.gyro, floors.gyro)
-    for i, axis in enumerate("xy" if problem.has_imu else ""):
-        if options.accel_noise(i) is None:
-            yield Column(f"accel_{axis}_mps2", residuals["accel"][:, i] ** 2, whole, taken["accel"][:, i, i], "accel",
-                         i, float(noise.accel[i]), float(floors.accel[i]))
+    for k in range(problem.imu_count):
+        gyro, *axes = imu_names(problem, k)
+        if options.gyro_noise(k) is None:
+            yield Column(gyro, residuals["gyro"][k] ** 2, whole, taken["gyro"][:, k], "gyro", k, float(noise.gyro[k]),
+                         float(floors.gyro[k]))
+        for i, axis in enumerate(axes):
+            if options.accel_noise(i, k) is None:
+                yield Column(axis, residuals["accel"][k, :, i] ** 2, whole, taken["accel"][:, k, i, i], "accel", (k, i),
+                             float(noise.accel[k, i]), float(floors.accel[k, i]))
+
+
+def imu_names(problem: LatentProblem, imu: int) -> tuple[str, str, str]:
+    """Names of the levels of an IMU's gyro and accelerometer axes: with its number where there are several."""
+    own = imu + 1 if problem.imu_count > 1 else ""
+    return f"gyro{own}_radps", f"accel{own}_x_mps2", f"accel{own}_y_mps2"
 
 
 def renewed(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatArray], taken: Mapping[str, FloatArray],
@@ -100,7 +109,7 @@ def renewed(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatA
     `residuals` are after a step, not weighted, `taken` is of `effective_samples`. A channel that had levels of its runs
     before keeps them, whatever the test says now.
     """
-    asked, loud = set(problem.loud_channels), even(problem.total, problem.n)
+    asked, loud = set(problem.loud_channels), even(problem.total, problem.n, problem.imu_count)
     if len(problem.run_starts) < 2:
         return None, frozenset()
     lengths = np.diff(np.append(problem.run_starts, problem.total))
@@ -153,8 +162,9 @@ def run_noise(problem: LatentProblem, signals: Sequence[SignalSet], noise: Noise
     of_run = problem.loud.of(problem.run_starts)
     found = {f"torque{j + 1}_nm": noise.torque[j] * of_run.torque[:, j] for j in range(problem.n)}
     found |= {f"encoder{j + 1}_rad": noise.encoder[j] * of_run.encoder[:, j] for j in range(problem.n)}
-    found["gyro_radps"] = noise.gyro * of_run.gyro
-    found |= {f"accel_{axis}_mps2": noise.accel[i] * of_run.accel[:, i] for i, axis in enumerate("xy")}
+    for k in range(problem.imu_count):
+        levels = noise.gyro[k] * of_run.gyro[k], *(noise.accel[k] * of_run.accel[k]).T
+        found |= dict(zip(imu_names(problem, k), levels))
     return RunNoise(tuple(run for run, _, _ in by_run(signals)),
                     {name: levels for name, levels in found.items() if name in problem.loud_channels})
 
@@ -162,7 +172,10 @@ def run_noise(problem: LatentProblem, signals: Sequence[SignalSet], noise: Noise
 def _of(loud: Loudness, column: Column) -> FloatArray:
     """(N,) a view."""
     values: FloatArray = getattr(loud, column.kind)
-    return values if column.at is None else values[:, column.at]
+    if isinstance(column.at, tuple):
+        imu, axis = column.at
+        return values[imu, :, axis]
+    return values[column.at] if column.kind == "gyro" else values[:, column.at]
 
 
 def _above(ratio: float, freedom: int, other: int) -> float:

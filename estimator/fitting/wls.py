@@ -21,11 +21,11 @@ from estimator.result import FitResult, Trajectory
 from estimator.signals import (
     Kinematics,
     SignalSet,
-    accelerometer,
     angle_column,
     differentiate,
     lowpass,
     paper_differences,
+    predicted_columns,
     split_signals,
 )
 
@@ -222,7 +222,6 @@ def trajectory(s: SignalSet, k: Kinematics, mechanism: Mechanism, beta: FloatArr
             measured[angle_column(mechanism, j)] = s.angles[:, j]
             predicted[angle_column(mechanism, j)] = k.q[:, j]
     if s.imu:
-        ax, ay = accelerometer(k.q[:, 0], k.qd[:, 0], k.qdd[:, 0], mechanism.lever_arm, mechanism.gravity_mps2)
-        predicted |= {"gyro_radps": k.qd[:, 0], "accel_x_mps2": ax, "accel_y_mps2": ay}
+        predicted |= predicted_columns(mechanism, k.q, k.qd, k.qdd)
     return Trajectory(s.run, s.time_s, k.q, k.qd, k.qdd, mechanism.inverse_dynamics(k.q, k.qd, k.qdd, beta),
                       s.torque, measured, predicted)

@@ -15,7 +15,7 @@ from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
 from estimator.model import Collocation, Samples, invert
 from estimator.numerics import Kernel, at, padded
-from estimator.signals import ACCEL_X, ACCEL_Y
+from estimator.signals import accelerometer_slopes, imu_channels
 
 STRIP = 32
 """Samples whose rows are made at a time."""
@@ -55,36 +55,45 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
 
 def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, noise: Noise, here: slice,
                       extra: Extra | None, accumulators: Accumulators, accel: FloatArray) -> None:
-    """Add both axes' samples `here` of `measured` (2, N); put their rows, unscaled, into accel (N, 2, b + 1 + m).
+    """Add samples `here` of both axes of S IMUs, `measured` (S, 2, N); put their rows, unscaled, into accel (S, N, 2,
+    b + 1 + m).
 
-    q1dd comes from the equation of motion at the sample, not from the cubic: friction that changes sign inside an
-    interval makes the acceleration jump there, and the cubic's value at its end would carry that jump to the wrong
+    Accelerations come from the equation of motion at the sample, not from the cubic: friction that changes sign inside
+    an interval makes the acceleration jump there, and the cubic's value at its end would carry that jump to the wrong
     side (measured: 5 % on the knee's Coulomb level).
     """
-    m, n, count = c.mechanism, c.mechanism.n, here.stop - here.start
+    m, n = c.mechanism, c.mechanism.n
     q, v, u = (np.ascontiguousarray(a[here].T)[:, None] for a in (x.q, x.v, x.u))
-    transposed, columns = c.fast.transposed(q), np.zeros((2, 0, count))
+    transposed = c.fast.transposed(q)
     torque = u[:, 0] if extra is None else u[:, 0] - extra.torque_at_samples[:, here]
     qdd, inverse = c.fast.accelerate(q, v, torque, beta, transposed)
     z, own = c.fast(q, v, qdd, v, v, beta, transposed)
-    q1dd, shown = qdd[0, 0], measured[:, here].copy()
     if extra is not None:
         z = np.concatenate([z, extra.sample_columns[:, :, None, here]])
-        columns = np.zeros((2, len(extra.sample_columns), count))
         if extra.sample_slopes is not None:
             own[:, 0] += extra.sample_slopes[..., here]
             inverse = invert(own[:, 0])
-        for axis, channel in enumerate((ACCEL_X, ACCEL_Y)):
-            if channel in extra.readings:
-                shown[axis] -= extra.readings[channel][here]
-            if channel in extra.reading_columns:
-                columns[axis] = extra.reading_columns[channel][:, here]
-    chain, precision = accumulators.chain, noise.accel_precision()
-    _samples(n, _constant(chain.edge))(
-        z[:, :, 0], own[:, 0], inverse, transposed[0][0, 0], transposed[1][0, 0], v[0, 0], q1dd, shown, columns,
-        m.lever_arm, m.gravity_mps2, precision, chain.edge, chain.rows[here], accel[here],
-        np.zeros((2, chain.edge, STRIP)), np.zeros((2, chain.edge)))
-    accumulators.square[:] += _products(accel[here][:, :, chain.block :], precision)
+    chain, motion = accumulators.chain, (q[:, 0], v[:, 0], qdd[:, 0])
+    for k, place in enumerate(m.imus[: len(measured)]):
+        turned = transposed[0][place.link, 0], transposed[1][place.link, 0]
+        left, by_angle, by_rate, by_acceleration = accelerometer_slopes(m, place, *motion, turned=turned)
+        left -= measured[k, :, here]
+        if place.link == 0:  # along link 1 nothing feels an acceleration
+            reach = place.lever_arm * inverse[:1]
+        else:
+            reach = np.einsum("rjN,jiN->riN", by_acceleration, inverse)
+        columns = np.zeros((2, 0 if extra is None else len(extra.sample_columns), left.shape[1]))
+        if extra is not None:
+            for axis, channel in enumerate(imu_channels(k)[1:]):
+                if channel in extra.readings:
+                    left[axis] += extra.readings[channel][here]
+                if channel in extra.reading_columns:
+                    columns[axis] = extra.reading_columns[channel][:, here]
+        precision, rows = noise.accel_precision(k), accel[k, here]
+        _samples(n, _constant(chain.edge))(
+            z[:, :, 0], own[:, 0], reach, by_angle, by_rate, left, columns, precision, chain.edge, chain.rows[here],
+            rows, np.zeros((2, chain.edge, STRIP)), np.zeros((2, chain.edge)))
+        accumulators.square[:] += _products(rows[:, :, chain.block :], precision)
 
 
 def _products(rows: FloatArray, precision: FloatArray) -> FloatArray:
@@ -182,52 +191,56 @@ def _intervals(n: int, fixed: int) -> Kernel:
 
 @cache
 def _samples(n: int, fixed: int) -> Kernel:
-    """The kernel that adds the accelerometer's two axes at N samples of n joints to a chain's first N rows.
+    """The kernel that adds an accelerometer's two axes at N samples of n joints to a chain's first N rows.
 
-    From z (m, n, N), slopes (n, 5, n, N), inverse (n, n, N), the angle's cosine and sine, the rate and the acceleration
-    of joint 1, what the two axes show (2, N), and the derivatives by the last of the m parameters of what effects add
-    to that (2, k, N), it makes the unscaled rows (N, 2, 3 n + 1 + m), and adds their products by `precision` (2, 2);
-    line (2, edge, STRIP) and transposed (2, edge) are zeros to work on.
+    From z (m, n, N), slopes (n, 5, n, N), reach (r, n, N), by how much joints' torques show on the first r axes, the
+    derivatives (2, n, N) of both axes by angle and rate at given accelerations, what is left of them (2, N), and the
+    derivatives by the last of the m parameters of what effects add to that (2, k, N), it makes the unscaled rows (N, 2,
+    3 n + 1 + m), and adds their products by `precision` (2, 2); line (2, edge, STRIP) and transposed (2, edge) are
+    zeros to work on.
     """
     b = 3 * n
 
-    def run(z: Any, slopes: Any, inverse: Any, cosine: Any, sine: Any, rate: Any, q1dd: Any, shown: Any,
-            columns: Any, lever: float, gravity: float, precision: Any, edge: int, rows: Any, accel: Any, line: Any,
-            transposed: Any) -> None:
-        count, width, extra = rate.size, 1 + z.shape[0], columns.shape[1]
+    def run(z: Any, slopes: Any, reach: Any, angle: Any, rate: Any, left: Any, columns: Any, precision: Any, edge: int,
+            rows: Any, accel: Any, line: Any, transposed: Any) -> None:
+        count, width, extra, felt = left.shape[1], 1 + z.shape[0], columns.shape[1], reach.shape[0]
         across, along, mixed = precision[0, 0], precision[1, 1], precision[0, 1]
         if fixed > 0:
             edge = fixed
         for start in range(0, count, STRIP):
             size = min(STRIP, count - start)
-            for j in range(n):
+            for r in range(2):
+                for j in range(n):
+                    for w in range(size):
+                        line[r, j, w], line[r, n + j, w] = angle[r, j, at(start + w)], rate[r, j, at(start + w)]
                 for w in range(size):
-                    by_angle, by_rate = 0.0, 0.0
-                    for i in range(n):
-                        f = lever * inverse[0, i, at(start + w)]
-                        by_angle -= f * slopes[i, 0, j, at(start + w)]
-                        by_rate -= f * (slopes[i, 1, j, at(start + w)] + slopes[i, 3, j, at(start + w)]
-                                        + slopes[i, 4, j, at(start + w)])
-                    line[0, j, w], line[0, n + j, w] = by_angle, by_rate
-                    line[0, 2 * n + j, w] = lever * inverse[0, j, at(start + w)]
-            for w in range(size):
-                line[0, 0, w] += gravity * cosine[at(start + w)]
-                line[1, 0, w] = gravity * sine[at(start + w)]
-                line[1, n, w] = -2.0 * lever * rate[at(start + w)]
-                tangential = lever * q1dd[at(start + w)] + gravity * sine[at(start + w)]
-                radial = -lever * rate[at(start + w)] * rate[at(start + w)] - gravity * cosine[at(start + w)]
-                line[0, b, w], line[1, b, w] = tangential - shown[0, at(start + w)], radial - shown[1, at(start + w)]
-            for k in range(width - 1):
-                for w in range(size):
-                    t = 0.0
-                    for i in range(n):
-                        t -= inverse[0, i, at(start + w)] * z[k, i, at(start + w)]
-                    line[0, b + 1 + k, w] = lever * t
+                    line[r, b, w] = left[r, at(start + w)]
+            for r in range(felt):
+                for j in range(n):
+                    for w in range(size):
+                        by_angle, by_rate = 0.0, 0.0
+                        for i in range(n):
+                            f = reach[r, i, at(start + w)]
+                            by_angle -= f * slopes[i, 0, j, at(start + w)]
+                            by_rate -= f * (slopes[i, 1, j, at(start + w)] + slopes[i, 3, j, at(start + w)]
+                                            + slopes[i, 4, j, at(start + w)])
+                        line[r, j, w] += by_angle
+                        line[r, n + j, w] += by_rate
+                        line[r, 2 * n + j, w] = reach[r, j, at(start + w)]
+                for k in range(width - 1):
+                    for w in range(size):
+                        t = 0.0
+                        for i in range(n):
+                            t -= reach[r, i, at(start + w)] * z[k, i, at(start + w)]
+                        line[r, b + 1 + k, w] = t
             for k in range(extra):
                 place = b + width - extra + k
                 for w in range(size):
                     line[0, place, w] += columns[0, k, at(start + w)]
-                    line[1, place, w] = columns[1, k, at(start + w)]
+                    if felt > 1:
+                        line[1, place, w] += columns[1, k, at(start + w)]
+                    else:
+                        line[1, place, w] = columns[1, k, at(start + w)]
             for w in range(size):
                 for r in range(2):
                     for c in range(edge):
@@ -240,4 +253,4 @@ def _samples(n: int, fixed: int) -> Kernel:
                     for c in range(edge):
                         rows[at(start + w), i, c] += f * transposed[0, c] + g * transposed[1, c]
 
-    return Kernel(run, "f3 f4 f3 f1 f1 f1 f1 f2 f3 d d f2 n f3 f3 f3 f2")
+    return Kernel(run, "f3 f4 f3 f3 f3 f2 f3 f2 n f3 f3 f3 f2")

@@ -15,10 +15,10 @@ def effective_samples(problem: LatentProblem, point: Linearised, p_diagonal: Flo
     """Degrees of freedom that the latents took from each channel, gamma = sum J P J^T / sigma^2, by run (R, ...).
 
     `p_diagonal` (N, b, b) are the diagonal blocks of the latents' covariance. Torque samples count by the square of
-    `torque_weight`: so much they say of the noise. The accelerometer's are (R, 2, 2), both axes' products, those with
-    each other where they are correlated.
+    `torque_weight`: so much they say of the noise. The S gyros' are (R, S), the accelerometers' (R, S, 2, 2), both
+    axes' products, those with each other where they are correlated.
     """
-    n, starts = problem.n, problem.run_starts
+    n, s, starts = problem.n, problem.imu_count, problem.run_starts
 
     def by_run(values: FloatArray) -> FloatArray:
         return np.asarray(np.add.reduceat(values, starts, axis=0))
@@ -43,14 +43,17 @@ def effective_samples(problem: LatentProblem, point: Linearised, p_diagonal: Flo
             both = both / (noise.encoder[j] * (1.0 if problem.loud is None else problem.loud.encoder[:, j])) ** 2
         found[channel.kind][:, j] += by_run(both)
     if problem.has_imu:
-        gyro = variance[:, n] if problem.loud is None else variance[:, n] / problem.loud.gyro**2
-        found["gyro"] = by_run(gyro) / noise.gyro**2
-        rows = point.accel_rows if problem.loud is None else point.accel_rows / problem.loud.accel[:, :, None]
-        spread = rows @ p_diagonal
-        products = np.zeros((len(starts), 2, 2))
+        found["gyro"], found["accel"] = np.zeros((len(starts), s)), np.zeros((len(starts), s, 2, 2))
+    for k, joints in enumerate(problem.turned_by):
+        rates = np.sum([p_diagonal[:, n + i, n + j] for i in joints for j in joints], axis=0)
+        rows = point.accel_rows[k]
+        if problem.loud is not None:
+            rates, rows = rates / problem.loud.gyro[k] ** 2, rows / problem.loud.accel[k][:, :, None]
+        found["gyro"][:, k] = by_run(rates) / noise.gyro[k] ** 2
+        spread, products = rows @ p_diagonal, found["accel"][:, k]
         for i in range(2):
             products[:, i, i] = by_run(np.einsum("kb,kb->k", spread[:, i], rows[:, i]))
         if noise.accel_correlation != 0.0:
             products[:, 0, 1] = products[:, 1, 0] = by_run(np.einsum("kb,kb->k", spread[:, 0], rows[:, 1]))
-        found["accel"] = products / np.outer(noise.accel, noise.accel)
+        products /= np.outer(noise.accel[k], noise.accel[k])
     return found

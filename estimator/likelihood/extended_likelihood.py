@@ -29,7 +29,7 @@ from estimator.likelihood.normal_equations import Extra, Latents, Linearised
 from estimator.likelihood.pull import Pull
 from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model import ACCEL, ANGLE, GAUSS, RATE, Mechanism, mean_sign, smooth_sign
-from estimator.signals import GYRO, IMU_CHANNELS, Channel, SignalSet, encoder_of, lowpass, torque_of
+from estimator.signals import GYRO, Channel, SignalSet, encoder_of, lowpass, torque_of
 
 SLOW_HZ = 12.0
 SLOW_SHARE = 0.12
@@ -126,9 +126,9 @@ class ExtendedProblem(LatentProblem):
         readings = {torque_of(j): self.torque[:, j] for j in range(self.n)}
         readings |= {encoder_of(j): self.angles[:, j] for j in with_encoder}
         low_passed = {torque_of(j): slow(self.torque[:, j], SLOW_SHARE / self.dt) for j in range(self.n)}
+        readings |= self.imu_readings()
         if self.has_imu:
-            readings |= dict(zip(IMU_CHANNELS, (self.gyro, self.ax, self.ay)))
-            low_passed[GYRO] = slow(self.gyro, SLOW_HZ)
+            low_passed[GYRO] = slow(self.gyro[0], SLOW_HZ)
         derivatives = {j: self._derivatives(self.angles[:, j]) for j in with_encoder}
         return Record(readings, low_passed, {j: rate for j, (rate, _) in derivatives.items()},
                       {j: acceleration for j, (_, acceleration) in derivatives.items()})

@@ -14,7 +14,7 @@ from estimator.likelihood.extended_likelihood import ExtendedProblem, added
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.model import simulate
-from estimator.signals import IMU_CHANNELS, Channel, accelerometer, encoder_of, torque_of
+from estimator.signals import Channel, encoder_of, imu_readings, torque_of
 
 PASSES = 60
 SETTLED_RAD = 2e-5
@@ -68,8 +68,7 @@ def free_run(problem: ExtendedProblem, state: State, drive: FloatArray | None = 
     s = view.samples
     readings = {torque_of(j): u[:, j].copy() for j in range(m.n)}
     readings |= {encoder_of(j): q[:, j].copy() for j in range(m.n)}
-    imu = (v[:, 0].copy(), *accelerometer(s.q[0], s.v[0], s.a[0], m.lever_arm, m.gravity_mps2))
-    readings |= dict(zip(IMU_CHANNELS, imu))
+    readings |= imu_readings(m, s.q, s.v, s.a)
     for channel, value in added(plant.pairs, view)[2].items():
         readings[channel] = readings[channel] + value
     if not all(np.isfinite(values).all() for values in readings.values()):  # an effect on a motion that is far off

@@ -18,15 +18,16 @@ class Loudness(NamedTuple):
     encoder: FloatArray
     """(N, n)"""
     gyro: FloatArray
-    """(N,)"""
+    """(S, N) of S IMUs"""
     accel: FloatArray
-    """(N, 2)"""
+    """(S, N, 2)"""
 
     def of(self, samples: slice | NDArray[np.intp]) -> Loudness:
         """Of some of the samples."""
-        return Loudness(*(of_kind[samples] for of_kind in self))
+        return Loudness(self.torque[samples], self.encoder[samples], self.gyro[:, samples], self.accel[:, samples])
 
 
-def even(samples: int, joints: int) -> Loudness:
+def even(samples: int, joints: int, imus: int) -> Loudness:
     """All runs alike."""
-    return Loudness(np.ones((samples, joints)), np.ones((samples, joints)), np.ones(samples), np.ones((samples, 2)))
+    of_joints = samples, joints
+    return Loudness(np.ones(of_joints), np.ones(of_joints), np.ones((imus, samples)), np.ones((imus, samples, 2)))

@@ -9,8 +9,12 @@ import numpy as np
 from daq import FloatArray
 
 
+def _no_gyro() -> FloatArray:
+    return np.zeros(0)
+
+
 def _no_accelerometer() -> FloatArray:
-    return np.full(2, np.inf)
+    return np.zeros((0, 2))
 
 
 @dataclass(frozen=True)
@@ -21,19 +25,20 @@ class Noise:
     """(n,) [N m]; on a passive joint what the model gets wrong."""
     encoder: FloatArray
     """(n,) [rad]; inf for a joint without an encoder."""
-    gyro: float = np.inf
+    gyro: FloatArray = field(default_factory=_no_gyro)
+    """(S,) of each IMU [rad/s]"""
     accel: FloatArray = field(default_factory=_no_accelerometer)
-    """(2,) of the accelerometer's x and y axes [m/s^2]"""
+    """(S, 2) of its accelerometer's x and y axes [m/s^2]"""
     accel_correlation: float = 0.0
-    """Between these two, at one sample."""
+    """Between these two of one IMU, at one sample."""
     torque_correlation: FloatArray | None = None
     """(n, n) between the joints' torque samples at one time; None where they are independent."""
 
-    def accel_precision(self) -> FloatArray:
-        """(2, 2) inverse covariance of both axes at one sample [s^4/m^2]."""
-        own = 1.0 - self.accel_correlation**2
-        mixed = -self.accel_correlation / (own * self.accel[0] * self.accel[1])
-        return np.array([[1.0 / (own * self.accel[0] ** 2), mixed], [mixed, 1.0 / (own * self.accel[1] ** 2)]])
+    def accel_precision(self, imu: int = 0) -> FloatArray:
+        """(2, 2) inverse covariance of both axes of one IMU at one sample [s^4/m^2]."""
+        (x, y), own = self.accel[imu], 1.0 - self.accel_correlation**2
+        mixed = -self.accel_correlation / (own * x * y)
+        return np.array([[1.0 / (own * x**2), mixed], [mixed, 1.0 / (own * y**2)]])
 
     def torque_precision(self, variances: FloatArray, loud: FloatArray | None = None) -> FloatArray:
         """(N, n, n), or (1, n, n) where all samples are alike, inverse covariance of torque samples.

@@ -71,12 +71,12 @@ class Linearised:
     gradient_beta: FloatArray
     """(p,)"""
     accel: FloatArray
-    """(N, 2, b + 1 + p) unscaled accelerometer rows: by the latents, residual, by beta; none without an IMU."""
+    """(S, N, 2, b + 1 + p) unscaled accelerometer rows of S IMUs: by the latents, residual, by beta."""
     residuals: dict[str, FloatArray]
-    """Unscaled residuals: torque (N, n), encoder (N, n), gyro (N,), accel (N, 2)."""
+    """Unscaled residuals: torque (N, n), encoder (N, n), and with IMUs gyro (S, N), accel (S, N, 2)."""
     extra: Extra | None = None
 
     @property
     def accel_rows(self) -> FloatArray:
-        """(N, 2, b) accelerometer rows by the latents, a view."""
-        return self.accel[:, :, : self.chain.block]
+        """(S, N, 2, b) accelerometer rows by the latents, a view."""
+        return self.accel[..., : self.chain.block]

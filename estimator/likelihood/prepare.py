@@ -45,7 +45,8 @@ def _use(mechanism: Mechanism) -> None:
     problem = LatentProblem([signals], mechanism, "linear")
     beta = np.array([3.0 if p.term == "inertia" and p.at[0] == p.at[1] else 0.1 for p in mechanism.parameters])
     point = problem.linearise(Latents(*rng.normal(size=(3, *shape))), beta,
-                              Noise(np.ones(mechanism.n), np.ones(mechanism.n), 1.0, np.ones(2)))
+                              Noise(np.ones(mechanism.n), np.ones(mechanism.n), np.ones(problem.imu_count),
+                                    np.ones((problem.imu_count, 2))))
     solved = eliminate(point.chain)
     solved.solution(np.zeros(1 + mechanism.p))
     solved.inverse_diagonal()

@@ -17,7 +17,7 @@ from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents, Linearised
 from estimator.likelihood.trajectory_likelihood import LatentProblem, of_channel
 from estimator.model import invert
-from estimator.signals import ACCEL_X, ACCEL_Y, Channel, torque_of
+from estimator.signals import Channel, accelerometer_slopes, imu_channels, torque_of
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,14 @@ def pull_after(problem: LatentProblem, x: Latents, beta: FloatArray, noise: Nois
         readings |= {torque_of(j): shared[:, j] for j in range(n)}
     at_samples = np.zeros((n, problem.total))
     if problem.has_imu:
-        accel = residuals["accel"] @ noise.accel_precision()
-        readings |= {ACCEL_X: accel[:, 0], ACCEL_Y: accel[:, 1]}
         q, v = (np.ascontiguousarray(part.T)[:, None] for part in (x.q, x.v))
         by_features = c.fast(q, v, np.zeros_like(v), v, v, beta)[1][:, 0]
         if extra is not None and extra.sample_slopes is not None:
             by_features += extra.sample_slopes
-        at_samples = -m.lever_arm * invert(by_features)[0] * accel[:, 0]
+        inverse = invert(by_features)
+        for k, place in enumerate(m.imus[: problem.imu_count]):
+            accel = (residuals["accel"][k] @ noise.accel_precision(k)).T
+            readings |= dict(zip(imu_channels(k)[1:], accel))
+            felt = accelerometer_slopes(m, place, x.q.T, x.v.T, np.zeros_like(x.v.T))[3]
+            at_samples -= np.einsum("rjN,jiN,rN->iN", felt, inverse, accel)
     return Pull(torque, at_samples, readings)

@@ -5,8 +5,9 @@ beta. Residuals, each over its standard deviation:
 
     equation of motion at two Gauss points an interval   Z(q, v) beta - hold(u)        sigma_u * TIGHT
     torque sample (zero on a passive joint)              u - y_u                       sigma_u
-    encoder, gyro                                        q - y_q, v1 - y_g             sigma_q, sigma_g
-    accelerometer                                        a(q1, v1, q1dd) - y_a         sigma_a by axis
+    encoder                                              q - y_q                       sigma_q
+    gyro of an IMU on a link at angle t q                t v - y_g                     sigma_g
+    its accelerometer                                    a(q, v, qdd) - y_a            sigma_a by axis
 
 The passive joint's torque is exactly zero, so B Sigma_u B^T of (17) is singular; its sigma_u stands for what
 the model gets wrong there. Where a rig declares correlations, of both axes or of the torques at one time, these
@@ -18,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,20 +28,22 @@ from daq import FloatArray
 from estimator.likelihood import assembly_numba, correlated_torque
 from estimator.likelihood.dry_friction import REST_SPREAD, held_variance, likeliest_scale, passage_samples
 from estimator.likelihood.loudness import Loudness
+from estimator.likelihood.memory import keep_pages, pieces
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents, Linearised
-from estimator.model import Collocation, Mechanism, Samples
+from estimator.model import Collocation, Mechanism
 from estimator.numerics import BlockTridiagonal
 from estimator.signals import (
-    GYRO,
-    IMU_COLUMNS,
     Channel,
     SignalSet,
     by_run,
     encoder_level,
     encoder_of,
+    imu_channels,
+    imu_columns,
     lowpass,
     torque_of,
+    total,
     white_noise_level,
 )
 
@@ -53,18 +56,6 @@ CURVED = 0.15
 """Share of the rate below which the measured torque's curve is its own and not its noise's."""
 KINK = 2.0
 """See `find_stiction_variance`."""
-
-
-@cache
-def keep_pages() -> None:
-    """Make the C library keep memory that arrays gave back, up to 64 MB of it, instead of the system.
-
-    A step makes and drops arrays of megabytes, and the system hands out every page of them anew and cleared: on a
-    virtual machine half of a fit's time went there. GNU's allocator takes the largest block freed so far, up to 32 MB,
-    for the size below which it keeps what is freed; this block is freed without ever being touched. Elsewhere it does
-    nothing.
-    """
-    np.empty(31 * 2**20, dtype=np.uint8)
 
 
 class LatentProblem:
@@ -111,10 +102,13 @@ class LatentProblem:
         """Whether friction is one draw a passage through rest; else one a sample."""
         self.predicted_misfit: FloatArray | None = None
         """(n,) misfit of each joint's torque that the last step of a search foresaw; see `_inertia_gradient`."""
-        if self.has_imu:
-            self.gyro, *accel = (np.concatenate([s.imu[c] for s in signals]) for c in IMU_COLUMNS)
-            self.accel = np.stack(accel)
-            self.ax, self.ay = self.accel
+        self.imu_count = len(mechanism.imus) if self.has_imu else 0
+        self.turned_by = [mechanism.joints_to(place.link) for place in mechanism.imus[: self.imu_count]]
+        """Joints whose rates add up to what each IMU's gyro reads."""
+        readings = [np.concatenate([s.imu[c] for s in signals]) for k in range(self.imu_count) for c in imu_columns(k)]
+        shown = np.array(readings).reshape(self.imu_count, 3, self.total)
+        self.gyro, self.accel = shown[:, 0].copy(), shown[:, 1:].copy()
+        """(S, N), (S, 2, N) of S IMUs"""
 
     def curve(self, u: FloatArray) -> None:
         """Take the curve of the torque between samples from u (N, n), slow as it is, if the hold has one."""
@@ -182,16 +176,16 @@ class LatentProblem:
         chain = BlockTridiagonal.zeros(self.total, b, width)  # right sides: residual, then parameters
         accumulators = Accumulators(chain, np.zeros((width, width)), np.zeros(n))
         weight = self.motion_weight(noise)
-        for intervals, left in self._pieces(self.left):
+        for intervals, left in pieces(self.left, PIECE):
             assembly_numba.add_motion(self.collocation, x, beta, weight[:, intervals], intervals, left, extra,
                                       accumulators, self.between)
         residuals: dict[str, FloatArray] = {}
-        accel = np.empty((self.total if self.has_imu else 0, 2, b + width))
+        accel = np.empty((self.imu_count, self.total, 2, b + width))
         if self.has_imu:
             for here, own in self._alike(noise):
                 assembly_numba.add_accelerometer(self.collocation, x, beta, self.accel, own, here, extra,
                                                  accumulators, accel)
-            residuals["accel"] = accel[:, :, b]
+            residuals["accel"] = accel[..., b]
         upper = np.triu(accumulators.square)
         square, misfit = upper + np.triu(upper, 1).T, accumulators.misfit
         gradient, border = chain.right[:, :, 0], chain.right[:, :, 1:]
@@ -234,26 +228,12 @@ class LatentProblem:
         one, straight = np.eye(self.mechanism.p), np.zeros((1, self.n))
         return np.array([np.diag(self.mechanism.inertia_matrix(straight, b)[0]) for b in one])
 
-    @staticmethod
-    def _pieces(samples: NDArray[np.intp]) -> Iterator[tuple[slice, Samples]]:
-        """`samples` piece by piece: which of them, and those themselves.
-
-        Slices wherever a piece has no gap: they cost no copies.
-        """
-        for start in range(0, samples.size, PIECE):
-            part = samples[start : start + PIECE]
-            first, last = int(part[0]), int(part[-1])
-            if last - first == part.size - 1:
-                yield slice(start, start + part.size), slice(first, last + 1)
-            else:
-                yield slice(start, start + part.size), part
-
     def _alike(self, noise: Noise) -> Iterator[tuple[slice, Noise]]:
         """Samples piece by piece, and the accelerometer's noise there."""
         ends = [*self.run_starts[1:], self.total] if self.loud is not None else [self.total]
         start = 0
         for end in ends:
-            own = noise if self.loud is None else replace(noise, accel=noise.accel * self.loud.accel[start])
+            own = noise if self.loud is None else replace(noise, accel=noise.accel * self.loud.accel[:, start])
             for first in range(start, end, PIECE):
                 yield slice(first, min(first + PIECE, end)), own
             start = end
@@ -265,8 +245,8 @@ class LatentProblem:
         torque = np.array([white_noise_level(t) for t in self.torque.T])
         if not self.has_imu:
             return Noise(torque, np.array(encoder))
-        return Noise(torque, np.array(encoder), white_noise_level(self.gyro),
-                     np.array([white_noise_level(a) for a in self.accel]))
+        return Noise(torque, np.array(encoder), np.array([white_noise_level(g) for g in self.gyro]),
+                     np.array([[white_noise_level(a) for a in axes] for axes in self.accel]))
 
     @cached_property
     def torque_spread(self) -> FloatArray:
@@ -300,6 +280,11 @@ class LatentProblem:
         level, scale = float(noise.encoder[joint]) ** 2, self.angle_scale()
         return level if scale is None else level * scale[:, joint] ** 2
 
+    def gyro_variance(self, imu: int, noise: Noise) -> float | FloatArray:
+        """Of an IMU's gyro [rad^2/s^2]; (N,) where runs are not alike."""
+        level = float(noise.gyro[imu]) ** 2
+        return level if self.loud is None else level * self.loud.gyro[imu] ** 2
+
     def angle_scale(self) -> FloatArray | None:
         """(N, n) standard deviation of each angle over its channel's level; None where all are alike."""
         if self.loud is None:
@@ -314,15 +299,21 @@ class LatentProblem:
             return share
         return correlated_torque.whole_samples(share, self.mechanism.actuated)
 
-    def channels(self, variances: FloatArray, noise: Noise) -> list[tuple[Channel, int, float | FloatArray]]:
-        """(channel, column of its latent, variance) of every sensor that reads one latent directly, by itself."""
+    def channels(self, variances: FloatArray, noise: Noise
+                 ) -> list[tuple[Channel, tuple[int, ...], float | FloatArray]]:
+        """(channel, columns of the latents, variance) of every sensor that reads latents, or their sum, by itself."""
         n = self.n
-        found: list[tuple[Channel, int, float | FloatArray]] = []
+        found: list[tuple[Channel, tuple[int, ...], float | FloatArray]] = []
         if noise.torque_correlation is None:
-            found += [(torque_of(i), 2 * n + i, variances[:, i]) for i in range(n)]
-        found += [(encoder_of(i), i, self.angle_variance(i, noise)) for i in range(n) if self.has_encoder[i]]
-        gyro = noise.gyro**2 if self.loud is None else noise.gyro**2 * self.loud.gyro**2
-        return [*found, (GYRO, n, gyro)] if self.has_imu else found
+            found += [(torque_of(i), (2 * n + i,), variances[:, i]) for i in range(n)]
+        found += [(encoder_of(i), (i,), self.angle_variance(i, noise)) for i in range(n) if self.has_encoder[i]]
+        return found + [(imu_channels(k)[0], tuple(n + j for j in joints), self.gyro_variance(k, noise))
+                        for k, joints in enumerate(self.turned_by)]
+
+    def imu_readings(self) -> dict[Channel, FloatArray]:
+        """(N,) what each sensor of the IMUs read."""
+        return {channel: values for k in range(self.imu_count)
+                for channel, values in zip(imu_channels(k), (self.gyro[k], *self.accel[k]))}
 
     def _node_rows(self, x: Latents, variances: FloatArray, noise: Noise, diagonal: FloatArray, gradient: FloatArray,
                    residuals: dict[str, FloatArray], extra: Extra | None) -> float:
@@ -331,37 +322,42 @@ class LatentProblem:
         residuals["torque"] = x.u - self.torque
         residuals["encoder"] = x.q - self.angles
         if self.has_imu:
-            residuals["gyro"] = x.v[:, 0] - self.gyro
-        total = 0.0
-        for channel, column, variance in self.channels(variances, noise):
+            residuals["gyro"] = np.array([total(x.v.T, joints) for joints in self.turned_by]) - self.gyro
+        objective = 0.0
+        for channel, columns, variance in self.channels(variances, noise):
             r, weight = of_channel(residuals, channel), 1.0 / variance
             if extra is not None and channel in extra.readings:
                 r += extra.readings[channel]  # a view: the residual of record moves with it
             pull = weight * r
-            diagonal[:, column, column] += weight
-            gradient[:, column] += pull
+            for column in columns:
+                gradient[:, column] += pull
+                for other in columns:
+                    diagonal[:, column, other] += weight
             if extra is not None and channel in extra.by_torque:
+                (column,) = columns
                 slope, other = extra.by_torque[channel], 2 * n + column % n
                 diagonal[:, other, other] += slope**2 * weight
                 diagonal[:, other, column] += slope * weight
                 diagonal[:, column, other] += slope * weight
                 gradient[:, other] += slope * pull
-            total += float(r @ pull)
+            objective += float(r @ pull)
         loud = self.loud and self.loud.torque
         if noise.torque_correlation is not None:
-            total += correlated_torque.add_samples(residuals["torque"], noise.torque_precision(variances, loud), extra,
-                                                   diagonal[:, 2 * n :, 2 * n :], gradient[:, 2 * n :])
-        return total
+            precision = noise.torque_precision(variances, loud)
+            objective += correlated_torque.add_samples(residuals["torque"], precision, extra,
+                                                       diagonal[:, 2 * n :, 2 * n :], gradient[:, 2 * n :])
+        return objective
 
     def _node_columns(self, extra: Extra, variances: FloatArray, noise: Noise, residuals: dict[str, FloatArray],
                       border: FloatArray, corner: FloatArray, gradient_beta: FloatArray) -> None:
         """Border and corner of the sizes through the sensors that read one latent directly."""
         p = self.mechanism.p
-        for channel, column, variance in self.channels(variances, noise):
+        for channel, columns, variance in self.channels(variances, noise):
             if channel not in extra.reading_columns:
                 continue
             c = extra.reading_columns[channel] / variance
-            border[:, column, p:] += c.T
+            for column in columns:
+                border[:, column, p:] += c.T
             if channel in extra.by_torque:
                 border[:, 2 * self.n + column % self.n, p:] += (extra.by_torque[channel] * c).T
             corner[p:, p:] += c @ extra.reading_columns[channel].T
@@ -379,10 +375,11 @@ class LatentProblem:
         out = {"torque": point.residuals["torque"] + step[:, 2 * n:],
                "encoder": point.residuals["encoder"] + step[:, :n]}
         if self.has_imu:
-            out["gyro"] = point.residuals["gyro"] + step[:, n]
-            by_beta = np.zeros(point.accel.shape[2] - self.block)
+            turned = step[:, n : 2 * n].T
+            out["gyro"] = point.residuals["gyro"] + np.array([total(turned, joints) for joints in self.turned_by])
+            by_beta = np.zeros(point.accel.shape[3] - self.block)
             by_beta[0], by_beta[1 + index] = 1.0, step_beta
-            out["accel"] = (point.accel_rows @ step[:, :, None])[:, :, 0] + point.accel[:, :, self.block :] @ by_beta
+            out["accel"] = (point.accel_rows @ step[:, :, None])[..., 0] + point.accel[..., self.block :] @ by_beta
         if point.extra is not None:
             size = np.zeros(len(point.gradient_beta))
             size[index] = step_beta
@@ -396,5 +393,5 @@ class LatentProblem:
 
 def of_channel(residuals: Mapping[str, FloatArray], channel: Channel) -> FloatArray:
     """(N,) of a torque, encoder or gyro channel, a view."""
-    found = residuals[channel.kind]
-    return found if channel.joint is None else found[:, channel.joint]
+    found, number = residuals[channel.kind], channel.joint or 0
+    return found[number] if channel.kind == "gyro" else found[:, number]

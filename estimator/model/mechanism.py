@@ -11,7 +11,7 @@ and joint torques follow by virtual work, tau = T^T (.). The p_ij, g_i and the f
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -43,6 +43,15 @@ class Parameter(NamedTuple):
         return TERMS[self.term].rigid
 
 
+class ImuPlace(NamedTuple):
+    """Where an IMU sits."""
+
+    link: int = 0
+    """0-based"""
+    lever_arm: float = 0.0
+    """From the link's joint to the IMU along it [m]."""
+
+
 @dataclass(frozen=True)
 class Mechanism:
     """Regressor, inertia matrix, bias torque and forward dynamics, vectorised over leading axes."""
@@ -56,8 +65,7 @@ class Mechanism:
     convention with g inside the parameter."""
     actuated: tuple[int, ...]
     """0-based joints whose torque is measured; the others carry exactly zero."""
-    lever_arm: float = 0.0
-    """Pivot to IMU along link 1 [m]."""
+    imus: tuple[ImuPlace, ...] = (ImuPlace(),)
     gravity_mps2: float = 9.81
     """Gravity as an accelerometer feels it [m/s2]."""
     velocity_scale: Speeds = VELOCITY_SCALE
@@ -69,6 +77,8 @@ class Mechanism:
     exchanged: tuple[int, ...] = ()
     """Of a walker, the joints that change places with the legs: what they are as leg 1 stands, in reversed order as leg
     2 does. Empty where nothing does."""
+    link_lengths: tuple[float, ...] = ()
+    """Joint to joint [m], of the first links: as many as IMUs ride on."""
 
     @property
     def n(self) -> int:
@@ -99,6 +109,40 @@ class Mechanism:
     def passive(self) -> tuple[int, ...]:
         """Joints without a motor, 0-based."""
         return tuple(j for j in range(self.n) if j not in self.actuated)
+
+    @property
+    def lever_arm(self) -> float:
+        """Of the first IMU [m]."""
+        return self.imus[0].lever_arm
+
+    @property
+    def felt_gravity(self) -> float:
+        """`gravity_mps2` in an accelerometer's equations, whose angles count from hanging; where the mechanism's count
+        from upright its sign is the other [m/s2]."""
+        return -self.gravity_mps2 if self.gravity < 0.0 else self.gravity_mps2
+
+    def joints_to(self, link: int) -> tuple[int, ...]:
+        """0-based joints whose angles add up to the absolute angle of a link, its own last."""
+        return self._paths[link]
+
+    @cached_property
+    def _paths(self) -> list[tuple[int, ...]]:
+        return [(*(int(j) for j in np.flatnonzero(row) if j != link), link) for link, row in enumerate(self.transform)]
+
+    def with_imus(self, imus: tuple[ImuPlace, ...], link_lengths: tuple[float, ...] = ()) -> Mechanism:
+        """This mechanism with these IMUs. Raises ValueError for a link that there is not, or whose place needs a length
+        that is not given, or where joints change places, and links with them."""
+        if self.exchanged:
+            raise ValueError("a walker whose hips change places has no IMUs: take out the table [[imu]]")
+        for k, place in enumerate(imus):
+            if not 0 <= place.link < self.n:
+                raise ValueError(f"IMU {k + 1} is on link {place.link + 1}, {self.name} has {self.n}")
+            unknown = [i for i in self.joints_to(place.link)[:-1] if i >= len(link_lengths)]
+            if unknown:
+                raise ValueError(f"IMU {k + 1} on link {place.link + 1} rides on link {unknown[0] + 1}, whose length "
+                                 "is not given: give link_lengths_m under [mechanism], from link 1 on, joint to joint"
+                                 )
+        return replace(self, imus=imus, link_lengths=link_lengths)
 
     @cached_property
     def offset_columns(self) -> dict[int, int]:
@@ -214,7 +258,7 @@ def leg2(*, gravity_mps2: float = 9.81, lever_arm: float = 0.0, actuated: tuple[
     friction = friction_parameters([0, 1], ["pivot", "knee"], 6)
     return Mechanism("leg2", np.array([[1.0, 0.0], [1.0, 1.0]]),
                      tuple(rigid + friction + extra_parameters(rotor_inertia, torque_offset)),
-                     gravity_mps2, actuated, lever_arm, gravity_mps2, velocity_scale)
+                     gravity_mps2, actuated, (ImuPlace(0, lever_arm),), gravity_mps2, velocity_scale)
 
 
 def biped3(*, actuated: tuple[int, ...] = (1, 2), gravity_mps2: float = 9.8, hips: bool = False) -> Mechanism:
@@ -223,7 +267,7 @@ def biped3(*, actuated: tuple[int, ...] = (1, 2), gravity_mps2: float = 9.8, hip
     The printed G lost its third row, -beta8*s(1,3); it follows here from the potential. With `hips` the joints are
     those that a walker's motors turn: q1 the torso from upright, q2 and q3 the torso against the leg that stands and
     the one that swings, each leg from foot to hip. Beta is the same; the swing leg of the paper counts from the hip
-    down, half a turn away. As the other leg stands, both hips change places.
+    down, half a turn away. As the other leg stands, both hips change places; so would IMUs, and it has none.
     """
     rigid = tree_parameters(
         [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2)], [0, 1, 2],
@@ -231,10 +275,10 @@ def biped3(*, actuated: tuple[int, ...] = (1, 2), gravity_mps2: float = 9.8, hip
          "g*(l1*m2 + l1*m3 + lc1*m1)", "g*lc2*m2", "g*lc3*m3"], gravity_unit="N m")
     if hips:
         transform = np.array([[1.0, -1.0, 0.0], [1.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-        return Mechanism("biped3", transform, tuple(rigid), -1.0, actuated, 0.0, gravity_mps2,
+        return Mechanism("biped3", transform, tuple(rigid), -1.0, actuated, (), gravity_mps2,
                          zero=(0.0, np.pi, 0.0), exchanged=(1, 2))
     transform = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 0.0, 1.0]])
-    return Mechanism("biped3", transform, tuple(rigid), -1.0, actuated, 0.0, gravity_mps2)
+    return Mechanism("biped3", transform, tuple(rigid), -1.0, actuated, gravity_mps2=gravity_mps2)
 
 
 def joint1(*, gravity_mps2: float = 9.81, prismatic: bool = False, actuated: tuple[int, ...] = (0,),
@@ -251,8 +295,8 @@ def joint1(*, gravity_mps2: float = 9.81, prismatic: bool = False, actuated: tup
                             "V s^2/m" if voltage else "kg m", mass)
     friction = friction_parameters([0], ["joint"], len(rigid) + 1, force, f"{force} s/{length}")
     extra = extra_parameters((), torque_offset, force, mass)
-    return Mechanism("joint1", np.eye(1), tuple(rigid + friction + extra), gravity_mps2, actuated, lever_arm,
-                     gravity_mps2, velocity_scale, length)
+    return Mechanism("joint1", np.eye(1), tuple(rigid + friction + extra), gravity_mps2, actuated,
+                     (ImuPlace(0, lever_arm),), gravity_mps2, velocity_scale, length)
 
 
 def chain(links: int, *, gravity_mps2: float = 9.81, actuated: tuple[int, ...] | None = None,
@@ -266,4 +310,4 @@ def chain(links: int, *, gravity_mps2: float = 9.81, actuated: tuple[int, ...] |
     driven = tuple(range(1, links)) if actuated is None else actuated
     return Mechanism("chain", np.tril(np.ones((links, links))),
                      tuple(rigid + friction + extra_parameters(rotor_inertia, torque_offset)),
-                     gravity_mps2, driven, 0.0, gravity_mps2, velocity_scale)
+                     gravity_mps2, driven, gravity_mps2=gravity_mps2, velocity_scale=velocity_scale)

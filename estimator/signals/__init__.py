@@ -1,16 +1,36 @@
 """From columns to signals: filters, segments without gaps, the IMU's tilt and rate."""
 
-from estimator.signals.channels import ACCEL_X, ACCEL_Y, GYRO, IMU_CHANNELS, Channel, Kind, encoder_of, torque_of
+from estimator.signals.channels import (
+    ACCEL_X,
+    ACCEL_Y,
+    GYRO,
+    IMU_CHANNELS,
+    Channel,
+    Kind,
+    encoder_of,
+    imu_channels,
+    torque_of,
+)
 from estimator.signals.filters import encoder_level, lowpass, quantum, white_noise_level
-from estimator.signals.imu import accelerometer, tilt
-from estimator.signals.segments import (
+from estimator.signals.imu import (
     IMU_COLUMNS,
+    accelerometer,
+    accelerometer_at,
+    accelerometer_slopes,
+    imu_columns,
+    imu_readings,
+    predicted_columns,
+    tilt,
+    total,
+)
+from estimator.signals.orientation import Kinematics, sight
+from estimator.signals.segments import (
     STANCE,
-    Kinematics,
     SignalSet,
     angle_column,
     by_run,
     differentiate,
+    is_plain,
     paper_differences,
     split_signals,
     torque_column,
@@ -19,7 +39,8 @@ from estimator.signals.steps import SINCE, Touchdowns, cut_steps, find_touchdown
 
 __all__ = [
     "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "SINCE", "STANCE", "Channel", "Kind", "Kinematics",
-    "SignalSet", "Touchdowns", "accelerometer", "angle_column", "by_run", "cut_steps", "differentiate",
-    "encoder_level", "encoder_of", "find_touchdowns", "lowpass", "paper_differences", "quantum", "split_signals",
-    "tilt", "torque_column", "torque_of", "white_noise_level",
+    "SignalSet", "Touchdowns", "accelerometer", "accelerometer_at", "accelerometer_slopes", "angle_column", "by_run",
+    "cut_steps", "differentiate", "encoder_level", "encoder_of", "find_touchdowns", "imu_channels", "imu_columns",
+    "imu_readings", "is_plain", "lowpass", "paper_differences", "predicted_columns", "quantum", "sight",
+    "split_signals", "tilt", "torque_column", "torque_of", "total", "white_noise_level",
 ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +12,9 @@ from estimator.errors import FitError, GapError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.signals.filters import central_difference, lowpass
-from estimator.signals.imu import fuse_tilt, tilt
+from estimator.signals.imu import IMU_COLUMNS, imu_columns, tilt
+from estimator.signals.orientation import Kinematics, sight, with_imus
 
-IMU_COLUMNS = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
 STANCE = "stance"
 """Column of a walker's record: which leg is on the ground."""
 
@@ -33,7 +32,7 @@ class SignalSet:
     torque: FloatArray
     """(n, joints) measured torque, exactly zero on a passive joint [N m]."""
     imu: Mapping[str, FloatArray]
-    """The three IMU columns on the IMU path, otherwise empty."""
+    """The columns of all IMUs, three each, on the IMU path, otherwise empty."""
     spread: FloatArray | None = None
     """(n, joints) how much larger than its channel's level an angle's error is expected to be at each sample; None: it
     is the same throughout."""
@@ -56,6 +55,15 @@ def by_run(signals: Sequence[SignalSet]) -> list[tuple[str, list[SignalSet], sli
     return found
 
 
+def is_plain(mechanism: Mechanism, options: FitOptions) -> bool:
+    """Whether the sensors are those that all methods know: encoders alone, or one IMU on link 1 of what hangs, and
+    encoders of all other joints."""
+    if options.sensors != "imu":
+        return True
+    alone = len(mechanism.imus) == 1 and mechanism.imus[0].link == 0 and mechanism.gravity >= 0.0
+    return alone and options.encoders_of(mechanism.n) == tuple(range(1, mechanism.n))
+
+
 def angle_column(mechanism: Mechanism, joint: int) -> str:
     """Contract's column of a joint's angle (joint 0-based)."""
     return f"q{joint + 1}_m" if mechanism.length_unit == "m" else f"q{joint + 1}_rad"
@@ -69,15 +77,17 @@ def torque_column(mechanism: Mechanism, joint: int) -> str:
 def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> list[SignalSet]:
     """Stretches of at least 20 samples of every run, without gaps in the columns that this fit reads.
 
-    On the IMU path `q1_rad` is never read. Raises `FitError` naming the run and the column that is missing.
+    Only encoders that are in use are read: on the IMU path, where nothing else is said, all but joint 1's. Raises
+    `FitError` naming the run and the column that is missing, or the joints that no sensor shows.
     """
     if not datasets:
         raise FitError("no run was given")
+    joints = options.encoders_of(mechanism.n)
+    sight(mechanism, joints, options.sensors == "imu")
     found, levels = [], _sigma_levels(datasets, mechanism, options)
     for data in datasets:
-        imu = list(IMU_COLUMNS) if options.sensors == "imu" else []
-        first = 1 if imu else 0
-        angles = [angle_column(mechanism, j) for j in range(first, mechanism.n)]
+        imu = [name for k in range(len(mechanism.imus)) for name in imu_columns(k)] if options.sensors == "imu" else []
+        angles = [angle_column(mechanism, j) for j in joints]
         torques = [torque_column(mechanism, j) for j in mechanism.actuated]
         needed = imu + angles + torques
         for column in needed:
@@ -86,7 +96,7 @@ def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
         for where in data.segments(needed):
             n = where.stop - where.start
             q = np.full((n, mechanism.n), np.nan)
-            for j, column in zip(range(first, mechanism.n), angles):
+            for j, column in zip(joints, angles):
                 q[:, j] = data[column][where]
             tau = np.zeros((n, mechanism.n))
             for j, column in zip(mechanism.actuated, torques):
@@ -128,17 +138,9 @@ def _spread(data: Dataset, where: slice, levels: Mapping[str, float | None]) -> 
     return out
 
 
-class Kinematics(NamedTuple):
-    """Filtered angles and their differences, each (n, joints)."""
-
-    q: FloatArray
-    qd: FloatArray
-    qdd: FloatArray
-
-
 def differentiate(signals: SignalSet, mechanism: Mechanism, cutoff_hz: float | None, order: int,
                   fused: bool = False) -> Kinematics:
-    """Angles low-passed and differenced, eqs. (19), (34)-(39); the pivot from the IMU by eq. (63).
+    """Angles low-passed and differenced, eqs. (19), (34)-(39); joints without an encoder from IMUs by eq. (63).
 
     `fused` takes the gyro's integral for the fast part of the pivot's angle instead of the accelerometer
     alone; the paper's WLS-IMU does not.
@@ -147,15 +149,8 @@ def differentiate(signals: SignalSet, mechanism: Mechanism, cutoff_hz: float | N
     q = lowpass(signals.angles, cutoff_hz, signals.rate_hz, order)
     qd = central_difference(q, dt)
     qdd = central_difference(qd, dt)
-    if signals.imu:
-        gyro, ax, ay = (signals.imu[name] for name in IMU_COLUMNS)
-        s, c, q1dd = tilt(ax, ay, gyro, signals.rate_hz, mechanism.lever_arm, cutoff_hz, order)
-        q1 = np.unwrap(np.arctan2(s, c))
-        if fused:
-            q1 = fuse_tilt(ax, ay, gyro, signals.rate_hz, mechanism.lever_arm, cutoff_hz)
-        rate = central_difference(q1, dt) if fused else gyro  # fused: free of the gyro's bias
-        q[:, 0], qd[:, 0], qdd[:, 0] = q1, lowpass(rate, cutoff_hz, signals.rate_hz, order), q1dd
-    return Kinematics(q, qd, qdd)
+    found = Kinematics(q, qd, qdd)
+    return with_imus(found, signals.imu, mechanism, signals.rate_hz, cutoff_hz, order, fused) if signals.imu else found
 
 
 def paper_differences(signals: SignalSet, mechanism: Mechanism, options: FitOptions) -> Kinematics:

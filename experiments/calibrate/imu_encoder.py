@@ -47,7 +47,7 @@ def compare(runs: Sequence[Dataset], rig: Rig) -> EncoderFit:
     stretches = [Stretch(run["q1_rad"][here], np.column_stack([run[c][here] for c in IMU]))
                  for run in runs for here in run.segments(COLUMNS)]
     skews = [skew.seconds for run in runs if (skew := measure_skew(run)) is not None]
-    return fit_imu(stretches, rig.sampling.rate_hz, cutoff, rig.imu.lever_arm_m, rig.mechanism.gravity_mps2,
+    return fit_imu(stretches, rig.sampling.rate_hz, cutoff, rig.imus[0].lever_arm_m, rig.mechanism.gravity_mps2,
                    float(np.median(skews)) if skews else 0.0)
 
 
@@ -73,7 +73,8 @@ def encoder_text(fit: EncoderFit, rig: Rig) -> str:
     if left:
         lines.append("not determined: " + "; ".join(left))
     if "lever_arm" in fit.held:
-        lines.append(f"the lever arm was held at rig.toml's {rig.imu.lever_arm_m:g} m: such a motion tells it not from "
+        arm = rig.imus[0].lever_arm_m
+        lines.append(f"the lever arm was held at rig.toml's {arm:g} m: such a motion tells it not from "
                      "the scales; drive the link, or swing it farther")
     return "\n".join([*lines, "", text_table(["rms on the rest, IMU less encoder", *CHECK], check_rows(fit),
                                              right={1, 2, 3, 4})])

@@ -68,7 +68,8 @@ def _outcome(fit: MountFit, rig: Rig, rests: int, sign: str, model: Model | None
              "imu_mount (rows: the link's axes in the chip's frame):", rows,
              f"known about the link's axes to +- {angles} rad (95 %)",
              f"{'right' if np.linalg.det(fit.mount) > 0 else 'left'}-handed, {_against(fit.mount, rig)}; {sign}",
-             f"lever arm: {fit.lever_m:.5f} +- {fit.lever_half:.2g} m (95 %); rig.toml had {rig.imu.lever_arm_m:g} m",
+             f"lever arm: {fit.lever_m:.5f} +- {fit.lever_half:.2g} m (95 %); rig.toml had "
+             f"{rig.imus[0].lever_arm_m:g} m",
              f"beside the line from the pivot: {fit.beside_m:+.5f} +- {fit.beside_half:.2g} m",
              "gyro bias [rad/s]: " + _with_half(fit.gyro_bias_radps, fit.gyro_bias_half, 5),
              "accelerometer bias left [m/s2]: " + _with_half(fit.accel_bias_mps2, fit.accel_bias_half, 4)]

@@ -156,7 +156,7 @@ def _imu_agrees(data: Dataset, rig: Rig) -> list[Check]:
     if len(data) < MOVE_RATE_HZ:
         return [Check("gyro", "FAIL", "no second without a gap; mend what was found above first")]
     q1, w = data["q1_rad"], data["gyro_radps"]
-    g, arm = rig.mechanism.gravity_mps2, rig.imu.lever_arm_m
+    g, arm = rig.mechanism.gravity_mps2, rig.imus[0].lever_arm_m
     turned = np.concatenate(([0.0], np.cumsum(0.5 * (w[1:] + w[:-1])) * data.dt_s))
     checks = [_agree("gyro", "its integral against the pivot's angle", q1, turned,
                      "turn the third row of [calibration] imu_mount, or correct [devices.imu] gyro_range_dps",

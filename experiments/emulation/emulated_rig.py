@@ -22,7 +22,7 @@ def emulate(rig: Rig, seed: int, clock: Clock, body: LegBody | None = None,
     `hidden` is wrong beside them, and nothing in the rig file says so.
     """
     c = rig.calibration
-    imu = ImuSettings(lever_arm_m=rig.imu.lever_arm_m, gravity_mps2=rig.mechanism.gravity_mps2, mount=c.imu_mount,
+    imu = ImuSettings(lever_arm_m=rig.imus[0].lever_arm_m, gravity_mps2=rig.mechanism.gravity_mps2, mount=c.imu_mount,
                       gyro_bias_radps=_turned(c.gyro_bias_radps, c.imu_mount, hidden.gyro_bias_radps),
                       accel_bias_mps2=c.accel_bias_mps2, accel_matrix=c.accel_matrix)
     controller = rig.devices.controller or ControllerDevice()

@@ -1,7 +1,7 @@
 from .effect_library import effects_document as effects_document
 from .effect_library import effects_text as effects_text
 from .effect_library import known_effects as known_effects
-from .free_runs import GYRO_COLUMN as GYRO_COLUMN
+from .free_runs import GYRO as GYRO
 from .free_runs import SHORT_S as SHORT_S
 from .free_runs import FreeRuns as FreeRuns
 from .free_runs import Prediction as Prediction
@@ -15,6 +15,7 @@ from .mjcf_urdf import export_model as export_model
 from .model_file import load_model as load_model
 from .model_file import save_model as save_model
 from .model_file import values_of as values_of
+from .schema import ImuSettings as ImuSettings
 from .schema import MechanismSettings as MechanismSettings
 from .schema import Model as Model
 from .schema import ParameterValue as ParameterValue

@@ -12,13 +12,14 @@ from daq import Dataset, FloatArray
 from estimator import TWO_SIDED, FitOptions
 from estimator.likelihood import FreeRun, free_run
 from estimator.model import Mechanism
-from estimator.signals import GYRO, IMU_COLUMNS, Channel, angle_column, encoder_of, split_signals
+from estimator.signals import Channel, angle_column, encoder_of, imu_channels, imu_columns, split_signals
 from experiments.models.model_file import widening_of
 from experiments.models.schema import Model
 from experiments.models.with_effects import problem_of, smoothed_state
 
 SHORT_S = 1.0
-GYRO_COLUMN = IMU_COLUMNS[0]
+GYRO = "gyro"
+"""How a gyro's column begins."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Prediction:
     longest_s: float
     """Of its stretches."""
     measured: Mapping[str, FloatArray]
-    """Column -> (N,): each joint's encoder where the run has one, and the gyro."""
+    """Column -> (N,): each joint's encoder where the run has one, and each gyro."""
     whole: Mapping[str, FloatArray] | None
     """Simulated from each stretch's first state; None where that ran away."""
     short: Mapping[str, FloatArray] | None
@@ -43,7 +44,7 @@ class Prediction:
 class FreeRuns:
     """One run under one model: the likeliest motion with all parameters held, and simulations that start from it.
 
-    What is compared are sensors alone: each joint's encoder where the run has one, and the gyro. Raises `FitError`
+    What is compared are sensors alone: each joint's encoder where the run has one, and each gyro. Raises `FitError`
     where no motion can be estimated.
     """
 
@@ -95,12 +96,15 @@ class FreeRuns:
         return {column: found.readings[self._channel(column)] for column in self.measured}
 
     def _channel(self, column: str) -> Channel:
-        return GYRO if column == GYRO_COLUMN else encoder_of(int(column[1:column.index("_")]) - 1)
+        if column.startswith(GYRO):
+            return next(c for k in range(self._problem.imu_count) for c in imu_channels(k)[:1]
+                        if imu_columns(k)[0] == column)
+        return encoder_of(int(column[1:column.index("_")]) - 1)
 
     def _columns(self, mechanism: Mechanism) -> Mapping[str, FloatArray]:
         rows = np.concatenate([np.searchsorted(self.data.time_s, s.time_s) for s in self._signals])
         names = [angle_column(mechanism, j) for j in range(mechanism.n)]
-        names += [GYRO_COLUMN] if self._signals[0].imu else []
+        names += [imu_columns(k)[0] for k in range(self._problem.imu_count)]
         return {name: np.asarray(self.data[name][rows]) for name in names if name in self.data}
 
 

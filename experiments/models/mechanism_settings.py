@@ -5,16 +5,21 @@ from __future__ import annotations
 from msgspec import structs
 
 from daq import Rig, joint_count
-from estimator.model import VELOCITY_SCALE, Mechanism, builders, settings_of
-from experiments.models.schema import MechanismSettings
+from estimator.model import VELOCITY_SCALE, ImuPlace, Mechanism, builders, settings_of
+from experiments.models.schema import ImuSettings, MechanismSettings
 
 
 def mechanism_settings(rig: Rig, prismatic: bool = False) -> MechanismSettings:
     """The rig's mechanism as it goes into a model file."""
     m, terms = rig.mechanism, rig.terms
+    first = rig.imus[0]
+    usual = len(rig.imus) == 1 and first.link == 1 and m.model in ("leg2", "joint1")
+    imus = () if rig.imu is None or usual else tuple(ImuSettings(link=i.link, lever_arm_m=i.lever_arm_m)
+                                                     for i in rig.imus)
     return MechanismSettings(
         model=m.model, actuated=m.actuated, gravity_mps2=m.gravity_mps2, links=joint_count(m), input=m.input,
-        prismatic=prismatic, lever_arm_m=rig.imu.lever_arm_m, rotor_inertia=terms.rotor_inertia or (),
+        prismatic=prismatic, lever_arm_m=first.lever_arm_m if usual else 0.0, imus=imus,
+        link_lengths_m=m.link_lengths_m, rotor_inertia=terms.rotor_inertia or (),
         torque_offset=terms.torque_offset or (),
         friction_velocity_radps=terms.friction_velocity_radps or VELOCITY_SCALE, hips=rig.walker is not None)
 
@@ -28,7 +33,17 @@ def fitted_settings(settings: MechanismSettings, mechanism: Mechanism) -> Mechan
 
 
 def build_mechanism(s: MechanismSettings) -> Mechanism:
-    """The estimator's mechanism, joints counted from 0 there. Raises ValueError for settings it cannot have.
+    """The estimator's mechanism, joints counted from 0 there. Raises ValueError for settings it cannot have."""
+    mechanism = _without_imus(s)
+    if not s.imus:
+        return mechanism
+    if s.prismatic:
+        raise ValueError("an IMU on a slide shows no angle: take out the table [[imu]]")
+    return mechanism.with_imus(tuple(ImuPlace(i.link - 1, i.lever_arm_m) for i in s.imus), s.link_lengths_m)
+
+
+def _without_imus(s: MechanismSettings) -> Mechanism:
+    """As `build_mechanism`, with the one IMU on link 1 alone.
 
     Of what is set by default a mechanism is told what its function takes; what somebody declared it has to take.
     """

@@ -19,6 +19,13 @@ class _Part(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     pass
 
 
+class ImuSettings(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where an IMU sits."""
+
+    link: Joint = 1
+    lever_arm_m: NonNegative = 0.0
+
+
 class MechanismSettings(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What `build_mechanism` needs; joints count from 1."""
 
@@ -30,12 +37,21 @@ class MechanismSettings(_Part, frozen=True, kw_only=True, forbid_unknown_fields=
     input: Literal["torque", "voltage"] = "torque"
     prismatic: bool = False
     lever_arm_m: NonNegative = 0.0
+    imus: tuple[ImuSettings, ...] = ()
+    """In the order of their columns; empty: one on link 1 at `lever_arm_m`, on leg2 and joint1 only."""
+    link_lengths_m: tuple[Positive, ...] = ()
+    """Of the links that IMUs ride on, from the first."""
     rotor_inertia: tuple[Joint, ...] = ()
     torque_offset: tuple[Joint, ...] = ()
     friction_velocity_radps: Positive | tuple[Positive, ...] = VELOCITY_SCALE
     """One for all joints, or one each."""
     hips: bool = False
     """Of a biped3, whether its joints are a walker's hips and its legs change places; see docs/formats.md."""
+
+    @property
+    def has_imu(self) -> bool:
+        """Whether a simulation has an IMU's columns."""
+        return bool(self.imus) or self.model == "leg2"
 
 
 class ParameterValue(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -18,7 +18,7 @@ from estimator.effects import Effect, placed
 from estimator.fitting import Validation, iterate, noise_floors, start_state
 from estimator.likelihood import ExtendedProblem, FreeRun, Latents, Noise, Stage, State, free_run
 from estimator.model import Mechanism, simulate
-from estimator.signals import IMU_COLUMNS, SignalSet, angle_column, encoder_of, split_signals
+from estimator.signals import SignalSet, angle_column, encoder_of, imu_columns, split_signals
 from experiments.models.effect_library import known_effects
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import EffectValue, Model
@@ -143,7 +143,8 @@ def simulate_extended(model: Model, mechanism: Mechanism, time_s: FloatArray, to
     Raises `WorkError` where the motion runs away.
     """
     rate = float((time_s.size - 1) / (time_s[-1] - time_s[0]))
-    blank = dict.fromkeys(IMU_COLUMNS, np.zeros_like(time_s)) if model.mechanism.model == "leg2" else {}
+    imus = len(mechanism.imus) if model.mechanism.has_imu else 0
+    blank = dict.fromkeys([name for k in range(imus) for name in imu_columns(k)], np.zeros_like(time_s))
     signals = SignalSet("plan", rate, time_s, np.zeros_like(torque), torque, blank)
     problem = problem_of(model, mechanism, [signals])
     q, v, _ = simulate(mechanism, np.array(model.beta), q0, np.zeros_like(q0), torque, 1.0 / rate, model.hold)

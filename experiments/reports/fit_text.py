@@ -39,6 +39,7 @@ NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "accel_x_mps
                "accel_y_mps2": "accelerometer y", "accel_correlation": "their correlation, as given",
                "torque_nm": "torque", "encoder_rad": "encoder", "passive_joint_nm": "passive joint, model error"}
 OF_ONE_JOINT = re.compile(r"(torque|encoder)([0-9]+)_(?:nm|rad)")
+OF_ONE_IMU = re.compile(r"(gyro|accel)([0-9]+)(_[xy])?(_radps|_mps2)")
 
 
 def noise_rows(result: FitResult) -> list[list[str]]:
@@ -46,7 +47,9 @@ def noise_rows(result: FitResult) -> list[list[str]]:
     rows = []
     for name, level in result.noise.items():
         told, unit = _channel(result, name)
-        if not ((name == "accel_mps2" and "accel_x_mps2" in result.noise)
+        several = any(map(OF_ONE_IMU.fullmatch, result.noise))
+        if not ((name.endswith("_mps2") and name.replace("_mps2", "_x_mps2") in result.noise)
+                or (several and name in ("gyro_radps", "accel_x_mps2", "accel_y_mps2"))
                 or (name == "torque_nm" and any(map(OF_ONE_JOINT.fullmatch, result.noise)))):
             rows.append([told, f"{level:.3g}", unit])
     return rows
@@ -60,6 +63,10 @@ def _channel(result: FitResult, name: str) -> tuple[str, str]:
     joint = OF_ONE_JOINT.fullmatch(name)
     if joint:
         return f"{joint[1]} {joint[2]}", units[f"{joint[1]}_{'nm' if joint[1] == 'torque' else 'rad'}"]
+    imu = OF_ONE_IMU.fullmatch(name)
+    if imu:
+        told, unit = (part[imu[1] + (imu[3] or "") + imu[4]] for part in (NOISE_NAMES, units))
+        return f"{told} of IMU {imu[2]}", unit
     return NOISE_NAMES.get(name, name), units.get(name, "")
 
 

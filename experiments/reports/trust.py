@@ -14,7 +14,7 @@ import numpy as np
 from daq import FloatArray
 from estimator import FitResult
 from estimator.model import VELOCITY_SCALE
-from experiments.models import GYRO_COLUMN, SHORT_S, MechanismSettings, Prediction
+from experiments.models import GYRO, SHORT_S, MechanismSettings, Prediction
 from experiments.reports.html import Verdict
 from experiments.reports.residual_tests import (
     STRONG,
@@ -169,8 +169,8 @@ def _loose(result: FitResult) -> list[str]:
 
 
 def judged(prediction: Prediction) -> list[str]:
-    """Columns that decide: every encoder, and the gyro where the pivot has none."""
-    angles = [name for name in prediction.measured if name != GYRO_COLUMN]
+    """Columns that decide: every encoder, and the gyros where the pivot has none."""
+    angles = [name for name in prediction.measured if not name.startswith(GYRO)]
     return angles if any(name.startswith("q1") for name in angles) else list(prediction.measured)
 
 

@@ -61,9 +61,15 @@ def rig_path(given: Path | str | None) -> Path | str:
 
 def _differences(name: str, text: str, rig: Rig, where: str) -> list[str]:
     try:
-        then, now = (msgspec.to_builtins(r) for r in (parse_rig(text, name), rig))
+        then, now = (_tables(r) for r in (parse_rig(text, name), rig))
     except InputError as error:
         return [f"the rig file inside it cannot be compared: {error}"]
     return [f"{name} was recorded with {table}.{key} = {value}, {where} says {now[table][key]}"
-            for table in COMPARED for key, value in then[table].items()
+            for table in then.keys() & now.keys() for key, value in then[table].items()
             if value != now[table][key] and value is not None]  # what a recording left open contradicts nothing
+
+
+def _tables(rig: Rig) -> dict[str, dict[str, object]]:
+    """Name to entries of the tables that are compared; of several IMUs one each."""
+    found = {table: msgspec.to_builtins(getattr(rig, table)) for table in COMPARED if table != "imu"}
+    return found | {f"imu {k + 1}" if k else "imu": msgspec.to_builtins(imu) for k, imu in enumerate(rig.imus)}

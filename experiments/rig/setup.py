@@ -12,7 +12,7 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from daq import Dataset, InputError, Rig, joint_count
-from daq.runs import IMU
+from daq.runs import imu_columns_of
 from estimator import FitOptions
 from estimator.calibration import DistanceMeter, angle_record, find_zeros, subtract, zeros_text
 from estimator.fitting import has_torque
@@ -89,7 +89,7 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
     try:
         mechanism = build_mechanism(settings)
     except ValueError as error:
-        raise InputError("the rig file", str(error), "correct [mechanism] and [terms]") from None
+        raise InputError("the rig file", str(error), "correct [mechanism], [terms] and [[imu]]") from None
     free_swing = bool(datasets and settings.actuated) and not has_torque(datasets, mechanism)
     if free_swing:
         settings = structs.replace(settings, actuated=())
@@ -151,13 +151,17 @@ def walked(data: Dataset, open_s: float) -> Dataset:
 
 
 def choose_sensors(rig: Rig, datasets: Sequence[Dataset], wanted: str | None) -> str:
-    """imu where every run has all three IMU columns, encoder otherwise; `wanted` decides if it can be met."""
-    lacking = [d.name for d in datasets if not all(c in d for c in IMU)]
+    """imu where the rig has IMUs (a leg always) and every run all their columns, encoder otherwise; `wanted` decides if
+    it can be met."""
+    columns, model = imu_columns_of(rig), rig.mechanism.model
+    lacking = [d.name for d in datasets if not all(c in d for c in columns)]
+    has_imu = model == "leg2" or (rig.imu is not None and model != "joint1")
+    if wanted == "imu" and not has_imu and model != "joint1":
+        raise InputError("--sensors", f"the rig file says of no IMU where it sits on this {model}",
+                         "give link and lever_arm_m under [imu], or use --sensors encoder")
     if wanted == "imu" and lacking:
-        raise InputError(lacking[0], "has no IMU columns " + ", ".join(IMU), "use --sensors encoder")
-    if wanted == "imu" and rig.mechanism.model not in ("leg2", "joint1"):
-        raise InputError("--sensors", f"{rig.mechanism.model} has no IMU model", "use --sensors encoder")
-    sensors = wanted or ("imu" if rig.mechanism.model == "leg2" and not lacking else "encoder")
+        raise InputError(lacking[0], "has no IMU columns " + ", ".join(columns), "use --sensors encoder")
+    sensors = wanted or ("imu" if has_imu and not lacking else "encoder")
     if sensors == "encoder" and rig.mechanism.model == "leg2":
         for data in datasets:
             if "q1_rad" not in data:
@@ -178,7 +182,13 @@ def fit_options(rig: Rig, sensors: str, fixed: Mapping[str, float], latent: str 
             noise |= dict(zip(of_each[name], level, strict=True))
         elif level is not None:
             noise[name] = level
+    for k, imu in enumerate(rig.imus):
+        own = k + 1 if len(rig.imus) > 1 else ""
+        given = {f"gyro{own}_radps": imu.gyro_radps, f"accel{own}_mps2": imu.accel_mps2}
+        noise |= {name: level for name, level in given.items() if level is not None}
     rounding = "auto" if rig.terms.friction_velocity_radps is None else "given"
-    return FitOptions(sensors=sensors, hold=rig.sampling.hold, rounding=rounding, noise=noise,
+    joints = rig.mechanism.encoders
+    encoders = None if joints is None else tuple(j - 1 for j in sorted(joints))
+    return FitOptions(sensors=sensors, encoders=encoders, hold=rig.sampling.hold, rounding=rounding, noise=noise,
                       accel_correlation=rig.noise.accel_correlation, torque_correlation=rig.noise.torque_correlation,
                       cutoff_hz=rig.filter.cutoff_hz, filter_order=rig.filter.order, fixed=dict(fixed), latent=latent)

@@ -12,6 +12,7 @@ from daq.timing import recorded_rig
 from estimator import FitError
 from estimator.calibration import differing_text, find_differing
 from estimator.diagnosis import MATERIAL, Diagnosis, diagnose
+from estimator.signals import angle_column
 from experiments.models import Model, known_effects, values_of
 from experiments.rig import Setup
 from experiments.workflows.suspicion import require_sound
@@ -28,6 +29,10 @@ def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str
     `InputError` for runs that do not belong together.
     """
     known_effects()
+    imus = setup.mechanism.imus
+    if setup.options.sensors == "imu" and len(imus) > 1:
+        raise InputError("the rig file", f"has {len(imus)} IMUs; a diagnosis knows the faults of one",
+                         "diagnose with one [[imu]] in a copy of the rig file, and encoders of the other joints")
     require_alike(setup.datasets)
     setup = without_benchmark(setup)
     try:
@@ -42,11 +47,12 @@ def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str
 
 
 def without_benchmark(setup: Setup) -> Setup:
-    """On the IMU path no run keeps the pivot's encoder: a diagnosis may not read it."""
-    if setup.options.sensors != "imu":
-        return setup
-    return replace(setup, datasets=tuple(
-        replace(data, columns={name: values for name, values in data.columns.items() if name != BENCHMARK})
+    """No run keeps the angle of a joint whose encoder is not in use, such as the pivot's beside an IMU: a diagnosis may
+    not read it."""
+    m, used = setup.mechanism, setup.options.encoders_of(setup.mechanism.n)
+    hidden = {angle_column(m, j) for j in range(m.n) if j not in used}
+    return setup if not hidden else replace(setup, datasets=tuple(
+        replace(data, columns={name: values for name, values in data.columns.items() if name not in hidden})
         for data in setup.datasets))
 
 
@@ -81,7 +87,7 @@ def require_one_rig(paths: Sequence[Path | str]) -> None:
         if "rig.toml" not in raw.files:
             continue
         rig = recorded_rig(raw)
-        found = (rig.mechanism, rig.imu, rig.motor)
+        found = (rig.mechanism, rig.imus, rig.motor)
         if first is None:
             first = raw.name, found
         elif found != first[1]:

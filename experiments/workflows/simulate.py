@@ -9,7 +9,7 @@ import numpy as np
 from daq import Dataset, FloatArray, InputError, WorkError
 from daq.recording import Plan
 from estimator.model import Mechanism, simulate
-from estimator.signals import IMU_CHANNELS, IMU_COLUMNS, Channel, accelerometer, encoder_of, torque_of
+from estimator.signals import Channel, encoder_of, imu_channels, imu_columns, imu_readings, torque_of
 from experiments.models import Model, build_mechanism, simulate_extended
 
 CHANNELS = {"gyro": ("gyro_radps",), "accel_x": ("accel_x_mps2", "accel_mps2"),
@@ -55,9 +55,8 @@ def _nominal_columns(model: Model, mechanism: Mechanism, tau: FloatArray, q0: Fl
         raise WorkError("the simulated motion runs away; check the model's parameters and the plan's torque")
     readings = {encoder_of(j): q[:, j] for j in range(mechanism.n)}
     readings |= {torque_of(j): tau[:, j] for j in mechanism.actuated}
-    if model.mechanism.model == "leg2":
-        accel = accelerometer(q[:, 0], qd[:, 0], qdd[:, 0], mechanism.lever_arm, mechanism.gravity_mps2)
-        readings |= dict(zip(IMU_CHANNELS, (qd[:, 0], *accel)))
+    if model.mechanism.has_imu:
+        readings |= imu_readings(mechanism, q.T, qd.T, qdd.T)
     return _columns(model, mechanism, readings)
 
 
@@ -72,8 +71,8 @@ def _columns(model: Model, mechanism: Mechanism, readings: Mapping[Channel, Floa
     columns = {f"q{j + 1}_{length}": readings[encoder_of(j)] for j in range(mechanism.n)}
     driven = mechanism.actuated[0]
     columns[f"tau{driven + 1}_{force}"] = readings[torque_of(driven)]
-    if model.mechanism.model == "leg2":
-        columns |= {column: readings[channel] for column, channel in zip(IMU_COLUMNS, IMU_CHANNELS)}
+    for k in range(len(mechanism.imus) if model.mechanism.has_imu else 0):
+        columns |= {column: readings[channel] for column, channel in zip(imu_columns(k), imu_channels(k))}
     return columns
 
 
@@ -82,11 +81,11 @@ def _noisy(columns: dict[str, FloatArray], noise: dict[str, float], seed: int) -
     rng = np.random.default_rng(seed)
     rho = noise.get("accel_correlation", 0.0)
     draws = {name: rng.standard_normal(values.shape) for name, values in columns.items()}
-    if rho and "accel_y_mps2" in draws:
-        draws["accel_y_mps2"] = rho * draws["accel_x_mps2"] + np.sqrt(1.0 - rho**2) * draws["accel_y_mps2"]
+    for name in [name for name in draws if rho and name.startswith("accel") and name.endswith("_y_mps2")]:
+        draws[name] = rho * draws[name.replace("_y_", "_x_")] + np.sqrt(1.0 - rho**2) * draws[name]
     return {name: values + _level(noise, name) * draws[name] for name, values in columns.items()}
 
 
 def _level(noise: dict[str, float], column: str) -> float:
     keys = next((keys for begin, keys in CHANNELS.items() if column.startswith(begin)), ())
-    return next((noise[key] for key in keys if key in noise), 0.0)
+    return next((noise[key] for key in (column, *keys) if key in noise), 0.0)

@@ -11,7 +11,7 @@ from daq import Dataset
 from estimator import FitError, FitOptions
 from estimator.calibration import MOST_LEFT, ImuReading, Reading, as_it_is, find_remedies, read_imu, wrong_lever
 from estimator.model import Mechanism
-from estimator.signals import angle_column
+from estimator.signals import angle_column, is_plain
 from experiments.rig import Setup
 
 SUSPICIOUS = 0.1
@@ -54,7 +54,7 @@ def require_sound(setup: Setup) -> None:
 
 def _suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float,
              suspected: bool) -> Suspicion:
-    if options.sensors == "imu":
+    if options.sensors == "imu" and is_plain(mechanism, options):  # else its joint's motion is in what it reads, too
         as_read, others = read_imu(datasets, mechanism.lever_arm, mechanism.gravity_mps2,
                                    hangs=0 in mechanism.passive)
         if others:
@@ -80,7 +80,7 @@ def _far(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions)
     if mechanism.length_unit != "rad":
         return ()
     found = []
-    for j in range(int(options.sensors == "imu"), mechanism.n):
+    for j in options.encoders_of(mechanism.n):
         column = angle_column(mechanism, j)
         span = max(float(np.nanmax(d[column]) - np.nanmin(d[column])) for d in datasets)
         if span > MOST_SPAN:

@@ -11,7 +11,7 @@ from daq import Dataset, FloatArray
 from estimator import FitError, FitOptions, GapError
 from estimator.fitting import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
-from estimator.signals import IMU_COLUMNS, angle_column, split_signals, torque_column
+from estimator.signals import angle_column, imu_columns, split_signals, torque_column
 from experiments.rig import Setup
 
 FEWEST = 3
@@ -72,7 +72,8 @@ def _broken(data: Dataset, mechanism: Mechanism, options: FitOptions) -> str:
     try:
         split_signals([data], mechanism, options)
     except GapError:
-        needed = [c for c in (*IMU_COLUMNS, *_columns(mechanism, options)) if c in data]
+        imus = [name for k in range(len(mechanism.imus)) for name in imu_columns(k)]
+        needed = [c for c in (*imus, *_columns(mechanism, options)) if c in data]
         worst = max(needed, key=lambda c: int(np.sum(~np.isfinite(data[c]))))
         share = float(np.mean(~np.isfinite(data[worst])))
         return (f"it has no stretch of 20 samples without a gap at {data.rate_hz:g} Hz ({100 * share:.0f} % of {worst} "
@@ -83,8 +84,7 @@ def _broken(data: Dataset, mechanism: Mechanism, options: FitOptions) -> str:
 
 
 def _columns(mechanism: Mechanism, options: FitOptions) -> list[str]:
-    first = int(options.sensors == "imu")
-    return [*(angle_column(mechanism, j) for j in range(first, mechanism.n)),
+    return [*(angle_column(mechanism, j) for j in options.encoders_of(mechanism.n)),
             *(torque_column(mechanism, j) for j in mechanism.actuated)]
 
 

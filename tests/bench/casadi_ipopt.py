@@ -76,9 +76,9 @@ def solve(posed: Posed, tolerance: float = 1e-7) -> Solved:
     mechanism = p.mechanism
     watch = Watch()
     x, b = ca.MX.sym("x", 6, p.total), ca.MX.sym("beta", 9)
-    levels = np.tile([noise.encoder[1], noise.gyro, *noise.accel], (p.total, 1))
+    levels = np.tile([noise.encoder[1], noise.gyro[0], *noise.accel[0]], (p.total, 1))
     weight = 1.0 / np.concatenate([levels, np.sqrt(p.torque_variance(noise))], axis=1).T
-    measured = np.concatenate([[p.angles[:, 1], p.gyro, p.ax, p.ay], p.torque.T])
+    measured = np.concatenate([[p.angles[:, 1], p.gyro[0], *p.accel[0]], p.torque.T])
     sensors = sensor_function(mechanism.lever_arm, mechanism.velocity_scale).map(p.total)(x, b)
     defects = defect_function(p.dt, mechanism.velocity_scale).map(p.total - 1)(x[:, :-1], x[:, 1:], b)
     scale = np.tile(np.tile(1.0 / (TIGHT * noise.torque), 2)[:, None], p.total - 1)

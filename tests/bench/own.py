@@ -14,6 +14,7 @@ import numpy as np
 
 from daq.runs import write_csv
 from estimator.fitting.fit import fit
+from estimator.likelihood.memory import pieces
 from estimator.likelihood.trajectory_likelihood import PIECE, TIGHT
 from estimator.model import Collocation, Motion
 from tests.bench.record import OPTIONS, Posed, Recorded, Watch, pose
@@ -52,11 +53,11 @@ def evaluate(posed: Posed) -> Callable[[], None]:
     weight = 1.0 / (TIGHT * noise.torque)
 
     def run() -> None:
-        for intervals, left in p._pieces(p.left):
+        for intervals, left in pieces(p.left, PIECE):
             motion_rows(p.collocation, x, beta, weight, intervals, left, by=by_kernels)
         for start in range(0, p.total, PIECE):
             here = slice(start, min(start + PIECE, p.total))
-            accelerometer_rows(p.collocation, x, beta, p.accel, here, by=by_kernels)
+            accelerometer_rows(p.collocation, x, beta, p.accel[0], here, by=by_kernels)
 
     return run
 

@@ -14,7 +14,7 @@ def test_the_documented_example_is_read() -> None:
     rig = parse_rig(LEG + "gravity_mps2 = 9.81\n[imu]\nlever_arm_m = 0.20\n[motor]\ngear_ratio = 50.0\n[noise]\n"
                     "gyro_radps = 0.005\naccel_mps2 = 0.05\ntorque_nm = 0.02\nencoder_rad = 4e-4\n"
                     "[sampling]\nrate_hz = 100.0\n")
-    assert (rig.mechanism.model, rig.mechanism.actuated, rig.imu.lever_arm_m) == ("leg2", (2,), 0.20)
+    assert (rig.mechanism.model, rig.mechanism.actuated, rig.imus[0].lever_arm_m) == ("leg2", (2,), 0.20)
     assert (rig.noise.encoder_rad, rig.sampling.rate_hz, rig.sampling.hold) == (4e-4, 100.0, "auto")
 
 

@@ -14,7 +14,7 @@ from daq import FloatArray
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents
 from estimator.model import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Collocation, Motion, Samples, after
-from estimator.signals import ACCEL_X, ACCEL_Y, accelerometer
+from estimator.signals import accelerometer_at, accelerometer_slopes, imu_channels
 
 Evaluate = Callable[[Collocation, Motion, FloatArray], tuple[FloatArray, FloatArray]]
 
@@ -46,16 +46,18 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
 
 def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, noise: Noise, here: slice,
                       extra: Extra | None, accumulators: Accumulators, accel: FloatArray) -> None:
-    """Add both axes' samples `here`; put their rows, unscaled, into accel (N, 2, b + 1 + parameters)."""
+    """Add both axes' samples `here` of S IMUs, `measured` (S, 2, N); put their rows, unscaled, into accel (S, N, 2, b +
+    1 + parameters)."""
     b = accumulators.chain.block
-    transposed = accel[here] = _transposed(accelerometer_rows(c, x, beta, measured, here, extra))
     correlation = np.array([[1.0, noise.accel_correlation], [noise.accel_correlation, 1.0]])
-    precision = np.linalg.inv(np.outer(noise.accel, noise.accel) * correlation)
-    own, columns = transposed[:, :, :b], transposed[:, :, b:]
-    weighted = precision @ columns
-    accumulators.square[:] += np.einsum("kra,krb->ab", columns, weighted)
-    accumulators.chain.diagonal[here] += own.swapaxes(1, 2) @ (precision @ own)
-    accumulators.chain.right[here] += own.swapaxes(1, 2) @ weighted
+    for k, levels in enumerate(noise.accel):
+        transposed = accel[k, here] = _transposed(accelerometer_rows(c, x, beta, measured[k], here, extra, imu=k))
+        precision = np.linalg.inv(np.outer(levels, levels) * correlation)
+        own, columns = transposed[:, :, :b], transposed[:, :, b:]
+        weighted = precision @ columns
+        accumulators.square[:] += np.einsum("kra,krb->ab", columns, weighted)
+        accumulators.chain.diagonal[here] += own.swapaxes(1, 2) @ (precision @ own)
+        accumulators.chain.right[here] += own.swapaxes(1, 2) @ weighted
 
 
 def motion_rows(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray, intervals: slice, left: Samples,
@@ -85,15 +87,15 @@ def motion_rows(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray
 
 
 def accelerometer_rows(c: Collocation, x: Latents, beta: FloatArray, measured: FloatArray, here: slice,
-                       extra: Extra | None = None, by: Evaluate = evaluate) -> FloatArray:
-    """Rows (2, b + 1 + p, K) of the accelerometer's two axes: by the latents, residual, by the parameters.
+                       extra: Extra | None = None, by: Evaluate = evaluate, imu: int = 0) -> FloatArray:
+    """Rows (2, b + 1 + p, K) of an accelerometer's two axes: by the latents, residual, by the parameters.
 
-    q1dd comes from the equation of motion at the sample, not from the cubic: friction that changes sign
+    Accelerations come from the equation of motion at the sample, not from the cubic: friction that changes sign
     inside an interval makes the acceleration jump there, and the cubic's value at its end would carry
     that jump to the wrong side (measured: 5 % on the knee's Coulomb level).
     """
     m, n = c.mechanism, c.mechanism.n
-    b, lever, g = 3 * n, m.lever_arm, m.gravity_mps2
+    b, place = 3 * n, m.imus[imu]
     q, v, u = (np.ascontiguousarray(a[here].T) for a in (x.q, x.v, x.u))
     added = None
     if extra is not None:
@@ -101,16 +103,16 @@ def accelerometer_rows(c: Collocation, x: Latents, beta: FloatArray, measured: F
         added = None if extra.sample_slopes is None else extra.sample_slopes[..., here]
     qdd, by_latents, by_beta, inverse = acceleration(c, q, v, u, beta, added, by)
     count = 0 if extra is None else extra.sample_columns.shape[0]
-    rows = np.zeros((2, b + 1 + m.p + count, qdd.size))
-    rows[0, :b] = lever * by_latents.reshape(b, -1)
-    rows[0, 0] += g * np.cos(q[0])
-    rows[1, 0] = g * np.sin(q[0])
-    rows[1, n] = -2.0 * lever * v[0]
-    rows[:, b] = np.stack(accelerometer(q[0], v[0], qdd, lever, g)) - measured[:, here]
-    rows[0, b + 1 : b + 1 + m.p] = lever * by_beta
+    rows = np.zeros((2, b + 1 + m.p + count, q.shape[1]))
+    _, by_angle, by_rate, felt = accelerometer_slopes(m, place, q, v, qdd)
+    rows[:, :b] = np.einsum("riN,sijN->rsjN", felt, by_latents).reshape(2, b, -1)
+    rows[:, :n] += by_angle
+    rows[:, n : 2 * n] += by_rate
+    rows[:, b] = np.stack(accelerometer_at(m, place, q, v, qdd)) - measured[:, here]
+    rows[:, b + 1 : b + 1 + m.p] = np.einsum("riN,ipN->rpN", felt, by_beta)
     if extra is not None:
-        rows[0, b + 1 + m.p :] = -lever * np.einsum("jN,kjN->kN", inverse, extra.sample_columns[:, :, here])
-        for axis, channel in enumerate((ACCEL_X, ACCEL_Y)):
+        rows[:, b + 1 + m.p :] = -np.einsum("riN,ijN,kjN->rkN", felt, inverse, extra.sample_columns[:, :, here])
+        for axis, channel in enumerate(imu_channels(imu)[1:]):
             if channel in extra.readings:
                 rows[axis, b] += extra.readings[channel][here]
             if channel in extra.reading_columns:
@@ -147,10 +149,10 @@ def invert_small(matrices: FloatArray) -> FloatArray:
 
 def acceleration(c: Collocation, q: FloatArray, v: FloatArray, u: FloatArray, beta: FloatArray,
                  added: FloatArray | None, by: Evaluate) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Acceleration of joint 1 at samples, from the equation of motion there, with its derivatives.
+    """Accelerations of the joints at samples, from the equation of motion there, with their derivatives.
 
-    q, v, u (n, N). Returns qdd (N,), its derivatives by q, v and u (3, n, N) and by beta (p, N), and the
-    joint's row of D^-1 (n, N). From Z(q, v, qdd) beta = u by implicit differentiation. `added` (n, 5, n, N)
+    q, v, u (n, N). Returns qdd (n, N), its derivatives by q, v and u (3, n, n, N) and by beta (n, p, N), and D^-1 (n,
+    n, N). From Z(q, v, qdd) beta = u by implicit differentiation. `added` (n, 5, n, N)
     are derivatives by features of torque already taken off u.
     """
     at, rate = q[:, None], v[:, None]
@@ -163,8 +165,7 @@ def acceleration(c: Collocation, q: FloatArray, v: FloatArray, u: FloatArray, be
     if added is not None:
         own = own + added
         inverse = invert_small(own[:, ACCEL])
-    row = inverse[0]
-    by_angle = np.einsum("jN,jbN->bN", row, own[:, ANGLE])
-    by_rate = np.einsum("jN,jbN->bN", row, own[:, RATE] + own[:, RATE_FROM] + own[:, RATE_TO])
-    by_beta = np.einsum("jN,pjN->pN", row, z[:, :, 0])
-    return qdd[0], np.stack([-by_angle, -by_rate, row]), -by_beta, row
+    by_angle = np.einsum("ijN,jbN->ibN", inverse, own[:, ANGLE])
+    by_rate = np.einsum("ijN,jbN->ibN", inverse, own[:, RATE] + own[:, RATE_FROM] + own[:, RATE_TO])
+    by_beta = np.einsum("ijN,pjN->ipN", inverse, z[:, :, 0])
+    return qdd, np.stack([-by_angle, -by_rate, inverse]), -by_beta, inverse

@@ -21,12 +21,12 @@ DECLARED = {"torque_nm": 0.02, "encoder_rad": 2e-4, "gyro_radps": 0.005, "accel_
 def model_of(declared: dict[str, float], effects: tuple[Effect, ...] = (), **found: float) -> Any:
     """A model with `effects` whose noise levels are those declared but for `found`."""
     levels = {"pivot": 0.002, "knee": 0.02, "encoder": 2e-4, "gyro": 0.005, "accel": 0.05} | found
-    noise = Noise(np.array([levels["pivot"], levels["knee"]]), np.array([np.inf, levels["encoder"]]), levels["gyro"],
-                  np.array([levels["accel"], levels.get("accel_y", levels["accel"])]))
+    noise = Noise(np.array([levels["pivot"], levels["knee"]]), np.array([np.inf, levels["encoder"]]),
+                  np.array([levels["gyro"]]), np.array([[levels["accel"], levels.get("accel_y", levels["accel"])]]))
     rng = np.random.default_rng(0)
-    white = {name: rng.normal(0.0, level, 4000) for name, level in (("gyro", 0.005), ("ax", 0.05), ("ay", 0.05))}
+    white = {"gyro": rng.normal(0.0, 0.005, (1, 4000)), "accel": rng.normal(0.0, 0.05, (1, 2, 4000))}
     shown = Noise(np.zeros(2), np.array([np.inf, 2e-4]))
-    problem = SimpleNamespace(has_encoder=np.array([False, True]), has_imu=True, shown=shown, **white)
+    problem = SimpleNamespace(has_encoder=np.array([False, True]), imu_count=1, shown=shown, **white)
     split = SimpleNamespace(known=declared, mechanism=leg2())
     return SimpleNamespace(split=split, problem=problem, state=SimpleNamespace(noise=noise), effects=effects)
 

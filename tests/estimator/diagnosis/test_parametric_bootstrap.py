@@ -27,13 +27,13 @@ def test_axes_of_a_rehearsal_have_their_levels_and_correlation() -> None:
     split = split_runs([run], leg2(lever_arm=leg.lever), options)
     model = fit_nominal(split)
     noise, signals = model.state.noise, split.signals(split.discover)
-    assert noise.accel_correlation == 0.6 and noise.accel[1] > 1.5 * noise.accel[0]
+    assert noise.accel_correlation == 0.6 and noise.accel[0, 1] > 1.5 * noise.accel[0, 0]
     truth = simulate_run(model.problem, model.state, rng)
     drawn = np.array([[np.concatenate([s.imu[c] for s in rehearsal]) for c in ("accel_x_mps2", "accel_y_mps2")]
                       for rehearsal in (draw_replicate(model.problem, model.state, signals, rng, truth)
                                         for _ in range(DRAWS))])
     left = (drawn - drawn.mean(axis=0)).transpose(1, 0, 2).reshape(2, -1)
-    assert np.sqrt(DRAWS / (DRAWS - 1)) * left.std(axis=1) == pytest.approx(noise.accel, rel=0.03)
+    assert np.sqrt(DRAWS / (DRAWS - 1)) * left.std(axis=1) == pytest.approx(noise.accel[0], rel=0.03)
     assert np.corrcoef(left)[0, 1] == pytest.approx(0.6, abs=0.03)
 
 

@@ -147,7 +147,8 @@ def test_a_fast_ripple_is_simulated_freely() -> None:
     sizes = [amplitude, 0.0, 2.0, *second, 4.0]
     x = Latents(np.column_stack([motion.q1, motion.q2]), np.column_stack([motion.w1, motion.w2]), driven)
     state = State(x, np.concatenate([np.ravel(case.leg.beta()), sizes]),
-                  Noise(np.array([0.002, 0.02]), np.array([np.inf, 2e-4]), 0.005, np.full(2, 0.05)), np.eye(15))
+                  Noise(np.array([0.002, 0.02]), np.array([np.inf, 2e-4]), np.array([0.005]),
+                        np.full((1, 2), 0.05)), np.eye(15))
     moved = replace(state, x=replace(x, q=x.q + 0.05 * np.sin(7.0 * grid)[:, None]))  # where a guess may well stand
     moved.x.q[0] = x.q[0]
     run = free_run(problem, moved, driven)
@@ -176,7 +177,7 @@ def test_friction_under_a_load_that_follows_from_acceleration_is_simulated_freel
     stage = Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0]]), 1.0)
     problem = ExtendedProblem([signals], mechanism, "linear", stage, [LoadDependentFriction(0)])
     x = Latents(truth[0][:, None], truth[1][:, None], volts[:, None])
-    noise = Noise(np.array([0.1]), np.array([1e-3]), 1.0, np.ones(2))
+    noise = Noise(np.array([0.1]), np.array([1e-3]), np.ones(1), np.ones((1, 2)))
     state = State(x, np.array([inertia, moment, viscous, coulomb, mu]), noise, np.eye(5))
     run = free_run(problem, state, volts[:, None])
     assert run is not None

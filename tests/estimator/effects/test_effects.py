@@ -13,7 +13,7 @@ from estimator import FitError
 from estimator.effects import Perturbation, library
 from estimator.effects.generic_terms import READINGS
 from estimator.effects.structure import EndStopContact
-from estimator.model import chain, smooth_sign
+from estimator.model import ImuPlace, chain, leg2, smooth_sign
 
 
 def test_a_reading_of_no_channel_is_refused_with_the_remedy() -> None:
@@ -27,6 +27,17 @@ def test_every_signature_is_drawn_against_its_own_joint() -> None:
     found = {e.key: e for e in library(m, False)[0]}
     assert found["torque_ripple@1"].shown_at(m) == 0 and found["torque_ripple@2"].shown_at(m) == 1
     assert found["torque_offset"].shown_at(m) == 1 and found["torque_offset"].depends_on == "v"
+
+
+def test_an_encoder_that_is_not_read_has_no_effect() -> None:
+    """A leg with two IMUs and no encoder, and one with its knee's."""
+    m = leg2().with_imus((ImuPlace(0, 0.2), ImuPlace(1, 0.1)), (0.3,))
+    for encoders in ((), (1,)):
+        effects, refused = library(m, True, encoders)
+        found = {e.key for e in effects}
+        for kind in ("encoder_offset", "encoder_scale", "encoder_eccentricity"):
+            assert (f"{kind}@2" in found) == (1 in encoders) == (f"{kind}@2" not in refused)
+            assert "encoder" in refused[f"{kind}@1"]
 
 
 @pytest.mark.parametrize(("share", "is_stop"), [(0.42, False), (-0.75, True), (0.93, True), (-1.0, False)])

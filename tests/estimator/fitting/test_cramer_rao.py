@@ -33,8 +33,9 @@ def test_more_noise_never_helps_and_an_imu_does() -> None:
     torque = mechanism.inverse_dynamics(q, qd, qdd, beta) + 0.0 * rng.normal(size=q.shape)
 
     def spread(torque_sigma: float, gyro: float = np.inf) -> np.ndarray:
-        accel = 0.05 if np.isfinite(gyro) else np.inf
-        noise = Noise(np.array([0.02, torque_sigma]), np.array([1e-3, 1e-4]), gyro, np.full(2, accel))
+        imus = int(np.isfinite(gyro))
+        noise = Noise(np.array([0.02, torque_sigma]), np.array([1e-3, 1e-4]), np.full(imus, gyro),
+                      np.full((imus, 2), 0.05))
         return np.diag(cramer_rao(mechanism, beta, q, qd, torque, 100.0, "linear", noise))
 
     assert np.all(spread(0.02) < spread(0.04))

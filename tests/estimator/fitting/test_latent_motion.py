@@ -17,7 +17,7 @@ from estimator.signals.segments import split_signals
 from tests.support.mujoco_leg import Leg
 from tests.support.stick_slip_leg import move, sample
 
-NOISE = Noise(np.array([0.001, 0.01]), np.array([np.inf, 2e-4]), 0.004, np.array([0.04, 0.04]))
+NOISE = Noise(np.array([0.001, 0.01]), np.array([np.inf, 2e-4]), np.array([0.004]), np.full((1, 2), 0.04))
 
 
 @pytest.fixture(scope="module")

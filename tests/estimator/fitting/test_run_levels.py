@@ -11,12 +11,13 @@ from daq import Dataset, FloatArray
 from estimator import FitOptions, FitResult, fit
 from estimator.fitting.run_levels import Column, run_levels
 from estimator.likelihood import LatentProblem, Latents, Loudness, Noise
-from estimator.model import leg2
-from estimator.signals import split_signals
+from estimator.model import ImuPlace, leg2
+from estimator.signals import imu_columns, split_signals
 from experiments.models import MechanismSettings
 from experiments.reports.fit_json import fit_document
 from experiments.reports.fit_text import fit_text
 from tests.support.mujoco_leg import Leg, random_leg, record
+from tests.support.mujoco_tree import FRICTION_RADPS, Sensor, disturbed, move, random_tree, torques
 
 LEVELS = {"gyro_radps": 0.01, "accel_x_mps2": 0.05, "accel_y_mps2": 0.05, "tau2_nm": 0.02, "q1_rad": 3e-4,
           "q2_rad": 3e-4}
@@ -118,24 +119,30 @@ def test_runs_whose_noise_the_motion_took_say_nothing() -> None:
 
 
 def _column(square: FloatArray) -> Column:
-    return Column("gyro_radps", square, np.ones(square.size), np.zeros(1), "gyro", None, 1.0, 0.0)
+    return Column("gyro_radps", square, np.ones(square.size), np.zeros(1), "gyro", 0, 1.0, 0.0)
 
 
-def test_the_likelihood_is_the_sum_of_runs_under_their_own_levels(plant: Plant) -> None:
+@pytest.mark.parametrize("imus", [1, 2])
+def test_the_likelihood_is_the_sum_of_runs_under_their_own_levels(plant: Plant, imus: int) -> None:
     """Objective, score and corner of all runs with a loudness each are the sums of single runs with levels so high."""
     rng = np.random.default_rng(8)
     mechanism = leg2(lever_arm=plant[0].lever, velocity_scale=ROUND)
     runs = noisy(plant, rng, TIMES)
+    if imus == 2:
+        mechanism = mechanism.with_imus((ImuPlace(0, plant[0].lever), ImuPlace(1, 0.1)), (plant[0].l1,))
+        runs = [replace(r, columns=r.columns | {c: rng.normal(size=len(r)) for c in imu_columns(1)}) for r in runs]
     signals = split_signals(runs, mechanism, FitOptions())
     problem = LatentProblem(signals, mechanism, "smooth")
     x = Latents(*(rng.normal(size=(problem.total, 2)) for _ in range(3)))
     problem.stiction_variance = rng.uniform(size=(problem.total, 2, 2))
-    ratio = rng.uniform(0.5, 2.0, size=(RUNS, 4))
+    ratio = rng.uniform(0.5, 2.0, size=(RUNS, 2 + 3 * imus))
+    by_gyro, by_axis = ratio[:, 2 : 2 + imus], ratio[:, 2 + imus :].reshape(RUNS, imus, 2)
+    by_axis[:, :, 1] = by_axis[:, :, 0]
     lengths = [len(s.time_s) for s in signals]
-    rows = np.repeat(ratio, lengths, axis=0)
-    problem.loud = Loudness(rows[:, [0, 0]], rows[:, [1, 1]], rows[:, 2], rows[:, [3, 3]])
-    noise = Noise(np.array([0.1, 0.2]), np.array([np.inf, 1e-3]), 0.01, np.array([0.05, 0.07]), 0.3,
-                  np.array([[1.0, 0.4], [0.4, 1.0]]))
+    rows, gyros, axes = (np.repeat(r, lengths, axis=0) for r in (ratio, by_gyro, by_axis))
+    problem.loud = Loudness(rows[:, [0, 0]], rows[:, [1, 1]], gyros.T, axes.swapaxes(0, 1))
+    noise = Noise(np.array([0.1, 0.2]), np.array([np.inf, 1e-3]), np.array([0.01, 0.02])[:imus],
+                  np.array([[0.05, 0.07], [0.06, 0.04]])[:imus], 0.3, np.array([[1.0, 0.4], [0.4, 1.0]]))
     beta = plant[0].beta()
     problem.predicted_misfit = np.zeros(2)
     parts = []
@@ -144,12 +151,37 @@ def test_the_likelihood_is_the_sum_of_runs_under_their_own_levels(plant: Plant) 
         alone.stiction_variance = problem.stiction_variance[where]
         alone.predicted_misfit = np.zeros(2)
         own = replace(noise, torque=noise.torque * ratio[k, 0], encoder=noise.encoder * ratio[k, 1],
-                      gyro=noise.gyro * ratio[k, 2], accel=noise.accel * ratio[k, 3])
+                      gyro=noise.gyro * by_gyro[k], accel=noise.accel * by_axis[k])
         parts.append(alone.linearise(Latents(x.q[where], x.v[where], x.u[where]), beta, own))
     whole = problem.linearise(x, beta, noise)
     assert whole.objective == pytest.approx(sum(p.objective for p in parts), rel=1e-9)
     assert whole.gradient_beta == pytest.approx(sum(p.gradient_beta for p in parts), rel=1e-9)
     assert whole.corner == pytest.approx(sum(p.corner for p in parts), rel=1e-9)
+
+
+def test_of_two_imus_the_one_that_is_louder_in_a_run_gets_levels() -> None:
+    """A leg without encoders; in one of four runs its shank's IMU, the second, is louder."""
+    rng = np.random.default_rng(9)
+    tree, sensors = random_tree(rng, (-1, 0), viscous=0.03, coulomb=0.04), [Sensor(0, 0.2), Sensor(1, 0.1)]
+    mechanism = leg2(velocity_scale=FRICTION_RADPS).with_imus(tuple(ImuPlace(*s) for s in sensors), tuple(tree.length))
+    runs = []
+    for k in range(RUNS):
+        motion = move(tree, torques(tree, rng, 8.0, 100.0, 0.35, (1,)), 100.0, sensors)
+        run = disturbed(motion, (1,), 100.0, rng, name=f"run{k}")
+        if k == LOUD:
+            for name, level in zip(imu_columns(1), (0.005, 0.05, 0.05)):
+                run.columns[name] += np.sqrt(TIMES**2 - 1.0) * level * rng.normal(size=len(run))
+        runs.append(run)
+    found = fit(runs, mechanism, FitOptions(sensors="imu", encoders=()))
+    assert found.converged and found.run_noise is not None
+    assert set(found.run_noise.levels) == {"gyro2_radps", "accel2_x_mps2", "accel2_y_mps2"}
+    told = np.array([TIMES if k == LOUD else 1.0 for k in range(RUNS)])
+    for name, level in zip(("gyro2_radps", "accel2_y_mps2"), (0.005, 0.05)):
+        assert found.run_noise.levels[name] == pytest.approx(level * told, rel=0.15)
+    lines = [line for line in fit_text(found, "leg2").splitlines() if "differs" in line]
+    assert any(line.startswith("noise of runs differs: gyro of IMU 2 ") for line in lines)
+    truth = tree.beta(mechanism)
+    assert np.all(np.abs(found.beta - truth) < 4.0 * found.std)
 
 
 def test_levels_by_run_are_told(plant: Plant) -> None:

@@ -14,9 +14,10 @@ from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem,
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents, Linearised
 from estimator.likelihood.trajectory_likelihood import LatentProblem
-from estimator.model.mechanism import Mechanism, biped3, chain, joint1, leg2
+from estimator.model.mechanism import ImuPlace, Mechanism, biped3, chain, joint1, leg2
 from estimator.model.regressor_numba import FastTerms
-from estimator.signals.segments import IMU_COLUMNS, SignalSet
+from estimator.signals.imu import imu_columns
+from estimator.signals.segments import SignalSet
 from tests.support import assembly_numpy
 from tests.support.equations import normal
 
@@ -28,7 +29,8 @@ def stretches(mechanism: Mechanism, imu: bool, rng: np.random.Generator) -> list
     """Two, so that one sample begins no interval."""
     return [SignalSet(f"run{i}", 100.0, np.arange(count) / 100.0, rng.normal(size=(count, mechanism.n)),
                       rng.normal(size=(count, mechanism.n)),
-                      {c: rng.normal(size=count) for c in IMU_COLUMNS} if imu else {})
+                      {c: rng.normal(size=count) for k in range(len(mechanism.imus) if imu else 0)
+                       for c in imu_columns(k)})
             for i, count in enumerate(COUNTS)]
 
 
@@ -37,7 +39,9 @@ def latents(mechanism: Mechanism, rng: np.random.Generator) -> Latents:
 
 
 def noise_of(mechanism: Mechanism) -> Noise:
-    return Noise(np.linspace(0.02, 0.05, mechanism.n), np.full(mechanism.n, 1e-3), 0.01, np.array([0.1, 0.07]))
+    count = len(mechanism.imus)
+    return Noise(np.linspace(0.02, 0.05, mechanism.n), np.full(mechanism.n, 1e-3), np.linspace(0.01, 0.02, count),
+                 np.outer(np.linspace(1.0, 1.5, count), [0.1, 0.07]))
 
 
 def both(problem: LatentProblem, x: Latents, beta: np.ndarray, monkeypatch: pytest.MonkeyPatch,
@@ -58,8 +62,11 @@ def assert_alike(plain: Linearised, fast: Linearised) -> None:
 
 @pytest.mark.parametrize("imu", [False, True], ids=["encoder", "imu"])
 @pytest.mark.parametrize("mechanism", [joint1(lever_arm=0.1), leg2(lever_arm=0.2, rotor_inertia=(1,),
-                                                                   torque_offset=(0, 1)), biped3(), chain(3)],
-                         ids=lambda m: f"{m.name}-{m.n}")
+                                                                   torque_offset=(0, 1)), biped3(), chain(3),
+                                       leg2().with_imus((ImuPlace(1, 0.2), ImuPlace(0, 0.1)), (0.3,)),
+                                       biped3().with_imus((ImuPlace(2, 0.1),), (0.7,)),
+                                       chain(3).with_imus((ImuPlace(2, 0.1), ImuPlace(1, 0.2)), (0.3, 0.4))],
+                         ids=lambda m: f"{m.name}-{m.n}-{''.join(str(i.link) for i in m.imus)}")
 def test_every_mechanism(mechanism: Mechanism, imu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(11)
     problem = LatentProblem(stretches(mechanism, imu, rng), mechanism, "linear")

@@ -210,7 +210,7 @@ def test_readings_that_follow_the_torque_are_linearised(effect: Effect) -> None:
     size = np.array([0.9] if effect.joint is None else [0.1, 0.02, 0.03, 1e-4, 0.2])
     problem = problem_of(leg2(lever_arm=0.2), count, rng.normal(size=(count, 2)), [effect])
     beta = np.concatenate([[0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06], size])
-    noise = Noise(np.array([5.0, 2.0]), np.array([np.inf, 0.1]), 1.0, np.full(2, 20.0))
+    noise = Noise(np.array([5.0, 2.0]), np.array([np.inf, 0.1]), np.ones(1), np.full((1, 2), 20.0))
     x = Latents(*(scale * rng.normal(size=(count, 2)) for scale in (0.5, 1.0, 0.4)))
     point = problem.linearise(x, beta, noise)
     assert point.extra is not None

@@ -163,7 +163,7 @@ def test_a_driven_emulated_leg_shows_lever_and_bias(tmp_path: Path) -> None:
     path.write_text(text.replace("lever_arm_m = 0.20", "lever_arm_m = 0.15").replace("0.0, 0.0, 0.012]",
                                                                                       "0.0, 0.0, 0.0]"))
     rig = load_rig(path)
-    assert rig.imu.lever_arm_m == 0.15 and not any(rig.calibration.gyro_bias_radps)
+    assert rig.imus[0].lever_arm_m == 0.15 and not any(rig.calibration.gyro_bias_radps)
     found = compare([read_moving(tmp_path / "run.mcap", rig)], rig)
     assert found["lever_arm"].value == pytest.approx(0.2, abs=max(2 * found["lever_arm"].half, 1e-3))
     assert found["gyro_bias"].value == pytest.approx(0.012, abs=1e-3)

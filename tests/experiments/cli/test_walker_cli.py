@@ -105,6 +105,9 @@ def test_only_a_biped_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     rig.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n[walker]\n')
     assert cli.main(["fit", str(rig), "--rig", str(rig)]) == 2
     assert "[walker]: that is for a biped3" in capsys.readouterr().err
+    rig.write_text('[mechanism]\nmodel = "biped3"\nactuated = [2, 3]\n[walker]\n[[imu]]\nlink = 3\n')
+    assert cli.main(["fit", str(rig), "--rig", str(rig)]) == 2
+    assert "[walker]: that is for a biped3 without distance_meter or imu" in capsys.readouterr().err
 
 
 @pytest.mark.slow

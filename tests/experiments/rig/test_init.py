@@ -45,7 +45,7 @@ def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], capsys: py
     rig = load_rig(path)
     assert rig.mechanism.model == "leg2" and rig.mechanism.actuated == (2,)
     assert rig.mechanism.gravity_mps2 == 9.8101
-    assert rig.imu.lever_arm_m == 0.17  # asked twice: `wide` is no number
+    assert rig.imus[0].lever_arm_m == 0.17  # asked twice: `wide` is no number
     assert rig.devices.imu is not None and rig.devices.imu.bus == "/dev/i2c-1"
     assert rig.motor.gear_ratio == 50.0
     assert rig.calibration.torque_constant_nm_per_a == 0.85
