@@ -28,7 +28,8 @@ def test_the_model_under_which_the_runs_are_likeliest_reads_the_pivots_angle(mon
     def resimulate(fitted: Any, q1: np.ndarray, *_: object) -> Any:
         return SimpleNamespace(measured={PIVOT: q1}, simulated={PIVOT: SWING + TILTED[fitted.model.name] + 1e-4})
 
-    split = SimpleNamespace(confirm=(0,), workers=1, stiction={}, has_imu=True, runs=[[SimpleNamespace(rate_hz=100.0)]])
+    split = SimpleNamespace(confirm=(0,), workers=1, stiction={}, has_imu=True, encoders=(1,),
+                            runs=[[SimpleNamespace(rate_hz=100.0)]])
     monkeypatch.setattr(error_table, "HORIZONS_S", (np.inf,))
     monkeypatch.setattr(error_table, "smooth", smooth)
     monkeypatch.setattr(error_table, "resimulate", resimulate)
