@@ -46,7 +46,7 @@ test-kernel: $(STAMP)
 
 bench: $(STAMP)
 	$(LOCKED) requirements-bench.lock
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.bench.speed --page
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.evidence bench.speed --page
 
 # Called again it goes on where it stopped; after a change of the program give it a new BLIND_OUT. Without SEEDS and
 # CLASSES it has 102 cases, about an hour on two cores; e.g. CLASSES=none SEEDS=1000-1099 for a hundred negatives.
@@ -60,32 +60,32 @@ else
 BLIND_PART = --classes none,pair --seeds 1000-1019
 BLIND_REST = --classes single,outside,deleted --seeds 1000
 endif
-BLIND_RUN  = $(BIN)/python -m tests.blind.run --out $(BLIND_OUT) \
+BLIND_RUN  = $(BIN)/python -m tests.evidence blind.run --out $(BLIND_OUT) \
 	--workers $(WORKERS) --levels $(LEVELS) --effects "$(EFFECTS)"
 
 blind: $(STAMP)
 	$(LOCKED) requirements-blind.lock
 	$(BLIND_RUN) $(BLIND_PART)
 	$(if $(BLIND_REST),$(BLIND_RUN) $(BLIND_REST))
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.blind.baselines $(BLIND_OUT)
-	$(BIN)/python -m tests.blind.page $(BLIND_OUT) $(if $(PAGE),--page $(PAGE))
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence blind.baselines $(BLIND_OUT)
+	$(BIN)/python -m tests.evidence blind.page $(BLIND_OUT) $(if $(PAGE),--page $(PAGE))
 
 # Plants of another make: FAMILY=servo, stickslip, small_faults (ten of them always there), pairs, or records (real ones
 # from ../shared/realdata with a fault put in)
 family: $(STAMP)
-	$(BIN)/python -m tests.blind.family --family $(FAMILY) --seeds $(or $(SEEDS),1000-1003) --effects "$(EFFECTS)" \
-		--out $(BLIND_OUT)-$(FAMILY) $(if $(PAGE),--page $(PAGE))
+	$(BIN)/python -m tests.evidence blind.family --family $(FAMILY) --seeds $(or $(SEEDS),1000-1003) \
+		--effects "$(EFFECTS)" --out $(BLIND_OUT)-$(FAMILY) $(if $(PAGE),--page $(PAGE))
 
 soak: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.soak --out docs/soak.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence soak --out docs/soak.md
 
 # tests/fixtures/*.mcap anew, from one seed: after a change of the run format.
 fixtures: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.fixtures
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.tools.fixtures
 
 # Every fault at every moment on virtual time, ten minutes: how long the torque outlives it.
 faults: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.faults --out docs/faults.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence faults --out docs/faults.md
 
 # An hour and a half of real time: recordings killed at any moment, and others with a second process at their devices and file.
 # A fifth have ended before their kill. Called again it goes on where it stopped; after a change of the program give it a
@@ -94,54 +94,54 @@ KILLS     ?= 1280
 KILLS_OUT ?= build/kills.jsonl
 kills: $(STAMP)
 	mkdir -p $(dir $(KILLS_OUT))
-	$(BIN)/python -m tests.studies.kills --kills $(KILLS) --beside 1000 --keep $(KILLS_OUT) --out docs/kills.md
+	$(BIN)/python -m tests.evidence kills --kills $(KILLS) --beside 1000 --keep $(KILLS_OUT) --out docs/kills.md
 
 # An hour or two: 10^5 broken files of each of five formats through their readers.
 FILES ?= 100000
 mutate: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.mutate --files $(FILES)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence mutate --files $(FILES)
 
 # 200 fits a row take hours; FITS=10 RATES=100 a few minutes.
 FITS  ?= 200
 PLANT ?= stickslip
 RATES ?= 50 100 250 500
 coverage: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.coverage --plant $(PLANT) --fits $(FITS) --rates $(RATES) $(if $(SEED),--seed $(SEED)) \
-		--out docs/coverage-$(PLANT).md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence coverage --plant $(PLANT) --fits $(FITS) --rates $(RATES) \
+		$(if $(SEED),--seed $(SEED)) --out docs/coverage-$(PLANT).md
 
 # A quarter of an hour: Table V of the paper for every method on twenty legs.
 table5: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.table5 --out docs/table5.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence table5 --out docs/table5.md
 
 # Table III under the protocol that the print is nearest to, and what each open choice does to it.
 RUNS ?= 200
 replication: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.replication --runs $(RUNS) --out docs/replication.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence replication --runs $(RUNS) --out docs/replication.md
 
 # Fig. 1's chain of seven links from the absolute angle of the first: do its intervals hold?
 seven-links: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.seven_links --fits $(FITS) --out docs/seven-links.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence seven-links --fits $(FITS) --out docs/seven-links.md
 
 # Twenty steps of a walker: touchdowns, fits, free runs over steps, diagnoses. Half an hour.
 WALKS ?= 24
 walker: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.walker --fits $(WALKS) --out docs/walker.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence walker --fits $(WALKS) --out docs/walker.md
 
 # IMUs on any links and a subset of encoders: legs, a walker, chains of three and seven links; do their intervals hold?
 imu-links: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.imu_links --fits $(FITS) --out docs/imu-links.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence imu-links --fits $(FITS) --out docs/imu-links.md
 
 # Runs that differ: coverage and width of intervals that allow for it; FITS=24 takes a quarter of an hour.
 runs: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.runs --fits $(FITS) --out docs/runs.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence runs --fits $(FITS) --out docs/runs.md
 
 # Real records that lie beside the checkout, with the least of rig files, and spoilt ones: a quarter of an hour.
 untuned: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.untuned --out docs/untuned.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence untuned --out docs/untuned.md
 
 # Half an hour; needs chromium and its chromedriver.
 live-soak: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.live_soak --out docs/live.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence live-soak --out docs/live.md
 
 # The example board, cross-compiled and driven in an emulator.
 port: $(STAMP)
@@ -155,21 +155,21 @@ port-faults: $(STAMP)
 	@{ command -v arm-none-eabi-gcc && command -v qemu-system-arm; } >/dev/null || \
 		{ echo "make port-faults needs the Debian packages gcc-arm-none-eabi and qemu-system-arm: apt-get install both"; \
 		exit 1; }
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.port_faults --out docs/port-faults.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence port-faults --out docs/port-faults.md
 
 # The firmware's core under broken input, with address and undefined behaviour sanitizers. FRAMES are serial and CAN
 # together; 10^7 each take a minute.
 FRAMES ?= 1000000
 fuzz: $(STAMP)
-	$(BIN)/python -m tests.studies.fuzz_core --frames $(FRAMES)
+	$(BIN)/python -m tests.evidence fuzz-core --frames $(FRAMES)
 
 # After a change of what commands print: the tutorial's outputs and figures anew.
 tutorial: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.tutorial
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.tools.tutorial
 
 # Pictures of the pages and the dashboard, and the README's figure. Needs chromium and its chromedriver; five minutes.
 screenshots: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.studies.screenshots
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.tools.screenshots
 
 # dist/legid-*.whl; test-slow installs one in an environment of its own.
 wheel: $(STAMP)
@@ -177,7 +177,7 @@ wheel: $(STAMP)
 
 # Asks the package index for wheels alone, of everything that runs on a 64-bit Arm board: nothing is installed.
 arm64: $(STAMP)
-	$(BIN)/python -m tests.studies.arm64
+	$(BIN)/python -m tests.tools.arm64
 
 $(TOOLS)/.installed: requirements-release.lock
 	$(PYTHON) -m venv --clear $(TOOLS)
@@ -187,7 +187,7 @@ $(TOOLS)/.installed: requirements-release.lock
 # After a change of the dependencies in pyproject.toml: all lock files, with the versions that they have where those are
 # still allowed; UPGRADE=1 takes the newest. A minute or two of waiting for the index.
 lock: $(STAMP) $(TOOLS)/.installed
-	$(BIN)/python -m tests.studies.lock --uv $(TOOLS)/bin/uv $(if $(UPGRADE),--upgrade)
+	$(BIN)/python -m tests.tools.lock --uv $(TOOLS)/bin/uv $(if $(UPGRADE),--upgrade)
 
 # CycloneDX: every package that is installed in .venv, with its version, licence and package URL.
 SBOM ?= sbom.cdx.json

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.studies.lock import ALONE, LOCKS, MAIN, entries
 from tests.support.paths import ROOT
+from tests.tools.lock import ALONE, LOCKS, MAIN, entries
 
 PIN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*==[\w.!+]+( ; .+)?")
 HASH = re.compile(r"    --hash=sha256:[0-9a-f]{64}")

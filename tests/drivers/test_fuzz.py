@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.studies.fuzz_codecs import fuzz_can, fuzz_serial
+from tests.evidence.fuzz_codecs import fuzz_can, fuzz_serial
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.studies.port_faults import wrong
+from tests.evidence.port_faults import wrong
 from tests.support.paths import ROOT
 from tests.support.port_bench import Outcome, prompt
 from tests.support.processes import REAL_CLOCK
@@ -25,8 +25,9 @@ def test_the_board_survives_faults(tmp_path: Path) -> None:
     with prompt():  # skips where the study could not run
         pass
     out = tmp_path / "faults.md"
-    done = subprocess.run([sys.executable, "-m", "tests.studies.port_faults", "--only", *CHOSEN, "--moments", "driving",
-                           "--boards", "1", "--out", str(out)], cwd=ROOT, text=True, capture_output=True, check=False)
+    done = subprocess.run([sys.executable, "-m", "tests.evidence", "port-faults", "--only", *CHOSEN, "--moments",
+                           "driving", "--boards", "1", "--out", str(out)], cwd=ROOT, text=True, capture_output=True,
+                          check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     text = out.read_text()
     assert "\nNothing: " in text and "protocol version 2, this program version 1" in text

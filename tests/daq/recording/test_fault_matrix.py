@@ -9,8 +9,8 @@ import pytest
 
 from daq.recording.plan import Plan
 from drivers.protocol import Telemetry
-from tests.studies.fault_list import FAULTS
-from tests.studies.faults import TARGET_MS, strike
+from tests.evidence.fault_list import FAULTS
+from tests.evidence.faults import TARGET_MS, strike
 from tests.support.fault_bench import MOMENTS, TIMES, FaultBench, Outcome
 
 CELLS = [

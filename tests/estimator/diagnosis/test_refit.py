@@ -26,11 +26,11 @@ from estimator.likelihood.state import State
 from estimator.model.mechanism import joint1, leg2
 from estimator.options import FitOptions
 from estimator.signals.segments import IMU_COLUMNS, SignalSet
-from tests.blind.cases import DrawnCase, catalogue, draw_case
-from tests.blind.effects import MOTOR_INERTIA
-from tests.blind.leg import stack
-from tests.blind.measure import RATE_HZ, disturb, read
-from tests.blind.physics import integrate
+from tests.evidence.blind.cases import DrawnCase, catalogue, draw_case
+from tests.evidence.blind.effects import MOTOR_INERTIA
+from tests.evidence.blind.leg import stack
+from tests.evidence.blind.measure import RATE_HZ, disturb, read
+from tests.evidence.blind.physics import integrate
 
 COUNT, RUNS = 800, 4
 PEAK_NM = 0.6
@@ -108,7 +108,7 @@ def test_bristles_are_found_with_their_damping() -> None:
     case, deflection = drawn("presliding_friction"), 0.12
     _, model = fitted(case, record(case, {"bristle2": deflection}), PreslidingFriction(1), shapes=(0.1,))
     ((level, damping, found),) = model.sizes()
-    stiffness = case.leg.coulomb2 / deflection  # LuGre as tests/blind/physics has it
+    stiffness = case.leg.coulomb2 / deflection  # LuGre as tests/evidence/blind/physics has it
     assert found == pytest.approx(deflection, rel=0.25)  # eight seconds hardly reach full slip
     assert level == pytest.approx(case.leg.coulomb2, rel=0.2)
     assert damping == pytest.approx(0.6 * np.sqrt(stiffness * float(case.leg.beta()[1]) * 0.3), rel=0.2)

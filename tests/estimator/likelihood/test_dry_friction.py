@@ -9,7 +9,7 @@ from daq import Dataset
 from estimator import FitOptions, fit
 from estimator.likelihood.dry_friction import likeliest_scale, passage_samples
 from estimator.model import leg2
-from tests.blind import servo
+from tests.evidence.blind import servo
 from tests.support.mujoco_leg import random_leg
 
 

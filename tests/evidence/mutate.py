@@ -1,0 +1,240 @@
+"""Files broken in every way that comes to mind, through their readers: read, or refused in one line, and nothing else.
+
+    python -m tests.evidence mutate --files 100000
+
+A fault is any exception but `InputError`, a numerical warning, more than 5 s of a processor or more than 1 GB. Every
+file comes from the seed and its number alone: `--only mcap --first 4711 --files 1` makes that one again.
+"""
+
+import argparse
+import json
+import re
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from daq.errors import InputError
+from daq.load import load_run
+from daq.recording.plan import Plan, read_plan
+from daq.rig import load_rig, parse_rig
+from daq.runs import read_run
+from daq.runs.mcap_run import RunWriter, recover
+from daq.runs.mcap_scan import Scan
+from experiments.models.mechanism_settings import mechanism_settings
+from experiments.models.model_file import load_model
+from experiments.reports.fit_json import model_of
+from experiments.reports.run_info import describe_mcap
+from tests.evidence.registry import Evidence
+from tests.support.fits import synthetic_fit
+from tests.support.paths import DEMO_RIG
+
+SECONDS, BYTES = 5.0, 1 << 30
+STANDSTILL_S = 120.0
+"""By the clock, on a computer that does much else: who waits for ever uses no processor."""
+SAMPLES = 120
+NUMBERS = [b"nan", b"inf", b"-inf", b"1e308", b"-1e308", b"1e-320", b"0", b"-1", b"9" * 400, b"1e400", b"true",
+           b'"x"', b"[]", b"{}", b"null", b"", b"0x10", b"1_0", b"\xff", b"\x1b[2J", b"18446744073709551616"]
+BRACKETS = [b"[", b"{", b"(", b'"', b",", b"\n", b"\0", b"[[", b'{"a":']
+
+
+class Format(NamedTuple):
+    """Whole files of one kind, and what reads them."""
+
+    ending: str
+    whole: list[bytes]
+    read: Callable[[Path], object]
+
+
+class Fault(NamedTuple):
+    """What came of a file that was neither read nor refused."""
+
+    format: str
+    number: int
+    what: str
+
+
+def leg_run(path: Path) -> bytes:
+    """A short run with everything that an alignment needs."""
+    imu = {"gyro_radps_per_lsb": 3e-4, "accel_mps2_per_lsb": 1.2e-3, "rate_hz": 238.0}
+    writer = RunWriter(path, {"rig.toml": DEMO_RIG.read_text(), "plan.csv": "time_s,tau2_cmd_nm\n0,0\n1,0\n"})
+    writer.config(0, "imu", json.dumps(imu))
+    for k in range(SAMPLES):
+        at, tick = 10**9 + k * 10_000_000, k * 10_000
+        writer.add("/leg/telemetry", at, at, 0.1 * np.sin(k / 9), 0.05, 0.0, 0.2, 24.0, 30.0, 0.1, tick, 7, k, 0, 1)
+        writer.add("/leg/clock", at, at, at + 200_000, tick + 90, tick + 100, 7, k)
+        for i in (2 * k, 2 * k + 1):
+            writer.add("/imu", at, at, at + 90_000, i, 1, 2, i % 50, 3, 8000, 5, 0)
+    writer.event(10**9, "start", "armed")
+    writer.close()
+    return path.read_bytes()
+
+
+def rewritten(path: Path, compression: CompressionType) -> bytes:
+    """The same records without check sums, so that what is broken gets through to those who read them."""
+    scan, out = Scan(path), path.with_suffix(".other")
+    with out.open("wb") as file:
+        writer = Writer(file, compression=compression, chunk_size=8192, enable_crcs=False)
+        writer.start()
+        channels: dict[int, int] = {}
+        for record in scan:
+            match type(record).__name__:
+                case "Channel" if record.id not in channels:
+                    schema = writer.register_schema("x", "ros2msg", b"")
+                    channels[record.id] = writer.register_channel(record.topic, "cdr", schema)
+                case "Message":
+                    writer.add_message(channels[record.channel_id], record.log_time, record.data, record.publish_time)
+                case "Attachment":
+                    writer.add_attachment(0, 0, record.name, "text/plain", record.data)
+        writer.finish()
+    return out.read_bytes()
+
+
+def formats(folder: Path) -> dict[str, Format]:
+    """All five, with the files that are broken."""
+    rig = parse_rig(DEMO_RIG.read_text())
+    t = np.arange(SAMPLES) / 100.0
+    plan = Plan(t, np.sin(t)).text().encode()
+    names = "time_s,q1_rad,q2_rad,tau2_nm,gyro_radps,accel_x_mps2,accel_y_mps2,mine"
+    csv = "\n".join([names, *(f"{x:.2f}," + ",".join(f"{np.sin(x + c):.6g}" for c in range(7)) for x in t)]).encode()
+    run = leg_run(folder / "whole.mcap")
+    runs = [run, *(rewritten(folder / "whole.mcap", kind) for kind in CompressionType)]
+    model = msgspec.json.format(msgspec.json.encode(
+        model_of(synthetic_fit(), mechanism_settings(rig), "zero", ["a.csv"])), indent=1)
+
+    def read_mcap(path: Path) -> None:
+        describe_mcap(read_run(path))
+        saved = path.with_suffix(".saved")
+        saved.unlink(missing_ok=True)
+        recover(path, saved)
+        load_run(path, rig)
+
+    return {"rig": Format(".toml", [DEMO_RIG.read_bytes()], load_rig), "plan": Format(".csv", [plan], read_plan),
+            "csv": Format(".csv", [csv], lambda path: load_run(path, rig)),
+            "mcap": Format(".mcap", runs, read_mcap), "model": Format(".json", [model], load_model)}
+
+
+def broken(whole: bytes, rng: np.random.Generator) -> bytes:
+    """`whole` with one fault, or with up to four."""
+    data = bytearray(whole)
+    for _ in range(1 if rng.random() < 0.6 else int(rng.integers(2, 5))):
+        if not data:
+            break
+        a = int(rng.integers(len(data)))
+        b = min(len(data), a + int(2 ** rng.uniform(0, 10)))
+        match int(rng.integers(9)):
+            case 0:
+                data[a] ^= 1 << int(rng.integers(8))
+            case 1:
+                data[a:b] = rng.bytes(b - a)
+            case 2:
+                del data[a:b]
+            case 3:
+                data[b:b] = data[a:b] * int(rng.integers(1, 4))
+            case 4:
+                del data[a:]
+            case 5:  # a field of a length or a count
+                data[a: a + 8] = int(2 ** rng.uniform(0, 64)).to_bytes(9, "little")[:8]
+            case 6:  # a number in a text
+                found = list(re.finditer(rb"-?\d[\d.eE+-]*", bytes(data[a: a + 400])))
+                if found:
+                    hit = found[int(rng.integers(len(found)))]
+                    data[a + hit.start(): a + hit.end()] = NUMBERS[int(rng.integers(len(NUMBERS)))]
+            case 7:
+                data[a:a] = BRACKETS[int(rng.integers(len(BRACKETS)))] * int(2 ** rng.uniform(0, 17))
+            case 8:
+                other = int(rng.integers(len(data)))
+                data[a:b], data[other: other + b - a] = data[other: other + b - a], data[a:b]
+    return bytes(data)
+
+
+def study(name: str, kind: Format, first: int, files: int, seed: int, folder: Path) -> tuple[Counter[str], list[Fault]]:
+    """How many were read and refused, and what became of the others."""
+    path, counts, faults = folder / f"broken{kind.ending}", Counter[str](), []
+    for whole in kind.whole:  # also loads and compiles what the first file would otherwise wait for
+        path.write_bytes(whole)
+        kind.read(path)
+    worst, told = 0.0, time.monotonic()
+    for number in range(first, first + files):
+        rng = np.random.default_rng((seed, number))
+        path.write_bytes(broken(kind.whole[int(rng.integers(len(kind.whole)))], rng))
+        began = time.process_time()
+        signal.setitimer(signal.ITIMER_PROF, SECONDS)
+        signal.setitimer(signal.ITIMER_REAL, STANDSTILL_S)
+        try:
+            kind.read(path)
+            counts["read"] += 1
+        except InputError as error:
+            counts["refused"] += 1
+            if "\n" in str(error) or len(str(error)) > 2000:
+                faults.append(Fault(name, number, f"says {len(str(error))} characters: {str(error)[:200]!r}"))
+        except BaseException as error:
+            if isinstance(error, KeyboardInterrupt):
+                raise
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{Path(where.filename).name}, line {where.lineno}"
+            faults.append(Fault(name, number, f"{type(error).__name__}: {str(error)[:200]} ({place})"))
+        finally:
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        worst = max(worst, time.process_time() - began)
+        if time.monotonic() - told > 30.0:
+            told = time.monotonic()
+            print(f"{name}: {number - first + 1} of {files}, {len(faults)} faults", file=sys.stderr, flush=True)
+    counts["worst_ms"] = round(worst * 1e3)
+    return counts, faults
+
+
+class TooSlow(BaseException):
+    """No reader catches it."""
+
+
+def _too_slow(*_: object) -> None:
+    raise TooSlow(f"more than {SECONDS:g} s of a processor, or {STANDSTILL_S:g} s")
+
+
+EVIDENCE = (
+    Evidence("Broken files of five formats through their readers", "make mutate", "fuzz.md", 90,
+             "read, or refused in one line", (r"All six faults are \w+",), r"mutate`, seed (\d+)",
+             r"seed 1\) on (\d{4}-\d\d-\d\d)"),)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--files", type=int, default=100_000, help="of each format")
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", action="append", default=[])
+    args = parser.parse_args(arguments)
+    warnings.simplefilter("error")
+    signal.signal(signal.SIGALRM, _too_slow)
+    signal.signal(signal.SIGPROF, _too_slow)
+    all_faults: list[Fault] = []
+    with tempfile.TemporaryDirectory() as place:
+        kinds = formats(Path(place))
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + BYTES, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        for name, kind in kinds.items():
+            if args.only and name not in args.only:
+                continue
+            began = time.monotonic()
+            counts, faults = study(name, kind, args.first, args.files, args.seed, Path(place))
+            all_faults += faults
+            print(f"{name}: {args.files} files, {counts['read']} read, {counts['refused']} refused, {len(faults)} "
+                  f"faults, slowest {counts['worst_ms']} ms, {time.monotonic() - began:.0f} s", flush=True)
+            for fault in faults[:10]:
+                print(f"  {fault.format} {fault.number}: {fault.what}", flush=True)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"peak memory of the whole study {peak:.0f} MB")
+    return int(bool(all_faults))
