@@ -1,6 +1,7 @@
 """The house: imports go down its floors and rooms, past no face, in no circle, and no room is too long to read."""
 
 import ast
+import warnings
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -25,7 +26,8 @@ ROOMS = {
 """The rooms of a floor from the ground up; those of one row may know each other as far as they make no circle."""
 LEVELS = 8
 """Most storeys that the rooms of one floor may stand above each other."""
-LINES = 400
+LINES, TOO_LONG = 400, 500
+"""Beyond the first a file is due to be split by meaning, which the test warns of; beyond the second it is refused."""
 OF_DAQ = {"Dataset", "FloatArray"}
 """What the estimator knows of daq."""
 FILES = sorted(p for floor in FLOORS for p in (ROOT / floor).rglob("*.py"))
@@ -161,7 +163,10 @@ def test_no_circle_of_modules() -> None:
 @pytest.mark.parametrize("path", [*FILES, *sorted((ROOT / "tests").rglob("*.py"))],
                          ids=lambda p: str(p.relative_to(ROOT)))
 def test_no_file_is_too_long(path: Path) -> None:
-    assert len(path.read_text().splitlines()) <= LINES
+    lines = len(path.read_text().splitlines())
+    assert lines <= TOO_LONG
+    if lines > LINES:
+        warnings.warn(f"{path.relative_to(ROOT)} has {lines} lines: split it by meaning", stacklevel=1)
 
 
 def test_every_floor_was_read() -> None:
