@@ -32,7 +32,8 @@ class Dataset:
     """Provenance a report may print: file, recording date, firmware; free text. `damaged`: what is missing of the
     file, where something is."""
     clock_bound_s: float = 0.0
-    """How far the IMU's time line may be off the controller's [s]; 0 where all share one clock."""
+    """How far the time line of the IMU, without one the pivot sensor's, may be off the controller's [s]; 0 where all
+    share one clock."""
 
     def __post_init__(self) -> None:
         n = self.time_s.shape[0]

@@ -14,30 +14,25 @@ from msgspec import Meta, Struct
 from daq.errors import InputError, did_you_mean
 from daq.imu_mount import check_accelerometer, check_mount
 from daq.mechanisms import check_mechanism, joints_of
+from daq.rig_devices import Devices
+from daq.rig_types import (
+    IDENTITY3,
+    Angle,
+    Correlation,
+    Joint,
+    Length,
+    Matrix3,
+    NonNegative,
+    Positive,
+    Seconds,
+    Signed,
+    Table,
+    Vector3,
+)
 from daq.servo import Servo, faults
 
-# Bounds keep out what no rig is: a slip of units or keys, infinity, NaN. They are far beyond what any leg has.
-Positive = Annotated[float, Meta(gt=0, le=1e5)]
-NonNegative = Annotated[float, Meta(ge=0, le=1e4)]
-Length = Annotated[float, Meta(ge=0, le=10.0)]
-Angle = Annotated[float, Meta(gt=0, le=12.6)]
-"""A limit of two turns [rad]: what is beyond it is given in degrees."""
-Seconds = Annotated[float, Meta(gt=0, le=10.0)]
-Signed = Annotated[float, Meta(ge=-1e3, le=1e3)]
-Address = Annotated[int, Meta(ge=0x08, le=0x77)]
-"""On an I2C bus, 7 bits, without the reserved ones."""
-Joint = Annotated[int, Meta(ge=1, le=20)]
-Vector3 = tuple[Signed, Signed, Signed]
-Matrix3 = tuple[Vector3, Vector3, Vector3]
-Correlation = Annotated[float, Meta(ge=-1.0, le=1.0)]
-IDENTITY3: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
-
-class _Table(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    pass
-
-
-class Mechanism(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Mechanism(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which mechanism hangs there, and which of its joints a motor drives."""
 
     model: Annotated[str, Meta(max_length=60)]
@@ -53,7 +48,7 @@ class Mechanism(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Joints whose encoders are read; None: all, beside an IMU all but joint 1's."""
 
 
-class Terms(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Terms(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Declared extra terms of the nominal model, by joint (1-based)."""
 
     rotor_inertia: tuple[Joint, ...] | None = None
@@ -67,7 +62,7 @@ class Terms(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     thousandth of its speed where a fit chooses."""
 
 
-class Imu(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Imu(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One IMU, or one of several under [[imu]], whose columns are numbered in this order."""
 
     link: Joint = 1
@@ -78,7 +73,7 @@ class Imu(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     accel_mps2: Positive | None = None
 
 
-class DistanceMeter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class DistanceMeter(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A laser distance meter on link 1 that points at the ground ahead: the absolute angle by (52) to (54)."""
 
     mount_m: Annotated[float, Meta(gt=0, le=10.0)]
@@ -93,18 +88,18 @@ class DistanceMeter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """q1 where the link stands upright; it grows as the link leans towards the spot."""
 
 
-class Walker(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Walker(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A `biped3` that walks: its records go over many steps, in the joints that its motors turn (docs/formats.md)."""
 
     touchdown_s: Seconds = 0.005
     """How far a change of column `stance` may be off the landing; samples nearer to it are left out."""
 
 
-class Motor(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Motor(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     gear_ratio: Positive = 1.0
 
 
-class Noise(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Noise(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Known standard deviations; what is absent is estimated from the data."""
 
     gyro_radps: Positive | None = None
@@ -128,13 +123,13 @@ class Noise(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return known[joint] if isinstance(known, tuple) else known
 
 
-class Sampling(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Sampling(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     rate_hz: Positive = 100.0
     hold: Literal["auto", "zero", "linear", "average", "smooth"] = "auto"
     """How the measured torque acts between samples; auto: as the motion makes likeliest."""
 
 
-class Filter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Filter(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Zero-phase Butterworth low pass of `wls` and of every starting value."""
 
     cutoff_hz: Positive | None = None
@@ -142,36 +137,7 @@ class Filter(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     order: Annotated[int, Meta(ge=1, le=8)] = 4
 
 
-class ImuDevice(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    bus: str = "/dev/i2c-1"
-    address: Address = 0x6B
-    rate_hz: Positive = 238.0
-    accel_range_g: Literal[2, 4, 8, 16] = 4
-    gyro_range_dps: Literal[245, 500, 2000] = 500
-    bus_khz: Positive = 400.0
-    slow_hz: NonNegative = 0.0
-    """Temperature, and the field where there is a magnetometer, so many times a second; 0: not read."""
-    magnetometer: Address | None = None
-    """Its address: 0x1E or 0x1C."""
-
-
-class ControllerDevice(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    port: str = "/dev/ttyACM0"
-    baud: Annotated[int, Meta(ge=1200, le=12_000_000)] = 1_000_000
-    can: dict[str, str | int | float | bool] | None = None
-    """python-can's configuration (interface, channel, bitrate, ...); given, `port` and `baud` are not used."""
-    node: Annotated[int, Meta(ge=0, le=63)] = 0
-    """The controller's node on CAN."""
-    rate_hz: Positive = 500.0
-    watchdog_ms: Annotated[int, Meta(ge=5, le=1000)] = 100
-
-
-class Devices(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    imu: ImuDevice | None = None
-    controller: ControllerDevice | None = None
-
-
-class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Limits(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Beyond any of these the torque goes to zero and the run stops, naming the limit."""
 
     torque_nm: Annotated[float, Meta(gt=0, le=1e3)] = 2.0
@@ -225,11 +191,15 @@ class Limits(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The same; the speed times 15 ms comes on top, by which the two may be apart in time."""
 
 
-class Calibration(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Calibration(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Measured once on the rig; raw readings stay raw in the run file."""
 
     knee_zero_rad: Signed = 0.0
     shunt_offset_a: Signed = 0.0
+    second_shunt_offset_a: Signed = 0.0
+    """Of the one in [devices.shunt], after its sign."""
+    pivot_zero_rad: Signed = 0.0
+    """What the sensor in [devices.pivot] reads, after its sign, when link 1 hangs straight down."""
     torque_constant_nm_per_a: Annotated[float, Meta(gt=0, le=1e3)] = 1.0
     """Joint torque per ampere of motor current, gear included."""
     imu_mount: Matrix3 = IDENTITY3
@@ -240,7 +210,7 @@ class Calibration(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Scales and cross-talk of the accelerometer: calibrated = matrix @ (reading - bias), in the chip's frame."""
 
 
-class Column(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Column(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where files of other programs hold a column of the contract: value = sign * scale * unit * reading + offset."""
 
     name: str
@@ -256,7 +226,7 @@ class Column(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How late the reading is stamped [s]."""
 
 
-class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Rig(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One rig.toml."""
 
     mechanism: Mechanism
@@ -273,7 +243,7 @@ class Rig(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     limits: Limits = Limits()
     calibration: Calibration = Calibration()
     servo: Servo | None = None
-    columns: dict[str, Column] = {}
+    columns: dict[str, Column] = msgspec.field(default_factory=dict)
     """Column of the contract -> where files of other programs hold it."""
 
     @property

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.dataset import FloatArray
-from daq.rig import Calibration
-from drivers import TO_AG
+from daq.rig import Calibration, Rig
+from drivers import TO_AG, as5600
 
 Reading = TypeVar("Reading", float, FloatArray)
 """One reading or many."""
@@ -45,3 +46,17 @@ def knee_angle(knee_rad: Reading, calibration: Calibration) -> Reading:
 def joint_torque(current_a: Reading, calibration: Calibration) -> Reading:
     """Knee torque [N m] from the shunt's current."""
     return (current_a - calibration.shunt_offset_a) * calibration.torque_constant_nm_per_a
+
+
+def pivot_angle(raw: int, rig: Rig, near_rad: float = 0.0) -> float:
+    """q1 [rad] from the pivot sensor's counts, of the turn that is nearest to `near_rad`."""
+    sign = rig.devices.pivot.sign if rig.devices.pivot else 1
+    angle = sign * raw * as5600.RADIANS_PER_COUNT - rig.calibration.pivot_zero_rad
+    return near_rad + math.remainder(angle - near_rad, math.tau)
+
+
+def second_torque(current_a: FloatArray, rig: Rig) -> FloatArray:
+    """Knee torque [N m] from the current [A] of the shunt in [devices.shunt], by the constant of the drive's."""
+    sign = rig.devices.shunt.sign if rig.devices.shunt else 1
+    c = rig.calibration
+    return (sign * current_a - c.second_shunt_offset_a) * c.torque_constant_nm_per_a

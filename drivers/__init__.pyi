@@ -1,7 +1,14 @@
+from . import as5600 as as5600
 from . import lsm9ds1_mag as lsm9ds1_mag
 from . import lsm9ds1_registers as lsm9ds1_registers
+from .as5600 import As5600 as As5600
+from .as5600 import PivotReading as PivotReading
+from .as5600 import magnet_problem as magnet_problem
 from .can_codec import CanCodec as CanCodec
 from .can_link import CanLink as CanLink
+from .current_shunt import CHIPS as CHIPS
+from .current_shunt import CurrentShunt as CurrentShunt
+from .current_shunt import ShuntReading as ShuntReading
 from .errors import DeviceAbsent as DeviceAbsent
 from .errors import DriverError as DriverError
 from .errors import LinkLost as LinkLost

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import errno
 import fcntl
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from smbus2 import SMBus, i2c_msg
 
@@ -24,6 +25,9 @@ class I2CBus(Protocol):
         """Let go of the bus."""
 
 
+T = TypeVar("T")
+RETRIES = 3
+BACKOFF_S = 0.002
 I2C_SLAVE = 0x0703
 """ioctl of linux/i2c-dev.h; I2C_SLAVE_FORCE, which would take the chip away, is never used."""
 
@@ -49,8 +53,9 @@ def explain(error: OSError, where: str) -> DriverError:
     return kind(f"{where}: {why} [errno {error.errno}]")
 
 
-def open_bus(path: str) -> I2CBus:
-    """The bus at `path`: `/dev/i2c-1`, or the socket of an emulated one. Raises `DeviceAbsent` naming the remedy."""
+def open_bus(path: str, device: str = "imu") -> I2CBus:
+    """The bus at `path`: `/dev/i2c-1`, or the socket of an emulated one. Raises `DeviceAbsent` naming the remedy, for
+    which `device` is the table of rig.toml that names the bus."""
     if Path(path).is_socket():
         try:
             return SocketBus(path)
@@ -62,7 +67,7 @@ def open_bus(path: str) -> I2CBus:
         bus.open(path)
     except FileNotFoundError as error:
         raise DeviceAbsent(f"I2C bus {path}: no such bus; enable I2C (raspi-config, dtparam=i2c_arm=on) or correct "
-                           "[devices.imu] bus") from error
+                           f"[devices.{device}] bus") from error
     except PermissionError as error:
         raise DeviceAbsent(f"I2C bus {path}: permission denied; add the user to group i2c") from error
     except OSError as error:
@@ -85,6 +90,18 @@ def claim(bus: I2CBus, address: int) -> None:
         bus.lock(address)
 
 
+def with_retries(work: Callable[[], T], sleep: Callable[[float], None]) -> T:
+    """`work`, once and up to three times more; the last OSError comes through. A busy chip is not tried again."""
+    for attempt in range(RETRIES):
+        try:
+            return work()
+        except OSError as error:
+            if error.errno == errno.EBUSY:
+                raise
+            sleep(BACKOFF_S * 2**attempt)
+    return work()
+
+
 def read_registers(bus: I2CBus, address: int, register: int, count: int) -> bytes:
     """`count` bytes from `register` on: one write and one read message, the only shape every adapter takes."""
     reply = i2c_msg.read(address, count)
@@ -94,4 +111,9 @@ def read_registers(bus: I2CBus, address: int, register: int, count: int) -> byte
 
 def write_register(bus: I2CBus, address: int, register: int, value: int) -> None:
     """One byte into one register."""
-    bus.i2c_rdwr(i2c_msg.write(address, [register, value]))
+    write_registers(bus, address, register, bytes([value]))
+
+
+def write_registers(bus: I2CBus, address: int, register: int, data: bytes) -> None:
+    """Bytes from `register` on, in one message."""
+    bus.i2c_rdwr(i2c_msg.write(address, [register, *data]))

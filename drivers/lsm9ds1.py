@@ -10,7 +10,6 @@ compared with its setting every 100 ms; a chip that forgot, or failed repeatedly
 
 from __future__ import annotations
 
-import errno
 import math
 import time
 from collections.abc import Callable
@@ -23,15 +22,13 @@ from numpy.typing import NDArray
 
 from drivers import lsm9ds1_registers as reg
 from drivers.errors import DeviceAbsent, DeviceBusy, DeviceFault, DriverError
-from drivers.i2c_bus import I2CBus, claim, explain, open_bus, read_registers, write_register
+from drivers.i2c_bus import I2CBus, claim, explain, open_bus, read_registers, with_retries, write_register
 from drivers.lsm9ds1_mag import Magnetometer
 from drivers.lsm9ds1_registers import ACCEL_MG_PER_LSB, GYRO_MDPS_PER_LSB, ODR_HZ
 
 __all__ = ["ACCEL_MG_PER_LSB", "GYRO_MDPS_PER_LSB", "ODR_HZ", "I2CBus", "ImuBatch", "ImuConfig", "Lsm9ds1", "open_bus"]
 
 T = TypeVar("T")
-RETRIES = 3
-BACKOFF_S = 0.002
 RESET_TIMEOUT_S = 0.1
 BUS_SHARE = 0.7
 """Share of the bus that samples may take; the rest is addresses, status reads and retries."""
@@ -331,15 +328,7 @@ class Lsm9ds1:
                              f"{BUS_SHARE:.0%} of a {self._bus_khz:g} kHz bus; use 400 kHz or a lower rate")
 
     def _retry(self, work: Callable[[], T]) -> T:
-        """`work`, once and up to three times more; the last OSError comes through. A busy chip is not tried again."""
-        for attempt in range(RETRIES):
-            try:
-                return work()
-            except OSError as error:
-                if error.errno == errno.EBUSY:
-                    raise
-                self._sleep(BACKOFF_S * 2**attempt)
-        return work()
+        return with_retries(work, self._sleep)
 
     def _read(self, register: int, count: int) -> bytes:
         return read_registers(self.bus, self._address, register, count)

@@ -15,8 +15,8 @@ FLOORS = {"drivers": {"drivers"}, "daq": {"drivers", "daq"}, "estimator": {"esti
           "legid": {"drivers", "daq", "estimator", "experiments", "legid"}}
 """Floor to the floors that it may import."""
 ROOMS = {
-    "daq": [["errors", "files", "dataset", "imu_mount", "mechanisms", "rig", "rig_text", "servo", "si_units"], ["runs"],
-            ["timing"], ["recording"], ["calibration"], ["load"]],
+    "daq": [["errors", "files", "dataset", "imu_mount", "mechanisms", "rig", "rig_devices", "rig_text",
+             "rig_types", "servo", "si_units"], ["runs"], ["timing"], ["recording"], ["calibration"], ["load"]],
     "estimator": [["errors", "methods", "parallel"], ["numerics"], ["model"], ["options", "result"], ["signals"],
                   ["effects"], ["likelihood"], ["fitting"], ["diagnosis", "calibration"]],
     "experiments": [["console", "provenance"], ["models"], ["exchange"], ["rig", "excite", "emulation"], ["reports"],

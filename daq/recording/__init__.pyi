@@ -1,5 +1,6 @@
 from .facts import describe_devices as describe_devices
 from .facts import program_facts as program_facts
+from .facts import shunt_facts as shunt_facts
 from .intake import ControllerIntake as ControllerIntake
 from .intake import ImuIntake as ImuIntake
 from .plan import Plan as Plan
@@ -19,6 +20,10 @@ from .remote import Row as Row
 from .remote import Status as Status
 from .remote import watched_by as watched_by
 from .senses import Senses as Senses
+from .sensors import PivotIntake as PivotIntake
+from .sensors import SensorIntakes as SensorIntakes
+from .sensors import Sensors as Sensors
+from .sensors import ShuntIntake as ShuntIntake
 from .supervisor import WATCHED as WATCHED
 from .supervisor import Supervisor as Supervisor
 from .workers import QueuedSink as QueuedSink

@@ -8,9 +8,10 @@ import time
 import msgspec
 import numpy as np
 
+from daq.recording.sensors import Sensors
 from daq.rig import Rig
 from daq.runs import RunWriter
-from drivers import LegController, Lsm9ds1
+from drivers import CurrentShunt, LegController, Lsm9ds1
 
 
 def program_facts(rig: Rig, now_ns: int) -> dict[str, str]:
@@ -20,8 +21,9 @@ def program_facts(rig: Rig, now_ns: int) -> dict[str, str]:
             "numpy": np.__version__, "system": platform.platform()}
 
 
-def describe_devices(writer: RunWriter, controller: LegController, imu: Lsm9ds1 | None, now_ns: int) -> None:
-    """Firmware, link and the IMU's scales, as configuration notes."""
+def describe_devices(writer: RunWriter, controller: LegController, imu: Lsm9ds1 | None, now_ns: int,
+                     sensors: Sensors | None = None) -> None:
+    """Firmware, link and the scales of IMU and shunt, as configuration notes."""
     writer.config(now_ns, "firmware", msgspec.json.encode(controller.hello).decode())
     if controller.link_facts:
         writer.config(now_ns, "link", msgspec.json.encode(controller.link_facts).decode())
@@ -31,3 +33,10 @@ def describe_devices(writer: RunWriter, controller: LegController, imu: Lsm9ds1 
                  "accel_range_g": imu.config.accel_range_g, "gyro_range_dps": imu.config.gyro_range_dps,
                  "field_t_per_lsb": imu.magnetometer.config.scale_t if imu.magnetometer else None}
         writer.config(now_ns, "imu", msgspec.json.encode(facts).decode())
+    if sensors is not None and sensors.shunt is not None:
+        writer.config(now_ns, "shunt", msgspec.json.encode(shunt_facts(sensors.shunt)).decode())
+
+
+def shunt_facts(shunt: CurrentShunt) -> dict[str, float | str]:
+    """What a reading of the second shunt means."""
+    return {"chip": shunt.chip.name, "amperes_per_count": shunt.amperes_per_count, "conversion_s": shunt.conversion_s}

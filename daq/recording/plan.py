@@ -12,7 +12,8 @@ import numpy as np
 from daq.dataset import FloatArray
 from daq.errors import InputError
 from daq.files import write_file
-from daq.rig import ControllerDevice, Rig
+from daq.rig import Rig
+from daq.rig_devices import ControllerDevice
 from daq.runs import read_csv
 from drivers import LegController, Lsm9ds1
 

@@ -258,6 +258,7 @@ class Plausibility:
         self._trip_s = APART_S
         self._periods_s = 1.0 / hello.telemetry_hz + (1.0 / imu_hz if imu_hz else 0.0)
         self._halls: deque[tuple[int, float]] = deque(maxlen=64)
+        self._own_pivot = False
         self._armed = False
         self._bias = 0.0
         self._turned: tuple[int, float] | None = None
@@ -275,7 +276,16 @@ class Plausibility:
         self._echo.see(frame, host_ns)
         self._torque.see(frame, host_ns)
         self._encoder.see(host_ns * 1e-9, frame.knee_rad, frame.knee_hall_rad)
-        self._halls.append((host_ns, frame.pivot_hall_rad))
+        if not self._own_pivot:
+            self._halls.append((host_ns, frame.pivot_hall_rad))
+
+    def pivot(self, host_ns: int, angle_rad: float) -> None:
+        """The angle of a pivot sensor [rad], which from now on stands for the controller's Hall angle."""
+        if not self._own_pivot:
+            self._own_pivot = True
+            self._halls.clear()
+            self._bias_from = None
+        self._halls.append((host_ns, angle_rad))
 
     def batch(self, raw: NDArray[np.int16], turned_rad: float, host_ns: int, gap: bool) -> None:
         """Samples (n, 6) of the IMU, behind a gap or not, and the angle by which its gyro says that link 1 has turned

@@ -18,9 +18,11 @@ from daq.recording.intake import ControllerIntake, ImuIntake, Sink
 from daq.recording.plan import Plan, check_gyro, check_plan
 from daq.recording.remote import LOST, Ending, Remote, Status
 from daq.recording.senses import Senses
+from daq.recording.sensors import SensorIntakes, Sensors
 from daq.recording.supervisor import Sample, Supervisor, Trip, may_ramp
 from daq.recording.workers import QueuedSink, Workers, in_time, noted_signals, real_time
-from daq.rig import ControllerDevice, Rig
+from daq.rig import Rig
+from daq.rig_devices import ControllerDevice
 from daq.runs import RunWriter
 from drivers import DriverError, LegController, Lsm9ds1, State, describe_faults, fault_remedy
 
@@ -61,7 +63,8 @@ class Recorder:
 
     def __init__(self, rig: Rig, imu: Lsm9ds1 | None, controller: LegController, writer: RunWriter,
                  supervisor: Supervisor | None = None, now_ns: Callable[[], int] = time.monotonic_ns,
-                 threaded: bool = True, progress: Progress | None = None, remote: Remote | None = None) -> None:
+                 threaded: bool = True, progress: Progress | None = None, remote: Remote | None = None,
+                 sensors: Sensors | None = None) -> None:
         if controller.hello is None:
             raise ValueError("open the leg controller before recording")
         self.supervisor = supervisor or Supervisor(rig.limits)
@@ -74,21 +77,18 @@ class Recorder:
         slow_hz = rig.devices.imu.slow_hz if rig.devices.imu else 0.0
         self._imu = None if imu is None else ImuIntake(imu, self._sink, rig.calibration, now_ns, slow_hz)
         rate = imu.config.rate_hz if imu else 238.0
-        self._senses = Senses(rig, controller.hello, self._leg, self._imu, rate, now_ns())
-        if controller.hello is None:
-            raise ValueError("open the leg controller before recording")
+        self._sensors = SensorIntakes(sensors or Sensors(), self._sink, rig, now_ns)
+        self._senses = Senses(rig, controller.hello, self._leg, self._imu, rate, now_ns(), self._sensors)
         self._drain_every_s = min(DRAIN_EVERY_S, FIFO_DEPTH / rate / 3)
         self._watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms
-        self._driving = False
-        self._supervising = True
+        self._driving, self._supervising = False, True
         self._torque_nm = 0.0
         self._commanded_ns = self._ping_due_ns = self._drain_due_ns = 0
         self._ping_every_s = LEAD_PING_EVERY_S
         self._commands = self._late = 0
         self._load = HostLoad(now_ns())
-        self._interrupt = ""
-        self._start_ns, self._total_s = 0, 0.0
-        describe_devices(writer, controller, imu, now_ns())
+        self._interrupt, self._start_ns, self._total_s = "", 0, 0.0
+        describe_devices(writer, controller, imu, now_ns(), sensors)
         if remote is not None:
             remote.attach(controller.stop, self._status)
 
@@ -268,6 +268,7 @@ class Recorder:
             if self._imu is not None and now >= self._drain_due_ns:
                 self._drain_due_ns = now + _ns(self._drain_every_s)
                 self._imu.drain()
+            self._sensors.turn(now)
         self._load.look(now)
         self._workers.check()
         self._disk.check()
@@ -357,16 +358,18 @@ class Recorder:
         self._workers.start("leg", self._leg.poll)
         if self._imu is not None:
             self._workers.start("imu", self._imu.drain, self._drain_every_s)
+        self._sensors.start(self._workers)
         self._disk.start("writer", self._queue.turn)
 
 
 def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9ds1 | None, controller: LegController,
                now_ns: Callable[[], int] = time.monotonic_ns, threaded: bool = True,
-               progress: Progress | None = None, remark: str = "", remote: Remote | None = None) -> RecordReport:
+               progress: Progress | None = None, remark: str = "", remote: Remote | None = None,
+               sensors: Sensors | None = None) -> RecordReport:
     """Record `plan` over open devices into a new run file that holds all that a later refit needs.
 
     `remark` is the file's first event: what whoever reads it should know of this recording. `remote` watches it and can
-    stop it.
+    stop it. `sensors` are recorded too.
     """
     check_plan(plan, rig, controller)
     check_gyro(rig, imu)
@@ -374,7 +377,7 @@ def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9d
     try:
         if remark:
             writer.event(now_ns(), "remark", remark)
-        recorder = Recorder(rig, imu, controller, writer, None, now_ns, threaded, progress, remote)
+        recorder = Recorder(rig, imu, controller, writer, None, now_ns, threaded, progress, remote, sensors)
     except BaseException:
         writer.close()
         raise

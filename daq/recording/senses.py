@@ -7,6 +7,7 @@ import math
 from daq.errors import WorkError
 from daq.recording.intake import ControllerIntake, ImuIntake
 from daq.recording.plausibility import Plausibility
+from daq.recording.sensors import SensorIntakes
 from daq.recording.supervisor import Sample, ahead
 from daq.rig import Rig
 from drivers import Hello, Telemetry
@@ -23,8 +24,9 @@ class Senses:
     """Belongs to the commanding thread."""
 
     def __init__(self, rig: Rig, hello: Hello, leg: ControllerIntake, imu: ImuIntake | None, imu_hz: float,
-                 now_ns: int) -> None:
+                 now_ns: int, sensors: SensorIntakes | None = None) -> None:
         self._rig, self._leg, self._imu, self._imu_hz = rig, leg, imu, imu_hz
+        self._pivot, self._shunt = (sensors.pivot, sensors.shunt) if sensors else (None, None)
         self._plausible = Plausibility(rig.limits, rig.calibration, hello, imu_hz if imu else None, now_ns)
         self.hall_seen = False
         """The pivot's Hall sensor has said something; until then q1 is the IMU's."""
@@ -35,6 +37,8 @@ class Senses:
         """Look through what has come in."""
         while self._leg.fresh:
             self._plausible.frame(*self._leg.fresh.popleft())
+        while self._pivot is not None and self._pivot.fresh:
+            self._plausible.pivot(*self._pivot.fresh.popleft())
         while self._imu is not None and self._imu.fresh:
             self._plausible.batch(*self._imu.fresh.popleft())
 
@@ -46,6 +50,8 @@ class Senses:
         bound_s = self._leg.clock_bound_s()
         if bound_s is None:
             raise WorkError("leg controller: answers no clock probe; restart it")
+        if self._pivot is not None and self._pivot.rad is None:
+            raise WorkError("pivot sensor: no reading within a second; check its wiring")
         if self._imu is not None:
             check_imu(self._imu, self._imu_hz, self._rig.mechanism.gravity_mps2)
         self._plausible.arm(2.0 * bound_s)
@@ -58,6 +64,8 @@ class Senses:
         found = Sample(
             torque_cmd_nm=torque_cmd_nm, q1_speed_radps=speed, gyro_radps=speed, unsaved_s=unsaved_s,
             imu_age_s=(now_ns - self._imu.heard_ns) * 1e-9 if self._imu else None,
+            pivot_age_s=(now_ns - self._pivot.heard_ns) * 1e-9 if self._pivot else None,
+            shunt_age_s=(now_ns - self._shunt.heard_ns) * 1e-9 if self._shunt else None,
             clock_bound_s=self._leg.clock_bound_s(), **doubts)
         if telemetry is None or knee is None:
             return found
@@ -71,7 +79,10 @@ class Senses:
         return found._replace(**dict.fromkeys(given_up + ["q1_ahead_rad"] * ("q1_rad" in given_up)))
 
     def _pivot_rad(self, telemetry: Telemetry) -> float | None:
-        """q1 [rad] by the Hall sensor where the rig has one, else by the IMU. NaN: it is lost, or neither is there."""
+        """q1 [rad] by the pivot sensor where the rig has one, else by the Hall sensor, else by the IMU. NaN: it is
+        lost, or none is there."""
+        if self._pivot is not None:
+            return self._pivot.rad
         hall = telemetry.pivot_hall_rad
         self.hall_seen = self.hall_seen or math.isfinite(hall)
         if self.hall_seen or self._imu is None:

@@ -31,6 +31,10 @@ class Sample(NamedTuple):
     """Age of what the controller said of the leg [s]."""
     imu_age_s: float | None = None
     """Time since the last IMU sample [s]."""
+    pivot_age_s: float | None = None
+    """Time since the pivot sensor's last valid reading [s]."""
+    shunt_age_s: float | None = None
+    """Time since the second shunt's last valid reading [s]."""
     clock_bound_s: float | None = None
     """How far the controller's clock may be off the host's [s]."""
     unsaved_s: float | None = None
@@ -74,6 +78,8 @@ WATCHED: tuple[tuple[str, str, str], ...] = (
     ("bus_v", "bus_v", "supply voltage in V"),
     ("controller_age_s", "staleness_s", "silence of the leg controller in s"),
     ("imu_age_s", "staleness_s", "silence of the IMU in s"),
+    ("pivot_age_s", "staleness_s", "time in s without a valid angle of the pivot sensor"),
+    ("shunt_age_s", "staleness_s", "time in s without a valid current of the second shunt"),
     ("clock_bound_s", "clock_bound_s", "clock uncertainty in s"),
     ("unsaved_s", "unsaved_s", "age of what is not on the disk in s"),
     ("echo_s", "echo_s", "time in s for which the drive echoes another torque than commanded"),

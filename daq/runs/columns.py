@@ -9,7 +9,7 @@ from typing import NamedTuple
 from daq.rig import Rig, joint_count
 
 IMU = ("gyro_radps", "accel_x_mps2", "accel_y_mps2")
-OPTIONAL = ("tau2_cmd_nm", "temperature_degc", "q2_motor_rad", "distance_m", "stance")
+OPTIONAL = ("tau2_cmd_nm", "tau2_shunt_nm", "temperature_degc", "q2_motor_rad", "distance_m", "stance")
 """Columns with a meaning that no mechanism requires; their cells are checked like required ones."""
 
 

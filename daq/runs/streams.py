@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 CDR_HEADER = b"\x00\x01\x00\x00"
-_CODES = {"int64": "q", "uint64": "Q", "float64": "d", "uint32": "I", "uint16": "H", "int16": "h", "uint8": "B"}
+_CODES = {"int64": "q", "uint64": "Q", "float64": "d", "uint32": "I", "uint16": "H", "int32": "i", "int16": "h",
+          "uint8": "B"}
 
 
 class Field(NamedTuple):
@@ -98,7 +99,21 @@ DISTANCE = Stream("/distance", "legid_msgs/msg/Distance", (
     Field("distance_m", "float64", "from the meter along its beam to the ground [m]"),
     Field("valid", "uint8", "0: the beam missed, or the meter gave no reading"),
 ))
-STREAMS = {stream.topic: stream for stream in (IMU_STREAM, SLOW, TELEMETRY, CLOCK, COMMAND, DISTANCE)}
+PIVOT = Stream("/pivot", "legid_msgs/msg/PivotAngle", (
+    Field("host_before_ns", "int64", "host monotonic clock before the transfer that brought the angle [ns]"),
+    Field("host_after_ns", "int64", "the same after it"),
+    Field("raw", "uint16", "counts, 4096 a turn; zero not taken off"),
+    Field("magnitude", "uint16", "size of the magnet's field, of the chip's own unit"),
+    Field("status", "uint8", "bit 5: magnet there, 4: too weak, 3: too strong"),
+    Field("agc", "uint8", "gain of the chip's amplifier"),
+))
+SHUNT = Stream("/shunt", "legid_msgs/msg/ShuntCurrent", (
+    Field("host_before_ns", "int64", "host monotonic clock before the transfer that brought the voltage [ns]"),
+    Field("host_after_ns", "int64", "the same after it"),
+    Field("raw", "int32", "counts of the shunt voltage; scale and length of a conversion in /config shunt"),
+    Field("flags", "uint8", "1: no new conversion, 2: at the end of the chip's range"),
+))
+STREAMS = {stream.topic: stream for stream in (IMU_STREAM, SLOW, TELEMETRY, CLOCK, COMMAND, DISTANCE, PIVOT, SHUNT)}
 
 
 class Note(NamedTuple):

@@ -1,12 +1,14 @@
 from .align import Decoded as Decoded
 from .align import align as align
-from .align import configured as configured
 from .align import decode as decode
 from .align import recorded_rig as recorded_rig
 from .clock import fit_samples as fit_samples
 from .clock import fit_ticks as fit_ticks
+from .notes import configured as configured
 from .resample import HOLE_PERIODS as HOLE_PERIODS
 from .resample import Channel as Channel
 from .resample import align_channels as align_channels
 from .resample import align_table as align_table
 from .skew import measure_skew as measure_skew
+from .torque_channels import TorqueChannels as TorqueChannels
+from .torque_channels import compare_torque_channels as compare_torque_channels

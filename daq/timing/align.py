@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,8 @@ from daq.runs import MIN_SAMPLES, RawRun
 from daq.si_units import imu_columns, joint_torque, knee_angle
 from daq.timing.clock import ImuClock, TickClock, fit_samples, fit_ticks
 from daq.timing.doubts import doubts
+from daq.timing.notes import configured, increasing, unusable
+from daq.timing.polled import pivot_channel, shunt_channel
 from daq.timing.resample import Channel, align_channels
 
 RAIL = 32_767
@@ -35,7 +36,7 @@ class Decoded(NamedTuple):
     channels: list[Channel]
     """At the controller's tick; the torque; with an IMU, last, its samples."""
     bound_s: float
-    """How far the IMU's time line may be off the controller's [s]."""
+    """How far the time line of the IMU, without one the pivot sensor's, may be off the controller's [s]."""
     sources: dict[str, str]
 
 
@@ -43,12 +44,13 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
     """Samples of the run with the columns of the CSV contract, at their own rates.
 
     Times count from the first message. `tau2_nm` is the mean current of a telemetry period and therefore
-    placed half a period before its tick. `q1_rad`, from the pivot's Hall sensor, is benchmark only. Columns
-    that were never measured are absent. Raises `InputError` when the run is too short to be timed.
+    placed half a period before its tick. `q1_rad`, from the pivot's own sensor or else its Hall sensor, is benchmark
+    only; `tau2_shunt_nm` is the knee torque by the second shunt. Columns that were never measured are absent. Raises
+    `InputError` when the run is too short to be timed.
     """
     telemetry = raw.streams["/leg/telemetry"]
     if telemetry.size < MIN_SAMPLES:
-        raise _unusable(raw, f"holds {telemetry.size} telemetry samples, at least {MIN_SAMPLES} are needed")
+        raise unusable(raw, f"holds {telemetry.size} telemetry samples, at least {MIN_SAMPLES} are needed")
     epoch_ns = int(telemetry["host_ns"][0])
     time_ns, clocks = _telemetry_times(raw, telemetry, epoch_ns)
     channels = _leg_channels(raw, telemetry, time_ns, rig)
@@ -57,6 +59,14 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
     if distance.size:
         channels.append(_distance_channel(distance, epoch_ns))
     bound_s = 0.0
+    if raw.streams["/pivot"].size:
+        pivot, late_s = pivot_channel(raw, rig, epoch_ns)
+        channels = [Channel(c.time_s, {n: v for n, v in c.columns.items() if n != "q1_rad"}) for c in channels]
+        channels.append(pivot)
+        bound_s = late_s + max(clock.bound_s for clock in clocks)
+        sources["pivot_sensor"] = f"each angle within {late_s * 1e6:.0f} us of the host's clock"
+    if raw.streams["/shunt"].size:
+        channels.append(shunt_channel(raw, rig, epoch_ns))
     samples = raw.streams["/imu"]
     if samples.size:
         clock = fit_samples(samples, epoch_ns)
@@ -69,7 +79,7 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
     if raw.damage:
         sources["damaged"] = "; ".join(raw.damage)
     if any(channel.time_s.size < 2 for channel in channels):
-        raise _unusable(raw, "is too short for its clocks to be put together")
+        raise unusable(raw, "is too short for its clocks to be put together")
     return Decoded(epoch_ns, channels, bound_s, sources)
 
 
@@ -82,7 +92,7 @@ def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
     rate = rig.sampling.rate_hz if rate_hz is None else rate_hz
     dataset = align_channels(raw.name, found.channels, rate, found.sources)
     if len(dataset) < MIN_SAMPLES:
-        raise _unusable(raw, f"gives {len(dataset)} samples on the grid, at least {MIN_SAMPLES} are needed")
+        raise unusable(raw, f"gives {len(dataset)} samples on the grid, at least {MIN_SAMPLES} are needed")
     return replace(dataset, clock_bound_s=found.bound_s)
 
 
@@ -91,15 +101,6 @@ def recorded_rig(raw: RawRun) -> Rig:
     if "rig.toml" not in raw.files:
         raise InputError(raw.name, "holds no rig.toml", "give the rig's file with --rig")
     return parse_rig(raw.files["rig.toml"], f"{raw.name} (rig.toml inside)")
-
-
-def configured(raw: RawRun, kind: str) -> dict[str, Any]:
-    """The last configuration note of this kind in the run (`imu`, `firmware`), empty when there is none."""
-    texts = [note.text for note in raw.config if note.kind == kind]
-    try:
-        return msgspec.json.decode(texts[-1], type=dict[str, Any]) if texts else {}
-    except (msgspec.DecodeError, RecursionError):
-        raise _unusable(raw, f"holds a configuration of the {kind} that cannot be read") from None
 
 
 def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int) -> tuple[FloatArray, list[TickClock]]:
@@ -117,13 +118,13 @@ def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int) ->
         time_ns[rows] = clock.host_ns(telemetry["tick_us"][rows], arrived[rows])
         clocks.append(clock)
     if not clocks:
-        raise _unusable(raw, "holds no clock probe, so its clocks cannot be put together")
+        raise unusable(raw, "holds no clock probe, so its clocks cannot be put together")
     return time_ns, clocks
 
 
 def _leg_channels(raw: RawRun, telemetry: NDArray[np.void], time_ns: FloatArray, rig: Rig) -> list[Channel]:
     """Knee, Hall, temperature and command at the tick; the torque half a period earlier."""
-    rows = _increasing(time_ns)
+    rows = increasing(time_ns)
     telemetry, time_s = telemetry[rows], time_ns[rows] * 1e-9
     if not np.isfinite(telemetry["knee_rad"]).any():
         raise InputError(raw.name, "the knee encoder gave no valid reading", "check the encoder's wiring")
@@ -145,12 +146,12 @@ def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: R
         scale = (float(facts["gyro_radps_per_lsb"]), float(facts["accel_mps2_per_lsb"]))
         rate_hz = float(facts.get("rate_hz") or LEAST_IMU_HZ)
     except (KeyError, TypeError, ValueError):
-        raise _unusable(raw, "holds IMU samples without their scale") from None
+        raise unusable(raw, "holds IMU samples without their scale") from None
     if not all(0.0 < value < 1.0 for value in scale):
-        raise _unusable(raw, f"gives its IMU the scale {scale[0]:g}, {scale[1]:g}, which no chip has")
+        raise unusable(raw, f"gives its IMU the scale {scale[0]:g}, {scale[1]:g}, which no chip has")
     if not LEAST_IMU_HZ <= rate_hz <= MOST_IMU_HZ:
-        raise _unusable(raw, f"gives its IMU the rate {rate_hz:g} Hz, which no chip has")
-    rows = _increasing(clock.time_ns)
+        raise unusable(raw, f"gives its IMU the rate {rate_hz:g} Hz, which no chip has")
+    rows = increasing(clock.time_ns)
     counts = np.column_stack([samples[f"{kind}_{axis}"][rows] for kind in ("gyro", "accel") for axis in "xyz"])
     x, y, z = np.abs(rig.calibration.imu_mount)
     used = np.concatenate((z, x + y)) > LEAST_SHARE
@@ -162,25 +163,13 @@ def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: R
 def _distance_channel(readings: NDArray[np.void], epoch_ns: int) -> Channel:
     """A laser distance meter's readings at the host's times; those that are none are gaps."""
     times: FloatArray = (readings["host_ns"] - epoch_ns).astype(float)
-    rows = _increasing(times)
+    rows = increasing(times)
     value = readings["distance_m"][rows]
     good = (readings["valid"][rows] != 0) & np.isfinite(value) & (np.abs(value) <= MOST)
     return Channel(times[rows] * 1e-9, {"distance_m": np.where(good, value, np.nan)})
-
-
-def _increasing(time_ns: FloatArray) -> NDArray[np.intp]:
-    """Rows whose time is known and later than that of every row before."""
-    rows = np.flatnonzero(np.isfinite(time_ns))
-    known = time_ns[rows]
-    latest = np.maximum.accumulate(np.concatenate(([-np.inf], known[:-1])))
-    return rows[known > latest]
 
 
 def _clock_facts(clocks: list[TickClock]) -> dict[str, str]:
     worst = max(clocks, key=lambda clock: clock.bound_s)
     return {"controller_clock": f"{worst.rate_ppm:+.1f} ppm, within {worst.bound_s * 1e6:.0f} us, "
                                 f"{worst.probes} probes" + (f", {len(clocks)} boots" if len(clocks) > 1 else "")}
-
-
-def _unusable(raw: RawRun, what: str) -> InputError:
-    return InputError(raw.name, what, "record for longer" if raw.complete else "the file is cut off; record again")

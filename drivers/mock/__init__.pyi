@@ -1,6 +1,8 @@
+from .as5600 import MockAs5600 as MockAs5600
 from .clock import Clock as Clock
 from .clock import RealClock as RealClock
 from .clock import VirtualClock as VirtualClock
+from .current_shunt import MockShunt as MockShunt
 from .i2c_server import I2cServer as I2cServer
 from .link import EmulatorLink as EmulatorLink
 from .plant import Plant as Plant
@@ -15,3 +17,5 @@ from .rig import STEP_NS as STEP_NS
 from .rig import MockRig as MockRig
 from .settings import FirmwareSettings as FirmwareSettings
 from .settings import ImuSettings as ImuSettings
+from .settings import PivotSettings as PivotSettings
+from .settings import ShuntSettings as ShuntSettings

@@ -175,7 +175,7 @@ class FirmwareEmulator:
         self.drive.poll(t0_ns, self.estop_open)
         shorted = self.drive.reaction == Reaction.BRAKE
         torque_nm = -self.settings.brake_nms_per_rad * self._state.q2d if shorted else self.drive.torque_nm
-        return self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, torque_nm)
+        return self.settings.torque_gain * self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, torque_nm)
 
     def observe(self, segment: Segment) -> None:
         """Watch the limits and send the telemetry due within the segment; both run at the telemetry's rate."""

@@ -3,44 +3,62 @@
 from __future__ import annotations
 
 import threading
+from bisect import bisect_left
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from drivers.link import Codec
+from drivers.mock.as5600 import MockAs5600
 from drivers.mock.clock import Clock, RealClock
+from drivers.mock.current_shunt import MockShunt
 from drivers.mock.emulator import FirmwareEmulator
 from drivers.mock.imu_physics import ImuPhysics
 from drivers.mock.lsm9ds1 import MockLsm9ds1
+from drivers.mock.lsm9ds1_mag import MockBus
 from drivers.mock.plant import Plant, Segment, Snapshot, snapshot
-from drivers.mock.settings import FirmwareSettings, ImuSettings
+from drivers.mock.settings import FirmwareSettings, ImuSettings, PivotSettings, ShuntSettings
 from drivers.protocol import Decoder
 
 STEP_NS = 500_000
+REMEMBERED = 8192
+"""Steps of the motor's charge that are kept: a conversion of the shunt looks back over its own length."""
 
 
 class MockRig:
     """The devices share the plant and the clock; each transfer first brings the physics up to the time it is made.
 
     `imu` is the I2C bus object (with the chip on it), `firmware` the controller to hand to `EmulatorLink` or
-    `PtyServer`. Thread-safe.
+    `PtyServer`. With `pivot` and `shunt` these chips are there too; `bus` has all of them. Thread-safe.
     """
 
     def __init__(self, plant: Plant, clock: Clock | None = None, imu: ImuSettings | None = None,
                  firmware: FirmwareSettings | None = None, seed: int = 0, address: int = 0x6B,
-                 bus_khz: float = 400.0, codec: Callable[[], Codec[Any]] = Decoder) -> None:
+                 bus_khz: float = 400.0, codec: Callable[[], Codec[Any]] = Decoder,
+                 pivot: PivotSettings | None = None, shunt: ShuntSettings | None = None, shunt_kind: str = "ina226",
+                 shunt_address: int = 0x40) -> None:
         self.clock = clock or RealClock()
         self.lock = threading.RLock()
         self._plant = plant
         self._t_ns = self.clock.now_ns()
         self._last: Snapshot | None = None
+        self._segment: Segment | None = None
+        self._charges: deque[tuple[int, float]] = deque([(self._t_ns, 0.0)], REMEMBERED)
         imu_settings = imu or ImuSettings()
         imu_seed, firmware_seed = np.random.SeedSequence(seed).generate_state(2)
         self.imu = MockLsm9ds1(self.clock, self.advance_to, address, bus_khz, imu_settings.temperature_degc, self.lock)
         self._imu_physics = ImuPhysics(self.imu, imu_settings, np.random.default_rng(imu_seed))
         self.firmware = FirmwareEmulator(firmware, int(firmware_seed), self._t_ns, self.advance_to, self.lock,
                                          codec)
+        wire: dict[str, Any] = {"advance": self.advance_to, "bus_khz": bus_khz, "lock": self.lock}
+        self.pivot = MockAs5600(self.clock, self._pivot_rad, pivot, seed, **wire) if pivot else None
+        self.shunt = MockShunt(self.clock, self._charge, shunt_kind, shunt, seed, shunt_address,
+                               **wire) if shunt else None
+        self._per_a = shunt.torque_constant_nm_per_a if shunt else 1.0
+        self.bus = MockBus([chip for chip in (self.imu, self.pivot, self.shunt) if chip is not None])
+        """All chips of the rig on one bus."""
 
     @property
     def t_ns(self) -> int:
@@ -62,6 +80,19 @@ class MockRig:
         torque = self.firmware.torque_over(t0_ns, t1_ns)
         after = snapshot(self._plant.step(STEP_NS * 1e-9, torque))
         segment = Segment(t0_ns, t1_ns, self._last or after, after)
+        self._segment = segment
+        self._charges.append((t1_ns, self._charges[-1][1] + torque / self._per_a * STEP_NS * 1e-9))
         self._imu_physics.observe(segment)
         self.firmware.observe(segment)
         self._last, self._t_ns = after, t1_ns
+
+    def _pivot_rad(self, t_ns: int) -> float:
+        return self._segment.at(t_ns).q1 if self._segment else 0.0
+
+    def _charge(self, t_ns: int) -> float:
+        """Integral of the motor's current up to a time [A s]; before what is remembered it is that of its beginning."""
+        k = bisect_left(self._charges, (t_ns, -1e300))
+        if k == 0 or k == len(self._charges):
+            return self._charges[min(k, len(self._charges) - 1)][1]
+        (t0, c0), (t1, c1) = self._charges[k - 1], self._charges[k]
+        return c0 + (c1 - c0) * (t_ns - t0) / (t1 - t0)

@@ -31,6 +31,35 @@ class ImuSettings:
 
 
 @dataclass(frozen=True)
+class PivotSettings:
+    """How the pivot's magnet sits over its AS5600, and the chip's errors."""
+
+    zero_rad: float = 0.0
+    """What the chip reads when the leg hangs."""
+    sign: int = 1
+    """-1: it counts down while q1 grows."""
+    noise_rad: float = 7.5e-4
+    """0.043 degrees, the datasheet's figure for the slow filter at 2x."""
+    eccentricity_rad: float = 0.0
+    """Once a turn, of a magnet beside the axis."""
+
+
+@dataclass(frozen=True)
+class ShuntSettings:
+    """A current monitor in the motor's lead."""
+
+    shunt_ohm: float = 0.01
+    sign: int = 1
+    offset_v: float = 0.0
+    """Of the chip's input [V]; the INA226 has up to 10 uV."""
+    noise_v: float = 4e-6
+    clock_error: float = 0.0
+    """The chip's conversions are longer by this share of the nominal time."""
+    torque_constant_nm_per_a: float = 1.0
+    """Joint torque that a current really makes, gear included."""
+
+
+@dataclass(frozen=True)
 class FirmwareSettings:
     """The controller's sensors, motor, clock and limits."""
 
@@ -39,7 +68,9 @@ class FirmwareSettings:
     torque_limit_nm: float = 2.0
     watchdog_limit_ms: int = 1000
     torque_constant_nm_per_a: float = 1.0
-    """Joint torque per ampere, gear included."""
+    """Joint torque per ampere, gear included: what the drive believes."""
+    torque_gain: float = 1.0
+    """The joint gets so much of the torque that the drive believes to make: its constant is wrong by that."""
     current_noise_a: float = 0.02
     """Of one telemetry frame's mean [A]."""
     shunt_offset_a: float = 0.0

@@ -23,3 +23,5 @@ from .mount import MOUNT_WISHES as MOUNT_WISHES
 from .mount import calibrate_mount as calibrate_mount
 from .outcome import Outcome as Outcome
 from .outcome import store as store
+from .pivot import calibrate_pivot as calibrate_pivot
+from .pivot import pivot_wishes as pivot_wishes

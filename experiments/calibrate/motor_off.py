@@ -11,7 +11,7 @@ from pathlib import Path
 from daq import InputError, Rig
 from daq.runs import RawRun, read_run
 from experiments.doctor import listen
-from experiments.rig import open_devices, open_imu
+from experiments.rig import open_devices, open_imu, open_sensors
 
 Ask = Callable[[str], str]
 
@@ -34,22 +34,23 @@ def record_off(rig: Rig, rig_text: str, where: str, wanted: Sequence[Wanted], se
     devices = rig.devices
     if controller and devices.controller is None:
         raise InputError(where, "has no [devices.controller]", "describe the controller, or give records as RUN")
-    if devices.controller is None and devices.imu is None:
+    if devices.controller is None and devices.imu is None and devices.pivot is None:
         raise InputError(where, "has no [devices.imu]", "describe the IMU, or give records as RUN")
     records = []
     with ExitStack() as stack:
         if devices.controller is not None:
-            imu, leg = stack.enter_context(open_devices(rig, where))
+            imu, leg, sensors = stack.enter_context(open_devices(rig, where))
         else:
-            assert devices.imu is not None
-            imu, leg = stack.enter_context(open_imu(devices.imu, where)), None
+            imu = None if devices.imu is None else stack.enter_context(open_imu(devices.imu, where))
+            leg = None
+            sensors = stack.enter_context(open_sensors(rig, where))
         for one in wanted:
             if len(wanted) > 1:
                 answer(f"{one.prompt}, then press Enter ", ask)
             else:
                 print(one.prompt)
             print(f"recording {one.name} for {seconds:g} s, motor off", flush=True)
-            records.append(replace(listen(rig, rig_text, imu, leg, seconds).raw, name=one.name))
+            records.append(replace(listen(rig, rig_text, imu, leg, seconds, sensors).raw, name=one.name))
     return records
 
 

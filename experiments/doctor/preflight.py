@@ -16,7 +16,7 @@ from typing import BinaryIO
 import msgspec
 
 from daq import ControllerDevice, InputError, Rig
-from daq.recording import ControllerIntake, ImuIntake, QueuedSink, Workers
+from daq.recording import ControllerIntake, ImuIntake, QueuedSink, SensorIntakes, Sensors, Workers, shunt_facts
 from daq.runs import RunWriter, read_run
 from drivers import DriverError, LegController, LinkStats, Lsm9ds1
 from experiments.doctor.check import Check, Heard
@@ -39,7 +39,7 @@ def examine(rig: Rig, rig_text: str, where: str, folder: Path, move_s: float | N
     With `clear_faults` the controller is first told to forget what it latched; a cause that is still there stays. An
     empty `rig_text` says that `rig` is a guess, which nothing need agree with.
     """
-    from experiments.doctor import bus, link, signals
+    from experiments.doctor import bus, link, polled, signals
     from experiments.rig import devices
 
     checks = []
@@ -66,20 +66,24 @@ def examine(rig: Rig, rig_text: str, where: str, folder: Path, move_s: float | N
                     checks.append(Check("IMU settings", "ok", "written and read back, samples arrive"))
                 except (DriverError, InputError) as error:
                     checks.append(Check("IMU settings", "FAIL", str(error)))
-        if controller is not None or imu is not None:
+        found, sensors = polled.open_for_checks(stack, rig, where)
+        checks += found
+        if controller is not None or imu is not None or sensors != Sensors():
             try:
                 if move_s is not None:
                     print(f"swing both joints slowly by hand for {move_s:g} s, about half a radian to each side",
                           flush=True)
-                heard = listen(rig, rig_text, imu, controller, move_s or LISTEN_S)
+                heard = listen(rig, rig_text, imu, controller, move_s or LISTEN_S, sensors)
                 checks += signals.judge(heard, rig, imu is not None, controller is not None,
                                                move_s is not None, told=bool(rig_text))
+                checks += polled.judge(heard, rig, sensors)
             except (DriverError, InputError) as error:
                 checks.append(Check("signals", "FAIL", str(error)))
     return [*checks, *check_disk(folder)]
 
 
-def listen(rig: Rig, rig_text: str, imu: Lsm9ds1 | None, controller: LegController | None, seconds: float) -> Heard:
+def listen(rig: Rig, rig_text: str, imu: Lsm9ds1 | None, controller: LegController | None, seconds: float,
+           sensors: Sensors | None = None) -> Heard:
     """Everything that open devices say for so long, as a run that nothing commands. Raises a `DriverError`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "doctor.mcap"
@@ -95,6 +99,10 @@ def listen(rig: Rig, rig_text: str, imu: Lsm9ds1 | None, controller: LegControll
                 facts = {"gyro_radps_per_lsb": gyro, "accel_mps2_per_lsb": accel}
                 sink.config(time.monotonic_ns(), "imu", msgspec.json.encode(facts).decode())
                 workers.start("imu", ImuIntake(imu, sink, rig.calibration, time.monotonic_ns).drain, DRAIN_EVERY_S)
+            if sensors is not None:
+                SensorIntakes(sensors, sink, rig, time.monotonic_ns).start(workers)
+                if sensors.shunt is not None:
+                    sink.config(time.monotonic_ns(), "shunt", msgspec.json.encode(shunt_facts(sensors.shunt)).decode())
             workers.start("writer", sink.turn)
             end = time.monotonic() + seconds
             while time.monotonic() < end:

@@ -6,9 +6,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 from daq import ControllerDevice, ImuDevice, Matrix3, Rig, Vector3
-from daq.recording import Plan, RecordReport, record_run
-from drivers import ImuConfig, LegController, Lsm9ds1
-from drivers.mock import Clock, EmulatorLink, FirmwareSettings, ImuSettings, MockRig, VirtualClock
+from daq.recording import Plan, RecordReport, Sensors, record_run
+from drivers import As5600, CurrentShunt, ImuConfig, LegController, Lsm9ds1
+from drivers.mock import (
+    Clock,
+    EmulatorLink,
+    FirmwareSettings,
+    ImuSettings,
+    MockRig,
+    PivotSettings,
+    ShuntSettings,
+    VirtualClock,
+)
 from experiments.emulation.hidden_effects import NOTHING, Hidden
 from experiments.emulation.plant import LegBody
 
@@ -30,8 +39,14 @@ def emulate(rig: Rig, seed: int, clock: Clock, body: LegBody | None = None,
         telemetry_hz=round(controller.rate_hz), gear_ratio=rig.motor.gear_ratio, torque_limit_nm=rig.limits.torque_nm,
         torque_constant_nm_per_a=c.torque_constant_nm_per_a,
         shunt_offset_a=c.shunt_offset_a + hidden.torque_offset_nm / c.torque_constant_nm_per_a,
-        knee_zero_rad=c.knee_zero_rad)
-    return MockRig(hidden.plant(body or LegBody()), clock, imu, firmware, seed)
+        knee_zero_rad=c.knee_zero_rad, torque_gain=hidden.torque_gain)
+    pivot, shunt = rig.devices.pivot, rig.devices.shunt
+    magnet = PivotSettings(c.pivot_zero_rad * pivot.sign, pivot.sign) if pivot else None
+    second = ShuntSettings(
+        shunt.shunt_ohm, shunt.sign, shunt.sign * c.second_shunt_offset_a * shunt.shunt_ohm,
+        torque_constant_nm_per_a=hidden.torque_gain * c.torque_constant_nm_per_a) if shunt else None
+    return MockRig(hidden.plant(body or LegBody()), clock, imu, firmware, seed, pivot=magnet, shunt=second,
+                   shunt_kind=shunt.kind if shunt else "ina226", shunt_address=shunt.address if shunt else 0x40)
 
 
 def _turned(bias: Vector3, mount: Matrix3, added: float) -> Vector3:
@@ -57,4 +72,18 @@ def record_emulated(path: Path, rig: Rig, rig_text: str, plan: Plan, seed: int, 
         imu = Lsm9ds1(mock.imu, device.address, config, clock.now_ns, device.bus_khz, clock.sleep)
         imu.open()
         return record_run(path, rig, rig_text, plan, imu, controller, clock.now_ns, threaded=False, progress=progress,
-                          remark=REMARK)
+                          remark=REMARK, sensors=_sensors(mock, rig, clock))
+
+
+def _sensors(mock: MockRig, rig: Rig, clock: Clock) -> Sensors:
+    """What the rig has besides, open."""
+    pivot = shunt = None
+    if mock.pivot is not None:
+        pivot = As5600(mock.pivot, now_ns=clock.now_ns, sleep=clock.sleep)
+        pivot.open()
+    device = rig.devices.shunt
+    if mock.shunt is not None and device is not None:
+        shunt = CurrentShunt(mock.shunt, device.kind, device.shunt_ohm, device.rate_hz, device.address, clock.now_ns,
+                             clock.sleep)
+        shunt.open()
+    return Sensors(pivot, shunt)

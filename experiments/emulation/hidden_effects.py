@@ -31,6 +31,8 @@ class Hidden:
     """Of the measured torque, beyond the calibration."""
     gyro_bias_radps: float = 0.0
     """About the joint's axis, beyond the calibration."""
+    torque_gain: float = 1.0
+    """The joint gets so much of the torque that the drive believes to make."""
     imu_late_s: float = 0.0
     """How long ago was true what sensors on link 1 show."""
 

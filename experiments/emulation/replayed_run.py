@@ -21,16 +21,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import InputError, Rig, WorkError, parse_rig
-from daq.recording import ControllerIntake, ImuIntake, Senses, Supervisor, describe_devices, program_facts
+from daq.recording import (
+    ControllerIntake,
+    ImuIntake,
+    PivotIntake,
+    Senses,
+    SensorIntakes,
+    Sensors,
+    ShuntIntake,
+    Supervisor,
+    describe_devices,
+    program_facts,
+)
 from daq.runs import RawRun, RunWriter, read_run
 from daq.timing import configured, recorded_rig
-from drivers import Hello, ImuConfig, LegController, Lsm9ds1, Message
+from drivers import Hello, ImuConfig, LegController, Lsm9ds1, Message, PivotReading, ShuntReading
 from drivers.mock import ReplayBus, ReplayLink, VirtualClock, fault_report, frames, pong, rebooted
 
 LEAD_NS = 10_000_000_000
 """Time in which the devices are opened, before the recording's first."""
 BY_DRIVERS = {"firmware", "link", "imu", "imu gap", "fault", "reboot"}
 """Notes that drivers and intakes make again; all others are the recorder's own, and are copied."""
+TRANSFER = ("host_before_ns", "host_after_ns")
 AXES = [f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz"]
 ADDRESS = 0x6B
 
@@ -103,10 +115,11 @@ class _Player:
             self._clock.advance_to(self.first_ns)
             leg = ControllerIntake(controller, writer, rig.calibration, now_ns)
             samples = None if imu is None else ImuIntake(imu, writer, rig.calibration, now_ns)
-            senses = Senses(rig, hello, leg, samples, imu.config.rate_hz if imu else 1.0, now_ns())
+            others = self._others(writer)
+            senses = Senses(rig, hello, leg, samples, imu.config.rate_hz if imu else 1.0, now_ns(), others)
             describe_devices(writer, controller, imu, now_ns())
             steps = [self._polls(leg), self._pings(leg), self._commands(controller, writer, senses),
-                     self._notes(writer)]
+                     self._notes(writer), self._readings(others)]
             if bus is not None and samples is not None:
                 steps.append(self._drains(bus, samples))
             trip, watch = "", _Watch(self._raw, rig, senses)
@@ -135,6 +148,14 @@ class _Player:
         """Only while the devices are opened: later the recording says what time it is."""
         if self._clock.now_ns() < self.first_ns:
             self._clock.sleep(seconds)
+
+    def _others(self, writer: RunWriter) -> SensorIntakes:
+        """Intakes of the other sensors that the recording has, with no sensor behind them."""
+        rig, now_ns, streams = self._rig, self._clock.now_ns, self._raw.streams
+        others = SensorIntakes(Sensors(), writer, rig, now_ns)
+        others.pivot = PivotIntake(None, writer, rig, now_ns) if streams["/pivot"].size else None
+        others.shunt = ShuntIntake(None, writer, now_ns) if streams["/shunt"].size else None
+        return others
 
     # -- what the recorder did -----------------------------------------------------------------------------
 
@@ -191,6 +212,19 @@ class _Player:
         for part in np.split(rows, np.flatnonzero(np.diff(rows["drain_before_ns"])) + 1) if rows.size else []:
             before_ns = int(part["drain_before_ns"][0])
             yield Step(before_ns, 1, partial(_drain, bus, samples, part, why.get(before_ns, "")))
+
+    def _readings(self, others: SensorIntakes) -> Iterator[Step]:
+        """Of the pivot sensor and of the second shunt: each is one transfer, whose numbers are handed on."""
+        steps: list[Step] = []
+        if others.pivot is not None:
+            for row in self._raw.streams["/pivot"]:
+                angle = PivotReading(*(int(row[name]) for name in ("raw", "status", "agc", "magnitude", *TRANSFER)))
+                steps.append(Step(angle.t_after_ns, 2, partial(others.pivot.take, angle)))
+        if others.shunt is not None:
+            for row in self._raw.streams["/shunt"]:
+                mean = ShuntReading(*(int(row[name]) for name in ("raw", "flags", *TRANSFER)))
+                steps.append(Step(mean.t_after_ns, 2, partial(others.shunt.take, mean)))
+        yield from sorted(steps, key=lambda step: step.t_ns)
 
     def _commands(self, controller: LegController, writer: RunWriter, senses: Senses) -> Iterator[Step]:
         def command(t_ns: int, torque_nm: float) -> None:

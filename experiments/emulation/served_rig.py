@@ -51,7 +51,7 @@ class ServedRig:
             link.unlink(missing_ok=True)
             link.symlink_to(self.controller.path)
         if self.imu is None:
-            self.imu = I2cServer(self.mock.imu, self._places / "i2c")
+            self.imu = I2cServer(self.mock.bus, self._places / "i2c")
 
     def unplug_controller(self) -> None:
         """Pull the controller's cable."""

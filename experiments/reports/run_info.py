@@ -8,9 +8,9 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import FloatArray, InputError, Rig
+from daq import Dataset, FloatArray, InputError, Rig
 from daq.runs import Note, RawRun, RawTable
-from daq.timing import HOLE_PERIODS, align, configured, fit_ticks, measure_skew, recorded_rig
+from daq.timing import HOLE_PERIODS, align, compare_torque_channels, configured, fit_ticks, measure_skew, recorded_rig
 from drivers import describe_faults
 from experiments.console import text_table
 
@@ -20,7 +20,7 @@ BOUND_S = 1e-3
 GOOD_TIMER_MS = 1
 SKEW_RATE_HZ = 200.0
 HOST_TIME = {"/imu": "drain_before_ns", "/imu/slow": "host_ns", "/leg/telemetry": "host_ns", "/leg/clock": "host_rx_ns",
-             "/leg/command": "host_ns", "/distance": "host_ns"}
+             "/leg/command": "host_ns", "/distance": "host_ns", "/pivot": "host_before_ns", "/shunt": "host_before_ns"}
 
 
 def describe_mcap(raw: RawRun) -> str:
@@ -104,11 +104,14 @@ def _clocks(raw: RawRun) -> list[str]:
     try:
         rig = recorded_rig(raw)
         facts = align(raw, rig).sources
-        skew = measure_skew(align(raw, rig, SKEW_RATE_HZ))
+        fine = align(raw, rig, SKEW_RATE_HZ)
+        skew = measure_skew(fine)
     except InputError as error:
         return [f"clocks: {error}", *clock_warnings(0.0, configured(raw, "link"))]
     lines = [f"{label}: {facts[key]}" for key, label in
-             [("controller_clock", "controller clock"), ("imu_clock", "IMU clock")] if key in facts]
+             [("controller_clock", "controller clock"), ("imu_clock", "IMU clock"), ("pivot_sensor", "pivot sensor")]
+             if key in facts]
+    lines += second_shunt(raw, fine)
     if "doubt" in facts:
         lines.append(f"warning: a fit of this run is to be doubted: {facts['doubt']}")
     if skew is not None:
@@ -117,6 +120,25 @@ def _clocks(raw: RawRun) -> list[str]:
     elif raw.streams["/imu"].size:
         lines.append("IMU against encoders: not measurable here (no pivot angle, or too little motion)")
     return lines + clock_warnings(clock_bound_s(raw), configured(raw, "link"))
+
+
+def second_shunt(raw: RawRun, run: Dataset) -> list[str]:
+    """How the second shunt's torque compares with the drive's; empty where there is none."""
+    readings = raw.streams["/shunt"]
+    if not readings.size:
+        return []
+    lines = []
+    stale, railed = int((readings["flags"] & 1 != 0).sum()), int((readings["flags"] & 2 != 0).sum())
+    if stale or railed:
+        lines.append(f"second shunt: {stale} readings without a new conversion, {railed} at the end of its range")
+    found = compare_torque_channels(run)
+    if found is None:
+        return [*lines, "second shunt against the drive: not measurable here (no command that moves the torque)"]
+    half_ms = 500.0 * float(configured(raw, "shunt").get("conversion_s", 0.0))
+    gain, offset, late = found.gain, found.offset_nm, found.delay_s
+    return [*lines, f"second shunt against the drive (95 %): gain {gain.value:.4f} +- {gain.half:.1g}, offset "
+            f"{offset.value:+.4f} +- {offset.half:.1g} N m, delay {late.value * 1e3:+.2f} +- {late.half * 1e3:.1g} ms "
+            f"(its samples' own times are known to {half_ms:.1f} ms), residual {found.residual_nm:.2g} N m rms"]
 
 
 def clock_bound_s(raw: RawRun) -> float:

@@ -6,13 +6,25 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from daq import ControllerDevice, ImuDevice, InputError, Rig
-from drivers import MAG_ODR_HZ, ImuConfig, LegController, Lsm9ds1, MagConfig, Magnetometer, open_bus, open_port
+from daq import ControllerDevice, ImuDevice, InputError, PivotDevice, Rig, ShuntDevice
+from daq.recording import Sensors
+from drivers import (
+    MAG_ODR_HZ,
+    As5600,
+    CurrentShunt,
+    ImuConfig,
+    LegController,
+    Lsm9ds1,
+    MagConfig,
+    Magnetometer,
+    open_bus,
+    open_port,
+)
 
 
 @contextmanager
-def open_devices(rig: Rig, where: str) -> Iterator[tuple[Lsm9ds1 | None, LegController]]:
-    """(IMU or None where the rig has none, controller), both ready; the motor is stopped on the way out.
+def open_devices(rig: Rig, where: str) -> Iterator[tuple[Lsm9ds1 | None, LegController, Sensors]]:
+    """(IMU or None where the rig has none, controller, other sensors), all ready; the motor is stopped on the way out.
 
     `where` names the rig file in errors. Raises `InputError` or a `DriverError`.
     """
@@ -24,7 +36,43 @@ def open_devices(rig: Rig, where: str) -> Iterator[tuple[Lsm9ds1 | None, LegCont
         controller = stack.enter_context(connect(device))
         controller.open()
         imu = None if rig.devices.imu is None else stack.enter_context(open_imu(rig.devices.imu, where))
-        yield imu, controller
+        yield imu, controller, stack.enter_context(open_sensors(rig, where))
+
+
+@contextmanager
+def open_sensors(rig: Rig, where: str) -> Iterator[Sensors]:
+    """The pivot sensor and the second shunt as far as the rig has them, reading; let go of on the way out. Raises
+    `InputError` or a `DriverError`."""
+    with ExitStack() as stack:
+        pivot = None if rig.devices.pivot is None else stack.enter_context(open_pivot(rig.devices.pivot))
+        shunt = None if rig.devices.shunt is None else stack.enter_context(open_shunt(rig.devices.shunt, where))
+        yield Sensors(pivot, shunt)
+
+
+@contextmanager
+def open_pivot(device: PivotDevice) -> Iterator[As5600]:
+    """The pivot sensor alone, reading. Raises a `DriverError`."""
+    pivot = As5600(open_bus(device.bus, "pivot"), device.address)
+    try:
+        pivot.open()
+        yield pivot
+    finally:
+        pivot.close()
+
+
+@contextmanager
+def open_shunt(device: ShuntDevice, where: str) -> Iterator[CurrentShunt]:
+    """The second shunt alone, reading. Raises `InputError` or a `DriverError`."""
+    bus = open_bus(device.bus, "shunt")
+    try:
+        try:
+            shunt = CurrentShunt(bus, device.kind, device.shunt_ohm, device.rate_hz, device.address)
+        except ValueError as error:
+            raise InputError(where, f"[devices.shunt] rate_hz: {error}", "lower it") from None
+        shunt.open()
+        yield shunt
+    finally:
+        bus.close()
 
 
 def connect(device: ControllerDevice) -> LegController:

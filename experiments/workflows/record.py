@@ -38,8 +38,9 @@ def record_plan(rig_path: Path | str, plan: Plan, out: Path | str, emulate: str 
             raise InputError(str(rig_path), f"describes a {rig.mechanism.model}", "only a leg2 can be emulated")
         body = LegBody(gravity=rig.mechanism.gravity_mps2)
         return Recorded(record_emulated(Path(out), rig, rig_text, plan, seed, body, find_hidden(emulate), progress), [])
-    with open_devices(rig, str(rig_path)) as (imu, controller):
-        done = record_run(out, rig, rig_text, plan, imu, controller, progress=progress, remote=remote)
+    with open_devices(rig, str(rig_path)) as (imu, controller, sensors):
+        done = record_run(out, rig, rig_text, plan, imu, controller, progress=progress, remote=remote,
+                          sensors=sensors)
         return Recorded(done, clock_warnings(done.clock_bound_s, controller.link_facts))
 
 

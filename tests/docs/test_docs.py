@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 from msgspec import structs
 
-from daq.rig import ControllerDevice, Devices, ImuDevice, Mechanism, Rig, parse_rig
+from daq.rig import Mechanism, Rig, parse_rig
+from daq.rig_devices import ControllerDevice, Devices, ImuDevice, PivotDevice, ShuntDevice
 from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
@@ -67,7 +68,8 @@ def test_every_page_is_in_the_contents() -> None:
 def test_the_rig_s_defaults_are_those_that_its_page_shows() -> None:
     (shown,) = re.findall(r"```toml\n(\[mechanism\].*?)```", RIG_PAGE, re.DOTALL)
     rig, defaults = parse_rig(shown), Rig(mechanism=Mechanism(model="leg2", actuated=(2,)),
-                                          devices=Devices(imu=ImuDevice(), controller=ControllerDevice()))
+                                          devices=Devices(imu=ImuDevice(), controller=ControllerDevice(),
+                                                          pivot=PivotDevice(), shunt=ShuntDevice(shunt_ohm=0.01)))
     assert rig.imus == defaults.imus and structs.replace(rig, imu=None) == defaults
 
 

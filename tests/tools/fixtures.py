@@ -12,7 +12,8 @@ from pathlib import Path
 from daq.errors import WorkError
 from daq.recording.plan import Plan
 from daq.recording.recorder import record_run
-from daq.rig import ImuDevice, parse_rig
+from daq.rig import parse_rig
+from daq.rig_devices import ImuDevice
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
 from drivers.mock.clock import VirtualClock

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from experiments.calibrate import Outcome, Wanted
     from experiments.models import Model
 
-SECONDS = {"imu": 60.0, "mount": 20.0, "encoder": 10.0, "shunt": 20.0, "imu-encoder": 60.0}
+SECONDS = {"imu": 60.0, "mount": 20.0, "encoder": 10.0, "pivot": 10.0, "shunt": 20.0, "imu-encoder": 60.0}
 """Length of a record from the devices."""
 
 
@@ -42,6 +42,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     encoder.add_argument("--records", metavar="N", type=int, help="so many stops from the devices")
     for step in (mount, encoder):
         step.add_argument("--model", metavar="MODEL.json", help="an identified leg: how far its friction holds it")
+    pivot = _step(steps, "pivot", "what the pivot sensor reads when link 1 hangs straight down",
+                  "Its mean reading at rest, less link 1's angle by gravity where the IMU is recorded too.",
+                  ".mcap files at rest", SECONDS["pivot"])
+    pivot.add_argument("--records", metavar="N", type=int, default=4, help="so many stops from the devices (default 4)")
     _step(steps, "shunt", "offset of the current shunt, motor off and leg at rest",
           "Mean current while the motor is off, with its drift.", ".mcap files with the motor off",
           SECONDS["shunt"])
@@ -116,6 +120,15 @@ def _encoder(args: argparse.Namespace, rig: Rig) -> Outcome:
     return leg.calibrate_knee(_records(args, rig, wishes), rig, args.straight, model)
 
 
+def _pivot(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from daq import InputError
+    from experiments.calibrate import calibrate_pivot, pivot_wishes
+
+    if args.records < 1:
+        raise InputError("--records", f"is {args.records}", "give 1 or more")
+    return calibrate_pivot(_records(args, rig, pivot_wishes(args.records), controller=False), rig)
+
+
 def _mount(args: argparse.Namespace, rig: Rig) -> Outcome:
     from experiments.calibrate import MOUNT_WISHES, calibrate_mount
 
@@ -135,7 +148,8 @@ def _imu_encoder(args: argparse.Namespace, rig: Rig) -> Outcome:
     return calibrate_by_encoder(None if args.runs else _records(args, rig, SWING_WISHES), args.runs, rig)
 
 
-STEPS = {"imu": _imu, "mount": _mount, "encoder": _encoder, "shunt": _shunt, "imu-encoder": _imu_encoder}
+STEPS = {"imu": _imu, "mount": _mount, "encoder": _encoder, "pivot": _pivot, "shunt": _shunt,
+         "imu-encoder": _imu_encoder}
 
 
 def _all(args: argparse.Namespace) -> int:

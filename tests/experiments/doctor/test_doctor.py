@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.rig import ControllerDevice
+from daq.rig_devices import ControllerDevice
 from drivers.errors import DeviceAbsent
 from drivers.i2c_bus import open_bus
 from drivers.mock.faults import FaultyDisk, FaultyWire, WireFaults

@@ -11,9 +11,11 @@ from daq.timing.align import recorded_rig
 from estimator.result import FitResult
 from experiments import cli
 from experiments.emulation.plant import LegBody
+from experiments.emulation.replayed_run import replay_run
 from experiments.rig.setup import load_setup
 from experiments.workflows.fit import fit_setup
 from tests.support.paths import FIXTURES
+from tests.support.sensor_bench import SensorBench
 
 NAMES = ("healthy", "pulled-cable", "gap", "clock-reset", "saturated-gyro", "noisy")
 SAID = {"pulled-cable": "the connection is gone", "gap": "bus errors [errno 121]",
@@ -57,6 +59,16 @@ def test_a_fixture_comes_back_and_refits_to_the_bit_twice(name: str, tmp_path: P
     assert once.config == original.config
     assert same_streams(once, twice) and once.events == twice.events and once.facts == twice.facts
     assert fitted(recorded(name)) == fitted(first) == fitted(second)
+
+
+def test_a_pivot_sensor_and_a_second_shunt_come_back(tmp_path: Path) -> None:
+    """And are supervised again: the magnet that was lost ends the replay's own run, too."""
+    bench = SensorBench(tmp_path / "r.mcap")
+    bench.fails(on_progress=lambda now_s, total_s: now_s > 0.3 and setattr(bench.mock.pivot, "status", 0))
+    done = replay_run(tmp_path / "again.mcap", bench.path)
+    original, again = read_run(bench.path), read_run(tmp_path / "again.mcap")
+    assert same_streams(original, again) and original.streams["/pivot"].size == original.streams["/shunt"].size > 200
+    assert done.trip.startswith("limit q1_rad tripped: pivot angle in rad cannot be checked")
 
 
 @pytest.mark.parametrize("name", NAMES)

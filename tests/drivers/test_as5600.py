@@ -1,0 +1,116 @@
+"""The pivot sensor: its bytes against the data sheet and another driver, and what it says when something is wrong."""
+
+import math
+
+import pytest
+
+from drivers.as5600 import COUNTS, MD, MH, ML, As5600
+from drivers.errors import DeviceAbsent, DeviceFault
+from drivers.mock.as5600 import MockAs5600
+from drivers.mock.clock import VirtualClock
+from drivers.mock.settings import PivotSettings
+from tests.support.circuitpython import Busio
+
+QUIET = PivotSettings(noise_rad=0.0)
+
+
+class Bench:
+    def __init__(self, settings: PivotSettings = QUIET) -> None:
+        self.clock = VirtualClock()
+        self.angle = 0.0
+        self.chip = MockAs5600(self.clock, lambda t_ns: self.angle, settings)
+        self.driver = As5600(self.chip, now_ns=self.clock.now_ns, sleep=self.clock.sleep)
+
+
+def test_what_is_written_and_read_is_the_data_sheets() -> None:
+    bench, sent = Bench(), []
+    transfer = bench.chip.i2c_rdwr
+    bench.chip.i2c_rdwr = lambda *m: (sent.append([bytes(x) for x in m if not x.flags & 1]),  # type: ignore[method-assign]
+                                      transfer(*m))
+    bench.driver.open()
+    assert [b"\x07\x03"] in sent and [b"\x08\x00"] in sent  # CONF: SF = 11, FTH = 000, PM, HYST, WD off
+    assert not any(message[0][0] == 0xFF for message in sent)  # never the burn register
+    assert [b"\x0c"] in sent and [b"\x0b"] in sent  # RAW ANGLE and STATUS
+
+
+def test_every_angle_is_read_as_its_count_all_round() -> None:
+    bench = Bench()
+    bench.driver.open()
+    for count in range(0, COUNTS, 37):
+        bench.angle = count * 2 * math.pi / COUNTS - 4 * math.pi
+        assert bench.driver.read().raw == count
+
+
+def test_a_reading_is_stamped_around_its_transfer() -> None:
+    bench = Bench()
+    bench.driver.open()
+    before = bench.clock.now_ns()
+    reading = bench.driver.read()
+    assert before <= reading.t_before_ns < reading.t_after_ns <= bench.clock.now_ns()
+    assert reading.t_after_ns - reading.t_before_ns == pytest.approx(5 * 9 / 400e3 * 1e9, abs=10)  # 5 bytes at 400 kHz
+
+
+@pytest.mark.parametrize(("status", "line"), [
+    (0, "no magnet"), (ML, "no magnet"), (MD | ML | MH, "cannot be true")])
+def test_a_magnet_that_is_not_there_is_refused_with_its_remedy(status: int, line: str) -> None:
+    bench = Bench()
+    bench.chip.status = status
+    with pytest.raises(DeviceFault, match=line):
+        bench.driver.open()
+
+
+@pytest.mark.parametrize(("status", "valid"), [(MD, True), (MD | ML, True), (MD | MH, True), (0, False), (0xFF, False)])
+def test_a_reading_is_valid_where_there_is_a_magnet(status: int, valid: bool) -> None:
+    bench = Bench()
+    bench.driver.open()
+    bench.chip.status = status
+    assert bench.driver.read().valid is valid
+
+
+def test_the_gain_is_read_now_and_then() -> None:
+    bench = Bench()
+    assert bench.driver.open().agc == 64
+    bench.chip.status = MD | ML
+    bench.clock.sleep(0.2)
+    assert bench.driver.read().agc == 128
+
+
+def test_three_failures_are_borne_and_a_fourth_is_said() -> None:
+    bench = Bench()
+    bench.driver.open()
+    bench.chip.fail(121, times=3)
+    assert bench.driver.read().valid
+    bench.chip.fail(121, times=4)
+    with pytest.raises(DeviceAbsent, match="AS5600 at 0x36: no acknowledge; check wiring"):
+        bench.driver.read()
+
+
+def test_lost_settings_are_noticed_within_a_tenth_of_a_second() -> None:
+    bench = Bench()
+    bench.driver.open()
+    bench.chip.brown_out()
+    with pytest.raises(DeviceFault, match=r"CONF reads 0x0000 after 0x0300 was written; check supply"):
+        for _ in range(21):
+            bench.clock.sleep(0.005)
+            bench.driver.read()
+
+
+def test_another_chip_at_the_address_is_refused() -> None:
+    bench = Bench()
+    bench.chip.held_at = 0xFF
+    with pytest.raises(DeviceAbsent, match="another chip is wired there"):
+        bench.driver.open()
+
+
+def test_another_driver_reads_the_emulated_chip_as_ours_does() -> None:
+    library = pytest.importorskip("adafruit_as5600")
+    bench = Bench()
+    bench.angle = 1.234
+    ours = bench.driver.open()
+    theirs = library.AS5600(Busio(bench.chip))
+    assert theirs.raw_angle == ours.raw == round(1.234 / (2 * math.pi) * 4096)
+    assert theirs.magnet_detected and not theirs.max_gain_overflow and not theirs.min_gain_overflow
+    assert theirs.agc == ours.agc and theirs.magnitude == ours.magnitude and theirs.zm_count == 0
+    bench.driver.open()
+    assert theirs.slow_filter == 3 and theirs.fast_filter_threshold == 0 and not theirs.watchdog
+    assert theirs.power_mode == 0 and theirs.hysteresis == 0
