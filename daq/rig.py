@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, structs
 
 from daq.errors import InputError, did_you_mean
 from daq.imu_mount import check_accelerometer, check_mount
@@ -97,6 +97,8 @@ class Walker(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 class Motor(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     gear_ratio: Positive = 1.0
+    torque_constant_nm_per_a: Positive | None = None
+    """By the data sheet, of the motor before its gear; what [calibration] has goes before it."""
 
 
 class Noise(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -201,7 +203,9 @@ class Calibration(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     pivot_zero_rad: Signed = 0.0
     """What the sensor in [devices.pivot] reads, after its sign, when link 1 hangs straight down."""
     torque_constant_nm_per_a: Annotated[float, Meta(gt=0, le=1e3)] = 1.0
-    """Joint torque per ampere of motor current, gear included."""
+    """Joint torque per ampere of motor current, gear included. Absent: that of [motor] times the gear, or 1."""
+    torque_constant_half_nm_per_a: NonNegative | None = None
+    """Half of its 95 % interval, where a known weight has shown it."""
     imu_mount: Matrix3 = IDENTITY3
     """Rows: contract x, y, z axes expressed in the chip's frame."""
     gyro_bias_radps: Vector3 = (0.0, 0.0, 0.0)
@@ -282,7 +286,8 @@ def _suggestion(message: str) -> str:
 def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     """Rig from the text of a rig.toml; `where` names it in errors."""
     try:
-        rig = msgspec.convert(tomllib.loads(text), Rig)
+        tables = tomllib.loads(text)
+        rig = msgspec.convert(tables, Rig)
     except tomllib.TOMLDecodeError as error:
         raise InputError(where, f"not valid TOML: {error}", "mend the line named") from None
     except msgspec.ValidationError as error:
@@ -293,6 +298,9 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     except RecursionError:
         raise InputError(where, "is nested too deep", "a rig file has tables of lists, no more") from None
     _check_finite(rig, where)
+    if rig.motor.torque_constant_nm_per_a and "torque_constant_nm_per_a" not in tables.get("calibration", {}):
+        by_sheet = rig.motor.torque_constant_nm_per_a * rig.motor.gear_ratio
+        rig = structs.replace(rig, calibration=structs.replace(rig.calibration, torque_constant_nm_per_a=by_sheet))
     check_mount(rig.calibration.imu_mount, where)
     check_accelerometer(rig.calibration.accel_matrix, where)
     check_mechanism(rig.mechanism.model, where)

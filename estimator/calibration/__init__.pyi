@@ -23,3 +23,7 @@ from .imu_mount import MountFit as MountFit
 from .imu_mount import Readings as Readings
 from .imu_mount import fit_mount as fit_mount
 from .model_terms import needed_terms as needed_terms
+from .torque_constant import Holds as Holds
+from .torque_constant import TorqueConstant as TorqueConstant
+from .torque_constant import Weight as Weight
+from .torque_constant import fit_torque_constant as fit_torque_constant

@@ -21,7 +21,8 @@ CLASSES: tuple[type[Effect], ...] = (
     sensors.ImuLeverArm, sensors.EncoderOffset, sensors.EncoderScale, sensors.EncoderEccentricity)
 
 UNTESTABLE = {
-    "torque_gain": "a wrong torque scale multiplies every parameter alike, so no motion shows it",
+    "torque_gain": "a wrong torque scale multiplies every parameter alike, so no motion shows it; a known weight does: "
+                   "legid calibrate shunt --weight",
     "payload": "a load on a link is absorbed exactly by the inertial parameters; only a reference model shows it",
 }
 ENTRY_POINT = "legid.effects"

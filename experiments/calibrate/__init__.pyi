@@ -25,3 +25,4 @@ from .outcome import Outcome as Outcome
 from .outcome import store as store
 from .pivot import calibrate_pivot as calibrate_pivot
 from .pivot import pivot_wishes as pivot_wishes
+from .torque_constant import calibrate_torque_constant as calibrate_torque_constant

@@ -97,11 +97,13 @@ EFFECTS: dict[str, Hidden] = {hidden.effect: hidden for hidden in (
     Hidden("sensor_time_skew", None, "an IMU that is 4 ms late", imu_late_s=0.004),
 )}
 DEFAULT = "joint_stiffness"
+WRONG_CONSTANT = Hidden("torque_gain", None, "a motor that makes 7 % more torque than its constant says: no motion "
+                        "shows it, a known weight does", torque_gain=1.07)
 
 
 def find_hidden(name: str) -> Hidden:
     """The effect called `name`, or `none`. Raises `InputError`."""
-    known = {NOTHING.effect: NOTHING} | EFFECTS
+    known = {h.effect: h for h in (NOTHING, WRONG_CONSTANT)} | EFFECTS
     if name not in known:
         raise InputError("emulate", f"{name!r} cannot be hidden", f"it can be {', '.join(known)}")
     return known[name]

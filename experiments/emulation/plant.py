@@ -7,7 +7,7 @@ rigid body with mass, centre of mass and inertia; the knee's constraint force jo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, cos, sin
 from typing import NamedTuple
 
@@ -44,6 +44,13 @@ class LegBody:
     rotor: float = 0.0
     """Inertia of the knee's rotor, seen at the joint: gear ratio squared [kg m^2]. Turns with the knee only."""
     gravity: float = 9.81
+
+    def carrying(self, mass_kg: float, arm_m: float) -> LegBody:
+        """This leg with a point mass fixed to link 2, so far from the knee."""
+        whole = self.m2 + mass_kg
+        centre = (self.m2 * self.c2 + mass_kg * arm_m) / whole
+        inertia = self.i2 + self.m2 * (self.c2 - centre) ** 2 + mass_kg * (arm_m - centre) ** 2
+        return replace(self, m2=whole, c2=centre, i2=inertia)
 
     def friction(self, joint: int, direction: int, speed: float) -> float:
         """Level of dry friction [N m] of a joint that slides (or is about to) in a direction, +1 or -1."""

@@ -9,3 +9,4 @@ from .session import plan_session as plan_session
 from .session import session_text as session_text
 from .session import usual_choice as usual_choice
 from .session import write_session as write_session
+from .staircase import staircase as staircase

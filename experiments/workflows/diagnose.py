@@ -18,6 +18,7 @@ from experiments.rig import Setup
 from experiments.workflows.suspicion import require_sound
 
 BENCHMARK = "q1_rad"
+GAIN = "torque_gain"
 
 
 def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str, tuple[float, float]] | None = None,
@@ -43,7 +44,20 @@ def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str
                      progress=progress, reference=reference, workers=workers, material=material)
     differing = None if rig.terms.encoder_zero else find_differing(setup.datasets, setup.mechanism, setup.options)
     told = () if differing is None else (differing_text(differing, setup.mechanism.length_unit),)
+    found = replace(found, not_testable=with_known_gain(found.not_testable, rig))
     return replace(found, warnings=(*found.warnings, *setup.notes, *told))
+
+
+def with_known_gain(not_testable: Mapping[str, str], rig: Rig) -> dict[str, str]:
+    """What motion cannot test, and of the torque gain what a known weight has shown where the rig file has it."""
+    c = rig.calibration
+    half = c.torque_constant_half_nm_per_a
+    if half is None or GAIN not in not_testable:
+        return dict(not_testable)
+    constant = c.torque_constant_nm_per_a
+    words = (f"measured by a known weight, {constant:.4g} +- {half:.2g} N m/A (95 %): all parameters' common scale is "
+             f"known to {half / constant:.2%}; no motion shows more of it")
+    return {**not_testable, GAIN: words}
 
 
 def without_benchmark(setup: Setup) -> Setup:
@@ -74,7 +88,7 @@ def _motion(data: Dataset) -> set[str]:
     """Columns that hold angles and torques, the pivot's benchmark left out where an IMU stands in for it."""
     imu = all(name in data for name in IMU)
     return {name for name in data.columns if name.startswith(("q", "tau"))
-            and not name.endswith(("cmd_nm", "motor_rad")) and not (imu and name == BENCHMARK)}
+            and not name.endswith(("cmd_nm", "motor_rad", "shunt_nm")) and not (imu and name == BENCHMARK)}
 
 
 def require_one_rig(paths: Sequence[Path | str]) -> None:

@@ -46,9 +46,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                   "Its mean reading at rest, less link 1's angle by gravity where the IMU is recorded too.",
                   ".mcap files at rest", SECONDS["pivot"])
     pivot.add_argument("--records", metavar="N", type=int, default=4, help="so many stops from the devices (default 4)")
-    _step(steps, "shunt", "offset of the current shunt, motor off and leg at rest",
-          "Mean current while the motor is off, with its drift.", ".mcap files with the motor off",
-          SECONDS["shunt"])
+    shunt = _step(steps, "shunt", "offset of the current shunt, or by a known weight the torque constant",
+                  "Mean current while the motor is off, with its drift. With --weight the torque constant: from runs "
+                  "of a staircase plan (legid excite --holds), RUN without the weight and --weighted with it.",
+                  ".mcap files with the motor off; with --weight runs of holds, of any kind", SECONDS["shunt"])
+    shunt.add_argument("--weight", metavar="KG", type=float, help="mass that was fixed to link 2")
+    shunt.add_argument("--arm", metavar="M", type=float, help="from the knee's axis to its centre of mass")
+    shunt.add_argument("--weight-error", metavar="KG", type=float, default=0.0, help="half of its 95 %% interval")
+    shunt.add_argument("--arm-error", metavar="M", type=float, default=0.0, help="half of its 95 %% interval")
+    shunt.add_argument("--weighted", metavar="RUN", nargs="+", default=[], help="runs of holds with the weight on")
     _step(steps, "imu-encoder", "the IMU on a moving link against the encoder of that link's angle",
           "Gyro bias, scale and lag, accelerometer biases, scales and lag, and the lever arm, by least squares on "
           "q1_rad: fitted on the first half, checked on the other. No torque is needed.",
@@ -139,7 +145,28 @@ def _mount(args: argparse.Namespace, rig: Rig) -> Outcome:
 def _shunt(args: argparse.Namespace, rig: Rig) -> Outcome:
     from experiments.calibrate import calibrate_shunt, shunt_wishes
 
+    if args.weight is not None or args.arm is not None or args.weighted:
+        return _torque_constant(args, rig)
     return calibrate_shunt(_records(args, rig, shunt_wishes()), rig)
+
+
+def _torque_constant(args: argparse.Namespace, rig: Rig) -> Outcome:
+    from daq import InputError, load_run
+    from estimator.calibration import Weight
+    from experiments.calibrate import calibrate_torque_constant
+
+    for flag, value in (("--weight", args.weight), ("--arm", args.arm)):
+        if value is None or not 1e-4 <= value <= 100.0:
+            raise InputError(flag, f"is {value}", "give the weight's mass in kg and its arm in m")
+    for flag, value in (("--weight-error", args.weight_error), ("--arm-error", args.arm_error)):
+        if not 0.0 <= value <= 1.0:
+            raise InputError(flag, f"is {value}", "give half of the 95 % interval, 0 or more")
+    if not args.runs or not args.weighted:
+        raise InputError("RUN", "holds with the weight and without it are needed", "record both with a plan of legid "
+                         "excite --holds and give RUN... --weighted RUN...")
+    return calibrate_torque_constant([load_run(path, rig) for path in args.runs],
+                                     [load_run(path, rig) for path in args.weighted], rig,
+                                     Weight(args.weight, args.arm, args.weight_error, args.arm_error))
 
 
 def _imu_encoder(args: argparse.Namespace, rig: Rig) -> Outcome:
@@ -161,7 +188,8 @@ def _all(args: argparse.Namespace) -> int:
     does |= {"imu": walking.SIX} if args.six_positions else {}
     measure = {}
     for step in walking.STEPS:
-        own = vars(args) | {"runs": [], "records": None, "self_test": False}
+        own = vars(args) | {"runs": [], "records": None, "self_test": False,
+                            "weight": None, "arm": None, "weighted": []}
         own["seconds"] = args.seconds or SECONDS[step.name]
         measure[step.name] = partial(STEPS[step.name], argparse.Namespace(**own))
     print(walking.walk(args.rig, measure, args.dry_run, does))

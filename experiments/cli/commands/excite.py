@@ -29,6 +29,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     "unknown, so begin gently.")
     add_rig(parser, runs=False)
     parser.add_argument("--model", metavar="MODEL.json", help="prior model, from an earlier fit")
+    parser.add_argument("--holds", metavar="N", type=_Number(2, 20),
+                        help="a staircase of N torques to either side of zero instead, up and down, with a hold on "
+                             "each: for legid calibrate shunt --weight")
     parser.add_argument("--peak", metavar="NM", type=_Number(1e-6, 1e6),
                         help="without --model: largest torque; default: a tenth of the rig's limit")
     out = parser.add_mutually_exclusive_group(required=True)
@@ -92,6 +95,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--peak", "is for a plan without a model", "leave out --peak; --margin scales the plan")
     if args.session is not None:
         return _session(args, rig)
+    if args.holds is not None and (args.model or args.session):
+        raise InputError("--holds", "is a plan without a model", "leave out --model and --session")
     plan = _designed(args, rig) if args.model else _plain(args, rig)
     write_plan(plan, args.out)
     print(f"{args.out}: {plan.duration_s:.1f} s at most {plan.peak_nm:.3g} N m")
@@ -141,15 +146,17 @@ def _designed(args: argparse.Namespace, rig: Rig) -> Plan:
 
 
 def _plain(args: argparse.Namespace, rig: Rig) -> Plan:
-    """Equal sines with random phases, nothing known of what they will do."""
+    """Equal sines with random phases, or a staircase; nothing is known of what they will do."""
     from daq import InputError
-    from experiments.excite import random_multisine
+    from experiments.excite import random_multisine, staircase
 
     limit = rig.limits.torque_nm
     peak = FIRST_SHARE * limit if args.peak is None else args.peak
     low = FIRST_LOW_HZ if args.low is None else args.low
     if peak > limit:
         raise InputError("--peak", f"{peak:g} N m is beyond the rig's limit of {limit:g} N m", "lower it")
+    if args.holds is not None:
+        return staircase(peak, int(args.holds))
     try:
         return random_multisine(args.seed, args.seconds, peak, low_hz=low, high_hz=args.high)
     except ValueError as error:
