@@ -45,7 +45,7 @@ def test_a_clean_environment_fits_and_writes_a_page(wheel: Path, tmp_path: Path)
     python, legid = tmp_path / "venv" / "bin" / "python", tmp_path / "venv" / "bin" / "legid"
     run(python, "-m", "pip", "install", "--quiet", "--prefer-binary", wheel, cwd=tmp_path)
     assert "legid COMMAND --help" in run(legid, "--help", cwd=tmp_path)
-    write_model(tmp_path / "true.json", LegBody().beta(), LEG)
+    write_model(tmp_path / "true.json", list(LegBody().beta()), LEG)
     (tmp_path / "rig.toml").write_text(DEMO_RIG.read_text())
     run(legid, "excite", "--rig", "rig.toml", "--out", "plan.csv", cwd=tmp_path)
     run(legid, "simulate", "true.json", "--plan", "plan.csv", "--out", "run.csv", cwd=tmp_path)

@@ -33,7 +33,7 @@ def literals() -> Iterator[str]:
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 yield node.value
             elif isinstance(node, ast.JoinedStr):
-                yield "".join(v.value if isinstance(v, ast.Constant) else HOLE for v in node.values)
+                yield "".join(str(v.value) if isinstance(v, ast.Constant) else HOLE for v in node.values)
 
 
 def test_every_message_that_is_explained_is_in_the_code() -> None:

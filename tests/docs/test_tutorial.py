@@ -10,7 +10,8 @@ import pytest
 
 from experiments.emulation.hidden_effects import EFFECTS, REST_RAD, SPRING_NM
 from experiments.emulation.plant import LegBody
-from tests.tools.tutorial import INSTALL, PAGE, ROOT, Block, blocks, run_blocks, shortened
+from tests.support.paths import ROOT
+from tests.tools.tutorial import INSTALL, PAGE, Block, blocks, run_blocks, shortened
 
 TEXT = PAGE.read_text(encoding="utf-8")
 VARIES = re.compile(r"(?<=by legid )\S+|[-+]?\d[\d.,:e+-]*|-{2,}|\s+")

@@ -2,6 +2,7 @@
 
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from drivers.protocol import (
     Hello,
     HelloRequest,
     LimitsRequest,
+    Message,
     Ping,
     Pong,
     Reaction,
@@ -61,7 +63,8 @@ def compare(script: list[Event], end_us: int, node: int | None = None) -> Answer
 
 
 def test_core_needs_nothing(tmp_path: Path) -> None:
-    own, missing = set(), set()
+    own: set[str] = set()
+    missing: set[str] = set()
     for source in (SOURCES / name for name in ("leg_codec.c", "leg_core.c", "leg_config.c", "leg_can.c")):
         out = tmp_path / f"{source.stem}.o"
         subprocess.run([compiler(), *STRICT, "-Wconversion", "-ffreestanding", "-c", str(source), "-o", str(out)],
@@ -116,10 +119,11 @@ def test_every_cause_latches_alike(name: str, value: int, good: int, fault: Faul
 
 @pytest.mark.parametrize("node", [None, 3])
 def test_the_estop_input_is_in_every_telemetry_and_nothing_arms_under_it(node: int | None) -> None:
-    codec = CanCodec(3) if node else Decoder()
-    sent = [Event(2_000, "set", "estop", 1), Event(3_000, "rx", 1), Event(9_000, "rx", 2),
-            Event(20_000, "set", "estop", 0), Event(23_000, "rx", 3)]
-    said = {1: (Arm(50),), 2: (Stop(), ClearFaults(), Arm(50)), 3: (ClearFaults(), Arm(50), TorqueCommand(0, 0.5))}
+    codec: Any = CanCodec(3) if node else Decoder()
+    sent = [Event(2_000, "set", "estop", 1), Event(3_000, "rx", "1"), Event(9_000, "rx", "2"),
+            Event(20_000, "set", "estop", 0), Event(23_000, "rx", "3")]
+    said = {"1": (Arm(50),), "2": (Stop(), ClearFaults(), Arm(50)),
+            "3": (ClearFaults(), Arm(50), TorqueCommand(0, 0.5))}
     script = [e if e.verb == "set" else Event(e.t_us, "rx", as_bytes(codec.encode(m)).hex())
               for e in sent for m in (said[e.what] if e.verb == "rx" else (None,))]
     end = compare(script, 30_000, node)
@@ -174,7 +178,7 @@ def test_a_command_is_as_old_as_the_telemetry_that_it_answers() -> None:
 
 def test_what_the_drive_says_of_itself() -> None:
     for node in (None, 3):
-        codec = CanCodec(3) if node else Decoder()
+        codec: Any = CanCodec(3) if node else Decoder()
         end = compare([Event(1_000, "rx", as_bytes(codec.encode(LimitsRequest())).hex())], 2_000, node)
         (limits,) = [m for m in codec.feed(split(end.sent) if node else end.sent) if isinstance(m, DriveLimits)]
         assert limits == DriveLimits(Feature.TIMED_COMMANDS | Feature.ESTOP_INPUT, Reaction.LIMP, 40.0, -6.28, 6.28)
@@ -250,9 +254,9 @@ def random_script(rng: np.random.Generator, seconds: float) -> list[Event]:
             number = seq % 65536
             script.append(rx(t, TimedCommand(number, torque, seen) if timed else TorqueCommand(number, torque)))
         else:
-            down = [Arm(int(rng.choice([4, 5, 20, 100, 1000, 1001]))), Stop(), ClearFaults(), HelloRequest(),
-                    LimitsRequest(), Ping(int(rng.integers(65536)))]
-            known = [*map(encode, down), UNKNOWN]
+            down: list[Message] = [Arm(int(rng.choice([4, 5, 20, 100, 1000, 1001]))), Stop(), ClearFaults(),
+                                   HelloRequest(), LimitsRequest(), Ping(int(rng.integers(65536)))]
+            known = [*(encode(m) for m in down), UNKNOWN]
             data = b"".join(known[int(i)] for i in rng.integers(len(known), size=rng.integers(1, 4)))
             if rng.random() < 0.4:
                 data = broken(rng, data)

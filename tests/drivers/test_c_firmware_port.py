@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.errors import DeviceFault
-from drivers.leg_controller import LegController
+from drivers.leg_controller import LegController, Received
 from drivers.protocol import (
     Fault,
     Pong,
@@ -33,7 +33,8 @@ def test_the_driver_works_with_it_over_a_port(served: Served) -> None:
         hello = controller.open()
         assert (hello.telemetry_hz, hello.gear_ratio, hello.torque_limit_nm) == (500, 50.0, 2.0)
         controller.arm(1000)
-        received, until = [], time.monotonic() + 10.0
+        received: list[Received] = []
+        until = time.monotonic() + 10.0
         sent_ns = {}
         while time.monotonic() < until and sum(isinstance(m, Pong) for m, _ in received) < 5:
             controller.command(0.5)

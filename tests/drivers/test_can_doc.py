@@ -54,7 +54,7 @@ def messages() -> dict[str, tuple[protocol.Message, list[CanFrame]]]:
             printed["fault"] = str(1 << int(printed["fault"]))
         values = {field: float(text) if "." in text or text == "nan" else int(text) for field, text in printed.items()}
         if "estop_open" in values:  # bits of faults, apart from the others on CAN
-            values["faults"] |= values.pop("position_limit") << 12 | values.pop("estop_open") << 15
+            values["faults"] += values.pop("position_limit") * 2**12 + values.pop("estop_open") * 2**15
         found[kind.__name__] = kind(**values), [EXAMPLES[name].frame for name in parts]
     return found
 

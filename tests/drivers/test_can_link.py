@@ -6,6 +6,7 @@ import threading
 import time
 import tty
 from collections.abc import Iterator
+from typing import Any
 
 import can
 import numpy as np
@@ -140,7 +141,8 @@ class ScriptedBus:
     """A bus that hands out what it was given: messages, None, or exceptions."""
 
     def __init__(self, *script) -> None:
-        self.script, self.sent = list(script), []
+        self.script = list(script)
+        self.sent: list[can.Message] = []
 
     def recv(self, timeout=None):
         item = self.script.pop(0) if self.script else None
@@ -237,7 +239,8 @@ class SlcanAdapter:
 def test_a_serial_can_adapter_carries_it_too(rig: MockRig) -> None:
     adapter = SlcanAdapter(rig)
     try:
-        config = {"interface": "slcan", "channel": adapter.path, "bitrate": 1_000_000, "sleep_after_open": 0.0}
+        config: dict[str, Any] = {"interface": "slcan", "channel": adapter.path, "bitrate": 1_000_000,
+                                  "sleep_after_open": 0.0}
         with LegController(CanLink(3, **config), codec=CanCodec(3)) as controller:
             assert controller.open(PATIENCE_S).boot_id == rig.firmware.boot_id
             controller.arm(1000)

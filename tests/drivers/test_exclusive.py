@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -63,7 +64,8 @@ def test_on_a_device_node_each_address_is_locked_for_itself(tmp_path: Path, monk
             self.fd = os.open(tmp_path / "i2c-1", os.O_RDWR | os.O_CREAT)
 
     monkeypatch.setattr(fcntl, "ioctl", lambda *_: 0)
-    first, second = Node(), Node()
+    first: Any = Node()
+    second: Any = Node()
     i2c_bus.claim(first, 0x6B)
     i2c_bus.claim(first, 0x6B)  # its own
     i2c_bus.claim(second, 0x6A)

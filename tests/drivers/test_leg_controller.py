@@ -135,7 +135,7 @@ def test_another_version_is_refused_and_stops() -> None:
 def test_another_version_during_a_run_is_refused() -> None:
     bench = Bench()
     hello = bench.controller.open()
-    bench.link.read = lambda: encode(replace(hello, version=2))  # type: ignore[method-assign]
+    bench.link.read = lambda: encode(replace(hello, version=2))
     with pytest.raises(ProtocolMismatch, match="version 2, this program version 1"):
         bench.controller.poll()
     assert bench.controller.hello == hello
@@ -196,12 +196,12 @@ def test_every_way_out_stops_the_motor(driven: Bench, leave) -> None:
 def test_commands_that_lay_in_a_buffer_move_nothing(driven: Bench) -> None:
     """A hub that holds everything back for 5 s, then hands it over at once, in order."""
     held: list[bytes] = []
-    write, driven.link.write = driven.link.write, held.append  # type: ignore[method-assign]
+    write, driven.link.write = driven.link.write, held.append  # type: ignore[assignment]
     driven.run(0.03, 1.0)
     driven.clock.sleep(5.0)
     driven.rig.advance_to(driven.clock.now_ns())
     assert driven.rig.firmware.drive.latched == Fault.WATCHDOG
-    driven.link.write = write  # type: ignore[method-assign]
+    driven.link.write = write
     driven.controller.clear_faults()
     driven.run(0.01)
     driven.controller.arm(100)  # before what was held back comes

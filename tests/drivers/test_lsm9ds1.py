@@ -26,7 +26,7 @@ class Bench:
                 self.writes.append(bytes(messages[0]))
             transfer(*messages)
 
-        self.chip.i2c_rdwr = spy  # type: ignore[method-assign]
+        self.chip.i2c_rdwr = spy
         self.made = 0
         self.next_ns = 0.0
         self.driver = Lsm9ds1(self.chip, config=config, now_ns=self.clock.now_ns, sleep=self.clock.sleep,
@@ -133,7 +133,7 @@ def test_a_stall_between_level_and_burst_is_a_gap(bench: Bench) -> None:
             bench.clock.sleep(0.06)  # the thread sleeps between the two transfers
         transfer(*messages)
 
-    bench.chip.i2c_rdwr = stall  # type: ignore[method-assign]
+    bench.chip.i2c_rdwr = stall
     batch = bench.driver.drain()
     assert batch.gap_before
     assert "stalled" in batch.reason
@@ -148,10 +148,10 @@ def test_a_broken_burst_is_a_gap_and_is_never_read_twice(bench: Bench, after_byt
     def break_the_burst(*messages) -> None:
         if len(messages) == 2 and messages[1].len > 24:
             bench.chip.fail(5, after_bytes=after_bytes)
-            bench.chip.i2c_rdwr = source  # type: ignore[method-assign]
+            bench.chip.i2c_rdwr = source
         source(*messages)
 
-    bench.chip.i2c_rdwr = break_the_burst  # type: ignore[method-assign]
+    bench.chip.i2c_rdwr = break_the_burst
     batches = bench.drain_for(0.1, 0.02)
     numbers = np.concatenate([b.raw[:, 0] for b in batches])
     assert [b.reason for b in batches if b.gap_before] == ["burst broke off [errno 5]"]

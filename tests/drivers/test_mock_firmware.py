@@ -154,7 +154,9 @@ def test_late_commands_are_ignored(armed: Bench) -> None:
 
 def test_faults_leave_only_through_stop_and_clear(armed: Bench) -> None:
     armed.run(60)
-    for messages in [(Arm(50),), (ClearFaults(),), (TorqueCommand(5, 0.5),), (Arm(50), TorqueCommand(6, 0.5))]:
+    refused: list[tuple[Message, ...]] = [(Arm(50),), (ClearFaults(),), (TorqueCommand(5, 0.5),),
+                                          (Arm(50), TorqueCommand(6, 0.5))]
+    for messages in refused:
         armed.send(*messages)
         armed.run(5)
         assert (armed.state, armed.torque) == (State.FAULT, 0.0)

@@ -70,6 +70,9 @@ class Busy:
     def receive(self, data: bytes, t_ns: int) -> None:
         self.heard += data
 
+    def post(self, data: bytes, t_ns: int) -> None:
+        raise NotImplementedError
+
     def transmit(self, until_ns: int) -> list[tuple[int, bytes]]:
         self.entered.set()
         self.go_on.wait(PATIENCE_S)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.mock.plant import State
 from drivers.mock.settings import FirmwareSettings
-from experiments.emulation.plant import State
 from tests.evidence.fault_list import FAULTS
 from tests.evidence.registry import Evidence
 from tests.support.fault_bench import MOMENTS, PEAK_NM, FaultBench, Outcome

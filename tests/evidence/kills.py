@@ -117,7 +117,7 @@ def _count(counts: mmap.mmap) -> None:
         add(writer, *message, **more)
         COUNTS.pack_into(counts, 0, writer.messages, writer.messages - writer._unflushed)
 
-    RunWriter._add = counting  # type: ignore[method-assign]
+    RunWriter._add = counting  # type: ignore[method-assign, assignment]
 
 
 def ended(pid: int) -> int | None:

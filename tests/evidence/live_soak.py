@@ -29,7 +29,8 @@ from experiments.emulation.served_rig import ServedRig
 from experiments.excite.multisine import random_multisine
 from experiments.reports.run_info import lost_frames
 from tests.evidence.registry import Evidence
-from tests.support.live_browser import ROOT, Browser, Live, open_page
+from tests.support.live_browser import Browser, Live, open_page
+from tests.support.paths import ROOT
 
 WARM_UP_S = 60.0
 LOOK_EVERY_S = 10.0

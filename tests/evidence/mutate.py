@@ -19,7 +19,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -85,9 +85,10 @@ def rewritten(path: Path, compression: CompressionType) -> bytes:
     """The same records without check sums, so that what is broken gets through to those who read them."""
     scan, out = Scan(path), path.with_suffix(".other")
     with out.open("wb") as file:
-        writer = Writer(file, compression=compression, chunk_size=8192, enable_crcs=False)
+        writer: Any = Writer(file, compression=compression, chunk_size=8192, enable_crcs=False)
         writer.start()
         channels: dict[int, int] = {}
+        record: Any
         for record in scan:
             match type(record).__name__:
                 case "Channel" if record.id not in channels:

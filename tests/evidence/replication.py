@@ -59,9 +59,9 @@ def run(protocol: Protocol, method: str, case: int, runs: int) -> BlockResult:
     """Runs of one method in one case, errors and betas of all."""
     parts = [run_block(Block(REGULAR[case], method, first, min(BLOCK, runs - first), SEED, protocol))
              for first in range(0, runs, BLOCK)]
-    return BlockResult(*(np.concatenate([getattr(part, name) for part in parts])
-                         for name in ("beta", "std", "error", "converged", "failed", "likelihood_ratio")),
-                       sum(part.seconds for part in parts))
+    return BlockResult(**{name: np.concatenate([getattr(part, name) for part in parts])
+                          for name in ("beta", "std", "error", "converged", "failed", "likelihood_ratio")},
+                       seconds=sum(part.seconds for part in parts))
 
 
 def cell(error: np.ndarray) -> tuple[float, float, float, int]:
@@ -79,7 +79,8 @@ def close(value: float, method: str, case: int) -> bool:
 
 def main_table(runs: int) -> tuple[list[str], dict[str, int]]:
     """Rows beside the print, and how many of a method's four means are close."""
-    rows, hits = [], {}
+    rows: list[str] = []
+    hits: dict[str, int] = {}
     for method in METHODS:
         for case in range(4):
             mean, variance, median, failed = cell(run(PRINTED, method, case, runs).error)
@@ -95,7 +96,8 @@ def main_table(runs: int) -> tuple[list[str], dict[str, int]]:
 
 def choice_table() -> tuple[list[str], dict[tuple[str, int], list[str]]]:
     """Rows of means by choice, and which choices bring a printed mean of a method and case."""
-    rows, brought = [], {}
+    rows: list[str] = []
+    brought: dict[tuple[str, int], list[str]] = {}
     for label, protocol, methods in CHOICES:
         for method in methods:
             cells = []

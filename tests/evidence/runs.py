@@ -44,7 +44,8 @@ def stick_slip(seed: int, closed: bool, scatter: float) -> Case:
     leg = replace(random_leg(rng), coulomb=(PIVOT_NM + 0.1 * KNEE * PEAK_NM, KNEE * PEAK_NM))
     runs = []
     for k in range(RUNS):
-        own = replace(leg, coulomb=tuple(c * max(1.0 + scatter * rng.normal(), 0.1) for c in leg.coulomb))
+        own = replace(leg, coulomb=(leg.coulomb[0] * max(1.0 + scatter * rng.normal(), 0.1),
+                                     leg.coulomb[1] * max(1.0 + scatter * rng.normal(), 0.1)))
         runs.append(sample(move(own, rng, closed=closed), rng, RATE_HZ, name=f"run{k}"))
     return leg, runs
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from daq.runs import read_run
 from tests.evidence import kills
 from tests.evidence.mutate import leg_run
 from tests.support.paths import ROOT
@@ -35,7 +36,7 @@ def test_what_is_a_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         return kills._judge(path, -signal.SIGKILL, given, handed, "").fault
 
     cut = whole[: len(whole) // 2]
-    held = kills.read_run(_written(tmp_path / "half.mcap", cut)).messages
+    held = read_run(_written(tmp_path / "half.mcap", cut)).messages
     assert held > 0 and judged(cut, held + 9, held) == ""
     assert "had been handed over" in judged(cut, held + 9, held + 1)
     damaged = bytearray(cut)

@@ -114,7 +114,7 @@ def fit_walk(seed: int) -> Fit:
     found, rng = walked(Plant(body), [seed], STEPS, RATE_HZ)
     beta, smallest = body.beta, bound(found, body.beta)
     late = found.touchdown_s + rng.uniform(-KNOWN_S, KNOWN_S, found.touchdown_s.size)
-    stance = 1.0 + np.searchsorted(late, found.time_s) % 2
+    stance = np.searchsorted(late, found.time_s) % 2 + np.float64(1.0)
     records = {"known": record("known.csv", replace(found, stance=stance), rng, SENSORS),
                "found": record("found.csv", found, rng, SENSORS, stance=False)}
     shown = find_touchdowns(records["found"]).time_s
@@ -157,7 +157,7 @@ def _misread(columns: Callable[[int], Sequence[str]], low: float, high: float, o
         leg, size = int(rng.integers(2)), float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
 
         def off(data: Dataset) -> Dataset:
-            return replace(data, columns=data.columns | {name: data[name] + size for name in columns(leg + 2)})
+            return replace(data, columns={**data.columns, **{name: data[name] + size for name in columns(leg + 2)}})
         return leg + 2 if one else None, no_loss, off
     return hide
 

@@ -19,7 +19,7 @@ libc = ctypes.CDLL(None, use_errno=True)
 
 def mount(kind: str, where: str, options: str = "") -> None:
     """mount -t KIND."""
-    Path(where).is_dir() or os.makedirs(where)
+    os.makedirs(where, exist_ok=True)
     if libc.mount(kind.encode(), where.encode(), kind.encode(), 0, options.encode()):
         if ctypes.get_errno() == errno.EBUSY:
             return  # the kernel has mounted it itself
@@ -73,7 +73,8 @@ def main(packages: Path, module: Path, out: Path, project: Path, tests: list[str
 
 if __name__ == "__main__":
     try:
-        status = main(*map(Path, sys.argv[1:5]), sys.argv[5:])
+        packages, module, out, project = map(Path, sys.argv[1:5])
+        status = main(packages, module, out, project, sys.argv[5:])
         Path("/run/out/status").write_text(str(status))
     except BaseException:
         with open("/run/out/log", "a") if Path("/run/out").is_dir() else sys.stdout as log:

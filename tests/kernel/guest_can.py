@@ -9,6 +9,7 @@ import threading
 import time
 import tty
 from collections.abc import Iterator
+from typing import Any
 
 import can
 import pytest
@@ -24,7 +25,7 @@ from drivers.mock.settings import FirmwareSettings
 from drivers.protocol import Pong, State, Telemetry
 
 PATIENCE_S = 20.0
-VCAN = {"interface": "socketcan", "channel": "vcan0"}
+VCAN: dict[str, Any] = {"interface": "socketcan", "channel": "vcan0"}
 NODE = 3
 
 
@@ -93,7 +94,8 @@ def test_the_kernel_filters_other_nodes(rig: MockRig, server: CanServer) -> None
     with can.Bus(**VCAN) as other:
         for can_id in (NODE + 1 << 5 | 12, NODE << 5 | 12):
             other.send(raw(can_id))
-        frames, deadline = [], time.monotonic() + PATIENCE_S
+        frames: list[CanFrame] = []
+        deadline = time.monotonic() + PATIENCE_S
         while not any(f.data == b"\0" for f in frames) and time.monotonic() < deadline:
             frames += link.read()
     assert {f.can_id >> 5 for f in frames} == {NODE}

@@ -138,10 +138,10 @@ def test_a_burst_that_breaks_off_is_a_gap_and_no_sample_is_doubled(bench: Bench)
         calls.append(messages)
         if len(messages[-1]) > 32:
             bench.chip.fail(errno.EIO, after_bytes=60)
-            bench.chip.i2c_rdwr = transfer  # type: ignore[method-assign]
+            bench.chip.i2c_rdwr = transfer
         transfer(*messages)
 
-    bench.chip.i2c_rdwr = break_off  # type: ignore[method-assign]
+    bench.chip.i2c_rdwr = break_off
     batches = [bench.driver.drain()]
     bench.clock.sleep(0.01)
     batches.append(bench.driver.drain())
@@ -162,7 +162,7 @@ def test_a_hung_slave_times_out_and_is_said_to_hang(bench: Bench) -> None:
             raise OSError(errno.ETIMEDOUT, "clock held low")  # what an adapter answers after its timeout
         transfer(*messages)
 
-    bench.chip.i2c_rdwr = hang  # type: ignore[method-assign]
+    bench.chip.i2c_rdwr = hang
     with SMBus(int(bench.adapter.path.rpartition("-")[2])) as bus, pytest.raises(OSError) as caught:
         bus.i2c_rdwr(i2c_msg.write(ADDRESS, [0x0F]), i2c_msg.read(ADDRESS, 1))
     assert caught.value.errno == errno.ETIMEDOUT

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -147,7 +147,7 @@ def as_bytes(chunk: bytes | Frames) -> bytes:
     return chunk if isinstance(chunk, bytes) else b"".join(f.can_id.to_bytes(2, "big") + f.data for f in chunk)
 
 
-def change(plant: StillPlant, firmware, event: Event) -> None:
+def change(plant: StillPlant, firmware: Any, event: Event) -> None:
     """A reading of the emulator set by hand."""
     name, value = event.what, event.value
     lost = value == -(2**31)

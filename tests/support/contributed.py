@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 
 import numpy as np
-from estimator.model.crane import crane
+from estimator.model.crane import crane  # type: ignore[import-not-found]
 from msgspec import structs
 
 from daq import Dataset, parse_rig

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from daq import FloatArray
 from daq.dataset import Dataset
 
 GRAVITY = 9.81
@@ -70,9 +71,9 @@ def random_leg(rng: np.random.Generator) -> Leg:
 def multisine(rng: np.random.Generator, time: np.ndarray, amplitude: float, low: float = 0.1,
               high: float = 3.0) -> np.ndarray:
     """Random-phase multisine with peak `amplitude`."""
-    f = np.arange(low, high, 1.0 / (time[-1] - time[0]))
+    f: FloatArray = np.arange(low, high, 1.0 / (time[-1] - time[0]))
     phase = rng.uniform(0, 2 * np.pi, f.shape)
-    x = np.sin(2 * np.pi * f[:, None] * time + phase[:, None]).sum(axis=0)
+    x: FloatArray = np.sin(2 * np.pi * f[:, None] * time + phase[:, None]).sum(axis=0)
     return amplitude * x / np.max(np.abs(x))
 
 

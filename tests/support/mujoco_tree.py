@@ -71,7 +71,7 @@ class Tree(NamedTuple):
         beyond = np.array([sum(self.mass[k] for k in range(self.n) if i in self.ancestors(k)) for i in range(self.n)])
         moment = self.mass * self.centre + beyond * self.length
         own = self.inertia + self.mass * self.centre**2 + beyond * self.length**2
-        known = {("viscous", (j,)): self.viscous[j] for j in range(self.n)}
+        known: dict[tuple[str, tuple[int, ...]], float] = {("viscous", (j,)): self.viscous[j] for j in range(self.n)}
         known |= {("coulomb", (j,)): self.coulomb[j] for j in range(self.n)}
         known |= {("gravity", (i,)): moment[i] * (GRAVITY if self.upright else 1.0) for i in range(self.n)}
         known |= {("inertia", (i, i)): own[i] for i in range(self.n)}

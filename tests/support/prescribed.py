@@ -22,7 +22,7 @@ def _motion(rng: np.random.Generator, time: np.ndarray, joints: int) -> tuple[np
     w = rng.uniform(0.7, 9.0, (5, joints))
     a, p = rng.uniform(0.1, 0.9, (5, joints)) / w, rng.uniform(0.0, 2.0 * np.pi, (5, joints))
     phase = time[:, None, None] * w + p
-    return tuple(np.sum(x, axis=1) for x in (a * np.sin(phase), a * w * np.cos(phase),  # type: ignore[return-value]
+    return tuple(np.sum(x, axis=1) for x in (a * np.sin(phase), a * w * np.cos(phase),
                                              -a * w**2 * np.sin(phase)))
 
 

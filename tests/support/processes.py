@@ -21,7 +21,7 @@ PATIENCE_S = 60.0
 """After which a process that should have gone is said to stay; a busy machine needs seconds."""
 
 
-def start_python(*arguments: str, cwd: Path = ROOT) -> subprocess.Popen:
+def start_python(*arguments: str, cwd: Path = ROOT) -> subprocess.Popen[str]:
     """In a session of its own, by whose number everything that it starts is found again; it hears Ctrl-C and a
     terminal that closes also where these tests run in the background of a script, or under nohup, which do not."""
     def hear() -> None:

@@ -92,8 +92,8 @@ class Board:
     def __init__(self) -> None:
         needs(CC, QEMU)
         self._places = Path(tempfile.mkdtemp(prefix="leg_qemu_"))
-        words = [QEMU, "-M", "lm3s6965evb", "-kernel", elf(), "-display", "none", "-monitor", "none", "-serial", "pty",
-                 "-qmp", f"unix:{self._places}/qmp,server=on,wait=off",
+        words = [str(QEMU), "-M", "lm3s6965evb", "-kernel", str(elf()), "-display", "none", "-monitor", "none",
+                 "-serial", "pty", "-qmp", f"unix:{self._places}/qmp,server=on,wait=off",
                  "-gdb", f"unix:{self._places}/gdb,server=on,wait=off"]
         with ahead_of_everything():
             self._child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)

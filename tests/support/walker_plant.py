@@ -124,7 +124,7 @@ class Plant:
         inertia, bias = self.equation(angle, rate)
         u = [torque[k] - self.loss(stance if k == 0 else 1 - stance, angle[2] - angle[k], rate[2] - rate[k], torque[k])
              for k in (0, 1)]
-        return np.linalg.solve(inertia, np.array([-u[0], -u[1], u[0] + u[1]]) - bias)
+        return np.asarray(np.linalg.solve(inertia, np.array([-u[0], -u[1], u[0] + u[1]]) - bias), float)
 
     def advance(self, angle: FloatArray, rate: FloatArray, torque: FloatArray, stance: int, h: float
                 ) -> tuple[FloatArray, FloatArray]:
@@ -228,7 +228,8 @@ def walk(plant: Plant, gait: Gait, steps: int, rng: np.random.Generator, rate_hz
         return out
 
     angles, rates, torques = (by_leg(np.array([row[i] for row in rows])) for i in range(3))
-    return Walk(period * np.arange(len(rows)), angles, rates, torques, legs + 1.0, np.array(landed), before, after)
+    return Walk(period * np.arange(float(len(rows))), angles, rates, torques, legs + 1.0, np.array(landed), before,
+                after)
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,8 @@ class Bench:
                 if self.beating:
                     with suppress(BlockingIOError):
                         self.watcher.send(ALIVE)
-                self.beat_ns = time.monotonic_ns() if self.beating else self.beat_ns
+                if self.beating:
+                    self.beat_ns = time.monotonic_ns()
                 time.sleep(0.02)
 
     def read(self) -> list[Status | Heard | Ended]:

@@ -27,7 +27,7 @@ def test_a_random_walk_rises_with_the_root_of_a_third_of_the_time() -> None:
 
 def test_a_line_drifts_by_its_slope() -> None:
     # a ramp of r per second: sigma = r tau / sqrt(2), exactly
-    curve = allan_curve((0.3 * np.arange(1000) / 50.0)[:, None], 50.0)
+    curve = allan_curve(0.3 * np.arange(1000.0)[:, None] / 50.0, 50.0)
     np.testing.assert_allclose(curve.sigma[:, 0], 0.3 * curve.tau_s / np.sqrt(2), rtol=1e-6)
     assert curve.bias_instability[0] == pytest.approx(curve.sigma[:, 0].min() / 0.664)
     assert abs(FLICKER - np.sqrt(2 * np.log(2) / np.pi)) < 1e-3

@@ -72,10 +72,15 @@ def test_a_disk_that_hangs_stops_the_motor_and_not_the_program(tmp_path: Path, m
      "another file is in its place")])
 def test_a_run_file_that_is_taken_away_stops_the_motor(tmp_path: Path, mocks: list[MockRig], act: Any, said: str
                                                        ) -> None:
-    path, when = tmp_path / "r.mcap", []
+    path = tmp_path / "r.mcap"
+    when: list[int] = []
+    def strike() -> None:
+        when.append(time.monotonic_ns())
+        act(path)
+
     with pytest.raises(WorkError, match=said):
         threaded(path, Plan(np.arange(0, 9, 0.01), np.full(900, 0.3)),
-                 once(0.4, lambda: (when.append(time.monotonic_ns()), act(path))))
+                 once(0.4, strike))
     t_ns, commanded, _ = mocks[0].firmware.motor.record
     assert (int(t_ns[commanded != 0][-1]) - when[0]) * 1e-6 < 200  # 20 ms of watching on a machine with nothing to do
 
@@ -108,7 +113,8 @@ def test_signals_while_the_file_is_finished_break_nothing_off(tmp_path: Path, mo
 
 def test_a_stop_that_is_lost_is_sent_again(tmp_path: Path, mocks: list[MockRig], monkeypatch: pytest.MonkeyPatch
                                            ) -> None:
-    stop, lost = LegController.stop, []
+    stop = LegController.stop
+    lost: list[float] = []
 
     def deaf(self: LegController) -> None:
         if self.armed and len(lost) < 2:

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +60,7 @@ def test_the_matrix_has_its_cells() -> None:
     assert len(FAULTS) * len(MOMENTS) >= 150
 
 
-def lacks(folder: Path, limits: str, **fields: float) -> Outcome:
+def lacks(folder: Path, limits: str, **fields: Any) -> Outcome:
     """A healthy run on a rig whose telemetry never had these readings."""
     def says(truth: Telemetry) -> Telemetry:
         return replace(truth, **fields)

@@ -1,6 +1,8 @@
 """Plans: read, written, refused."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from drivers.protocol import Hello
 
 
 def test_a_plan_reads_back(tmp_path: Path) -> None:
-    plan = Plan(np.arange(5) * 0.02, np.array([0.0, 0.5, -1.25, 1 / 3, 0.0]))
+    plan = Plan(np.arange(5.0) * 0.02, np.array([0.0, 0.5, -1.25, 1 / 3, 0.0]))
     write_plan(plan, tmp_path / "p.csv")
     text = (tmp_path / "p.csv").read_text().splitlines()
     assert text[:3] == ["time_s,tau2_cmd_nm", "0.000000000,0", "0.020000000,0.5"]
@@ -52,10 +54,8 @@ def test_a_plan_made_in_code_is_checked_too(time_s: list[float], torque: list[fl
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[limits]\n'
 
 
-class Controller:
-    """As far as a plan's check looks."""
-
-    hello = Hello(1, 1, 500, 50.0, 2.0, 1000)
+CONTROLLER: Any = SimpleNamespace(hello=Hello(1, 1, 500, 50.0, 2.0, 1000))
+"""As far as a plan's check looks."""
 
 
 @pytest.mark.parametrize(("time_s", "torque", "said"), [
@@ -65,21 +65,22 @@ class Controller:
     (np.array([0.0, 55 * 3600.0]), np.array([0.5, 0.5]), r"lasts 396000 s, limits\.duration_s of the rig is 1800 s")])
 def test_jumps_and_days_of_torque_are_refused(time_s: np.ndarray, torque: np.ndarray, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        check_plan(Plan(time_s, torque), parse_rig(RIG), Controller())
+        check_plan(Plan(time_s, torque), parse_rig(RIG), CONTROLLER)
     wide = RIG + "slew_nmps = 500.0\nduration_s = 1e6\n"
-    check_plan(Plan(time_s, torque), parse_rig(wide), Controller())
+    check_plan(Plan(time_s, torque), parse_rig(wide), CONTROLLER)
 
 
 def test_a_fast_smooth_plan_has_its_own_slope() -> None:
     t = np.arange(0, 2, 0.001)
     plan = Plan(t, 2.0 * np.sin(2 * np.pi * 10 * t))
     assert plan.slew_nmps == pytest.approx(2.0 * 2 * np.pi * 10, rel=0.02)
-    check_plan(plan, parse_rig(RIG), Controller())
+    check_plan(plan, parse_rig(RIG), CONTROLLER)
 
 
 def test_a_gyro_that_cannot_show_the_speed_limit_is_refused() -> None:
     def imu(dps: int) -> Lsm9ds1:
-        return Lsm9ds1(None, config=ImuConfig(238.0, 4, dps))
+        bus: Any = None
+        return Lsm9ds1(bus, config=ImuConfig(238.0, 4, dps))
 
     fast = parse_rig(RIG + "q1_speed_radps = 15.0\n")
     with pytest.raises(InputError, match=r"limits\.q1_speed_radps is 15 rad/s, a gyro of 500 dps shows up to 8\.73"):

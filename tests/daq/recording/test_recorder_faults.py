@@ -27,7 +27,7 @@ from drivers.mock.plant import StillPlant
 from drivers.mock.pty_server import PtyServer
 from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings, ImuSettings
-from drivers.protocol import State, Telemetry
+from drivers.protocol import Decoder, State, Telemetry
 from drivers.serial_link import SerialLink
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
@@ -60,7 +60,7 @@ class Bench:
         self.clock = VirtualClock()
         settings = FirmwareSettings(telemetry_hz=1000, current_noise_a=0.0, encoder_counts=10**7)
         quiet = ImuSettings(gyro_noise_radps=0.0, accel_noise_mps2=0.0)
-        self.mock = MockRig(Swing(), self.clock, quiet, settings, **({"codec": CanCodec} if can else {}))
+        self.mock = MockRig(Swing(), self.clock, quiet, settings, codec=CanCodec if can else Decoder)
         self.start_ns = self.clock.now_ns()
         inner = EmulatorLink(self.mock.firmware, self.clock, nothing=() if can else b"")
         self.link = FaultyLink(inner, self.clock, FaultyWire(wire, np.random.default_rng(3)))

@@ -221,7 +221,7 @@ def test_the_torque_is_what_acted(recorded: tuple[Path, MockRig, int]) -> None:
     path, rig, start_ns = recorded
     run = load_run(path, parse_rig(RIG))
     t_ns, _, acting = rig.firmware.motor.record
-    fine = (t_ns - start_ns + 250_000) * 1e-9
+    fine = np.asarray(t_ns - start_ns + 250_000, float) * 1e-9
     want = align_table(RawTable("", fine, {"tau": acting}), 1000.0)
     t = truth(run, path, start_ns)
     mean = np.array([want["tau"][(want.time_s > x - 0.005) & (want.time_s < x + 0.005)].mean() for x in t])

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
+from daq import FloatArray
 from daq.dataset import Dataset
 from estimator.calibration.column_faults import find_remedies
 from estimator.calibration.imu_faults import read_imu, wrong_lever
@@ -21,11 +23,13 @@ Spoil = Mapping[str, Callable[[Dataset], np.ndarray]]
 
 
 def negated(*columns: str) -> Spoil:
-    return {c: lambda d, c=c: -d[c] for c in columns}
+    return scaled(-1.0, *columns)
 
 
 def scaled(factor: float, *columns: str) -> Spoil:
-    return {c: lambda d, c=c: factor * d[c] for c in columns}
+    def by_factor(column: str, data: Dataset) -> FloatArray:
+        return factor * data[column]
+    return {c: partial(by_factor, c) for c in columns}
 
 
 @pytest.fixture(scope="module")

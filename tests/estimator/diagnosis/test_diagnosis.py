@@ -16,6 +16,7 @@ from estimator.diagnosis import refit
 from estimator.diagnosis.conclusion import base
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.error_table import extend_errors, measure_errors
+from estimator.diagnosis.parametric_bootstrap import draw_replicate
 from estimator.diagnosis.procedure import diagnose
 from estimator.diagnosis.refit import fit_nominal
 from estimator.diagnosis.result import Diagnosis
@@ -94,7 +95,8 @@ def test_what_effects_take_brakes_the_view_as_a_view_of_the_braked_motion(runs: 
     q = np.stack([data[0]["q1_rad"], data[0]["q2_rad"]], axis=-1)
     x, taken = Latents(q, np.gradient(q, 0.01, axis=0), problem.torque), 0.1 * np.sin(q).T
     free, whole = problem.view(x, leg.beta()), problem.view(x, leg.beta(), taken)
-    found = braked(free, np.moveaxis(np.linalg.inv(mechanism.inertia_matrix(q, leg.beta())), 0, -1), taken)
+    mobility = np.asarray(np.linalg.inv(mechanism.inertia_matrix(q, leg.beta())), float)
+    found = braked(free, np.moveaxis(mobility, 0, -1), taken)
     np.testing.assert_allclose(found.samples.a, whole.samples.a, rtol=1e-9, atol=1e-9)
     assert np.abs(whole.samples.a - free.samples.a).max() > 1.0
 
@@ -236,7 +238,7 @@ def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, li
     leg, data = runs
     split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
 
-    def stuck(problem: ExtendedProblem, state: State, free: NDArray[np.bool_], *rest: object) -> None:
+    def stuck(problem: ExtendedProblem, state: State, free: NDArray[np.bool_], *rest: Any) -> None:
         if free.any():
             raise FitError("does not settle")
         iterate(problem, state, free, *rest)
@@ -253,10 +255,10 @@ def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
     split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
     nominal, candidates = fit_nominal(split), [Candidate(kind(1)) for kind in (TorqueOffset, EncoderScale)]
     scores = refit.score_discover(nominal, candidates)
-    plain, count = refit.draw_replicate, len(split.discover)
+    count = len(split.discover)
 
     def going_off(problem: ExtendedProblem, state: State, signals: list[SignalSet], *rest: Any) -> list[SignalSet]:
-        found = plain(problem, state, signals, *rest)
+        found = draw_replicate(problem, state, signals, *rest)
         off = signals[0].run in bad
         return [replace(s, angles=s.angles + 0.02 * np.sin(40.0 * s.time_s)[:, None] * [0, 1]) if off else s
                 for s in found]

@@ -49,11 +49,14 @@ def test_two_fits_of_one_set_of_effects_are_compared_as_such() -> None:
         effects: tuple[Effect, ...]
         beta: FloatArray
 
-    Model.__getattr__ = lambda self, name: getattr(like, name)  # type: ignore[attr-defined]
+        def __getattr__(self, name: str) -> Any:
+            return getattr(like, name)
+
     offset = TorqueOffset()
     one, two = (explanation(offset, gain, [k, -k] * 3, [20.0]) for gain, k in ((1500.0, 0.0), (1499.0, 40.0)))
-    like = one.model
-    both = [replace(e, model=Model((offset,), np.ones(3))) for e in (one, two)]
+    like: Any = one.model
+    fitted: Any = Model((offset,), np.ones(3))
+    both = [replace(e, model=fitted) for e in (one, two)]
     assert len(indistinguishable_set(both)) == 2
 
 

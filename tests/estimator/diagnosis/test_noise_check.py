@@ -41,7 +41,7 @@ def test_declared_levels_are_in_order() -> None:
     ("encoder", 0.002, "encoder of joint 2 is 10.0 times"), ("knee", 0.034, "torque at joint 2 is 1.7 times"),
     ("pivot", 0.04, "torque at joint 1 is 2.0 times")])
 def test_a_loud_channel_is_named(channel: str, level: float, said: str) -> None:
-    assert said in excess_noise(model_of(DECLARED, **{channel: level}))
+    assert said in excess_noise(model_of(DECLARED, (), **{channel: level}))
 
 
 def test_impacts_may_be_louder_beside_play() -> None:

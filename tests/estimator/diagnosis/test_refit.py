@@ -25,7 +25,8 @@ from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.model.mechanism import joint1, leg2
 from estimator.options import FitOptions
-from estimator.signals.segments import IMU_COLUMNS, SignalSet
+from estimator.signals import IMU_COLUMNS
+from estimator.signals.segments import SignalSet
 from tests.evidence.blind.cases import DrawnCase, catalogue, draw_case
 from tests.evidence.blind.effects import MOTOR_INERTIA
 from tests.evidence.blind.leg import stack

@@ -59,7 +59,9 @@ def test_an_encoder_of_leg_one_misreads_where_that_leg_is() -> None:
 def test_a_stop_is_at_one_angle_whichever_leg_stands() -> None:
     made, x = problem([])
     view = made.view(x, Walker().beta)
-    pushed = np.abs(at(1, EndStopContact).perturb(view, np.array([10.0, 0.5])).torque_at_samples)
+    torque = at(1, EndStopContact).perturb(view, np.array([10.0, 0.5])).torque_at_samples
+    assert torque is not None
+    pushed = np.abs(torque)
     angle = np.where(view.samples.exchanged == 0.0, x.q[:, 1], x.q[:, 2])
     assert (pushed.sum(axis=0)[angle > 0.8] > 0.1).all() and (pushed.sum(axis=0)[angle < 0.7] < 0.01).all()
 

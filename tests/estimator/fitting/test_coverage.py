@@ -23,7 +23,7 @@ def acceleration(q: FloatArray, v: FloatArray, torque: FloatArray) -> FloatArray
 
 def records(rng: np.random.Generator, runs: int, count: int) -> list[Dataset]:
     """Torque in steps of DT, integrated by Runge-Kutta at a tenth of them; noise on torque and angle."""
-    time = np.arange(count) * DT
+    time = np.arange(float(count)) * DT
     lines = rng.uniform(0.2, 2.5, (runs, 6, 1))
     torque = np.sin(2 * np.pi * (lines * time + rng.uniform(size=lines.shape))).sum(axis=1) * 0.9
     q, v, h = np.zeros((count, runs)), np.zeros((count, runs)), DT / STEPS

@@ -130,7 +130,7 @@ def test_the_likelihood_is_the_sum_of_runs_under_their_own_levels(plant: Plant, 
     runs = noisy(plant, rng, TIMES)
     if imus == 2:
         mechanism = mechanism.with_imus((ImuPlace(0, plant[0].lever), ImuPlace(1, 0.1)), (plant[0].l1,))
-        runs = [replace(r, columns=r.columns | {c: rng.normal(size=len(r)) for c in imu_columns(1)}) for r in runs]
+        runs = [replace(r, columns={**r.columns, **{c: rng.normal(size=len(r)) for c in imu_columns(1)}}) for r in runs]
     signals = split_signals(runs, mechanism, FitOptions())
     problem = LatentProblem(signals, mechanism, "smooth")
     x = Latents(*(rng.normal(size=(problem.total, 2)) for _ in range(3)))

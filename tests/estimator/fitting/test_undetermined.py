@@ -48,7 +48,7 @@ def knee_locked() -> dict[str, np.ndarray]:
         return [y[1], -(moment * np.sin(y[0]) + b[5] * y[1] + b[7] * np.tanh(y[1] / 3e-3)) / inertia]
 
     q, v = solve_ivp(rate, (0, TIME[-1]), [0.9, 0.0], t_eval=TIME, rtol=1e-8, atol=1e-9, max_step=5e-3).y
-    a = np.array([rate(0.0, y)[1] for y in zip(q, v)])
+    a = np.array([rate(0.0, np.array(y))[1] for y in zip(q, v)])
     return leg_columns(q, v, a, (b[1] + b[2]) * a + G * b[4] * np.sin(q))
 
 

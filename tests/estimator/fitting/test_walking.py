@@ -8,7 +8,7 @@ import pytest
 
 from estimator import FitOptions, fit
 from estimator.fitting import walk_ahead
-from estimator.fitting.walking import carry, walking
+from estimator.fitting.walking import Walking, carry, walking
 from estimator.model import biped3
 from estimator.signals import cut_steps
 from tests.support.walker_plant import Gait, Plant, Sensors, Walk, Walker, record, roles, walk
@@ -36,13 +36,13 @@ def test_twenty_steps_have_one_beta(stance: bool) -> None:
 def test_legs_that_do_not_change_places_are_no_walker() -> None:
     """The same record with the hips left where they are: the fit cannot be near."""
     data = record("walk", walked(), np.random.default_rng(1))
-    wrong = replace(cut_steps(data)[0], columns=cut_steps(data)[0].columns | {
-        name: np.where(np.isnan(cut_steps(data)[0][name]), np.nan, data[name]) for name in ("q2_rad", "q3_rad")})
+    wrong = replace(cut_steps(data)[0], columns={**cut_steps(data)[0].columns, **{
+        name: np.where(np.isnan(cut_steps(data)[0][name]), np.nan, data[name]) for name in ("q2_rad", "q3_rad")}})
     result = fit([wrong], HIPS, OPTIONS)
     assert np.abs(result.beta / Walker().beta - 1.0).max() > 0.3
 
 
-def exact() -> tuple[object, np.ndarray, np.ndarray]:
+def exact() -> tuple[Walking, np.ndarray, np.ndarray]:
     data, _ = cut_steps(record("walk", walked(), np.random.default_rng(0), Sensors(0.0, 0.0, 0.0), stance=True))
     true = roles(walked())
     return walking(data, HIPS), np.concatenate([q for q, *_ in true]), np.concatenate([v for _, v, _ in true])

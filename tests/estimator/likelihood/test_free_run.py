@@ -26,7 +26,7 @@ from estimator.likelihood.free_run import _Plant, free_run, pieces
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
-from estimator.model.collocation import Motion
+from estimator.model import Motion
 from estimator.model.mechanism import Mechanism, joint1, leg2
 from estimator.options import FitOptions
 from estimator.signals import SignalSet, torque_of
@@ -115,7 +115,7 @@ def test_a_piece_that_diverges_stays_still_and_leaves_the_others_alone(monkeypat
     """A servo's friction of a negative level ran off in one piece of a tenth of a second, and all pieces of the run
     were taken for lost: 12.6 times the noise alone instead of 1.1."""
     module = sys.modules[free_run.__module__]
-    plain, count = module.simulate, 200  # type: ignore[attr-defined]
+    plain, count = module.simulate, 200
 
     def sometimes(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, *rest: Any) -> tuple[FloatArray, ...]:
         found = plain(mechanism, beta, q0, *rest)
@@ -167,7 +167,7 @@ def swing(leg: Leg, stand: tuple[float, float, float], time: FloatArray, torque:
 def test_a_free_run_on_a_stand_near_its_resonance_settles() -> None:
     """As a torque by the motion before it had been iterated: what did not settle was 61 mrad off, what did 1 mrad."""
     leg, stand, time = Leg(), (0.19, 2.5, 0.08), np.arange(1000) / 100.0
-    torque = sum(0.15 * np.sin(2 * np.pi * f * time + f) for f in (0.4, 1.1, 1.7, 2.6))
+    torque = np.sum([0.15 * np.sin(2 * np.pi * f * time + f) for f in (0.4, 1.1, 1.7, 2.6)], axis=0)
     th1, th2, w1, w2 = swing(leg, stand, time, torque).T
     q, v = np.stack([th1, th2 - th1], axis=-1), np.stack([w1, w2 - w1], axis=-1)
     tau = np.stack([np.zeros_like(torque), torque], axis=-1)
@@ -184,7 +184,8 @@ def test_a_stand_that_does_not_yield_is_none() -> None:
     tau = np.stack([np.zeros_like(time), 0.1 * np.sin(5.0 * time)], axis=-1)
     noise, rest = Noise(np.full(2, 0.01), np.full(2, 1e-3)), Latents(np.zeros_like(tau), np.zeros_like(tau), tau)
     found = []
-    for effects, size in (([], []), ([BaseCompliance()], [0.0, 3.0, 0.1])):
+    cases: list[tuple[list[Effect], list[float]]] = [([], []), ([BaseCompliance()], [0.0, 3.0, 0.1])]
+    for effects, size in cases:
         problem = problem_of(leg2(lever_arm=0.2), len(time), tau, effects)
         beta = np.array([*Leg().beta(), *size])
         found.append(free_run(problem, State(rest, beta, noise, np.zeros((len(beta),) * 2)), tau))

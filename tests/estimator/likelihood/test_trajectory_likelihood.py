@@ -60,9 +60,9 @@ def test_gradient_is_the_derivative(broken: tuple[LatentProblem, Latents, np.nda
             numeric = (up - down) / 4e-6  # half the gradient of the sum of squares
             assert gradient[k, j] == pytest.approx(numeric, rel=1e-3, abs=1e-6 * point.objective)
     for j in range(beta.size):
-        step = np.zeros(beta.size)
-        step[j] = 1e-6
-        up, down = (problem.linearise(x, beta + a * step, noise).objective for a in (1.0, -1.0))
+        shift = np.zeros(beta.size)
+        shift[j] = 1e-6
+        up, down = (problem.linearise(x, beta + a * shift, noise).objective for a in (1.0, -1.0))
         assert point.gradient_beta[j] == pytest.approx((up - down) / 4e-6, rel=1e-4)
 
 

@@ -35,7 +35,7 @@ def test_readings_are_those_of_mujoco(name: str) -> None:
     friction = {} if not upright else {"viscous": 0.0, "coulomb": 0.0}
     tree = random_tree(rng, parent, upright=upright, **friction)
     mechanism = mechanism.with_imus(tuple(ImuPlace(*s) for s in sensors), tuple(tree.length))
-    start = 0.5 * rng.normal(size=tree.n), rng.normal(size=tree.n)
+    start = list(0.5 * rng.normal(size=tree.n)), list(rng.normal(size=tree.n))
     motion = move(tree, torques(tree, rng, 0.5, 250.0, 0.35, range(1, tree.n)), 250.0, sensors, start)
     qdd = mechanism.forward_dynamics(motion.q, motion.qd, motion.tau, tree.beta(mechanism))
     read = predicted_columns(mechanism, motion.q, motion.qd, qdd)

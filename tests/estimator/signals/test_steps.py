@@ -50,7 +50,7 @@ def test_touchdowns_are_found_to_two_milliseconds(rate_hz: float) -> None:
 
 def test_a_contact_that_is_late_costs_samples_and_no_more() -> None:
     found = walked()
-    late = replace(found, stance=1.0 + np.searchsorted(found.touchdown_s + 0.004, found.time_s) % 2)
+    late = replace(found, stance=np.searchsorted(found.touchdown_s + 0.004, found.time_s) % 2 + np.float64(1.0))
     cut, _ = cut_steps(noisy(1, True, late), 0.005)
     for s in split_signals([cut], biped3(hips=True), OPTIONS):
         before = np.searchsorted(found.touchdown_s, s.time_s)
@@ -63,7 +63,7 @@ def test_neither_leg_is_a_gap_and_a_smeared_contact_too() -> None:
     lands = np.flatnonzero(np.diff(stance))[0]
     stance[lands - 3 : lands + 3] = 0.0
     stance[50] = 1.4
-    cut, found = cut_steps(replace(data, columns=data.columns | {"stance": stance}))
+    cut, found = cut_steps(replace(data, columns={**data.columns, "stance": stance}))
     assert np.isnan(cut["q2_rad"][lands - 3 : lands + 3]).all() and np.isnan(cut["q1_rad"][50])
     assert np.isfinite(cut["q2_rad"][[lands - 4, lands + 4, 49, 51]]).all() and found.time_s.size == 7
 
@@ -71,9 +71,9 @@ def test_neither_leg_is_a_gap_and_a_smeared_contact_too() -> None:
 def test_what_cannot_be_cut_is_said() -> None:
     data = noisy(3, True)
     with pytest.raises(FitError, match="walk: column stance holds other numbers than 0, 1 and 2"):
-        cut_steps(replace(data, columns=data.columns | {"stance": data["stance"] + 1.0}))
+        cut_steps(replace(data, columns={**data.columns, "stance": data["stance"] + 1.0}))
     with pytest.raises(FitError, match="never changes from one leg to the other"):
-        cut_steps(replace(data, columns=data.columns | {"stance": np.ones(len(data))}))
+        cut_steps(replace(data, columns={**data.columns, "stance": np.ones(len(data))}))
     still = {name: values[0] + 1e-4 * np.random.default_rng(k).normal(size=len(data))
              for k, (name, values) in enumerate(data.columns.items()) if name != "stance"}
     with pytest.raises(FitError, match="no touchdown stands out"):

@@ -7,7 +7,7 @@ residuals as constraints), started from the same filtered motion. Unlike legid i
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -19,7 +19,7 @@ GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
 GRAVITY = 9.81
 
 
-def torque(q: list, v: list, a: list, sign: list, b: ca.SX) -> ca.SX:
+def torque(q: list[Any], v: list[Any], a: list[Any], sign: list[Any], b: ca.SX) -> ca.SX:
     """(2,) joint torque of the hanging leg at angles, rates, accelerations and rounded signs of both rates."""
     c, s = ca.cos(q[1]), -ca.sin(q[1])
     w, f = v[0] + v[1], a[0] + a[1]
@@ -79,8 +79,10 @@ def solve(posed: Posed, tolerance: float = 1e-7) -> Solved:
     levels = np.tile([noise.encoder[1], noise.gyro[0], *noise.accel[0]], (p.total, 1))
     weight = 1.0 / np.concatenate([levels, np.sqrt(p.torque_variance(noise))], axis=1).T
     measured = np.concatenate([[p.angles[:, 1], p.gyro[0], *p.accel[0]], p.torque.T])
-    sensors = sensor_function(mechanism.lever_arm, mechanism.velocity_scale).map(p.total)(x, b)
-    defects = defect_function(p.dt, mechanism.velocity_scale).map(p.total - 1)(x[:, :-1], x[:, 1:], b)
+    smoothing = mechanism.velocity_scale
+    assert isinstance(smoothing, float)
+    sensors = sensor_function(mechanism.lever_arm, smoothing).map(p.total)(x, b)
+    defects = defect_function(p.dt, smoothing).map(p.total - 1)(x[:, :-1], x[:, 1:], b)
     scale = np.tile(np.tile(1.0 / (TIGHT * noise.torque), 2)[:, None], p.total - 1)
     residual = ca.vertcat(ca.vec((sensors - measured) * weight), ca.vec(defects * scale))
     unknown = ca.vertcat(ca.vec(x), b)

@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -62,7 +63,7 @@ def evaluate(posed: Posed) -> Callable[[], None]:
     return run
 
 
-def solve(recorded: Recorded) -> dict:
+def solve(recorded: Recorded) -> dict[str, Any]:
     """Whole fit from measurements to intervals: a process's first, with its peak memory, then the best of several."""
     times = max(5, min(25, 60_000 // len(recorded.data.time_s)))
 
@@ -99,7 +100,7 @@ def typed(recorded: Recorded, times: int = 5) -> float:
     return float(found)
 
 
-def solve_free(recorded: Recorded) -> dict:
+def solve_free(recorded: Recorded) -> dict[str, Any]:
     """The paper's free latents, by legid's own derivatives: `--latent free`."""
     from dataclasses import replace
 

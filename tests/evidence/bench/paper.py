@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ def _at(s: Callable[[np.ndarray], float], w: np.ndarray, *moves: tuple[int, floa
     return value
 
 
-def solve(recorded: Recorded, announce: Callable[[dict], None], limit_s: float) -> dict:
+def solve(recorded: Recorded, announce: Callable[[dict[str, Any]], None], limit_s: float) -> dict[str, Any]:
     """Fit; tells first how long one step will take, and does not begin where that is beyond the limit."""
     problem = posed(recorded)
     w = first_latents(problem)

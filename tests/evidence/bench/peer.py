@@ -10,6 +10,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from tests.evidence.bench.record import Recorded, pose, read_record
 
@@ -18,7 +19,7 @@ DEFAULT_STEP_S = 0.002
 """MuJoCo's own (XML reference, option/timestep)."""
 
 
-def run(peer: str, recorded: Recorded, limit_s: float) -> dict:
+def run(peer: str, recorded: Recorded, limit_s: float) -> dict[str, Any]:
     if peer == "legid":
         from tests.evidence.bench.own import solve
 
@@ -43,7 +44,7 @@ def run(peer: str, recorded: Recorded, limit_s: float) -> dict:
     return paper.solve(recorded, tell, limit_s)
 
 
-def tell(found: dict) -> None:
+def tell(found: dict[str, Any]) -> None:
     print(json.dumps(found), file=sys.__stdout__, flush=True)
 
 

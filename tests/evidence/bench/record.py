@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,8 +44,9 @@ def write_record(path: Path, samples: int) -> None:
     rng = np.random.default_rng(SEED)
     leg = random_leg(rng)
     data = record(leg, rng, seconds=samples / RATE_HZ, rate_hz=RATE_HZ)
-    np.savez(path, time_s=data.time_s, lever=leg.lever, truth=leg.beta(), masses=[leg.m1, leg.m2], length=leg.l1,
-             **data.columns)
+    arrays: dict[str, Any] = {"time_s": data.time_s, "lever": leg.lever, "truth": leg.beta(),
+                              "masses": [leg.m1, leg.m2], "length": leg.l1, **data.columns}
+    np.savez(path, **arrays)
 
 
 class Recorded(NamedTuple):

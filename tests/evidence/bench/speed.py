@@ -19,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -51,17 +51,17 @@ class Kept:
             if entry["mark"] == self.mark:
                 self.found[entry["peer"], entry["samples"]] = entry["found"]
 
-    def add(self, peer: str, samples: int, found: dict) -> None:
+    def add(self, peer: str, samples: int, found: dict[str, Any]) -> None:
         """Keep what `peer` found."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"mark": self.mark, "peer": peer, "samples": samples, "found": found}) + "\n")
 
 
-def ask(peer: str, record: Path, samples: int, limit: float) -> dict:
+def ask(peer: str, record: Path, samples: int, limit: float) -> dict[str, Any]:
     """What the peer found, or why it found nothing, with what it had said before."""
     command = [sys.executable, "-m", "tests.evidence", "bench.peer", peer, str(record), str(samples), str(limit)]
-    told: dict = {}
+    told: dict[str, Any] = {}
     clock, before = time.perf_counter(), os.times()
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -96,7 +96,7 @@ def measure(record: Path, lengths: list[int], peers: list[str], limit: float, ke
     return found
 
 
-def cell(entry: dict | None) -> str:
+def cell(entry: dict[str, Any] | None) -> str:
     """Seconds, or why there are none."""
     if entry is None:
         return "not tried"
@@ -137,7 +137,8 @@ def tables(found: Table, lengths: list[int], peers: list[str]) -> str:
         if peer == "casadi":
             lines.append("| its solve alone | " + " | ".join(ratio(found, peer, n, "solve_s") for n in lengths) + " |")
     lines += ["", "legid against its own floor:", "", head]
-    rows = (("iterations", lambda e, n: f"{e['iterations']}"),
+    rows: tuple[tuple[str, Callable[[dict[str, Any], int], str]], ...] = (
+            ("iterations", lambda e, n: f"{e['iterations']}"),
             ("one residual and Jacobian, ms", lambda e, n: f"{1e3 * e['evaluation_s']:.2f}"),
             ("the same, and its normal equations, ms", lambda e, n: f"{1e3 * e['linearise_s']:.2f}"),
             ("fit / (residual and Jacobian x iterations)",

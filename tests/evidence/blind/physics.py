@@ -50,7 +50,7 @@ class Motion:
                        fast_lanes=self.fast_lanes[:0], fast_time=self.fast_time[:0], fast=self.fast[:0])
 
 
-def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array] | None = None, pivot: Array | None = None,
+def integrate(leg: Leg, torque: Array, *, extra: Mapping[str, Array | float] | None = None, pivot: Array | None = None,
               start: Array | None = None, session: Array | None = None, dt: float = 0.01, step: float = 5e-4,
               creep: float = 1e-3, fast: NDArray[np.intp] | None = None, gravity: float = GRAVITY) -> Motion:
     """Integrate all lanes over the sample grid.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -90,7 +91,7 @@ def test_stiff_shaft_is_an_armature() -> None:
 
 
 def test_friction_converges_with_the_step() -> None:
-    tau = np.array([draw(np.random.default_rng(k), kind).at(np.arange(150) * 0.01)
+    tau = np.array([draw(np.random.default_rng(k), kind).at(np.arange(150.0) * 0.01)
                     for k, kind in enumerate(PATTERN)]).T
     coarse, fine = integrate(Leg(), tau), integrate(Leg(), tau, step=2.5e-4)
     # a tenth of what process torque makes of a free run, and below one count of the encoder
@@ -223,14 +224,14 @@ def test_excitation_is_odd_and_bounded() -> None:
 
 
 @pytest.fixture(scope="module")
-def cases(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict]]:
+def cases(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
     root = tmp_path_factory.mktemp("blind")
     chosen = [Case("none", seed=2), Case("single", ("torque_offset",), "large", 1),
               Case("single", ("sensor_time_skew",), seed=1), Case("outside", ("loose_payload",), seed=1)]
     return root, bench.generate(chosen, root, samples=300, step=1e-3)
 
 
-def test_files_are_the_contract_s_and_hold_no_truth(cases: tuple[Path, list[dict]]) -> None:
+def test_files_are_the_contract_s_and_hold_no_truth(cases: tuple[Path, list[dict[str, Any]]]) -> None:
     root, truths = cases
     for truth in truths:
         folder = root / truth["name"]
@@ -250,7 +251,7 @@ def test_files_are_the_contract_s_and_hold_no_truth(cases: tuple[Path, list[dict
     assert truths[2]["ratio"]["projected"] == pytest.approx(3.3, abs=1.2)
 
 
-def test_a_case_comes_again_from_its_seed(cases: tuple[Path, list[dict]], tmp_path: Path) -> None:
+def test_a_case_comes_again_from_its_seed(cases: tuple[Path, list[dict[str, Any]]], tmp_path: Path) -> None:
     root, _ = cases
     bench.generate([Case("single", ("torque_offset",), "large", 1)], tmp_path, samples=300, step=1e-3)
     again, before = (np.loadtxt(p / "single-torque_offset-large-1" / "r4.csv", delimiter=",", skiprows=1)
@@ -302,5 +303,5 @@ def test_score_counts_what_the_bench_promises() -> None:
 
 def test_wilson_interval_is_the_textbook_s() -> None:
     # Brown, Cai and DasGupta 2001: 0 of 20 gives 0 to 0.1611
-    assert Rate(0, 20).interval == (0.0, pytest.approx(0.1611, abs=1e-4))
+    assert Rate(0, 20).interval == pytest.approx((0.0, 0.1611), abs=1e-4)
     assert Rate(10, 20).interval[0] == pytest.approx(0.2993, abs=1e-4)

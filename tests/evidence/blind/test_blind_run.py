@@ -172,7 +172,7 @@ def test_the_page_says_what_was_measured_and_missed(bench: Path, tmp_path: Path)
     (tmp_path / "cases" / f"{single['name']}.truth.json").write_text(json.dumps(single))
     answers = {"none-2": NAMED, CASES[1].name: NAMED | {"verdict": "fit_failed", "causes": [], "bench": {
         "status": 1, "wall_s": 3.0, "crashed": True, "said": "ran off"}}, single["name"]: NAMED}
-    for folder in ("diagnoses", *(f"baselines/{m}" for m in page.METHODS)):
+    for folder in ("diagnoses", *(f"baselines/{m}" for m in baselines.METHODS)):
         (tmp_path / folder).mkdir(parents=True)
         for name, answer in answers.items():
             (tmp_path / folder / f"{name}.json").write_text(json.dumps(answer))

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from drivers.protocol import State
-from experiments.emulation.plant import LegBody, LegPlant
+from experiments.emulation.plant import LegBody, LegPlant, State
 
 FREE = LegBody(viscous=(0.0, 0.0), coulomb=(0.0, 0.0))
 

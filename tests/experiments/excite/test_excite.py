@@ -96,7 +96,7 @@ def test_the_gradient_is_that_of_the_information(bench: Bench) -> None:
     assert moved is not None
     at = prior.eliminated(moved)
     slope = merit(at.information, bench.beta, 0.5)[1]
-    by_torque = prior.by_torque(at, *prior.by_motion(moved, at, np.linalg.cholesky(slope)))
+    by_torque = prior.by_torque(at, *prior.by_motion(moved, at, np.asarray(np.linalg.cholesky(slope), float)))
 
     def value(u: np.ndarray) -> float:
         there = prior.move(u, moved)

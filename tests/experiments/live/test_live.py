@@ -371,7 +371,7 @@ def test_a_report_cannot_act_and_a_token_can_be_had_on_this_machine(rig: Rig) ->
 def test_the_demo_brings_its_own_rig_and_takes_it_away(tmp_path: Path) -> None:
     with Live("--demo", "--out", str(tmp_path)) as live:
         assert status(live.url) == 200
-        port = Path(load_rig(tmp_path / "rig" / "rig.toml").devices.controller.port)  # type: ignore[union-attr]
+        port = Path(load_rig(tmp_path / "rig" / "rig.toml").devices.controller.port)
         assert port.is_symlink() and len(list((tmp_path / "rig").glob("plan*.csv"))) == 8
         assert live.end() == (0, "")
     assert not port.is_symlink()

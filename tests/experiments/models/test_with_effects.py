@@ -145,7 +145,7 @@ def test_validate_runs_the_extended_model(value: EffectValue, gains: bool, tmp_p
 
 def test_reference_values_carry_what_is_not_determined() -> None:
     covariance = [list(row) for row in model_with().covariance]
-    covariance[8][8] = None  # type: ignore[call-overload]
+    covariance[8][8] = None
     model = msgspec.structs.replace(model_with(), covariance=tuple(map(tuple, covariance)))
     found = values_of(model)
     assert found["beta1"] == (pytest.approx(LegBody().beta()[0]), pytest.approx(1e-4)) and found["beta9"][1] == np.inf

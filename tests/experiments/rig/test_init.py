@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from daq.rig import load_rig
+from drivers import i2c_bus
 from drivers.mock.plant import StillPlant
 from drivers.mock.pty_server import PtyServer
 from drivers.mock.rig import MockRig
@@ -122,7 +123,7 @@ def test_by_probing(mock: tuple[MockRig, str], tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(discovery, "i2c_buses", lambda: ["/dev/i2c-nowhere", "/dev/i2c-7"])
     monkeypatch.setattr(discovery, "serial_ports", lambda: ["/dev/ttyNowhere", port])
     monkeypatch.setattr(discovery, "can_channels", list)
-    real = discovery.open_bus
+    real = i2c_bus.open_bus
     for module in ("rig.discovery", "rig.devices", "doctor.bus"):
         monkeypatch.setattr(f"experiments.{module}.open_bus",
                             lambda path: rig_mock.imu if path == "/dev/i2c-7" else real(path))

@@ -14,13 +14,12 @@ from estimator.fitting.wls import around_samples, design_rows
 from estimator.signals.segments import split_signals
 from experiments.cli import main
 from experiments.studies.biped3 import store, study
-from experiments.studies.biped3.protocol import OURS, PRINTED
+from experiments.studies.biped3.protocol import OURS, PRINTED, TORQUE_VARIANCE
 from experiments.studies.biped3.study import (
     CASES,
     FLOOR,
     KNOWN_WLS,
     PAPERS_MLE,
-    TORQUE_VARIANCE,
     Block,
     blocks,
     case_options,
@@ -83,7 +82,7 @@ def test_differences_alone_leave_the_error_that_the_paper_prints() -> None:
     error = []
     for torque in (around_samples(step.torque, "zero"), step.torque):
         beta = np.linalg.lstsq(z.reshape(-1, 8), torque[4:-4].ravel(), rcond=None)[0]
-        run = free_runs(mechanism, beta[None], step.q[0], step.qd[0], step.torque, 0.01)
+        run = free_runs(mechanism, np.asarray(beta[None], float), step.q[0], step.qd[0], step.torque, 0.01)
         error.append(float(np.sum(((run.q[0] - step.q) @ np.linalg.inv(MOTOR_ANGLES).T) ** 2)))
     assert error[0] == pytest.approx(1.22, abs=0.05)
     assert error[1] == pytest.approx(45.2, abs=1.0)
