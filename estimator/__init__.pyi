@@ -16,3 +16,6 @@ from .result import FitResult as FitResult
 from .result import RunAgreement as RunAgreement
 from .result import RunNoise as RunNoise
 from .result import Trajectory as Trajectory
+from .verdicts import CAUSED as CAUSED
+from .verdicts import VERDICTS as VERDICTS
+from .verdicts import Verdict as Verdict

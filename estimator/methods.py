@@ -6,3 +6,5 @@ from typing import Literal, get_args
 
 Method = Literal["mle", "wls", "rls", "hekf"]
 METHODS: tuple[Method, ...] = get_args(Method)
+ResultMethod = Literal[Method, "mle-free"]
+"""As a result names it: `mle-free` is `mle` with `FitOptions.latent` free."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.methods import ResultMethod
 from estimator.model import Mechanism
 
 TWO_SIDED = 1.959963984540054
@@ -91,8 +92,7 @@ class FitResult:
     """Identified parameters with their covariance, noise levels and the motion they came with."""
 
     mechanism: Mechanism
-    method: str
-    """mle | mle-free | wls | rls | hekf"""
+    method: ResultMethod
     sensors: str
     """imu | encoder"""
     beta: FloatArray

@@ -28,7 +28,7 @@ from daq.recording import Plan, RecordReport, read_plan, write_plan
 from daq.runs import read_run
 from daq.timing import recorded_rig
 from drivers import DriverError
-from estimator import FitError
+from estimator import FitError, Method
 from estimator import FitResult as PlainFit
 from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
@@ -76,7 +76,7 @@ def load(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None) ->
     return found[0] if isinstance(runs, Path | str) else found
 
 
-def fit(runs: Runs, rig: RigLike | None = None, method: str = "mle", sensors: str | None = None,
+def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors: str | None = None,
         fixed: Mapping[str, float] | None = None, latent: str = "trajectory") -> FitResult:
     """Identify the parameters of the rig's mechanism from `runs`, all together.
 

@@ -17,8 +17,8 @@ FLOORS = {"drivers": {"drivers"}, "daq": {"drivers", "daq"}, "estimator": {"esti
 ROOMS = {
     "daq": [["errors", "files", "dataset", "imu_mount", "mechanisms", "rig", "rig_devices", "rig_text",
              "rig_types", "servo", "si_units"], ["runs"], ["timing"], ["recording"], ["calibration"], ["load"]],
-    "estimator": [["errors", "methods", "parallel"], ["numerics"], ["model"], ["options", "result"], ["signals"],
-                  ["effects"], ["likelihood"], ["fitting"], ["diagnosis", "calibration"]],
+    "estimator": [["errors", "methods", "parallel", "verdicts"], ["numerics"], ["model"], ["options", "result"],
+                  ["signals"], ["effects"], ["likelihood"], ["fitting"], ["diagnosis", "calibration"]],
     "experiments": [["console", "provenance"], ["models"], ["exchange"], ["rig", "excite", "emulation"], ["reports"],
                     ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
     "legid": [["tables", "figures"], ["results"], ["api"]],

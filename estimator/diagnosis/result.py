@@ -11,6 +11,7 @@ from daq import FloatArray
 from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.effects import Effect
 from estimator.model import Mechanism
+from estimator.verdicts import Verdict
 
 
 @dataclass(frozen=True)
@@ -146,8 +147,7 @@ class Rotation:
 class Diagnosis:
     """The whole answer; see docs/formats.md, diagnosis JSON."""
 
-    verdict: str
-    """none | named | partial | one_of | unexplained | fit_failed"""
+    verdict: Verdict
     sentence: str
     """The verdict in one sentence for a person."""
     causes: tuple[Cause, ...] = ()

@@ -18,6 +18,7 @@ from estimator.diagnosis.refit import Model, deviance, refit
 from estimator.diagnosis.rotation import Turn, rotate
 from estimator.diagnosis.score_statistics import Tests
 from estimator.errors import FitError
+from estimator.verdicts import Verdict
 
 NOMINAL = 0
 """Row of the nominal model in the table of errors."""
@@ -31,8 +32,8 @@ UNSURE = ("the free run of runs that it has not seen errs less, but not surely s
 class Decision:
     """What stands, by the errors in `table`."""
 
-    verdict: str
-    """none | named | partial | unexplained; several `best` make `named` a `one_of`"""
+    verdict: Verdict
+    """Not `one_of`, which `named` becomes with several `best`."""
     best: tuple[Explanation, ...]
     """What stands, the likeliest first; beside `unexplained` the closest, beside `none` what is there but small."""
     table: ErrorTable

@@ -16,6 +16,7 @@ import numpy as np
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting.fit import fit
+from estimator.methods import Method
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import FitResult
@@ -28,7 +29,7 @@ LENGTHS_M = (0.005, 10.0)
 """Lengths that a link and its equivalent pendulum may have."""
 ANGLES = 500
 """Samples of a motion at which the mass matrix is looked at."""
-Fit = Callable[[Sequence[Dataset], Mechanism, FitOptions, str], FitResult]
+Fit = Callable[[Sequence[Dataset], Mechanism, FitOptions, Method], FitResult]
 
 
 def faults(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: FloatArray) -> tuple[str, ...]:
@@ -66,7 +67,7 @@ def _impossible_lengths(mechanism: Mechanism, beta: FloatArray, std: FloatArray)
     return found
 
 
-def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str = "mle",
+def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: Method = "mle",
                    by: Fit = fit) -> FitResult:
     """`fit` with levels that may not be negative held at zero where they come out so, and faults named.
 

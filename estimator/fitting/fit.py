@@ -17,7 +17,7 @@ from estimator.fitting.profile_likelihood import knows_noise, suits
 from estimator.fitting.rls import fit_rls
 from estimator.fitting.scale import require_scale
 from estimator.fitting.wls import fit_wls
-from estimator.methods import METHODS
+from estimator.methods import METHODS, Method
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
 from estimator.result import FitResult
@@ -27,7 +27,7 @@ Estimator = Callable[[Sequence[Dataset], Mechanism, FitOptions], FitResult]
 ESTIMATORS: dict[str, Estimator] = dict(zip(METHODS, (fit_mle, fit_wls, fit_rls, fit_hekf), strict=True))
 
 
-def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str = "mle") -> FitResult:
+def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: Method = "mle") -> FitResult:
     """Identify `mechanism` from `datasets` by `method`; raises `FitError` where the data cannot answer.
 
     What the data leaves undetermined is named in the result, or in the error, by the regressor's excitation
@@ -71,7 +71,7 @@ def between_samples(datasets: Sequence[Dataset], mechanism: Mechanism, options: 
         return FIRST if options.hold == AUTO else options.hold, mechanism
 
 
-def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: str) -> FitResult:
+def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: Method) -> FitResult:
     """`fit` without a look at the excitation; for many records of one experiment."""
     if method not in ESTIMATORS:
         raise FitError(f"method {method!r} is none of {', '.join(METHODS)}")
@@ -90,7 +90,7 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     return result if run is fit_mle else replace(result, hold=options.hold)
 
 
-def _refuse_correlations(options: FitOptions, method: str) -> None:
+def _refuse_correlations(options: FitOptions, method: Method) -> None:
     """Raise where a correlation is declared that `method` would not use."""
     known = options.latent == "trajectory" if method == "mle" else False
     for name, given in (("accel_correlation", options.accel_correlation != 0.0 and options.sensors == "imu"),

@@ -16,6 +16,7 @@ from estimator.fitting.mle import result_of, state_of
 from estimator.fitting.profile_likelihood import known_noise, search, suits
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import BatchProblem, LatentProblem, Records
+from estimator.methods import Method
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
 from estimator.result import FitResult
@@ -25,7 +26,7 @@ Outcome = FitResult | FitError
 
 
 def fit_each(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
-             method: str = "mle") -> list[Outcome]:
+             method: Method = "mle") -> list[Outcome]:
     """`estimate` on each of `datasets`, in their order; a record that cannot be fitted gives its `FitError`."""
     out: list[Outcome | None] = [None] * len(datasets)
     if options.hold == AUTO and method != "mle":  # as `estimate` takes it
@@ -45,7 +46,7 @@ def fit_each(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 
 
 def _alike(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
-           method: str) -> list[tuple[list[int], list[SignalSet]]]:
+           method: Method) -> list[tuple[list[int], list[SignalSet]]]:
     """Groups of records with one stretch of the same length and rate that the method can take together."""
     groups: dict[tuple[int, float], tuple[list[int], list[SignalSet]]] = {}
     for k, data in enumerate(datasets):

@@ -12,6 +12,7 @@ import numpy as np
 
 from daq import FloatArray, InputError, WorkError
 from daq.recording import write_plan
+from estimator import CAUSED
 from estimator.effects import Effect, PlanKind
 from experiments.console import make_directory, write_json
 from experiments.excite.optimal_design import (
@@ -98,9 +99,9 @@ def next_choice(path: Path | str) -> Choice:
     names = list(dict.fromkeys(str(c["effect"]) for c in causes))
     library = known_effects()
     known = [library[name] for name in names if name in library and library[name].plans is not None]
-    if verdict not in ("named", "one_of") or not known:
-        told = f"the verdict is {verdict!r}" + ("" if verdict in ("none", "unexplained", "fit_failed") else
-                                                " of causes that no kind of plan is known for")
+    if verdict not in CAUSED or not known:
+        told = f"the verdict is {verdict!r}"
+        told += " of causes that no kind of plan is known for" if verdict in CAUSED else ""
         usual = usual_choice()
         return replace(usual, reasons=(f"{told}: all usual kinds", *usual.reasons))
     return chosen_for(known)

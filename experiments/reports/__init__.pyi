@@ -47,7 +47,7 @@ from .horizons import horizons_text as horizons_text
 from .html import Picture as Picture
 from .html import Section as Section
 from .html import Table as Table
-from .html import Verdict as Verdict
+from .html import VerdictBox as VerdictBox
 from .html import script_hash as script_hash
 from .html import whole_options as whole_options
 from .html import write_page as write_page

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
 from daq import Dataset
+from estimator import Verdict
 from estimator.diagnosis import Cause, Diagnosis, ShortRuns
 from estimator.model import Mechanism
 from experiments.provenance import Origin
@@ -44,7 +44,7 @@ from experiments.reports.diagnosis_text import (
     size_rows,
     size_text,
 )
-from experiments.reports.html import Picture, Section, Table, Verdict, write_page
+from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, write_page
 from experiments.reports.numbers import normal, number
 from experiments.reports.origin import origin_section
 
@@ -72,22 +72,24 @@ def confirm_words(found: Diagnosis) -> str:
     return f"From {used} runs, {len(found.confirm_runs)} of which chose nothing: {kept}.{turns}"
 
 
-TONES: dict[str, Literal["good", "caution", "bad"]] = {"none": "good", "named": "good", "fit_failed": "bad"}
-"""Of an answer, not of the leg; the others leave something open."""
+LEVELS: dict[Verdict, Level] = {"none": "good", "named": "good", "partial": "caution", "one_of": "caution",
+                               "unexplained": "caution", "fit_failed": "bad"}
+"""Of an answer, not of the leg."""
+WORDS: dict[Verdict, str] = {
+    "none": "nothing beyond noise", "named": "cause named", "partial": "cause named, something is left",
+    "one_of": "one of several causes", "unexplained": "something is wrong, cause unknown", "fit_failed": "not possible"}
 
 
-def verdict_box(found: Diagnosis, warnings: Sequence[str] = ()) -> Verdict:
+def verdict_box(found: Diagnosis, warnings: Sequence[str] = ()) -> VerdictBox:
     """The answer and every warning, for the head of a page."""
     words = verdict_words(found.verdict)
-    return Verdict(TONES.get(found.verdict, "caution"), f"{words[:1].upper()}{words[1:]}", [found.sentence],
+    return VerdictBox(LEVELS[found.verdict], f"{words[:1].upper()}{words[1:]}", [found.sentence],
                    [f"Warning: {text}" for text in (*warnings, *found.warnings)])
 
 
-def verdict_words(verdict: str) -> str:
+def verdict_words(verdict: Verdict) -> str:
     """The verdict for a heading."""
-    return {"none": "nothing beyond noise", "named": "cause named", "one_of": "one of several causes",
-            "partial": "cause named, something is left",
-            "unexplained": "something is wrong, cause unknown", "fit_failed": "not possible"}.get(verdict, verdict)
+    return WORDS[verdict]
 
 
 def diagnosis_sections(found: Diagnosis, mechanism: Mechanism | None = None) -> list[Section]:

@@ -38,6 +38,10 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
+Level = Literal["good", "caution", "bad"]
+"""How far an answer can be relied on."""
+
+
 @dataclass(frozen=True)
 class Table:
     """Cells as text; columns in `right` hold numbers."""
@@ -80,10 +84,10 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class VerdictBox:
     """What a page says before anything else."""
 
-    tone: Literal["good", "caution", "bad"]
+    tone: Level
     title: str
     lines: Sequence[str] = ()
     warnings: Sequence[str] = ()
@@ -140,7 +144,7 @@ def _cell(text: str) -> Markup:
 
 
 def render_page(title: str, summary: str, sections: Sequence[Section], date: datetime | None = None,
-                origin: Origin | None = None, verdict: Verdict | None = None) -> str:
+                origin: Origin | None = None, verdict: VerdictBox | None = None) -> str:
     """The page as HTML text; all text is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
     from markupsafe import Markup
@@ -161,6 +165,6 @@ def render_page(title: str, summary: str, sections: Sequence[Section], date: dat
 
 
 def write_page(path: Path | str, title: str, summary: str, sections: Sequence[Section],
-               origin: Origin | None = None, verdict: Verdict | None = None) -> None:
+               origin: Origin | None = None, verdict: VerdictBox | None = None) -> None:
     """Render and write; `origin` goes into its head. Raises `InputError` where that place cannot be written."""
     write_text(path, render_page(title, summary, sections, origin=origin, verdict=verdict))

@@ -7,7 +7,7 @@ import numpy as np
 from experiments.exchange import Guess, si_unit
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, ORANGE, picture_lines
-from experiments.reports.html import Section, Table, Verdict
+from experiments.reports.html import Section, Table, VerdictBox
 
 SECONDS = 15.0
 GUESS_HEADER = ["run's column", "file's column", "unit", "sign", "why"]
@@ -19,15 +19,15 @@ def guess_rows(guess: Guess) -> list[list[str]]:
              guess.notes.get(name, "").replace("\n", "; ")] for name, column in guess.columns.items()]
 
 
-def guess_verdict(guess: Guess) -> Verdict:
+def guess_verdict(guess: Guess) -> VerdictBox:
     """Whether the guess explains the data, and what to look at before it is used."""
     if guess.unexplained:
-        return Verdict("bad", "NOT TO BE USED AS IT IS: these columns do not explain each other.",
+        return VerdictBox("bad", "NOT TO BE USED AS IT IS: these columns do not explain each other.",
                        ["What the table calls NOT KNOWN stands in the map as the file has it. Correct it there."],
                        [*guess.unexplained, *guess.warnings])
     if guess.warnings:
-        return Verdict("caution", "Look at this before you use the guess.", warnings=guess.warnings)
-    return Verdict("good", "Units and signs explain the readings.")
+        return VerdictBox("caution", "Look at this before you use the guess.", warnings=guess.warnings)
+    return VerdictBox("good", "Units and signs explain the readings.")
 
 
 def guess_section(guess: Guess, file: str) -> Section:

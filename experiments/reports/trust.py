@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from daq import FloatArray
 from estimator import FitResult
 from estimator.model import VELOCITY_SCALE
 from experiments.models import GYRO, SHORT_S, MechanismSettings, Prediction
-from experiments.reports.html import Verdict
+from experiments.reports.html import Level, VerdictBox
 from experiments.reports.residual_tests import (
     STRONG,
     autocorrelation,
@@ -34,7 +34,6 @@ GOOD_FIT, ROUGH_FIT = 90.0, 70.0
 """Fit [%], 100 (1 - rms error / rms motion about its mean): from here on trusted, from there on roughly."""
 PRECISE = 0.1
 """Half of a 95 % interval over the value, beyond which a parameter counts as loosely known."""
-Level = Literal["good", "caution", "bad"]
 
 
 @dataclass(frozen=True)
@@ -50,11 +49,11 @@ class Trust:
         """For the JSON documents."""
         return {"level": self.level, "sentence": self.sentence, "reasons": list(self.reasons)}
 
-    def verdict(self, warnings: Sequence[str] = ()) -> Verdict:
+    def verdict(self, warnings: Sequence[str] = ()) -> VerdictBox:
         """For the head of a page."""
         title, _, rest = self.sentence.partition(": ")
         lines = [f"{rest[:1].upper()}{rest[1:]}"] if rest else []
-        return Verdict(self.level, title, [*lines, *self.reasons], [f"Warning: {text}" for text in warnings])
+        return VerdictBox(self.level, title, [*lines, *self.reasons], [f"Warning: {text}" for text in warnings])
 
 
 def fit_trust(result: FitResult, contradictions: Sequence[str] = ()) -> Trust:

@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from daq import InputError, WorkError, load_rig
-from estimator import FitError, FitResult, Method
+from estimator import CAUSED, FitError, FitResult, Method
 from estimator.calibration import SIGNALS, EncoderFit
 from estimator.diagnosis import Diagnosis
 from estimator.fitting import Validation
@@ -170,8 +170,9 @@ class Diagnosed:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Effects that the diagnosis says are present; none where it leaves a choice."""
-        return tuple(c.effect for c in self.found.causes) if self.found and self.found.verdict == "named" else ()
+        """Effects that the diagnosis says are all present; none where it leaves a choice."""
+        present = self.found is not None and self.found.verdict in CAUSED and self.found.verdict != "one_of"
+        return tuple(c.effect for c in self.found.causes) if self.found and present else ()
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import structs
 
 from daq import Dataset, InputError, Rig, Servo
-from estimator import FitError, FitOptions, FitResult
+from estimator import FitError, FitOptions, FitResult, Method
 from estimator.calibration import find_differing, needed_terms
 from estimator.fitting import measured_states, prediction_score
 from estimator.model import Mechanism, settings_of
@@ -156,7 +156,7 @@ class Fitted:
 
 
 def fit_runs(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
-             fixed: Mapping[str, float] | None = None, latent: str = "trajectory", method: str = "mle") -> Fitted:
+             fixed: Mapping[str, float] | None = None, latent: str = "trajectory", method: Method = "mle") -> Fitted:
     """`fit_setup`, with what `rig` is silent about chosen by the records and said among the assumptions.
 
     Raises `InputError` as `setup_of`, `FitError` as `fit_setup`.
@@ -186,7 +186,7 @@ def fit_runs(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
 
 
 def _with_gain(datasets: Sequence[Dataset], rig: Rig, servo: Servo, sensors: str | None,
-               fixed: Mapping[str, float] | None, latent: str, method: str) -> Fitted:
+               fixed: Mapping[str, float] | None, latent: str, method: Method) -> Fitted:
     """`fit_runs` of a servo whose gain is not known: in units of the gain, which the one parameter given then tells."""
     if fixed is None or len(fixed) != 1:
         raise FitError("nothing tells the servo's gain: give it as gain under [servo], or one parameter, as "

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from estimator import FitError, FitResult
+from estimator import FitError, FitResult, Method
 from estimator.fitting import fit_admissible
 from experiments.rig import Setup
 from experiments.workflows.suspicion import suspect
 
 
-def fit_setup(setup: Setup, method: str = "mle") -> FitResult:
+def fit_setup(setup: Setup, method: Method = "mle") -> FitResult:
     """`fit_admissible`, with the notes of `setup` among its assumptions, and with the remedies of a set-up that
     contradicts itself. Raises `FitError` as that does, naming them."""
     try:

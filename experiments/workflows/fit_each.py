@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from daq import InputError, Rig, WorkError
+from estimator import Method
 from experiments.console import text_table
 from experiments.provenance import Origin
 from experiments.reports import number
@@ -21,7 +22,7 @@ class Refit:
 
     run: str
     rig: Rig
-    method: str
+    method: Method
     sensors: str | None
     latent: str
     fixed: Mapping[str, float]

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from daq import Dataset
-from estimator import FitError, FitOptions, fit
+from estimator import FitError, FitOptions, Method, fit
 from estimator.model import leg2
 from experiments.studies import machine
 from tests.evidence.blind import servo
@@ -66,7 +66,7 @@ def _recorded(seed: int, runs: int) -> tuple[Leg, list[dict[str, np.ndarray]]]:
     return replace(leg, coulomb=(0.1 * dry, dry)), fine
 
 
-def scores(seeds: range, made: Case, sensors: str, method: str) -> np.ndarray:
+def scores(seeds: range, made: Case, sensors: str, method: Method) -> np.ndarray:
     """(fits, 9) error of each parameter over its standard deviation; rows of fits that fail are missing."""
     found = []
     for seed in seeds:
@@ -94,7 +94,8 @@ def stickslip_rows(seeds: range, rates: Sequence[int]) -> Iterator[str]:
     for closed in (False, True):
         for friction in FRICTION:
             for rate in rates:
-                for method, sensors in (("mle", "imu"), ("mle", "encoder"), ("wls", "imu")):
+                ways: tuple[tuple[Method, str], ...] = (("mle", "imu"), ("mle", "encoder"), ("wls", "imu"))
+                for method, sensors in ways:
                     z = scores(seeds, partial(case, friction=friction, closed=closed, rate_hz=rate, runs=1), sensors,
                                method)
                     drive = "position" if closed else "torque"

@@ -20,7 +20,7 @@ import numpy as np
 from daq import Dataset, FloatArray
 from daq.load import load_run
 from daq.rig import parse_rig
-from estimator import FitError, FitOptions, fit
+from estimator import FitError, FitOptions, Method, fit
 from estimator.model import Mechanism, leg2, simulate
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.plant import LegBody
@@ -35,7 +35,7 @@ SECONDS, RATE_HZ, PEAK_NM = 20.0, 100.0, 1.2
 CUTOFFS = (3.0, 5.0, 8.0, 12.0, 20.0)
 PRINT = {"wls-hall": (12.927, 17.064), "wls-imu": (10.216, 19.258), "mle-free-imu": (0.919, 1.748)}
 """Table V: sums of q1 and q2. The paper's MLE has free latents."""
-METHODS: dict[str, tuple[str, str, str]] = {
+METHODS: dict[str, tuple[Method, str, str]] = {
     "mle-imu": ("mle", "imu", "trajectory"), "mle-free-imu": ("mle", "imu", "free"),
     "wls-imu": ("wls", "imu", "trajectory"), "wls-hall": ("wls", "encoder", "trajectory"),
     "rls-imu": ("rls", "imu", "trajectory"), "hekf-imu": ("hekf", "imu", "trajectory")}

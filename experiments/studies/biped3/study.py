@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
-from estimator import FitError, FitOptions
+from estimator import METHODS, FitError, FitOptions, Method
 from estimator.fitting import fit_each
 from experiments.studies.biped3.likelihood import likelihood_ratio
 from experiments.studies.biped3.protocol import OURS, TORQUE_VARIANCE, Protocol
@@ -159,13 +159,16 @@ def error_of_truth(protocol: Protocol) -> float:
     return float(simulation_errors(protocol.step(), truth()[None])[0])
 
 
+OF_FIT: dict[str, Method] = {**{method: method for method in METHODS}, PAPERS_MLE: "mle", KNOWN_WLS: "wls"}
+"""Method of the study -> that of the fit."""
+
+
 def _fits(options: FitOptions, method: str, records: Sequence[Dataset]) -> tuple[FloatArray, FloatArray, BoolArray]:
     """beta, std (R, 8) and convergence (R,); NaN where there is no fit."""
     mechanism = motor_mechanism()
     beta = np.full((len(records), mechanism.p), np.nan)
     std, converged = np.full_like(beta, np.nan), np.zeros(len(records), dtype=bool)
-    name = {PAPERS_MLE: "mle", KNOWN_WLS: "wls"}.get(method, method)
-    for k, outcome in enumerate(fit_each(records, mechanism, options, name)):
+    for k, outcome in enumerate(fit_each(records, mechanism, options, OF_FIT[method])):
         if not isinstance(outcome, FitError):
             beta[k], std[k], converged[k] = outcome.beta, outcome.std, outcome.converged
     return beta, std, converged

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from estimator import Method
 from estimator.fitting.admissibility import faults, fit_admissible
 from estimator.fitting.fit import fit
 from estimator.fitting.identifiability import undetermined
@@ -21,7 +22,7 @@ ENCODER = FitOptions(sensors="encoder")
 
 
 @pytest.mark.parametrize("method", ["mle", "wls"])
-def test_friction_that_pushes_is_held_at_zero_and_said_so(method: str) -> None:
+def test_friction_that_pushes_is_held_at_zero_and_said_so(method: Method) -> None:
     run = swing_run(viscous=-0.05, coulomb=0.2)
     free = fit([run], joint1(), ENCODER, method)
     held = fit_admissible([run], joint1(), ENCODER, method)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from daq.dataset import Dataset
+from estimator import Method
 from estimator.errors import FitError
 from estimator.fitting.fit import fit
 from estimator.model.forward_simulation import simulate
@@ -55,7 +56,8 @@ def test_table_v_shape_holds(legs: list[tuple[Leg, Dataset, Dataset]]) -> None:
             method, sensors = key.split("-")
             options = FitOptions(sensors="imu" if sensors == "imu" else "encoder",
                                  latent="free" if method == "free" else "trajectory")
-            found = fit([run], mechanism, options, "mle" if method == "free" else method)
+            by: Method = "wls" if method == "wls" else "mle"
+            found = fit([run], mechanism, options, by)
             q, _, _ = simulate(mechanism, found.beta, np.zeros(2), np.zeros(2), torque, check.dt_s)
             sums[key] += float(np.sum((q - truth) ** 2))
     assert all(sums["mle-imu"] < 0.25 * other for key, other in sums.items() if key != "mle-imu"), sums

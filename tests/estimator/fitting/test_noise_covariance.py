@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import minimize
 
 from daq import Dataset, FloatArray
-from estimator import FitError, FitOptions, fit
+from estimator import FitError, FitOptions, Method, fit
 from estimator.fitting.correlated_levels import excess_variance
 from estimator.model import Mechanism, leg2
 from tests.support.mujoco_leg import random_leg, record
@@ -167,7 +167,7 @@ def test_levels_at_a_given_correlation_are_the_likeliest() -> None:
 
 @pytest.mark.parametrize(("method", "latent"), [("wls", "trajectory"), ("rls", "trajectory"), ("hekf", "trajectory"),
                                                 ("mle", "free")])
-def test_a_method_that_would_not_use_a_correlation_refuses_it(method: str, latent: str) -> None:
+def test_a_method_that_would_not_use_a_correlation_refuses_it(method: Method, latent: str) -> None:
     q, tau, _ = arm(np.random.default_rng(1), 300)
     run = Dataset("arm", 100.0, np.arange(300) / 100.0, {"q1_rad": q[:, 0], "q2_rad": q[:, 1], "tau1_nm": tau[:, 0],
                                                          "tau2_nm": tau[:, 1]})

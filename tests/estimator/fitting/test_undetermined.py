@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
 from daq.runs.csv_run import write_csv
+from estimator import Method
 from estimator.fitting.fit import fit
 from estimator.fitting.identifiability import name_directions
 from estimator.fitting.wls import weighted_least_squares
@@ -75,7 +76,7 @@ def rows_with_numbers(out: str) -> list[str]:
 
 
 @pytest.mark.parametrize(("method", "sensors"), WAYS)
-def test_a_record_at_rest_determines_nothing(method: str, sensors: str, tmp_path: Path,
+def test_a_record_at_rest_determines_nothing(method: Method, sensors: str, tmp_path: Path,
                                              capsys: pytest.CaptureFixture[str]) -> None:
     status, document = run_fit(tmp_path, at_rest(), LEG_RIG, "--method", method, "--sensors", sensors)
     printed = capsys.readouterr()
@@ -88,7 +89,7 @@ def test_a_record_at_rest_determines_nothing(method: str, sensors: str, tmp_path
 
 
 @pytest.mark.parametrize(("method", "sensors"), WAYS)
-def test_a_knee_that_never_moves(method: str, sensors: str, tmp_path: Path,
+def test_a_knee_that_never_moves(method: Method, sensors: str, tmp_path: Path,
                                  capsys: pytest.CaptureFixture[str]) -> None:
     """Its friction is not seen; its inertia is not told from the upper link's; the passive row has no scale."""
     run_fit(tmp_path, knee_locked(), LEG_RIG, "--method", method, "--sensors", sensors)
@@ -112,7 +113,7 @@ def amounts_of(name: str) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("method", ["mle", "wls", "rls", "hekf"])
-def test_two_collinear_columns(method: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_collinear_columns(method: Method, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, document = run_fit(tmp_path, pure_sine(), JOINT_RIG, "--method", method)
     printed = capsys.readouterr()
     assert rows_with_numbers(printed.out) == ["beta3", "beta4"]
@@ -140,7 +141,7 @@ def test_no_model_is_written_with_values_that_mean_nothing(tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize(("method", "sensors"), WAYS[2:])
-def test_a_good_record_is_not_accused(method: str, sensors: str) -> None:
+def test_a_good_record_is_not_accused(method: Method, sensors: str) -> None:
     run = record(LEG, np.random.default_rng(5), seconds=8.0)
     assert fit([run], leg2(lever_arm=LEG.lever), FitOptions(sensors=sensors), method).undetermined == ()
 

@@ -9,12 +9,15 @@ import pytest
 
 from daq.recording.plan import read_plan
 from daq.rig import load_rig
+from estimator import CAUSED, Verdict
 from estimator.effects import PlanKind
 from estimator.fitting.fit import fit
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from experiments.cli import main
 from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Bench, merit
+from experiments.excite.session import chosen_for, next_choice, usual_choice
+from experiments.models import known_effects
 from experiments.models.model_file import load_model
 from tests.support.models import LEG, write_model
 from tests.support.mujoco_leg import Leg, record
@@ -180,6 +183,14 @@ def test_a_session_has_every_kind_in_every_part(folder: Path, capsys: pytest.Cap
     assert found["session"]["std"]["beta8"] < large
 
 
+@pytest.mark.parametrize("verdict", CAUSED)
+def test_next_goes_by_the_causes_of_every_verdict_that_has_them(verdict: Verdict, tmp_path: Path) -> None:
+    path = tmp_path / "d.json"
+    path.write_text(json.dumps({"schema": "legid.diagnosis/1", "verdict": verdict,
+                                "causes": [{"effect": "stribeck_friction", "joint": 2}]}))
+    assert next_choice(path).kinds == chosen_for([known_effects()["stribeck_friction"]]).kinds != usual_choice().kinds
+
+
 def test_next_chooses_what_the_causes_call_for(folder: Path, tmp_path: Path,
                                                capsys: pytest.CaptureFixture[str]) -> None:
     diagnosis = {"schema": "legid.diagnosis/1", "verdict": "one_of",
@@ -198,9 +209,7 @@ def test_next_chooses_what_the_causes_call_for(folder: Path, tmp_path: Path,
 
 
 def test_every_effect_has_its_kinds() -> None:
-    from experiments.excite.session import chosen_for
     from experiments.excite.waveforms import KINDS
-    from experiments.models import known_effects
 
     assert set(KINDS) == set(get_args(PlanKind))
     for effect in known_effects().values():

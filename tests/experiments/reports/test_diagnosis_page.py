@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import msgspec
 import pytest
 
+from estimator import Verdict
 from estimator.diagnosis.result import Diagnosis, SensorGain, ShortRuns
 from estimator.model import leg2
 from experiments.reports.diagnosis_figures import axis_label, signature_limits
@@ -116,7 +117,7 @@ def test_text_begins_with_the_verdict_and_ends_with_what_next() -> None:
 
 
 @pytest.mark.parametrize("verdict", ["none", "one_of", "unexplained", "fit_failed"])
-def test_verdicts_with_less_to_show(verdict: str) -> None:
+def test_verdicts_with_less_to_show(verdict: Verdict) -> None:
     whole = synthetic()
     bare = Diagnosis(verdict, "No more than this.")
     for found in (bare, replace(whole, verdict=verdict, causes=(), sensors={}, signatures=(), traces=(), extended={},

@@ -16,7 +16,7 @@ from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, picture_lines, plot_lines, window
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
 from experiments.reports.fit_text import fit_text
-from experiments.reports.html import Picture, Section, Table, Verdict, render_page, typeset
+from experiments.reports.html import Picture, Section, Table, VerdictBox, render_page, typeset
 from experiments.reports.numbers import estimates_of, number
 from tests.support.fits import synthetic_fit
 from tests.support.pages import Outside, allowed_script
@@ -58,7 +58,7 @@ def test_curves_go_into_the_page_whole_and_cannot_end_their_element() -> None:
 
 def test_contents_lead_to_every_section_and_the_verdict_stands_first() -> None:
     sections = [Section(title, ["words"]) for title in ("A & b", "C", "C")]
-    page = render_page("t", "summary", sections, verdict=Verdict("bad", "NOT TO BE USED", ["why"], ["Warning: <w>"]))
+    page = render_page("t", "summary", sections, verdict=VerdictBox("bad", "NOT TO BE USED", ["why"], ["Warning: <w>"]))
     links = re.findall(r'<a href="#([^"]+)">', page)
     assert links == re.findall(r'<section id="([^"]+)">', page) and len(set(links)) == 3
     page = page[page.index("<body>"):]

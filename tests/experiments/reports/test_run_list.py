@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from daq.runs.mcap_run import RunWriter
+from estimator import VERDICTS, Verdict
 from experiments.cli import main
 
 RIG = '[mechanism]\nmodel = "{model}"\nactuated = [2]\n'
@@ -80,6 +81,14 @@ def test_every_run_with_what_is_known_of_it(folder: Path, capsys: pytest.Capture
     assert chain["verdict"] is None  # its namesake in the folder above was diagnosed, not this one
     text = capsys.readouterr().out
     assert "named backlash@2 gyro_bias" in text and "2026-01-03 00:00:00" in text and "4 runs" in text
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_every_verdict_is_a_filter(verdict: Verdict, tmp_path: Path) -> None:
+    write_run(tmp_path / "a.mcap", 1, 1.0)
+    write_run(tmp_path / "b.mcap", 2, 1.0)
+    write_diagnosis(tmp_path / "d.json", verdict, {"fit": ["b.mcap"]}, [])
+    assert [r["file"] for r in listed(tmp_path, "--verdict", verdict)] == ["b.mcap"]
 
 
 @pytest.mark.parametrize(("filters", "files"), [

@@ -17,6 +17,7 @@ from msgspec import structs
 
 from daq.errors import InputError
 from daq.rig import load_rig
+from estimator import Verdict
 from estimator.diagnosis.result import Cause, Diagnosis
 from experiments.cli import main
 from experiments.studies.casebook import RIGS, Diagnosed, DiagnoseTask, cases_in, load_cases, study_case
@@ -63,8 +64,9 @@ def test_a_folder_without_known_records_is_refused(tmp_path: Path, capsys: pytes
 
 @pytest.mark.parametrize(("verdict", "effects", "agrees"), [
     ("named", ["asymmetric_friction", "torque_delay"], True), ("named", ["torque_delay"], False),
+    ("partial", ["asymmetric_friction"], True),
     ("one_of", ["asymmetric_friction", "torque_offset"], False), ("none", [], False)])
-def test_only_a_cause_that_is_named_agrees(verdict: str, effects: list[str], agrees: bool) -> None:
+def test_only_a_cause_that_is_named_agrees(verdict: Verdict, effects: list[str], agrees: bool) -> None:
     causes = tuple(Cause(name, 1, "", (), 0.001, 9.0, ()) for name in effects)
     task = DiagnoseTask(rig="r.toml", runs=("a.csv",), expected=("asymmetric_friction",))
     assert Diagnosed(task, Diagnosis(verdict, "", causes), "").agrees() is agrees

@@ -1,0 +1,10 @@
+"""The verdicts of a diagnosis; beside the options, for whoever lists them need not load any."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+Verdict = Literal["none", "named", "partial", "one_of", "unexplained", "fit_failed"]
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+CAUSED: tuple[Verdict, ...] = ("named", "partial", "one_of")
+"""Those whose causes are present: all of them, or one of them."""
