@@ -14,11 +14,6 @@ ASSUMED = "ASSUMED, please measure"
 """What `legid init` writes behind a value that nobody gave; it goes when the value is set."""
 
 
-def set_calibration(text: str, values: Mapping[str, object], where: str = "rig.toml") -> str:
-    """`text` with these keys of `[calibration]` set. Raises `InputError` when the file is written in another way."""
-    return set_values(text, {"calibration": values}, where)
-
-
 def set_values(text: str, tables: Mapping[str, Mapping[str, object]], where: str = "rig.toml") -> str:
     """`text` with these keys of these tables set. Raises `InputError` when the file is written in another way."""
     new = text

@@ -29,15 +29,6 @@ def imu_columns(raw: NDArray[np.int16], scale: tuple[float, float], calibration:
     return {"gyro_radps": gyro @ mount[2], "accel_x_mps2": linked[:, 0], "accel_y_mps2": linked[:, 1]}
 
 
-def field_link(raw: NDArray[np.int16], scale_t: float, calibration: Calibration) -> FloatArray:
-    """Magnetic field [T] in the link's frame from raw magnetometer counts (n, 3), `scale_t` tesla per count.
-
-    The magnetometer's X axis opposes that of the other sensors, to whose frame the rows of `imu_mount` belong.
-    """
-    field: FloatArray = raw * scale_t * TO_AG @ np.asarray(calibration.imu_mount).T
-    return field
-
-
 def knee_angle(knee_rad: Reading, calibration: Calibration) -> Reading:
     """q2 [rad] from the knee encoder's reading."""
     return knee_rad - calibration.knee_zero_rad

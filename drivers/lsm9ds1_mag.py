@@ -116,11 +116,6 @@ class Magnetometer:
             raise explain(error, self.where) from error
         return MagSample(np.frombuffer(data, "<i2").astype(np.int16), self._now_ns(), bool(status & OVERRUN))
 
-    def field_t(self, raw: NDArray[np.int16]) -> NDArray[np.float64]:
-        """Field [T] in the axes of accelerometer and gyroscope, from (..., 3) LSB."""
-        field: NDArray[np.float64] = np.asarray(raw, float) * self.config.scale_t * TO_AG
-        return field
-
     def close(self) -> None:
         """Let go of the bus."""
         self._bus.close()

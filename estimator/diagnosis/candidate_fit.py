@@ -23,7 +23,7 @@ HELD_STEPS, FREE_STEPS = 12, 24
 """Most steps of a re-fit with shapes held, and then with all free."""
 COMPARE_STEPS = 25
 """... and of one under the noise levels of the best explanation."""
-_NO_TESTS = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
+_NO_TESTS = Tests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
 
 
 def fit_candidates(context: DiagnosisContext, starts: Sequence[Start], fits: Sequence[Model] = ()
@@ -148,7 +148,7 @@ def compare_fits(context: DiagnosisContext, models: Sequence[Model], keep: Seque
 
     plain, *found = parallel_map(refitted, len(every), context.split.workers)
     assert plain is not None
-    out = [Explanation(m, plain[0] - w[0], _NO_TESTS, -1, -1, False, by_run=w[1])
+    out = [Explanation(m, plain[0] - w[0], _NO_TESTS, -1, False, by_run=w[1])
            for m, w in zip(models, found) if w is not None]
     out.sort(key=lambda e: -e.gain)
     first = {effects_of(e.model): i for i, e in reversed(list(enumerate(out)))}

@@ -27,7 +27,6 @@ class Explanation:
     left: Tests
     best_left: int
     """Candidate with the largest remaining gain."""
-    best_named_left: int
     adequate: bool
     """What it leaves is little beside its gain."""
     no_residual_effect: bool = False

@@ -36,10 +36,6 @@ LEAST_GAIN_CLEAR = 0.4
 HIDDEN = 1e-5
 """A candidate that the nominal parameters imitate but for this share of its information is not tested: what is left is
 rounding. Nor is a combination of its sizes: on one run a drift over the session and one within the run are the same."""
-WEAK = 0.05
-"""A combination of sizes of which runs know less than this share of what the lender of their scatter does is not
-tested on them: over two runs a drift over the session and one within the run nearly agree, and their difference is
-rounding."""
 PRIOR_RUNS = 8
 """Runs that the pooled scatter counts for beside a candidate's own."""
 REPLICATES = (2, 16)

@@ -19,7 +19,6 @@ from estimator.diagnosis.model_search import start_size
 from estimator.diagnosis.refit import Model, refit
 from estimator.diagnosis.result import BudgetRow
 from estimator.diagnosis.score_statistics import Tests
-from estimator.effects import AnonymousReading, AnonymousTorque
 from estimator.errors import FitError
 
 GENERIC_STEPS = 12
@@ -74,11 +73,6 @@ def generic_extension(context: DiagnosisContext, model: Model, left: Tests) -> M
         except (FitError, np.linalg.LinAlgError):
             continue
     return None
-
-
-def generic_terms(model: Model) -> list[AnonymousTorque | AnonymousReading]:
-    """Terms without a name in `model`, the one that was asked for most first."""
-    return [e for e in model.effects if isinstance(e, AnonymousTorque | AnonymousReading)]
 
 
 def _columns(context: DiagnosisContext, which: Sequence[int]) -> NDArray[np.intp]:

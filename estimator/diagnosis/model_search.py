@@ -254,7 +254,6 @@ def assess_residual(context: DiagnosisContext, explanation: Explanation, replica
     own = {e.key for e in model.effects}
     gains = [context.gain(left, i) if c.effect.key not in own else 0.0 for i, c in enumerate(context.candidates)]
     best = int(np.argmax(gains))
-    best_named = int(np.argmax(gains[: context.named]))
     scatter = left.scatter if scatter is None else scatter
     gain = explanation.gain / scatter
     least = context.material(context.split.discover)
@@ -264,7 +263,7 @@ def assess_residual(context: DiagnosisContext, explanation: Explanation, replica
               and all(presence(model, float(np.sqrt(left.scatter)))))
     own_scatter = own_inflation(scores, np.diag(model.state.covariance) > 0.0, left.scatter)
     return replace(explanation, gain=gain, gain_over_parent=explanation.gain_over_parent / scatter, left=left,
-                   best_left=best, best_named_left=best_named, adequate=adequate, no_residual_effect=not detectable,
+                   best_left=best, adequate=adequate, no_residual_effect=not detectable,
                    bias=tuple(replicates), inflation=own_scatter)
 
 

@@ -330,7 +330,6 @@ def pooled_bias(bias: Sequence[RunScore], run: RunScore) -> RunScore:
     return RunScore(score * share, run.information)
 
 
-def tests_of(model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None,
-             scatter: Tests | None = None) -> Tests:
+def tests_of(model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None) -> Tests:
     """Efficient tests with the model's own parameters projected out."""
-    return project(runs, model.problem.parameter_count, bias, scatter)
+    return project(runs, model.problem.parameter_count, bias)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtrc, fdtri  # scipy.stats takes a second more to import
 
 from daq import FloatArray
-from estimator.diagnosis.decision_rule import HIDDEN, PRIOR_RUNS, WEAK
+from estimator.diagnosis.decision_rule import HIDDEN, PRIOR_RUNS
 from estimator.likelihood import Candidate, ExtendedProblem, State, pull_after
 from estimator.numerics import eliminate, pseudo_inverse
 
@@ -54,8 +54,6 @@ class Tests:
 
     by_run: FloatArray
     """(R, c)"""
-    run_information: FloatArray
-    """(R, c, c)"""
     score: FloatArray
     """(c,)"""
     information: FloatArray
@@ -66,8 +64,6 @@ class Tests:
     """Degrees of freedom of `inflation`."""
     before: FloatArray
     """(c,) information before the nuisance parameters were projected out."""
-    lender: FloatArray | None = None
-    """(c, c) information of the runs that lent their scatter."""
 
     @property
     def scatter(self) -> float:
@@ -85,9 +81,6 @@ class Tests:
         scale = np.sqrt(np.maximum(self.before[columns], 1e-300))
         values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
         good = values > np.maximum(HIDDEN, 1e-8 * values[-1])
-        if self.lender is not None:
-            lent = self.lender[np.ix_(columns, columns)] / np.outer(scale, scale)
-            good &= values > WEAK * np.einsum("ik,ij,jk->k", vectors, lent, vectors)
         projected = vectors[:, good].T @ (self.score[columns] / scale)
         return np.asarray((vectors[:, good] / values[good]) @ projected / scale)
 
@@ -104,12 +97,10 @@ class Tests:
         return float(np.sqrt(needed / self.information[column, column]))
 
 
-def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | None = None,
-            scatter: Tests | None = None) -> Tests:
+def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | None = None) -> Tests:
     """Efficient scores with the first `nuisance` parameters projected out over all `runs`.
 
     `bias`, if given, holds for each run the mean score of replicates of the fitted model, which is subtracted.
-    `scatter` lends its inflation, and its judgement of what can be known, to a set with few runs.
     """
     total = np.sum([r.information for r in runs], axis=0)
     carry = pseudo_inverse(total[:nuisance, :nuisance]) @ total[:nuisance, nuisance:]
@@ -125,13 +116,8 @@ def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | 
     scores[:, hidden] = 0.0
     information[:, hidden], information[:, :, hidden] = 0.0, 0.0
     pooled = information.sum(axis=0)
-    if scatter is not None:
-        inflation, freedom, lender = scatter.inflation, scatter.freedom, scatter.information
-    else:
-        inflation, freedom = _inflation(scores, np.einsum("rcc->rc", information))
-        lender = None
-    return Tests(scores, information, scores.sum(axis=0), pooled, inflation, freedom, np.diag(total)[nuisance:].copy(),
-                 lender)
+    inflation, freedom = _inflation(scores, np.einsum("rcc->rc", information))
+    return Tests(scores, scores.sum(axis=0), pooled, inflation, freedom, np.diag(total)[nuisance:].copy())
 
 
 def own_inflation(runs: Sequence[RunScore], free: NDArray[np.bool_], least: float) -> FloatArray:

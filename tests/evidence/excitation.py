@@ -181,7 +181,7 @@ def _table(caption: str, rows: dict[str, np.ndarray], names: Sequence[str]) -> s
 
 EVIDENCE = (
     Evidence("A designed plan beside a chirp of the same length and limits, by refits",
-             "python -m tests.evidence excitation", "excitation.md", 10, "half of the chirp's worst standard error",
+             "python -m tests.evidence excitation", "excitation.md", 16, "half of the chirp's worst standard error",
              (r"largest actual error against largest, default design \| \S+ \| \S+",),
              r"noise seeds (\d+ to \d+)"),)
 

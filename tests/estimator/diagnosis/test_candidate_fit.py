@@ -17,7 +17,7 @@ from estimator.diagnosis.model_search import closing
 from estimator.diagnosis.score_statistics import Tests
 from estimator.errors import FitError
 
-NONE_LEFT = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.ones(1), 1.0, np.zeros(0))
+NONE_LEFT = Tests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.ones(1), 1.0, np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def fitted(gain: float, *effects: str) -> Any:
 
 
 def explained(gain: float, adequate: bool, *effects: str) -> Explanation:
-    return Explanation(fitted(gain, *effects), 1.0, NONE_LEFT, -1, -1, adequate)
+    return Explanation(fitted(gain, *effects), 1.0, NONE_LEFT, -1, adequate)
 
 
 @pytest.fixture(autouse=True)

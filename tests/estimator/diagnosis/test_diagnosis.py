@@ -280,21 +280,6 @@ def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
         refit.bootstrap_scores(nominal, candidates, scores, np.random.default_rng(3))
 
 
-def test_a_combination_that_the_confirm_runs_hardly_know_is_not_tested_on_them() -> None:
-    def runs(correlation: float, count: int, score: NDArray[np.float64]) -> list[RunScore]:
-        information = np.eye(3)
-        information[1, 2] = information[2, 1] = correlation
-        return [RunScore(score, information) for _ in range(count)]
-
-    lender = project(runs(0.0, 6, np.array([0.0, 1.0, -1.0])), 1)
-    columns = np.array([0, 1])
-    few = runs(0.999, 2, np.array([0.0, 1.0, -1.0]))
-    assert project(few, 1).gain(columns) > 1000.0  # each score is one standard deviation; their difference is nothing
-    assert project(few, 1, scatter=lender).gain(columns) < 1.0
-    same = runs(0.0, 2, np.array([0.0, 1.0, -1.0]))
-    assert project(same, 1, scatter=lender).gain(columns) == pytest.approx(4.0 / lender.inflation[0])
-
-
 @pytest.mark.parametrize("workers", [1, 2])
 def test_rows_that_are_measured_later_have_the_weights_of_the_first(runs: tuple[Leg, list[Dataset]],
                                                                     workers: int) -> None:

@@ -28,7 +28,7 @@ def explanation(effect: Effect, gain: float, by_run: list[float], sizes: list[fl
                                  std=lambda: np.ones(5 + effect.count), places=lambda: [slice(5, 5 + effect.count)],
                                  problem=SimpleNamespace(mechanism=SimpleNamespace(p=5)))
     left: Any = SimpleNamespace(scatter=1.0)
-    return Explanation(model, gain, left, 0, 0, True, no_residual_effect, np.array(by_run),
+    return Explanation(model, gain, left, 0, True, no_residual_effect, np.array(by_run),
                      inflation=np.full(5 + effect.count, inflation))
 
 

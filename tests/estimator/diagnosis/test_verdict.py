@@ -30,7 +30,7 @@ from estimator.diagnosis.verdict import (
 from estimator.errors import FitError
 
 BLOCKS, RUNS = 20, 2
-NOTHING_LEFT = Tests(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0)), np.ones(1), 1.0, np.zeros(0))
+NOTHING_LEFT = Tests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.ones(1), 1.0, np.zeros(0))
 
 
 def table_of(*errors: float, agreement: list[list[float]] | None = None, seed: int = 0) -> ErrorTable:
@@ -51,7 +51,7 @@ class Fitted:
 
 
 def explained(gain: float, *effects: str) -> Explanation:
-    return Explanation(cast(Any, Fitted(tuple(cast(Any, Named(e)) for e in effects))), gain, NOTHING_LEFT, -1, -1,
+    return Explanation(cast(Any, Fitted(tuple(cast(Any, Named(e)) for e in effects))), gain, NOTHING_LEFT, -1,
                        True, no_residual_effect=True, by_run=np.full(6, gain / 6))
 
 

@@ -9,7 +9,7 @@ import pytest
 from daq.calibration.imu import AXES, StillRecord, calibrate_accel, calibrate_gyro
 from daq.errors import InputError, WorkError
 from daq.rig import Calibration, load_rig, parse_rig
-from daq.rig_text import set_calibration
+from daq.rig_text import set_values
 from daq.runs.mcap_run import RunWriter
 from daq.si_units import imu_columns
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
@@ -67,8 +67,8 @@ def test_six_positions_give_bias_and_matrix_in_any_order() -> None:
 
 def test_calibrated_readings_are_gravity() -> None:
     found = calibrate_accel([still(axis, k) for k, axis in enumerate(AXES)], G)
-    rig = parse_rig(set_calibration(RIG, {"accel_bias_mps2": found.bias_mps2.tolist(),
-                                          "accel_matrix": found.matrix.tolist()}))
+    rig = parse_rig(set_values(RIG, {"calibration": {"accel_bias_mps2": found.bias_mps2.tolist(),
+                                          "accel_matrix": found.matrix.tolist()}}))
     tilted = np.array([3.0, -2.0, 9.0])
     scale = (1e-3, 1e-4)
     counts = np.rint(np.hstack([np.zeros(3), (DISTORTION @ tilted + BIAS) / scale[1]])).astype(int)[None, :]
@@ -96,7 +96,7 @@ def test_what_is_missing_doubled_moved_or_tilted_is_said() -> None:
 
 
 def test_rig_text_keeps_everything_else() -> None:
-    new = set_calibration(RIG, {"accel_bias_mps2": [0.1, 0.2, 0.3], "gyro_bias_radps": [0.0, 0.0, 0.01]})
+    new = set_values(RIG, {"calibration": {"accel_bias_mps2": [0.1, 0.2, 0.3], "gyro_bias_radps": [0.0, 0.0, 0.01]}})
     assert "# measured on the bench" in new
     assert "# the gearbox" in new
     assert "an old one" not in new
@@ -105,13 +105,14 @@ def test_rig_text_keeps_everything_else() -> None:
     assert after.calibration.knee_zero_rad == 0.1
     assert msgspec.structs.replace(after, calibration=before.calibration) == before
     bare = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
-    assert parse_rig(set_calibration(bare, {"gyro_bias_radps": [1.0, 2.0, 3.0]})).calibration.gyro_bias_radps[2] == 3.0
+    filled = set_values(bare, {"calibration": {"gyro_bias_radps": [1.0, 2.0, 3.0]}})
+    assert parse_rig(filled).calibration.gyro_bias_radps[2] == 3.0
 
 
 def test_rig_text_written_otherwise_is_refused_not_spoilt() -> None:
     inline = 'calibration = {knee_zero_rad = 0.1}\n[mechanism]\nmodel = "leg2"\nactuated = [2]\n'
     with pytest.raises(InputError, match="by hand"):
-        set_calibration(inline, {"gyro_bias_radps": [1.0, 2.0, 3.0]})
+        set_values(inline, {"calibration": {"gyro_bias_radps": [1.0, 2.0, 3.0]}})
 
 
 def write_still(path: Path, axis: str, seed: int) -> None:
