@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from daq.dataset import FloatArray
 from daq.rig import Calibration, Rig
-from drivers import TO_AG, as5600
+from drivers import as5600
 
 Reading = TypeVar("Reading", float, FloatArray)
 """One reading or many."""

@@ -16,11 +16,11 @@ from estimator.effects.base import (
 )
 from estimator.effects.derivatives import Laws, by_motion
 from estimator.effects.generic_terms import AnonymousReading, AnonymousTorque, battery
-from estimator.effects.registry import CLASSES, ENTRY_POINT, UNTESTABLE, classes, library, placed
+from estimator.effects.registry import ENTRY_POINT, UNTESTABLE, classes, library, placed
 from estimator.effects.timing import SensorTimeSkew
 
 __all__ = [
-    "CLASSES", "ENTRY_POINT", "UNTESTABLE", "AnonymousReading", "AnonymousTorque", "Axis", "BodyEffect", "Effect",
+    "ENTRY_POINT", "UNTESTABLE", "AnonymousReading", "AnonymousTorque", "Axis", "BodyEffect", "Effect",
     "Laws", "Perturbation", "PlanKind", "Points", "Record", "SensorEffect", "SensorTimeSkew", "Shape", "Size",
     "TorqueEffect", "View", "battery", "by_motion", "classes", "library", "placed"
 ]

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 
-from estimator.effects import drive, friction, sensors, stand, structure, timing
+from estimator.effects import sensors
 from estimator.effects.base import BodyEffect, Effect, Perturbation, Points, SensorEffect, Shape, Size, View
 from estimator.effects.by_leg import by_leg
 from estimator.model import Mechanism
-
-CLASSES: tuple[type[Effect], ...] = (
-    friction.StribeckFriction, friction.AsymmetricFriction, friction.LoadDependentFriction,
-    friction.PreslidingFriction, friction.QuadraticDrag, friction.FrictionDrift, structure.JointStiffness,
-    structure.JointElasticity, structure.Backlash, structure.RotorInertia, structure.EndStopContact,
-    stand.BaseCompliance, drive.TorqueRipple, drive.TorqueOffset, drive.TorqueSaturation, drive.TorqueDelay,
-    timing.SensorTimeSkew, sensors.GyroBias, sensors.GyroScale, sensors.AccelerometerBias, sensors.ImuMisalignment,
-    sensors.ImuLeverArm, sensors.EncoderOffset, sensors.EncoderScale, sensors.EncoderEccentricity)
 
 UNTESTABLE = {
     "torque_gain": "a wrong torque scale multiplies every parameter alike, so no motion shows it; a known weight does: "
@@ -29,25 +22,21 @@ ENTRY_POINT = "legid.effects"
 """Group under which a user's own package names its `Effect` classes."""
 
 
-MACHINERY = {"base", "by_leg", "derivatives", "generic_terms", "registry"}
-"""Modules beside this one that hold no effects of the library."""
-
-
 def classes() -> tuple[type[Effect], ...]:
-    """The library's effects, those in further files beside this one, then those that installed packages add under the
-    entry point group."""
+    """Every effect: the library's, then those that installed packages add under the entry point group."""
     from importlib.metadata import entry_points
 
-    return (*CLASSES, *_further(), *(point.load() for point in entry_points(group=ENTRY_POINT)))
+    return (*_own(), *(point.load() for point in entry_points(group=ENTRY_POINT)))
 
 
-def _further() -> list[type[Effect]]:
-    """Effects of modules that `CLASSES` has nothing of: a new one is a file in this folder, and no list to mend."""
+@cache
+def _own() -> tuple[type[Effect], ...]:
+    """The classes that have a sentence for a person in the modules beside this one, in the order of files and lines."""
     package = __name__.rpartition(".")[0]
-    listed = {kind.__module__ for kind in CLASSES} | {f"{package}.{name}" for name in MACHINERY}
-    names = [f"{package}.{info.name}" for info in iter_modules([str(Path(__file__).parent)])]
-    return [kind for name in names if name not in listed for kind in vars(import_module(name)).values()
-            if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == name and "name" in vars(kind)]
+    modules = [import_module(f"{package}.{info.name}") for info in iter_modules([str(Path(__file__).parent)])]
+    return tuple(kind for module in modules for kind in vars(module).values()
+                 if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.__name__
+                 and vars(kind).get("sentence"))
 
 
 def library(mechanism: Mechanism, has_imu: bool, encoders: Collection[int] | None = None
@@ -93,4 +82,4 @@ def _walking(effect: Effect, mechanism: Mechanism) -> str:
     return ""
 
 
-__all__ = ["CLASSES", "Effect", "Perturbation", "Points", "Shape", "Size", "View", "classes", "library", "placed"]
+__all__ = ["Effect", "Perturbation", "Points", "Shape", "Size", "View", "classes", "library", "placed"]

@@ -1,31 +1,27 @@
-"""`builders`: every mechanism that can be named; one of one's own is a file beside this one, and no list to mend."""
+"""`builders`: every mechanism that can be named; one of one's own is a file beside this one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
-from inspect import signature
+from inspect import Parameter, isfunction, signature
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import Any
 
-from estimator.model.mechanism import Mechanism, biped3, chain, joint1, leg2
+from estimator.model.mechanism import Mechanism
 
 Builder = Callable[..., Mechanism]
-BUILDERS: dict[str, Builder] = {"leg2": leg2, "biped3": biped3, "joint1": joint1, "chain": chain}
 
 
 @cache
 def builders() -> dict[str, Builder]:
-    """Name to the function that makes the mechanism: ours, and those of further modules here that have a function of
-    the module's own name that returns a `Mechanism`. All but `chain` can be called without arguments."""
-    package, found = __name__.rpartition(".")[0], dict(BUILDERS)
-    for info in iter_modules([str(Path(__file__).parent)]):
-        build: Any = getattr(import_module(f"{package}.{info.name}"), info.name, None)
-        if getattr(build, "__annotations__", {}).get("return") in (Mechanism, Mechanism.__name__):
-            found[info.name] = build
-    return found
+    """Name -> the function of that name in a module beside this one that returns a `Mechanism`."""
+    package = __name__.rpartition(".")[0]
+    modules = [import_module(f"{package}.{info.name}") for info in iter_modules([str(Path(__file__).parent)])]
+    return {name: function for module in modules for name, function in vars(module).items()
+            if isfunction(function) and function.__module__ == module.__name__ and not name.startswith("_")
+            and function.__annotations__.get("return") in (Mechanism, Mechanism.__name__)}
 
 
 def settings_of(name: str) -> frozenset[str]:
@@ -34,5 +30,6 @@ def settings_of(name: str) -> frozenset[str]:
 
 
 def joint_counts() -> dict[str, int]:
-    """Name to number of joints of the mechanisms that are not ours: what a rig file may name beside those."""
-    return {name: build().n for name, build in builders().items() if name not in BUILDERS}
+    """Name -> number of joints of every mechanism whose number is fixed; a chain's is its number of links."""
+    return {name: build().n for name, build in builders().items()
+            if all(p.default is not Parameter.empty for p in signature(build).parameters.values())}

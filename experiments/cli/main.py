@@ -20,10 +20,10 @@ from estimator import FitError
 from experiments.cli.arguments import add_loudness, check_outputs
 from experiments.console import USUAL, PlainOutput, commanded, detail, loudness, printable
 
-COMMANDS = ("demo", "record", "calibrate", "info", "recover", "import_", "export", "fit", "validate", "compare",
-            "diagnose", "effects", "simulate", "gains", "casebook", "monte_carlo", "doctor",
-            "runs", "init", "excite", "emulate", "live", "verify", "completion")
-"""Module names, in the order in which `legid --help` lists them; further modules of the folder follow."""
+HELP_ORDER = ("demo", "record", "calibrate", "info", "recover", "import_", "export", "fit", "tune", "validate",
+              "compare", "diagnose", "effects", "simulate", "gains", "casebook", "monte_carlo", "doctor", "runs",
+              "init", "excite", "emulate", "live", "verify", "completion")
+"""The order of `legid --help`; modules of the folder that are not in it come last."""
 TRACEBACK = "LEGID_TRACEBACK"
 """Set in the environment, an error that nobody foresaw is raised as it is: for whoever mends it."""
 
@@ -86,8 +86,8 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action=_Version)
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, dest="command")
     folder = Path(__file__).parent / "commands"
-    further = [info.name for info in iter_modules([str(folder)]) if info.name not in COMMANDS]
-    for name in (*COMMANDS, *further):
+    place = {name: k for k, name in enumerate(HELP_ORDER)}
+    for name in sorted((info.name for info in iter_modules([str(folder)])), key=lambda n: place.get(n, len(place))):
         import_module(f"experiments.cli.commands.{name}").add_parser(subparsers)
     for command in subparsers.choices.values():
         add_loudness(command)

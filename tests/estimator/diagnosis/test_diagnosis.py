@@ -21,7 +21,7 @@ from estimator.diagnosis.procedure import diagnose
 from estimator.diagnosis.refit import fit_nominal
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.score_statistics import RunScore, own_inflation, project
-from estimator.effects import CLASSES, library
+from estimator.effects import classes, library
 from estimator.effects.drive import TorqueOffset
 from estimator.effects.friction import LoadDependentFriction
 from estimator.effects.sensors import EncoderScale
@@ -45,7 +45,7 @@ CHOSEN = FitOptions(sensors="imu", hold="auto", rounding="auto")
 
 
 def test_the_library_is_the_contract() -> None:
-    assert {c.name for c in CLASSES} == CONTRACT
+    assert {c.name for c in classes()} == CONTRACT
 
 
 @pytest.fixture(scope="module")

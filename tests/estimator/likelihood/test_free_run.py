@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.refit import fit_nominal, refit
-from estimator.effects import CLASSES
+from estimator.effects import classes
 from estimator.effects.base import Effect
 from estimator.effects.derivatives import Laws
 from estimator.effects.drive import TorqueSaturation
@@ -43,7 +43,7 @@ def problem_of(mechanism: Mechanism, count: int, torque: np.ndarray, effects: li
     return ExtendedProblem([signals], mechanism, "linear", Stage((0,), (0.0,), (0.0,), REACH, 7.0), effects)
 
 
-@pytest.mark.parametrize("kind", [c for c in CLASSES if c(1).instant], ids=lambda c: c.name)
+@pytest.mark.parametrize("kind", [c for c in classes() if c(1).instant], ids=lambda c: c.name)
 def test_slopes_are_those_of_the_law(kind: type[Effect]) -> None:
     rng = np.random.default_rng(5)
     effect, count = kind(1), 40

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from pkgutil import iter_modules
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from drivers.mock.pty_server import PtyServer
 from drivers.mock.rig import MockRig
 from estimator.errors import FitError
 from experiments import cli
-from experiments.cli.main import COMMANDS
+from experiments.cli.main import HELP_ORDER
 from experiments.emulation.plant import LegBody, LegPlant
 from experiments.excite.multisine import random_multisine
 from experiments.models.mechanism_settings import mechanism_settings
@@ -34,6 +35,7 @@ from tests.support.processes import REAL_CLOCK
 
 pytestmark = REAL_CLOCK
 
+COMMANDS = sorted(info.name for info in iter_modules([str(ROOT / "experiments/cli/commands")]))
 HEAVY = {"numpy", "scipy", "matplotlib", "jinja2", "mcap", "serial", "smbus2", "msgspec"}
 
 
@@ -60,6 +62,10 @@ def fails(capsys: pytest.CaptureFixture[str], status: int, *args: object) -> str
 
 
 # -- help and arguments ------------------------------------------------------------------------------------
+
+
+def test_the_order_of_help_names_commands() -> None:
+    assert sorted(HELP_ORDER) == COMMANDS
 
 
 def test_help_loads_nothing_heavy() -> None:

@@ -14,7 +14,7 @@ from daq.errors import InputError
 from daq.recording.plan import read_plan, write_plan
 from daq.rig import load_rig
 from daq.runs.csv_run import read_csv
-from estimator.effects import CLASSES
+from estimator.effects import classes
 from experiments import cli
 from experiments.emulation.hidden_effects import DRAG, EFFECTS, REST_RAD, SPRING_NM
 from experiments.emulation.plant import LegBody
@@ -63,7 +63,7 @@ def plant_motion(name: str, folder: Path) -> np.ndarray[Any, Any]:
     return np.array(motion)
 
 
-@pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", classes(), ids=lambda kind: kind.name)
 def test_every_effect_is_saved_and_read(kind: Any, tmp_path: Path) -> None:
     effect = kind(1 if kind.per_joint else None)
     size = np.linspace(0.1, 0.3, effect.count)
