@@ -1,6 +1,7 @@
 """The pivot sensor: its bytes against the data sheet and another driver, and what it says when something is wrong."""
 
 import math
+from typing import Any
 
 import pytest
 
@@ -25,8 +26,12 @@ class Bench:
 def test_what_is_written_and_read_is_the_data_sheets() -> None:
     bench, sent = Bench(), []
     transfer = bench.chip.i2c_rdwr
-    bench.chip.i2c_rdwr = lambda *m: (sent.append([bytes(x) for x in m if not x.flags & 1]),  # type: ignore[method-assign]
-                                      transfer(*m))
+
+    def spy(*messages: Any) -> None:
+        sent.append([bytes(x) for x in messages if not x.flags & 1])
+        transfer(*messages)
+
+    bench.chip.i2c_rdwr = spy
     bench.driver.open()
     assert [b"\x07\x03"] in sent and [b"\x08\x00"] in sent  # CONF: SF = 11, FTH = 000, PM, HYST, WD off
     assert not any(message[0][0] == 0xFF for message in sent)  # never the burn register

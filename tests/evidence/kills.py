@@ -40,7 +40,7 @@ from daq.recording.plan import write_plan
 from daq.rig import load_rig
 from daq.runs import read_run
 from daq.runs.mcap_run import FLUSH_MESSAGES, RunWriter, recover
-from daq.timing.align import configured
+from daq.timing.notes import configured
 from drivers import DriverError, lsm9ds1_registers, open_bus
 from drivers.i2c_bus import read_registers
 from experiments.cli import main as legid

@@ -14,8 +14,9 @@ from daq.recording.recorder import record_run
 from daq.rig import parse_rig
 from daq.runs.mcap_run import read_run
 from daq.runs.streams import IMU_STREAM
-from daq.timing.align import configured, decode
+from daq.timing.align import decode
 from daq.timing.doubts import _repeated, _unmarked, doubts
+from daq.timing.notes import configured
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import Lsm9ds1
 from drivers.mock.clock import VirtualClock

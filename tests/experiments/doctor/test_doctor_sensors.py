@@ -75,7 +75,7 @@ def test_a_shunt_whose_range_ends_before_the_torque_limit_is_refused(tmp_path: P
 
 def test_a_zero_that_is_off_and_an_angle_that_jumps_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def wrong(rig: MockRig) -> None:
-        rig.shunt._settings = ShuntSettings(offset_v=1e-3)  # type: ignore[union-attr]
+        rig.shunt._settings = ShuntSettings(offset_v=1e-3)
 
     checks = examine(tmp_path, monkeypatch, magnet=PivotSettings(noise_rad=0.03), spoil=wrong)
     assert checks["pivot magnet"].status == "warn" and "counts at rest" in checks["pivot magnet"].words
