@@ -97,8 +97,13 @@ class Walker(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 class Motor(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     gear_ratio: Positive = 1.0
+    """Turns of the motor per turn of the joint."""
     torque_constant_nm_per_a: Positive | None = None
     """By the data sheet, of the motor before its gear; what [calibration] has goes before it."""
+    side: Literal["motor", "joint"] = "motor"
+    """Of the gear, on which the angle and the torque of a drive other than our own firmware are meant."""
+    sign: Literal[1, -1] = 1
+    """-1: such a drive counts backwards when the knee's angle grows."""
 
 
 class Noise(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -165,7 +170,7 @@ class Limits(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Longest plan [s]."""
     unsaved_s: Positive = 2.0
     """Age of what is not on the disk [s]: a motor does not outlive its measurement."""
-    unchecked: tuple[Literal["q1_rad", "temperature_degc", "bus_v"], ...] = ()
+    unchecked: tuple[Literal["q1_rad", "temperature_degc", "bus_v", "encoder_s"], ...] = ()
     """Limits that nothing on this rig can check, given up on purpose; any other that cannot be checked trips."""
 
     # What the devices say must be possible: how long each check may fail, and its band. See daq/recording/plausibility.

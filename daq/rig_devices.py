@@ -23,13 +23,16 @@ class ImuDevice(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class ControllerDevice(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    kind: Annotated[str, Meta(pattern="^[a-z][a-z0-9_]*$", max_length=40)] = "legid"
+    """Which drive: legid (our own firmware) | moteus | odrive, or one of one's own; see `drivers.drive`."""
     port: str = "/dev/ttyACM0"
     baud: Annotated[int, Meta(ge=1200, le=12_000_000)] = 1_000_000
     can: dict[str, str | int | float | bool] | None = None
     """python-can's configuration (interface, channel, bitrate, ...); given, `port` and `baud` are not used."""
-    node: Annotated[int, Meta(ge=0, le=63)] = 0
-    """The controller's node on CAN."""
+    node: Annotated[int, Meta(ge=0, le=127)] = 0
+    """The controller's node on CAN: up to 63, a moteus' `id.id` up to 127."""
     rate_hz: Positive = 500.0
+    """Of the telemetry: as the firmware sends it, or as a polled drive is asked."""
     watchdog_ms: Annotated[int, Meta(ge=5, le=1000)] = 100
 
 

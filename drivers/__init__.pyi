@@ -4,11 +4,18 @@ from . import lsm9ds1_registers as lsm9ds1_registers
 from .as5600 import As5600 as As5600
 from .as5600 import PivotReading as PivotReading
 from .as5600 import magnet_problem as magnet_problem
-from .can_codec import CanCodec as CanCodec
-from .can_link import CanLink as CanLink
 from .current_shunt import CHIPS as CHIPS
 from .current_shunt import CurrentShunt as CurrentShunt
 from .current_shunt import ShuntReading as ShuntReading
+from .drive import Capabilities as Capabilities
+from .drive import Drive as Drive
+from .drive import Lack as Lack
+from .drive import LinkStats as LinkStats
+from .drive import Received as Received
+from .drive import Wiring as Wiring
+from .drive import attach as attach
+from .drive import drive_kinds as drive_kinds
+from .drive import open_drive as open_drive
 from .errors import DeviceAbsent as DeviceAbsent
 from .errors import DriverError as DriverError
 from .errors import LinkLost as LinkLost
@@ -19,8 +26,6 @@ from .i2c_bus import explain as explain
 from .i2c_bus import open_bus as open_bus
 from .i2c_bus import read_registers as read_registers
 from .leg_controller import LegController as LegController
-from .leg_controller import LinkStats as LinkStats
-from .leg_controller import Received as Received
 from .lsm9ds1 import BUS_SHARE as BUS_SHARE
 from .lsm9ds1 import ImuConfig as ImuConfig
 from .lsm9ds1 import Lsm9ds1 as Lsm9ds1
@@ -37,5 +42,3 @@ from .protocol import Pong as Pong
 from .protocol import State as State
 from .protocol import Telemetry as Telemetry
 from .protocol import describe_faults as describe_faults
-from .serial_link import SerialLink as SerialLink
-from .transport import open_port as open_port

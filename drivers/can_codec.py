@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import cantools.database
 
+from drivers.can_frame import NODE_BITS, NODES, ONE_MESSAGE, CanFrame, Frames
 from drivers.protocol import (
     ESTOP_OPEN,
     Arm,
@@ -35,24 +36,11 @@ from drivers.protocol import (
     TorqueCommand,
 )
 
-NODE_BITS = 5
-"""An identifier is node << 5 | message."""
-NODES = 2 ** (11 - NODE_BITS)
-ONE_MESSAGE = 2**NODE_BITS - 1
 INVALID = "invalid"
 LOW_FAULTS = 2**12 - 1
 """The faults that stand in the field of that name; the others have bits of their own."""
 Values = dict[str, int]
 
-
-class CanFrame(NamedTuple):
-    """A classic data frame with an 11-bit identifier."""
-
-    can_id: int
-    data: bytes
-
-
-Frames = tuple[CanFrame, ...]
 
 PARTS: dict[type, tuple[str, ...]] = {
     Telemetry: ("Tick", "Knee", "Hall", "Drive"),
@@ -159,7 +147,7 @@ class CanCodec:
         """Messages completed by these frames, in order."""
         messages = []
         for frame in chunk:
-            if frame.can_id >> NODE_BITS != self.node:
+            if frame.can_id >> NODE_BITS != self.node or frame.extended or frame.remote:
                 continue
             message = self._take(frame)
             if message is not None:

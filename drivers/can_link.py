@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import errno
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 
-from drivers.can_codec import NODE_BITS, NODES, ONE_MESSAGE, CanFrame, Frames
+from drivers.can_frame import NODE_BITS, NODES, ONE_MESSAGE, CanFrame, Frames
 from drivers.errors import DeviceAbsent, DeviceBusy, DriverError, LinkLost
 from drivers.exclusive import lock_name
 
@@ -28,6 +28,14 @@ _MEANING = {errno.ENETDOWN: _DOWN, errno.ENODEV: _GONE, errno.ENXIO: _GONE,
             errno.ENOBUFS: "takes no more frames; is anybody else on the bus, and is it terminated?"}
 
 
+class CanFilter(NamedTuple):
+    """Identifiers that agree with `can_id` in the bits of `can_mask`; `extended` None: of either length."""
+
+    can_id: int
+    can_mask: int
+    extended: bool | None = False
+
+
 class CanLink:
     """One node's frames on a CAN bus.
 
@@ -35,24 +43,31 @@ class CanLink:
     away later, is taken down, or the controller chip went bus-off.
     """
 
-    def __init__(self, node: int = 0, timeout_s: float = 0.02, **config: Any) -> None:
+    def __init__(self, node: int = 0, timeout_s: float = 0.02, accept: CanFilter | None = None, fd: bool = False,
+                 **config: Any) -> None:
+        """`accept`: the identifiers that are this node's business, those of firmware_protocol.md by default. `fd`: CAN
+        FD, where `brs = false` among the configuration leaves the bit rate as it is during the data."""
         if not 0 <= node < NODES:
             raise ValueError(f"CAN node {node} is outside 0 to {NODES - 1}")
         self.errors = 0
         """Error frames seen, other than bus-off."""
         self.foreign = 0
-        """Frames left out: remote, extended or CAN FD."""
+        """Frames left out: remote, and on a classic bus extended or CAN FD."""
         self.where = f"leg controller on CAN {config.get('channel', '')}".rstrip()
         self._channel, self._timeout_s = config.get("channel", "can0"), timeout_s
         self._node = node
         self._failure: LinkLost | None = None
-        mask = {"can_id": node << NODE_BITS, "can_mask": 0x7FF & ~ONE_MESSAGE, "extended": False}
+        self._fd, self._brs = fd, fd and bool(config.pop("brs", True))
+        mask = accept or CanFilter(node << NODE_BITS, 0x7FF & ~ONE_MESSAGE)
+        if fd:
+            config = {"fd": True, **config}
         try:
             self._held = lock_name(f"can/{config.get('interface', '')}/{config.get('channel', '')}/{node}")
         except OSError:
             raise DeviceBusy(f"{self.where}: another program drives node {node}; close it") from None
         try:
-            self._bus = can.Bus(can_filters=[mask], **{**DEFAULTS.get(config.get("interface", ""), {}), **config})
+            filters: Any = [{key: value for key, value in mask._asdict().items() if value is not None}]
+            self._bus = can.Bus(can_filters=filters, **{**DEFAULTS.get(config.get("interface", ""), {}), **config})
         except (can.CanError, OSError, ImportError, ValueError, TypeError) as error:
             self._let_go()
             raise self._absent(error) from error
@@ -83,7 +98,8 @@ class CanLink:
     def write(self, data: Frames) -> None:
         """Hand over all frames. Raises `LinkLost`, also when the bus stops taking them."""
         for frame in data:
-            message = can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
+            message = can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=frame.extended,
+                                  is_fd=frame.fd, bitrate_switch=frame.fd and self._brs, is_remote_frame=frame.remote)
             try:
                 self._bus.send(message, timeout=SEND_TIMEOUT_S)
             except (can.CanError, OSError, ValueError, TypeError) as error:
@@ -105,10 +121,10 @@ class CanLink:
                 raise LinkLost(f"{self.where}: bus-off, the adapter has left the bus after too many errors; check "
                                "wiring, termination and bit rate, then take the interface down and up")
             self.errors += 1
-        elif message.is_remote_frame or message.is_extended_id or message.is_fd:
+        elif message.is_remote_frame or (not self._fd and (message.is_extended_id or message.is_fd)):
             self.foreign += 1
         else:
-            frames.append(CanFrame(message.arbitration_id, bytes(message.data)))
+            frames.append(CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_fd))
 
     def _why(self, error: Exception) -> str:
         number = getattr(error, "error_code", None) or getattr(error, "errno", None)

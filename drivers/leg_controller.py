@@ -11,10 +11,9 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
+from drivers.drive import Capabilities, LinkStats, Received
 from drivers.errors import DeviceAbsent, DeviceFault, DriverError, LinkLost, ProtocolMismatch
 from drivers.fault_remedy import fault_remedy
 from drivers.link import Codec, Link
@@ -32,7 +31,6 @@ from drivers.protocol import (
     Hello,
     HelloRequest,
     LimitsRequest,
-    Message,
     Ping,
     State,
     Stop,
@@ -45,28 +43,8 @@ from drivers.protocol import (
 HELLO_EVERY_NS = 100_000_000
 
 
-class Received(NamedTuple):
-    """A message and the host time at which the read that brought it returned [ns]."""
-
-    message: Message
-    host_ns: int
-
-
-@dataclass(frozen=True)
-class LinkStats:
-    """Counts since the controller object was made; `bytes_` are frames on CAN."""
-
-    bad_crc: int
-    bad_length: int
-    unknown: int
-    lost: int
-    bytes_in: int
-    bytes_out: int
-    reboots: int
-
-
 class LegController:
-    """One leg controller. `poll` belongs to one reader thread; the commands may come from any thread.
+    """One leg controller: the `Drive` of our own firmware.
 
     `codec` fits the link: the serial framing unless another is given.
     """
@@ -79,6 +57,8 @@ class LegController:
         """The newest telemetry seen."""
         self.limits: DriveLimits | None = None
         """What the drive checks by itself, asked for when arming; None where its firmware does not say."""
+        self.capabilities = Capabilities()
+        self.words = ""
         self._link = link
         self._now_ns = now_ns
         self._codec: Codec[Any] = codec or Decoder()
@@ -102,7 +82,7 @@ class LegController:
             if now >= ask_at:
                 self._send(HelloRequest())
                 ask_at = now + HELLO_EVERY_NS
-            for message, _ in self.poll():
+            for message, *_ in self.poll():
                 if isinstance(message, Hello):
                     return message
         raise DeviceAbsent(f"leg controller: no answer within {timeout_s:g} s ({self._bytes_in} {self._codec.unit} "
@@ -117,7 +97,7 @@ class LegController:
         host_ns = self._now_ns()
         self._bytes_in += len(chunk)
         received = [Received(message, host_ns) for message in self._codec.feed(chunk)]
-        for message, _ in received:
+        for message, *_ in received:
             if isinstance(message, Telemetry):
                 self.telemetry = message
             elif isinstance(message, Hello):
@@ -229,6 +209,5 @@ class LegController:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()

@@ -21,7 +21,7 @@ def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("house")
     files = FILE.findall((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
     assert [Path(name).parent.as_posix() for name, _ in files] == [
-        "estimator/effects", "estimator/model", "drivers", "experiments/cli/commands"]
+        "estimator/effects", "estimator/model", "drivers", "drivers", "experiments/cli/commands"]
     for name in (*PACKAGES, "tests/support"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", folder)
@@ -38,7 +38,7 @@ def run(house: Path, *command: str) -> str:
     return done.stdout
 
 
-def test_an_effect_a_mechanism_a_device_and_a_command_are_one_file_each(house: Path, tmp_path: Path) -> None:
+def test_an_effect_a_mechanism_a_device_a_drive_and_a_command_are_one_file_each(house: Path, tmp_path: Path) -> None:
     said = run(house, "-m", "tests.support.contributed", str(tmp_path))
     assert "wind (by joint)" in said and said.endswith("2.00 s\n")
 

@@ -11,7 +11,7 @@ import numpy as np
 from daq.recording.sensors import Sensors
 from daq.rig import Rig
 from daq.runs import RunWriter
-from drivers import CurrentShunt, LegController, Lsm9ds1
+from drivers import CurrentShunt, Drive, Lsm9ds1
 
 
 def program_facts(rig: Rig, now_ns: int) -> dict[str, str]:
@@ -21,10 +21,13 @@ def program_facts(rig: Rig, now_ns: int) -> dict[str, str]:
             "numpy": np.__version__, "system": platform.platform()}
 
 
-def describe_devices(writer: RunWriter, controller: LegController, imu: Lsm9ds1 | None, now_ns: int,
+def describe_devices(writer: RunWriter, controller: Drive, imu: Lsm9ds1 | None, now_ns: int,
                      sensors: Sensors | None = None) -> None:
     """Firmware, link and the scales of IMU and shunt, as configuration notes."""
     writer.config(now_ns, "firmware", msgspec.json.encode(controller.hello).decode())
+    can = controller.capabilities
+    if can.polled:
+        writer.config(now_ns, "drive", msgspec.json.encode({"polled": can.polled, "current": can.current}).decode())
     if controller.link_facts:
         writer.config(now_ns, "link", msgspec.json.encode(controller.link_facts).decode())
     if imu is not None:

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from daq.rig import Calibration
 from daq.si_units import imu_columns, joint_torque, knee_angle
 from drivers import (
+    Drive,
     DriverError,
     FaultReport,
     Hello,
-    LegController,
     Lsm9ds1,
     Pong,
     Received,
@@ -32,6 +32,7 @@ TRIPS_KEPT_NS = 10_000_000_000
 IMPOSSIBLE_TRIP_NS = 1_000_000
 """A round trip is shorter than nothing by the ticks' rounding at most, not by this much."""
 _KEPT = 64
+WAITS_KEPT = 50
 FRESH = 2048
 """More than two seconds of the fastest telemetry: who is that late has stopped long ago."""
 GRAVITY_PULL_S = 0.5
@@ -60,9 +61,12 @@ class Sink(Protocol):
 
 
 class ControllerIntake:
-    """Telemetry and clock probes of the leg controller. `poll` belongs to one thread, `ping` may be another's."""
+    """Telemetry and clock probes of the leg controller. `poll` belongs to one thread, `ping` may be another's.
 
-    def __init__(self, controller: LegController, sink: Sink, calibration: Calibration,
+    A drive that is polled keeps no time: each of its samples is a clock probe of its own.
+    """
+
+    def __init__(self, controller: Drive, sink: Sink, calibration: Calibration,
                  now_ns: Callable[[], int]) -> None:
         if controller.hello is None:
             raise ValueError("open the leg controller before recording")
@@ -77,6 +81,8 @@ class ControllerIntake:
         self._lock = threading.Lock()
         self._pings: dict[int, int] = {}
         self._trips: deque[tuple[int, int]] = deque()
+        self._polled = controller.capabilities.polled
+        self._waits: deque[int] = deque(maxlen=WAITS_KEPT)
         self._knee: deque[tuple[int, float]] = deque(maxlen=_KEPT)
 
     def poll(self) -> None:
@@ -86,6 +92,8 @@ class ControllerIntake:
             if isinstance(message, Telemetry):
                 self.heard_ns = received.host_ns
                 self._on_telemetry(message, received.host_ns)
+                if received.asked_ns is not None:
+                    self._on_answer(message, received.asked_ns, received.host_ns)
             elif isinstance(message, Pong):
                 self._on_pong(message, received)
             elif isinstance(message, Hello):
@@ -97,15 +105,21 @@ class ControllerIntake:
     def ping(self) -> None:
         """Send a clock probe. The lock is held meanwhile, so that the answer cannot overtake its entry."""
         with self._lock:
-            ping_id, host_tx_ns = self._controller.ping()
+            sent = self._controller.ping()
+            if sent is None:
+                return
+            ping_id, host_tx_ns = sent
             self._pings[ping_id] = host_tx_ns
             for old in [k for k, sent in self._pings.items() if host_tx_ns - sent > TRIPS_KEPT_NS]:
                 del self._pings[old]
 
     def clock_bound_s(self) -> float | None:
         """Half of the shortest round trip of the last ten seconds [s]; None before the first answer, and inf where one
-        left the controller before it came there, by its own ticks: such a clock tells nothing."""
+        left the controller before it came there, by its own ticks: such a clock tells nothing. Of a polled drive half
+        of the median wait for the last answers: each sample is as uncertain as its own."""
         with self._lock:
+            if self._polled:
+                return 0.5e-9 * sorted(self._waits)[len(self._waits) // 2] if self._waits else None
             shortest = min((trip for _, trip in self._trips), default=None)
         if shortest is None:
             return None
@@ -139,6 +153,13 @@ class ControllerIntake:
         self._sink.add("/leg/telemetry", host_ns, host_ns, t.knee_rad, t.pivot_hall_rad, t.knee_hall_rad,
                        t.current_a, t.bus_v, t.motor_degc, t.torque_cmd_nm, t.tick_us, self.boot_id, t.seq,
                        t.faults, t.state, sequence=t.seq)
+
+    def _on_answer(self, t: Telemetry, asked_ns: int, host_ns: int) -> None:
+        """A sample taken between these two times, whose tick is the middle."""
+        with self._lock:
+            self._waits.append(host_ns - asked_ns)
+        self._sink.add("/leg/clock", host_ns, asked_ns, host_ns, t.tick_us, t.tick_us, self.boot_id, t.seq,
+                       sequence=t.seq)
 
     def _on_pong(self, pong: Pong, received: Received) -> None:
         host_rx_ns = received.host_ns

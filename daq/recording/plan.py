@@ -15,7 +15,7 @@ from daq.files import write_file
 from daq.rig import Rig
 from daq.rig_devices import ControllerDevice
 from daq.runs import read_csv
-from drivers import LegController, Lsm9ds1
+from drivers import Drive, Lsm9ds1
 
 COLUMN = "tau2_cmd_nm"
 SLEW_S = 0.01
@@ -85,7 +85,7 @@ def write_plan(plan: Plan, path: Path | str) -> None:
     write_file(path, plan.text().encode())
 
 
-def check_plan(plan: Plan, rig: Rig, controller: LegController) -> None:
+def check_plan(plan: Plan, rig: Rig, controller: Drive) -> None:
     """Raises `InputError` when the plan or rig.toml asks for more than rig and firmware allow."""
     hello = controller.hello
     if hello is None:
@@ -105,6 +105,13 @@ def check_plan(plan: Plan, rig: Rig, controller: LegController) -> None:
     if watchdog_ms > hello.watchdog_ms:
         raise InputError("rig", f"devices.controller.watchdog_ms is {watchdog_ms}, the firmware allows "
                                 f"{hello.watchdog_ms}", "lower it")
+
+
+def check_drive(rig: Rig, controller: Drive) -> None:
+    """Raises `InputError` where the drive cannot make a check that the rig file does not give up."""
+    if not controller.capabilities.knee_twice and "encoder_s" not in rig.limits.unchecked:
+        raise InputError("rig", "this drive reads the knee by one sensor, so limits.encoder_s cannot be checked",
+                         'say so: [limits] unchecked = ["encoder_s"], see docs/safety.md')
 
 
 def check_gyro(rig: Rig, imu: Lsm9ds1 | None) -> None:

@@ -82,8 +82,9 @@ class Lasting:
 class Progress:
     """Liveness of the controller: sequence and tick advance together, and keep up with the host's clock."""
 
-    def __init__(self, telemetry_hz: float, now_ns: int) -> None:
-        self._period_us = 1e6 / telemetry_hz
+    def __init__(self, telemetry_hz: float, now_ns: int, polled: bool = False) -> None:
+        """`polled`: the host asks for each sample and times it, so that only answers that stay away show."""
+        self._period_us, self._polled = 1e6 / telemetry_hz, polled
         self._last: Telemetry | None = None
         self._advanced_ns = now_ns
         self._local_us = 0.0
@@ -101,7 +102,8 @@ class Progress:
         if not 0 < ahead < 32768:
             self._last = last  # repeated, or overtaken by a later one
             return False
-        if abs(ticks_us - ahead * self._period_us) > TICK_SLACK * self._period_us + 1.0:
+        off_us = abs(ticks_us - ahead * self._period_us)
+        if off_us > TICK_SLACK * self._period_us + 1.0 and not self._polled:
             return False
         self._advanced_ns = host_ns
         self._local_us += ticks_us
@@ -248,8 +250,8 @@ class Plausibility:
     """All checks of one recording. `imu_hz`: the IMU's nominal rate; None without one."""
 
     def __init__(self, limits: Limits, calibration: Calibration, hello: Hello, imu_hz: float | None,
-                 now_ns: int) -> None:
-        self._progress = Progress(hello.telemetry_hz, now_ns)
+                 now_ns: int, polled: bool = False) -> None:
+        self._progress = Progress(hello.telemetry_hz, now_ns, polled)
         self._echo = Echo(ECHO_SHARE * limits.staleness_s)
         self._torque = TorqueAgreement(limits, calibration, hello.telemetry_hz)
         self._encoder = TwoAngles(limits.encoder_band_rad)

@@ -15,7 +15,7 @@ from daq.errors import WorkError
 from daq.recording.facts import describe_devices, program_facts
 from daq.recording.host_load import HostLoad, busy_words
 from daq.recording.intake import ControllerIntake, ImuIntake, Sink
-from daq.recording.plan import Plan, check_gyro, check_plan
+from daq.recording.plan import Plan, check_drive, check_gyro, check_plan
 from daq.recording.remote import LOST, Ending, Remote, Status
 from daq.recording.senses import Senses
 from daq.recording.sensors import SensorIntakes, Sensors
@@ -24,10 +24,9 @@ from daq.recording.workers import QueuedSink, Workers, in_time, noted_signals, r
 from daq.rig import Rig
 from daq.rig_devices import ControllerDevice
 from daq.runs import RunWriter
-from drivers import DriverError, LegController, Lsm9ds1, State, describe_faults, fault_remedy
+from drivers import Drive, DriverError, Lsm9ds1, State, describe_faults, fault_remedy
 
 LEAD_IN_S, LEAD_OUT_S, RAMP_S = 1.0, 0.3, 0.08
-ARM_TIMEOUT_S = 0.5
 CONFIRM_S = 0.2
 PING_EVERY_S = 0.25
 LEAD_PING_EVERY_S = 0.05
@@ -61,7 +60,7 @@ class Recorder:
     one loop drives everything in turn, for a virtual clock that moves while the link is read.
     """
 
-    def __init__(self, rig: Rig, imu: Lsm9ds1 | None, controller: LegController, writer: RunWriter,
+    def __init__(self, rig: Rig, imu: Lsm9ds1 | None, controller: Drive, writer: RunWriter,
                  supervisor: Supervisor | None = None, now_ns: Callable[[], int] = time.monotonic_ns,
                  threaded: bool = True, progress: Progress | None = None, remote: Remote | None = None,
                  sensors: Sensors | None = None) -> None:
@@ -78,7 +77,8 @@ class Recorder:
         self._imu = None if imu is None else ImuIntake(imu, self._sink, rig.calibration, now_ns, slow_hz)
         rate = imu.config.rate_hz if imu else 238.0
         self._sensors = SensorIntakes(sensors or Sensors(), self._sink, rig, now_ns)
-        self._senses = Senses(rig, controller.hello, self._leg, self._imu, rate, now_ns(), self._sensors)
+        self._senses = Senses(rig, controller.hello, self._leg, self._imu, rate, now_ns(), self._sensors,
+                              controller.capabilities.polled)
         self._drain_every_s = min(DRAIN_EVERY_S, FIFO_DEPTH / rate / 3)
         self._watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms
         self._driving, self._supervising = False, True
@@ -155,7 +155,7 @@ class Recorder:
     def _arm(self) -> None:
         if not self._emergency:
             self._controller.arm(self._watchdog_ms)
-        deadline = self._now_ns() + _ns(ARM_TIMEOUT_S)
+        deadline = self._now_ns() + _ns(self._controller.capabilities.arming_s)
         self._command(0.0)
         while not self._armed():
             if self._now_ns() > deadline:
@@ -362,7 +362,7 @@ class Recorder:
         self._disk.start("writer", self._queue.turn)
 
 
-def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9ds1 | None, controller: LegController,
+def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9ds1 | None, controller: Drive,
                now_ns: Callable[[], int] = time.monotonic_ns, threaded: bool = True,
                progress: Progress | None = None, remark: str = "", remote: Remote | None = None,
                sensors: Sensors | None = None) -> RecordReport:
@@ -372,6 +372,7 @@ def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9d
     stop it. `sensors` are recorded too.
     """
     check_plan(plan, rig, controller)
+    check_drive(rig, controller)
     check_gyro(rig, imu)
     writer = RunWriter(path, {"rig.toml": rig_text, "plan.csv": plan.text()}, program_facts(rig, now_ns()))
     try:

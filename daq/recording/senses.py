@@ -24,10 +24,10 @@ class Senses:
     """Belongs to the commanding thread."""
 
     def __init__(self, rig: Rig, hello: Hello, leg: ControllerIntake, imu: ImuIntake | None, imu_hz: float,
-                 now_ns: int, sensors: SensorIntakes | None = None) -> None:
+                 now_ns: int, sensors: SensorIntakes | None = None, polled: bool = False) -> None:
         self._rig, self._leg, self._imu, self._imu_hz = rig, leg, imu, imu_hz
         self._pivot, self._shunt = (sensors.pivot, sensors.shunt) if sensors else (None, None)
-        self._plausible = Plausibility(rig.limits, rig.calibration, hello, imu_hz if imu else None, now_ns)
+        self._plausible = Plausibility(rig.limits, rig.calibration, hello, imu_hz if imu else None, now_ns, polled)
         self.hall_seen = False
         """The pivot's Hall sensor has said something; until then q1 is the IMU's."""
         self.commanded = self._plausible.commanded

@@ -13,7 +13,7 @@ from daq.errors import InputError
 from daq.rig import Rig, parse_rig
 from daq.runs import MIN_SAMPLES, RawRun
 from daq.si_units import imu_columns, joint_torque, knee_angle
-from daq.timing.clock import ImuClock, TickClock, fit_samples, fit_ticks
+from daq.timing.clock import ImuClock, TickClock, fit_answers, fit_samples, fit_ticks
 from daq.timing.doubts import doubts
 from daq.timing.notes import configured, increasing, unusable
 from daq.timing.polled import pivot_channel, shunt_channel
@@ -52,9 +52,13 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
     if telemetry.size < MIN_SAMPLES:
         raise unusable(raw, f"holds {telemetry.size} telemetry samples, at least {MIN_SAMPLES} are needed")
     epoch_ns = int(telemetry["host_ns"][0])
-    time_ns, clocks = _telemetry_times(raw, telemetry, epoch_ns)
-    channels = _leg_channels(raw, telemetry, time_ns, rig)
-    sources = {"file": raw.name, **_clock_facts(clocks)}
+    drive = configured(raw, "drive")
+    polled = drive.get("polled") is True
+    time_ns, clocks = _telemetry_times(raw, telemetry, epoch_ns, polled)
+    if polled:
+        time_ns = np.where(_sure(raw, telemetry, rig), time_ns, np.nan)
+    channels = _leg_channels(raw, telemetry, time_ns, rig, drive.get("current") == "instant")
+    sources = {"file": raw.name, **_clock_facts(clocks, time_ns if polled else None)}
     distance = raw.streams["/distance"]
     if distance.size:
         channels.append(_distance_channel(distance, epoch_ns))
@@ -103,17 +107,19 @@ def recorded_rig(raw: RawRun) -> Rig:
     return parse_rig(raw.files["rig.toml"], f"{raw.name} (rig.toml inside)")
 
 
-def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int) -> tuple[FloatArray, list[TickClock]]:
+def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int,
+                     polled: bool) -> tuple[FloatArray, list[TickClock]]:
     """Host times [ns after epoch] of telemetry ticks, NaN for a boot without probes; one clock a boot."""
     probes = raw.streams["/leg/clock"]
     time_ns = np.full(telemetry.shape, np.nan)
     arrived = (telemetry["host_ns"] - epoch_ns).astype(float)
     clocks = []
+    fit = fit_answers if polled else fit_ticks
     for boot in np.unique(telemetry["boot_id"]):
         mine = probes[probes["boot_id"] == boot]
         if mine.size == 0:
             continue
-        clock = fit_ticks(mine, epoch_ns)
+        clock = fit(mine, epoch_ns)
         rows = telemetry["boot_id"] == boot
         time_ns[rows] = clock.host_ns(telemetry["tick_us"][rows], arrived[rows])
         clocks.append(clock)
@@ -122,8 +128,18 @@ def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int) ->
     return time_ns, clocks
 
 
-def _leg_channels(raw: RawRun, telemetry: NDArray[np.void], time_ns: FloatArray, rig: Rig) -> list[Channel]:
-    """Knee, Hall, temperature and command at the tick; the torque half a period earlier."""
+def _sure(raw: RawRun, telemetry: NDArray[np.void], rig: Rig) -> NDArray[np.bool_]:
+    """Samples of a polled drive whose answer came soon enough for their time to be known as the rig asks."""
+    probes = raw.streams["/leg/clock"]
+    waits = dict(zip(probes["host_rx_ns"].tolist(), (probes["host_rx_ns"] - probes["host_tx_ns"]).tolist()))
+    most_ns = 2e9 * rig.limits.clock_bound_s
+    return np.array([waits.get(t_ns, np.inf) <= most_ns for t_ns in telemetry["host_ns"].tolist()], bool)
+
+
+def _leg_channels(raw: RawRun, telemetry: NDArray[np.void], time_ns: FloatArray, rig: Rig,
+                  instant: bool) -> list[Channel]:
+    """Knee, Hall, temperature and command at the tick; the torque there too where its current is `instant`, else half
+    a period earlier, for it is the period's mean."""
     rows = increasing(time_ns)
     telemetry, time_s = telemetry[rows], time_ns[rows] * 1e-9
     if not np.isfinite(telemetry["knee_rad"]).any():
@@ -137,7 +153,7 @@ def _leg_channels(raw: RawRun, telemetry: NDArray[np.void], time_ns: FloatArray,
     period = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
     current: FloatArray = np.where(np.abs(telemetry["current_a"]) <= MOST, telemetry["current_a"], np.nan)
     torque = {"tau2_nm": joint_torque(current, rig.calibration)}
-    return [Channel(time_s, measured), Channel(time_s - 0.5 * period, torque)]
+    return [Channel(time_s, measured), Channel(time_s if instant else time_s - 0.5 * period, torque)]
 
 
 def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: Rig) -> Channel:
@@ -169,7 +185,14 @@ def _distance_channel(readings: NDArray[np.void], epoch_ns: int) -> Channel:
     return Channel(times[rows] * 1e-9, {"distance_m": np.where(good, value, np.nan)})
 
 
-def _clock_facts(clocks: list[TickClock]) -> dict[str, str]:
+def _clock_facts(clocks: list[TickClock], polled_ns: FloatArray | None) -> dict[str, str]:
+    """What is known of the controller's clock; `polled_ns`: the times of samples that the host asked for."""
     worst = max(clocks, key=lambda clock: clock.bound_s)
+    if polled_ns is not None:
+        steps = np.diff(polled_ns[np.isfinite(polled_ns)])
+        jitter_us = float(np.sqrt(np.mean((steps - np.median(steps)) ** 2))) * 1e-3 if steps.size else 0.0
+        return {"controller_clock": f"none: samples lie between request and answer, within "
+                                    f"{worst.bound_s * 1e6:.0f} us, {worst.probes} samples, their interval jitters by "
+                                    f"{jitter_us:.0f} us (rms)"}
     return {"controller_clock": f"{worst.rate_ppm:+.1f} ppm, within {worst.bound_s * 1e6:.0f} us, "
                                 f"{worst.probes} probes" + (f", {len(clocks)} boots" if len(clocks) > 1 else "")}

@@ -39,7 +39,7 @@ class TickClock:
     rate_ppm: float
     """How much faster than the host's the controller's clock runs [1e-6], at mid run."""
     probes: int
-    """Probes used."""
+    """Probes used; of a drive that is polled, its samples."""
 
     def host_ns(self, tick_us: NDArray[np.integer], near_ns: FloatArray) -> FloatArray:
         """Host time [ns after epoch] of wrapped ticks; `near_ns`: about when each was received."""
@@ -75,6 +75,19 @@ def fit_ticks(probes: NDArray[np.void], epoch_ns: int) -> TickClock:
     bound = 0.5 * np.quantile(np.maximum(trip, 1e3), 0.9) + 2.0 * residual
     slope = float(offset.deriv()(0.5 * (x.min() + x.max()))) if degree else 0.0
     return TickClock(anchor_tick, float(middle[0]), offset, float(bound) * 1e-9, -slope * 1e6, int(x.size))
+
+
+def fit_answers(probes: NDArray[np.void], epoch_ns: int) -> TickClock:
+    """Clock of a drive that keeps no time: each sample's tick is already the host's, the middle of request and reply.
+
+    `probes`: the fields of the `/leg/clock` stream, at least one, a row a sample. The bound is half of the wait that
+    nine samples of ten did not exceed.
+    """
+    middle = 0.5 * ((probes["host_tx_ns"] - epoch_ns).astype(float) + (probes["host_rx_ns"] - epoch_ns))
+    waits = (probes["host_rx_ns"] - probes["host_tx_ns"]).astype(float)
+    bound_s = max(0.5 * float(np.quantile(waits, 0.9)), 1e3) * 1e-9
+    return TickClock(int(probes["rx_tick_us"][0]), float(middle[0]), Polynomial([float(middle[0])]), bound_s, 0.0,
+                     int(waits.size))
 
 
 def _unwrapped(tick_us: NDArray[np.integer], near_ns: FloatArray, anchor_tick: int, anchor_ns: float) -> FloatArray:

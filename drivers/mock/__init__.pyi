@@ -1,4 +1,5 @@
 from .as5600 import MockAs5600 as MockAs5600
+from .can_server import CanServer as CanServer
 from .clock import Clock as Clock
 from .clock import RealClock as RealClock
 from .clock import VirtualClock as VirtualClock
@@ -15,6 +16,9 @@ from .replay import pong as pong
 from .replay import rebooted as rebooted
 from .rig import STEP_NS as STEP_NS
 from .rig import MockRig as MockRig
+from .rig import drive_facts as drive_facts
+from .rig import drive_maker as drive_maker
+from .rig import on_serial as on_serial
 from .settings import FirmwareSettings as FirmwareSettings
 from .settings import ImuSettings as ImuSettings
 from .settings import PivotSettings as PivotSettings

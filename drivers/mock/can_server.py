@@ -8,7 +8,7 @@ from typing import Self
 
 import can
 
-from drivers.can_codec import CanFrame
+from drivers.can_frame import CanFrame
 from drivers.mock.clock import Clock, RealClock
 from drivers.mock.link import SerialDevice
 from drivers.mock.pty_server import SEND_AHEAD_NS
@@ -48,15 +48,18 @@ class CanServer:
     def _hear(self, wait_s: float) -> None:
         message = self._bus.recv(wait_s)
         while message is not None:
-            if not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
-                self._device.receive((CanFrame(message.arbitration_id, bytes(message.data)),), self._clock.now_ns())
+            if not message.is_error_frame:
+                frame = CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_fd,
+                                 message.is_remote_frame)
+                self._device.receive((frame,), self._clock.now_ns())
             message = self._bus.recv(0)
 
     def _turn(self) -> None:
         self._hear(WAKE_S)
         for _, frames in self._device.transmit(self._clock.now_ns() + SEND_AHEAD_NS):
             for frame in frames:
-                self._bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False))
+                self._bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data,
+                                           is_extended_id=frame.extended, is_fd=frame.fd, bitrate_switch=frame.fd))
 
     def __enter__(self) -> Self:
         return self

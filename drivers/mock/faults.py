@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from drivers.can_codec import CanFrame
+from drivers.can_frame import CanFrame
 from drivers.errors import LinkLost
 from drivers.link import Link
 from drivers.mock.clock import Clock

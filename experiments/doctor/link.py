@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from daq import ControllerDevice, Rig
-from drivers import VERSION, LegController, State, describe_faults, fault_remedy
+from drivers import VERSION, Drive, State, describe_faults, fault_remedy
 from experiments.doctor.check import Check
 from experiments.reports import GOOD_TIMER_MS
 
@@ -96,7 +96,7 @@ def can_interface(channel: str, config: dict[str, str | int | float | bool]) -> 
     return Check(name, "ok", words)
 
 
-def after_opening(controller: LegController, rig: Rig, device: ControllerDevice, told: bool) -> list[Check]:
+def after_opening(controller: Drive, rig: Rig, device: ControllerDevice, told: bool) -> list[Check]:
     """Firmware, settings that both sides must agree on (where `told`: a rig file says them), timer, faults."""
     hello = controller.hello
     if hello is None:
@@ -121,7 +121,7 @@ def after_opening(controller: LegController, rig: Rig, device: ControllerDevice,
     return [*checks, *_latency(controller, device), _faults(controller)]
 
 
-def _latency(controller: LegController, device: ControllerDevice) -> list[Check]:
+def _latency(controller: Drive, device: ControllerDevice) -> list[Check]:
     if device.can is not None:
         return []
     timer = controller.link_facts.get("latency_timer_ms")
@@ -134,7 +134,7 @@ def _latency(controller: LegController, device: ControllerDevice) -> list[Check]
     return [Check("latency timer", "ok", f"{timer} ms")]
 
 
-def clear_faults(controller: LegController) -> None:
+def clear_faults(controller: Drive) -> None:
     """Have latched faults forgotten, and wait for telemetry that says so; what is older still shows them."""
     controller.clear_faults()
     deadline = time.monotonic() + CLEAR_WAIT_S
@@ -142,7 +142,7 @@ def clear_faults(controller: LegController) -> None:
         controller.poll()
 
 
-def _faults(controller: LegController) -> Check:
+def _faults(controller: Drive) -> Check:
     """A drive that has latched a fault will not arm."""
     deadline = time.monotonic() + TELEMETRY_WAIT_S
     while controller.telemetry is None and time.monotonic() < deadline:

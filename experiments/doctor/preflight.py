@@ -18,7 +18,7 @@ import msgspec
 from daq import ControllerDevice, InputError, Rig
 from daq.recording import ControllerIntake, ImuIntake, QueuedSink, SensorIntakes, Sensors, Workers, shunt_facts
 from daq.runs import RunWriter, read_run
-from drivers import DriverError, LegController, LinkStats, Lsm9ds1
+from drivers import Drive, DriverError, LinkStats, Lsm9ds1
 from experiments.doctor.check import Check, Heard
 
 LISTEN_S = 3.0
@@ -49,7 +49,7 @@ def examine(rig: Rig, rig_text: str, where: str, folder: Path, move_s: float | N
         if device is not None:
             checks += link.before_opening(device)
             try:
-                controller = stack.enter_context(devices.connect(device))
+                controller = stack.enter_context(devices.connect(device, rig if rig_text else None))
                 controller.open()
                 if clear_faults:
                     link.clear_faults(controller)
@@ -82,7 +82,7 @@ def examine(rig: Rig, rig_text: str, where: str, folder: Path, move_s: float | N
     return [*checks, *check_disk(folder)]
 
 
-def listen(rig: Rig, rig_text: str, imu: Lsm9ds1 | None, controller: LegController | None, seconds: float,
+def listen(rig: Rig, rig_text: str, imu: Lsm9ds1 | None, controller: Drive | None, seconds: float,
            sensors: Sensors | None = None) -> Heard:
     """Everything that open devices say for so long, as a run that nothing commands. Raises a `DriverError`."""
     with tempfile.TemporaryDirectory() as folder:
@@ -119,7 +119,7 @@ def listen(rig: Rig, rig_text: str, imu: Lsm9ds1 | None, controller: LegControll
         return Heard(read_run(path), seconds, after[0] - before[0], after[1] - before[1])
 
 
-def _stats(controller: LegController | None) -> tuple[int, int]:
+def _stats(controller: Drive | None) -> tuple[int, int]:
     """(bad frames, telemetry lost) so far."""
     if controller is None:
         return 0, 0

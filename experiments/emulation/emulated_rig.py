@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from daq import ControllerDevice, ImuDevice, Matrix3, Rig, Vector3
 from daq.recording import Plan, RecordReport, Sensors, record_run
-from drivers import As5600, CurrentShunt, ImuConfig, LegController, Lsm9ds1
+from drivers import As5600, CurrentShunt, ImuConfig, Lsm9ds1, attach
 from drivers.mock import (
     Clock,
     EmulatorLink,
@@ -17,9 +18,11 @@ from drivers.mock import (
     PivotSettings,
     ShuntSettings,
     VirtualClock,
+    drive_maker,
 )
 from experiments.emulation.hidden_effects import NOTHING, Hidden
 from experiments.emulation.plant import LegBody
+from experiments.rig import wiring
 
 REMARK = "recorded from an emulated leg"
 
@@ -46,7 +49,8 @@ def emulate(rig: Rig, seed: int, clock: Clock, body: LegBody | None = None,
         shunt.shunt_ohm, shunt.sign, shunt.sign * c.second_shunt_offset_a * shunt.shunt_ohm,
         torque_constant_nm_per_a=hidden.torque_gain * c.torque_constant_nm_per_a) if shunt else None
     return MockRig(hidden.plant(body or LegBody()), clock, imu, firmware, seed, pivot=magnet, shunt=second,
-                   shunt_kind=shunt.kind if shunt else "ina226", shunt_address=shunt.address if shunt else 0x40)
+                   shunt_kind=shunt.kind if shunt else "ina226", shunt_address=shunt.address if shunt else 0x40,
+                   make=drive_maker(controller.kind, wiring(controller, rig)))
 
 
 def _turned(bias: Vector3, mount: Matrix3, added: float) -> Vector3:
@@ -66,8 +70,10 @@ def record_emulated(path: Path, rig: Rig, rig_text: str, plan: Plan, seed: int, 
     mock = emulate(rig, seed, clock, body, hidden)
     device = rig.devices.imu or ImuDevice()
     config = ImuConfig(device.rate_hz, device.accel_range_g, device.gyro_range_dps)
-    link = EmulatorLink(mock.firmware, clock, seed=seed)
-    with LegController(link, clock.now_ns) as controller:
+    drive = rig.devices.controller or ControllerDevice()
+    link = EmulatorLink(mock.drive, clock, seed=seed, nothing=getattr(mock.drive, "nothing", b""))
+    place = replace(wiring(drive, rig), can=None)  # our own firmware frames itself as on a serial line
+    with attach(drive.kind, link, place, clock.now_ns, clock.sleep) as controller:
         controller.open()
         imu = Lsm9ds1(mock.imu, device.address, config, clock.now_ns, device.bus_khz, clock.sleep)
         imu.open()

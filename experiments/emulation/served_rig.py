@@ -12,8 +12,9 @@ from typing import Self
 
 from daq import parse_rig
 from daq.recording import write_plan
-from drivers.mock import STEP_NS, I2cServer, PtyServer, RealClock
+from drivers.mock import STEP_NS, CanServer, I2cServer, PtyServer, RealClock, drive_facts, on_serial
 from experiments.console import make_directory, write_text
+from experiments.emulation.drive_rig import local_can, rig_with_drive, toml_of
 from experiments.emulation.emulated_rig import emulate
 from experiments.emulation.hidden_effects import NOTHING, Hidden
 from experiments.excite import random_multisine
@@ -29,14 +30,17 @@ class ServedRig:
     The port is a link in a folder of its own under the system's temporary one: a socket's path must be short.
     """
 
-    def __init__(self, folder: Path, seed: int = 1, hidden: Hidden = NOTHING) -> None:
+    def __init__(self, folder: Path, seed: int = 1, hidden: Hidden = NOTHING, drive: str = "legid") -> None:
         make_directory(folder)
         self.rig_path = folder / "rig.toml"
         self._places = Path(tempfile.mkdtemp(prefix="legid-rig-"))
         text = (files(__package__) / RIG_FILE).read_text(encoding="utf-8")
         text = text.replace("@PORT@", str(self._places / "controller")).replace("@BUS@", str(self._places / "i2c"))
+        self._drive = drive
+        self._can = None if drive == "legid" or drive_facts(drive).serial else local_can()
+        text = rig_with_drive(text, drive, toml_of(self._can) if self._can else "")
         self.mock = emulate(parse_rig(text, RIG_FILE), seed, RealClock(), hidden=hidden)
-        self.controller: PtyServer | None = None
+        self.controller: PtyServer | CanServer | None = None
         self.imu: I2cServer | None = None
         self.plug_in()
         write_text(self.rig_path, text)
@@ -45,11 +49,16 @@ class ServedRig:
 
     def plug_in(self) -> None:
         """Connect what is unplugged."""
-        if self.controller is None:
-            self.controller = PtyServer(self.mock.firmware, self.mock.clock)
+        if self.controller is None and self._can is not None:
+            import can  # takes a while to load
+
+            self.controller = CanServer(self.mock.drive, can.Bus(**self._can), self.mock.clock)
+        elif self.controller is None:
+            served = PtyServer(on_serial(self._drive, self.mock.drive), self.mock.clock)
             link = self._places / "controller"
             link.unlink(missing_ok=True)
-            link.symlink_to(self.controller.path)
+            link.symlink_to(served.path)
+            self.controller = served
         if self.imu is None:
             self.imu = I2cServer(self.mock.bus, self._places / "i2c")
 
@@ -75,7 +84,7 @@ class ServedRig:
     def _forget(self) -> None:
         while not self._ending.wait(REMEMBER_S / 4):
             with self.mock.lock:
-                self.mock.firmware.motor.forget(round(REMEMBER_S * 1e9 / STEP_NS))
+                self.mock.drive.motor.forget(round(REMEMBER_S * 1e9 / STEP_NS))
 
     def __enter__(self) -> Self:
         return self

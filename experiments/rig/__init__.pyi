@@ -5,6 +5,7 @@ from .choice import rig_path as rig_path
 from .devices import open_devices as open_devices
 from .devices import open_imu as open_imu
 from .devices import open_sensors as open_sensors
+from .devices import wiring as wiring
 from .discovery import probe as probe
 from .questions import ask_facts as ask_facts
 from .servo_law import needs_law as needs_law

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any
+from dataclasses import replace
 
 from daq import ControllerDevice, ImuDevice, InputError, PivotDevice, Rig, ShuntDevice
 from daq.recording import Sensors
@@ -12,18 +12,19 @@ from drivers import (
     MAG_ODR_HZ,
     As5600,
     CurrentShunt,
+    Drive,
     ImuConfig,
-    LegController,
     Lsm9ds1,
     MagConfig,
     Magnetometer,
+    Wiring,
     open_bus,
-    open_port,
+    open_drive,
 )
 
 
 @contextmanager
-def open_devices(rig: Rig, where: str) -> Iterator[tuple[Lsm9ds1 | None, LegController, Sensors]]:
+def open_devices(rig: Rig, where: str) -> Iterator[tuple[Lsm9ds1 | None, Drive, Sensors]]:
     """(IMU or None where the rig has none, controller, other sensors), all ready; the motor is stopped on the way out.
 
     `where` names the rig file in errors. Raises `InputError` or a `DriverError`.
@@ -33,7 +34,7 @@ def open_devices(rig: Rig, where: str) -> Iterator[tuple[Lsm9ds1 | None, LegCont
     with ExitStack() as stack:
         # The controller first: opening it stops a motor that somebody left running.
         device = rig.devices.controller
-        controller = stack.enter_context(connect(device))
+        controller = stack.enter_context(connect(device, rig))
         controller.open()
         imu = None if rig.devices.imu is None else stack.enter_context(open_imu(rig.devices.imu, where))
         yield imu, controller, stack.enter_context(open_sensors(rig, where))
@@ -75,18 +76,20 @@ def open_shunt(device: ShuntDevice, where: str) -> Iterator[CurrentShunt]:
         bus.close()
 
 
-def connect(device: ControllerDevice) -> LegController:
-    """The leg controller on its serial port, CAN bus, or whatever its port names, not yet greeted. Raises a
-    `DriverError`."""
-    if device.can is None:
-        return LegController(open_port(device.port, device.baud))
-    from drivers import (
-        CanCodec,  # python-can and cantools take a while to load
-        CanLink,
-    )
+def wiring(device: ControllerDevice, rig: Rig | None = None) -> Wiring:
+    """What the driver of this device is told; without a rig file, of a drive on the joint itself."""
+    found = Wiring(device.port, device.baud, device.can, device.node, device.rate_hz)
+    if rig is None:
+        return found
+    ratio = rig.motor.gear_ratio if rig.motor.side == "motor" else 1.0
+    return replace(found, gear_ratio=rig.motor.gear_ratio, turns=rig.motor.sign * ratio,
+                   torque_constant_nm_per_a=rig.calibration.torque_constant_nm_per_a,
+                   torque_limit_nm=rig.limits.torque_nm, speed_limit_radps=rig.limits.speed_radps)
 
-    config: dict[str, Any] = dict(device.can)
-    return LegController(CanLink(device.node, **config), codec=CanCodec(device.node))
+
+def connect(device: ControllerDevice, rig: Rig | None = None) -> Drive:
+    """The drive on its serial port, CAN bus, or whatever its port names, not yet greeted. Raises a `DriverError`."""
+    return open_drive(device.kind, wiring(device, rig))
 
 
 @contextmanager

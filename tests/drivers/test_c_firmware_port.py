@@ -36,7 +36,7 @@ def test_the_driver_works_with_it_over_a_port(served: Served) -> None:
         received: list[Received] = []
         until = time.monotonic() + 10.0
         sent_ns = {}
-        while time.monotonic() < until and sum(isinstance(m, Pong) for m, _ in received) < 5:
+        while time.monotonic() < until and sum(isinstance(m, Pong) for m, *_ in received) < 5:
             controller.command(0.5)
             ping_id, host_tx_ns = controller.ping()
             sent_ns[ping_id] = host_tx_ns
@@ -45,7 +45,7 @@ def test_the_driver_works_with_it_over_a_port(served: Served) -> None:
         assert controller.armed
         assert controller.telemetry is not None
         assert controller.telemetry.current_a == 0.5
-        for message, host_ns in received:
+        for message, host_ns, _ in received:
             if isinstance(message, Pong):
                 inside = (message.tx_tick_us - message.rx_tick_us) % 2**32
                 assert inside * 1000 <= host_ns - sent_ns[message.ping_id] + 1000

@@ -51,7 +51,7 @@ def test_on_virtual_time_nothing_is_lost() -> None:
     while clock.now_ns() < end:
         controller.command(0.25)
         received += controller.poll()
-    frames = [m for m, _ in received if isinstance(m, Telemetry)]
+    frames = [m for m, *_ in received if isinstance(m, Telemetry)]
     assert (np.diff([m.seq for m in frames]) == 1).all()
     assert len(frames) == pytest.approx(1000, abs=5)
     assert frames[-1].torque_cmd_nm == 0.25
@@ -108,8 +108,8 @@ def test_handshake_telemetry_torque_and_ping(rig: MockRig, server: CanServer, bu
         controller.command(0.5)
         poll_until(controller, lambda r: controller.armed and controller.telemetry.current_a > 0.3)
         ping_id, tx_ns = controller.ping()
-        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, _ in r))
-        pong, rx_ns = next(r for r in received if isinstance(r.message, Pong))
+        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, *_ in r))
+        pong, rx_ns, _ = next(r for r in received if isinstance(r.message, Pong))
         assert pong.ping_id == ping_id
         middle = rig.firmware.tick_us((tx_ns + rx_ns) / 2)
         assert abs((pong.rx_tick_us + pong.tx_tick_us) / 2 - middle) <= (rx_ns - tx_ns) / 2000 + 60

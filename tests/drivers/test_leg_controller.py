@@ -162,7 +162,7 @@ def test_ping_brackets_the_ticks() -> None:
         ping_id, tx_ns = bench.controller.ping()
         pongs = [r for r in bench.run(0.01) if isinstance(r.message, Pong)]
         assert [r.message.ping_id for r in pongs] == [ping_id]
-        pong, rx_ns = pongs[0]
+        pong, rx_ns, _ = pongs[0]
         assert tx_ns < start + pong.rx_tick_us * 1000 + 1000 < start + pong.tx_tick_us * 1000 + 2000 < rx_ns + 2000
         assert rx_ns - tx_ns < 3_000_000
 

@@ -51,7 +51,7 @@ def test_handshake_telemetry_and_torque_through_pyserial(rig: MockRig, server: P
         controller.command(0.5)
         poll_until(controller, lambda r: controller.armed and controller.telemetry.current_a > 0.3)
         controller.command(0.5)
-        frames = [m for m, _ in poll_until(controller, lambda r: len(r) >= 100) if isinstance(m, Telemetry)]
+        frames = [m for m, *_ in poll_until(controller, lambda r: len(r) >= 100) if isinstance(m, Telemetry)]
         assert all((b.seq - a.seq) % 65536 == 1 for a, b in pairwise(frames))
         assert controller.stats.bad_crc == controller.stats.bad_length == controller.stats.lost == 0
     deadline = time.monotonic() + PATIENCE_S
@@ -130,8 +130,8 @@ def test_ping_over_the_pty_brackets_the_tick(rig: MockRig, server: PtyServer) ->
     with LegController(SerialLink(server.path), rig.clock.now_ns) as controller:
         controller.open()
         _, tx_ns = controller.ping()
-        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, _ in r))
-        pong, rx_ns = next(r for r in received if isinstance(r.message, Pong))
+        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, *_ in r))
+        pong, rx_ns, _ = next(r for r in received if isinstance(r.message, Pong))
         middle = rig.firmware.tick_us((tx_ns + rx_ns) / 2)
         half_trip_us = (rx_ns - tx_ns) / 2000
         assert abs((pong.rx_tick_us + pong.tx_tick_us) / 2 - middle) <= half_trip_us + 60

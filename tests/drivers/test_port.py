@@ -66,7 +66,7 @@ class Wired:
         while not condition():
             assert time.monotonic() < deadline, f"{what}: {self.controller.telemetry}"
             every()
-            self.heard = [message for message, _ in self.controller.poll()]
+            self.heard = [message for message, *_ in self.controller.poll()]
 
     def release(self) -> None:
         """The E-stop out, its fault cleared."""

@@ -7,7 +7,9 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from drivers import DeviceAbsent, SerialLink, open_port, transport
+from drivers import DeviceAbsent, transport
+from drivers.serial_link import SerialLink
+from drivers.transport import open_port
 
 
 def test_a_path_is_a_serial_port(monkeypatch: pytest.MonkeyPatch) -> None:

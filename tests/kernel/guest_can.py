@@ -80,8 +80,8 @@ def test_the_whole_way_from_handshake_to_stop(rig: MockRig, server: CanServer) -
         controller.command(0.5)
         poll_until(controller, lambda r: controller.armed and controller.telemetry.current_a > 0.3)
         ping_id, tx_ns = controller.ping()
-        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, _ in r))
-        pong, rx_ns = next(r for r in received if isinstance(r.message, Pong))
+        received = poll_until(controller, lambda r: any(isinstance(m, Pong) for m, *_ in r))
+        pong, rx_ns, _ = next(r for r in received if isinstance(r.message, Pong))
         middle = rig.firmware.tick_us((tx_ns + rx_ns) / 2)
         assert pong.ping_id == ping_id
         assert abs((pong.rx_tick_us + pong.tx_tick_us) / 2 - middle) <= (rx_ns - tx_ns) / 2000 + 60

@@ -1,4 +1,4 @@
-"""What a newcomer's four files do once they are in the packages; run by test_contributing in a copy of these."""
+"""What a newcomer's five files do once they are in the packages; run by test_contributing in a copy of these."""
 
 import select
 import socket
@@ -13,8 +13,8 @@ from msgspec import structs
 from daq import Dataset, parse_rig
 from daq.recording import Plan
 from daq.runs import write_csv
-from drivers import LegController, State
-from drivers.mock import FirmwareSettings, MockRig, RealClock
+from drivers import Drive, State
+from drivers.mock import FirmwareSettings, MockRig, PtyServer, RealClock
 from drivers.mock.plant import StillPlant
 from estimator import FitOptions, fit
 from estimator.effects import library
@@ -102,7 +102,62 @@ def device() -> None:
     assert rig.firmware.drive.state == State.DISARMED and rig.firmware.drive.torque_nm == 0.0
 
 
-def until(controller: LegController, state: State) -> None:
+class Hobby:
+    """The far end of the drive's line, as its protocol says."""
+
+    def __init__(self) -> None:
+        self.state, self.torque, self.fed_s, self.watchdog_s, self.line = 0, 0.0, 0.0, 1.0, b""
+        self.out: list[tuple[int, bytes]] = []
+
+    def receive(self, data: bytes, t_ns: int) -> None:
+        *lines, self.line = (self.line + data).split(b"\n")
+        for line in lines:
+            word, *rest = line.decode().split()
+            if word == "s":
+                self.state, self.torque = 0, 0.0
+            elif word == "t" and self.state != 2:
+                self.state, self.fed_s = 1, t_ns * 1e-9
+                self.torque, self.watchdog_s = float(rest[0]), float(rest[1]) * 1e-3
+            elif word == "g":
+                self.out.append((t_ns, f"{self.state} 12.5 {self.torque} 24.0 30.0 {self.torque}\n".encode()))
+
+    def transmit(self, until_ns: int) -> list[tuple[int, bytes]]:
+        if self.state == 1 and until_ns * 1e-9 - self.fed_s > self.watchdog_s:
+            self.state, self.torque = 2, 0.0
+        out, self.out = self.out, []
+        return out
+
+    def post(self, data: bytes, t_ns: int) -> None:
+        self.receive(data, t_ns)
+
+
+def drive() -> None:
+    """It is found by its name, turns with gear and sign, latches its watchdog, and is off when the driver lets go."""
+    far = Hobby()
+    with PtyServer(far) as server:
+        rig = parse_rig(f"{RIG}[motor]\ngear_ratio = 50.0\nsign = -1\n[devices.controller]\nkind = \"ascii\"\n"
+                        f"port = \"{server.path}\"\n")
+        assert rig.devices.controller is not None
+        with connect(rig.devices.controller, rig) as controller:
+            assert controller.open().gear_ratio == 50.0
+            controller.arm(50)
+            controller.command(1.0)
+            until(controller, State.ARMED)
+            seen = controller.telemetry
+            assert seen is not None and abs(seen.torque_cmd_nm - 1.0) < 1e-4 and abs(far.torque + 0.02) < 1e-9
+            assert abs(seen.knee_rad + 12.5 * 2.0 * np.pi / 50.0) < 1e-9
+            until(controller, State.FAULT)
+            assert far.torque == 0.0
+            controller.command(1.0)  # behind a fault: goes nowhere
+            controller.clear_faults()
+            until(controller, State.DISARMED)
+            controller.arm(1000)
+            controller.command(1.0)
+            until(controller, State.ARMED)
+    assert far.state == 0 and far.torque == 0.0
+
+
+def until(controller: Drive, state: State) -> None:
     for _ in range(2000):
         controller.poll()
         if controller.telemetry is not None and controller.telemetry.state == state:
@@ -123,4 +178,5 @@ if __name__ == "__main__":
     effect(here)
     mechanism(here)
     device()
+    drive()
     command(here)

@@ -10,13 +10,14 @@ import pytest
 
 from daq.recording.intake import ControllerIntake
 from daq.recording.supervisor import Sample, Trip, may_ramp
-from drivers import Pong
+from drivers import Capabilities, Pong
 
 
 class Probed:
     """A controller that answers one probe, sent at 1 s and back 600 us later, with these ticks."""
 
     def __init__(self, rx_tick_us: int, tx_tick_us: int) -> None:
+        self.capabilities = Capabilities()
         self.hello = SimpleNamespace(boot_id=1)
         self.answer = Pong(7, rx_tick_us, tx_tick_us)
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from daq.rig import Rig
 from daq.rig_devices import ControllerDevice
 from drivers.errors import DeviceAbsent
 from drivers.i2c_bus import open_bus
@@ -338,7 +339,7 @@ def test_can_interface(flags: str, state: str, bitrate: int, status: str, words:
 
 def test_without_a_rig_file_the_usual_places_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                                            capsys: pytest.CaptureFixture[str]) -> None:
-    def nobody(device: ControllerDevice) -> None:
+    def nobody(device: ControllerDevice, rig: Rig | None) -> None:
         raise DeviceAbsent(f"leg controller on {device.port}: no such port")
 
     monkeypatch.setattr("experiments.rig.devices.connect", nobody)

@@ -1,0 +1,243 @@
+"""What holds for every drive: stopped when it should be, its units, its watchdog, its faults, its time."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers import DeviceAbsent, DriverError, FaultReport, State, attach, drive_kinds, open_drive
+from drivers.errors import DeviceFault, LinkLost
+from drivers.mock import drive_facts
+from drivers.mock.plant import StillPlant, StillState
+from drivers.protocol import Fault
+from tests.support.drive_bench import CONSTANT, DriveBench, states, telemetry
+
+KINDS = [kind for kind in drive_kinds() if kind != "legid"]
+
+
+@pytest.fixture(params=KINDS)
+def kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def test_every_drive_has_an_emulator_and_says_what_it_lacks(kind: str) -> None:
+    bench = DriveBench(kind)
+    assert drive_facts(kind).rate_hz > 0 and bench.drive.capabilities.lacks
+    assert all(lack.what and lack.instead for lack in bench.drive.capabilities.lacks)
+
+
+def test_a_drive_that_nobody_knows_is_named_with_those_that_there_are() -> None:
+    with pytest.raises(DeviceAbsent, match=r"no driver knows vesc; there are .*legid.*drivers/vesc_drive.py"):
+        open_drive("vesc", DriveBench(KINDS[0]).wiring)
+
+
+def test_angle_torque_and_current_are_the_joints(kind: str) -> None:
+    bench = DriveBench(kind, StillPlant(StillState(q2=0.3)))
+    hello = bench.drive.open()
+    assert hello.torque_limit_nm == pytest.approx(2.0, rel=1e-5) and hello.gear_ratio == 50.0
+    bench.armed()
+    bench.run(0.1, 0.6)
+    seen = telemetry(bench.run(0.2, 0.6))
+    assert states(bench.run(0.02, 0.6)) == {State.ARMED}
+    assert seen[-1].knee_rad == pytest.approx(0.3, abs=2 * math.pi / 50 / 16384)
+    assert seen[-1].torque_cmd_nm == pytest.approx(0.6, abs=1e-3)
+    assert np.mean([t.current_a for t in seen]) * CONSTANT == pytest.approx(0.6, abs=0.02)
+    assert seen[-1].bus_v == pytest.approx(24.0, abs=0.2)
+    assert bench.rig.drive.motor.last_mean_nm == pytest.approx(0.6, abs=1e-3)
+
+
+def test_a_motor_that_turns_is_stopped_on_opening(kind: str) -> None:
+    bench = DriveBench(kind)
+    bench.armed(1000)
+    bench.run(0.05, 1.0)
+    assert bench.far.torque_nm != 0.0
+    again = attach(kind, bench.link, bench.wiring, bench.clock.now_ns, bench.clock.sleep)
+    again.open()
+    bench.clock.advance(2_000_000)
+    bench.far.transmit(bench.clock.now_ns())
+    assert bench.far.torque_nm == 0.0
+
+
+@pytest.mark.parametrize("way", ["stop", "close", "clear_faults"])
+def test_nothing_turns_after(kind: str, way: str) -> None:
+    bench = DriveBench(kind)
+    bench.armed(1000)
+    bench.run(0.05, 1.0)
+    getattr(bench.drive, way)()
+    if way != "close":
+        bench.drive.command(1.0)  # from another thread, too late
+        bench.run(0.03)
+        assert not bench.drive.armed
+    bench.clock.advance(3_000_000)
+    bench.far.transmit(bench.clock.now_ns())
+    assert bench.far.torque_nm == 0.0
+
+
+@pytest.mark.parametrize("torque", [2.5, -2.5, math.nan, math.inf])
+def test_a_torque_beyond_the_limit_stops_the_motor(kind: str, torque: float) -> None:
+    bench = DriveBench(kind)
+    bench.armed(1000)
+    bench.run(0.05, 1.0)
+    with pytest.raises(DriverError, match="beyond its limit of 2"):
+        bench.drive.command(torque)
+    bench.run(0.02)
+    assert bench.far.torque_nm == 0.0
+
+
+@pytest.mark.parametrize("watchdog_ms", [50, 100, 300])
+def test_the_drives_own_watchdog_ends_the_torque_of_a_host_that_is_gone(kind: str, watchdog_ms: int) -> None:
+    """Polling goes on: only commands feed it."""
+    bench = DriveBench(kind)
+    if hasattr(bench.far, "watchdog_s"):  # where it is a setting of the drive's
+        bench.far.watchdog_s = watchdog_ms * 1e-3
+    bench.armed(watchdog_ms)
+    bench.run(0.1, 1.0)
+    bench.drive.command(1.0)
+    gone_ns = bench.clock.now_ns()
+    received = bench.run(watchdog_ms * 1e-3 + 0.15)
+    assert 0.5e-3 * watchdog_ms < bench.zero_after(gone_ns) < 1e-3 * watchdog_ms + 0.01
+    faults = [one.message for one in received if isinstance(one.message, FaultReport)]
+    assert [fault.fault for fault in faults] == [Fault.WATCHDOG] and State.FAULT in states(received)
+    bench.drive.command(1.0)
+    bench.run(0.02, 1.0)
+    assert bench.far.torque_nm == 0.0
+    with pytest.raises(DeviceFault, match=r"watchdog.*legid doctor --clear-faults"):
+        bench.drive.arm(watchdog_ms)
+    bench.drive.clear_faults()
+    assert states(bench.run(0.05)) == {State.DISARMED}
+
+
+def test_a_watchdogs_fault_of_a_run_before_is_still_there_on_opening(kind: str) -> None:
+    bench = DriveBench(kind)
+    bench.armed()
+    bench.run(0.05, 1.0)
+    bench.run(0.3)
+    again = attach(kind, bench.link, bench.wiring, bench.clock.now_ns, bench.clock.sleep)
+    again.open()
+    with pytest.raises(DeviceFault, match="watchdog"):
+        again.arm(100)
+
+
+def test_a_watchdog_out_of_range_is_refused(kind: str) -> None:
+    bench = DriveBench(kind)
+    bench.drive.open()
+    with pytest.raises(ValueError, match="outside 5 to"):
+        bench.drive.arm(2)
+
+
+def test_a_sample_was_taken_between_request_and_answer(kind: str) -> None:
+    """The knee moves in a known way, so that each angle tells when it was read."""
+
+    class Moving:
+        t = 0.0
+
+        def step(self, dt_s: float, torque_nm: float) -> StillState:
+            self.t += dt_s
+            return StillState(q2=self.t, q2d=1.0)
+
+    bench = DriveBench(kind, Moving())
+    bench.drive.open()
+    began = bench.clock.now_ns()
+    received = [one for one in bench.run(0.5) if telemetry([one])]
+    assert len(received) > 0.45 * bench.wiring.rate_hz
+    knee = np.array([t.knee_rad for t in telemetry(received)])
+    asked, host = (np.array([getattr(one, name) for one in received]) for name in ("asked_ns", "host_ns"))
+    taken = (knee - knee[0]) * 1e9 + asked[0]
+    offset = np.array([taken - asked, host - taken])
+    slack = 1e9 * 2 * math.pi / 50 / 16384 + 0.6e6  # a count of the encoder, a step of the physics
+    assert offset.min() > -slack and began <= asked[0]
+    ticks = np.array([t.tick_us for t in telemetry(received)])
+    assert np.abs(ticks - (asked + host) / 2000 % 2**32).max() <= 1.0
+
+
+def test_what_comes_too_late_is_no_answer_to_a_later_request(kind: str) -> None:
+    bench = DriveBench(kind)
+    bench.drive.open()
+    bench.run(0.05)
+    true, held = bench.link.read, []
+
+    def slow() -> Any:
+        data = true()
+        if data and len(held) < 1:
+            held.append(data)
+            return data[:0]
+        return data
+
+    bench.link.read = slow  # type: ignore[method-assign]
+    lost = bench.drive.stats.lost
+    received = bench.run(0.1)
+    assert bench.drive.stats.lost > lost
+    waits = [one.host_ns - one.asked_ns for one in received if one.asked_ns is not None]
+    assert waits and max(waits) < 5e6
+
+
+def test_nobody_there_and_a_wrong_node_name_what_to_look_at(kind: str) -> None:
+    bench = DriveBench(kind)
+    bench.far.powered = False
+    with pytest.raises(DeviceAbsent, match=r"no answer within 0.5 s; .*node"):
+        bench.drive.open(0.5)
+    bench = DriveBench(kind)
+    wrong = attach(kind, bench.link, DriveBench(kind, node=9).wiring, bench.clock.now_ns, bench.clock.sleep)
+    with pytest.raises(DeviceAbsent, match="node"):
+        wrong.open(0.5)
+
+
+def test_a_drive_that_hangs_gives_no_telemetry(kind: str) -> None:
+    bench = DriveBench(kind)
+    bench.drive.open()
+    bench.far.alive = False
+    bench.run(0.05)
+    assert not telemetry(bench.run(0.2)) and bench.drive.stats.lost > 3
+
+
+def test_a_pulled_cable_is_said_and_the_watchdog_acts(kind: str) -> None:
+    bench = DriveBench(kind)
+    bench.armed()
+    bench.run(0.05, 1.0)
+    pulled_ns = bench.clock.now_ns()
+    bench.link.unplug()
+    with pytest.raises(LinkLost):
+        bench.run(0.1)
+    bench.clock.advance(300_000_000)
+    bench.far.transmit(bench.clock.now_ns())
+    assert bench.zero_after(pulled_ns) < 0.11
+    bench.drive.close()
+
+
+@pytest.mark.parametrize(("break_it", "fault"), [
+    (lambda far: setattr(far, "encoder_ok", False), Fault.KNEE_ENCODER),
+    (lambda far: setattr(far, "bus_v", 10.0), Fault.UNDERVOLTAGE),
+    (lambda far: setattr(far, "bus_v", 50.0), Fault.OVERVOLTAGE),
+    (lambda far: setattr(far, "degc", 120.0), Fault.OVERTEMPERATURE),
+    (lambda far: setattr(far, "driver_ok", False), Fault.GATE_DRIVER)])
+def test_its_own_faults_have_our_names(kind: str, break_it: Any, fault: Fault) -> None:
+    bench = DriveBench(kind)
+    bench.armed()
+    bench.run(0.05, 1.0)
+    break_it(bench.far)
+    since = bench.clock.now_ns()
+    received = bench.run(0.1, 0.9)
+    assert bench.zero_after(since) < 0.01 and bench.drive.telemetry is not None
+    assert bench.drive.telemetry.faults == fault and states(received) >= {State.FAULT}
+    assert bench.drive.words
+
+
+def test_noise_on_the_line_is_counted_and_survived(kind: str) -> None:
+    from drivers.can_frame import CanFrame
+
+    bench, rng = DriveBench(kind), np.random.default_rng(3)
+    bench.drive.open()
+    true = bench.link.read
+
+    def noisy() -> Any:
+        data = true()
+        if rng.random() < 0.3 and not isinstance(data, bytes):
+            own = data[0].can_id if data else int(rng.integers(2048))
+            data = (CanFrame(own, rng.bytes(int(rng.integers(9))), False, True), *data)
+        return data
+
+    bench.link.read = noisy  # type: ignore[method-assign]
+    assert len(telemetry(bench.run(1.0))) > 0.3 * bench.wiring.rate_hz

@@ -1,0 +1,67 @@
+"""A drive before its emulator on virtual time, with a leg or a joint held fast behind it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from drivers import Drive, Received, State, Telemetry, Wiring, attach
+from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, Plant, VirtualClock, drive_facts, drive_maker
+from drivers.mock.plant import StillPlant
+
+CONSTANT = 0.85
+
+
+class DriveBench:
+    """`drive` and `far`, its emulator."""
+
+    def __init__(self, kind: str, plant: Plant | None = None, seed: int = 1, settings: FirmwareSettings | None = None,
+                 **wiring: Any) -> None:
+        facts = drive_facts(kind)
+        self.wiring = replace(Wiring(node=facts.node, rate_hz=facts.rate_hz, gear_ratio=50.0, turns=-50.0,
+                                     torque_constant_nm_per_a=CONSTANT), **wiring)
+        self.clock = VirtualClock()
+        settings = settings or FirmwareSettings(torque_constant_nm_per_a=CONSTANT)
+        self.rig = MockRig(plant or StillPlant(), self.clock, firmware=settings, seed=seed,
+                           make=drive_maker(kind, self.wiring))
+        self.far: Any = self.rig.drive
+        self.link = EmulatorLink(self.rig.drive, self.clock, seed=seed, nothing=self.far.nothing)
+        self.drive: Drive = attach(kind, self.link, self.wiring, self.clock.now_ns, self.clock.sleep)
+
+    def run(self, seconds: float, torque_nm: float | None = None) -> list[Received]:
+        """Poll for so long, a torque commanded every 10 ms where one is given."""
+        end, due, out = self.clock.now_ns() + round(seconds * 1e9), 0, []
+        while self.clock.now_ns() < end:
+            if torque_nm is not None and self.clock.now_ns() >= due:
+                due = self.clock.now_ns() + 10_000_000
+                self.drive.command(torque_nm)
+            out += self.drive.poll()
+        return out
+
+    def armed(self, watchdog_ms: int = 100) -> None:
+        """Open, arm, and wait for it."""
+        self.drive.open()
+        self.run(0.05)
+        self.drive.arm(watchdog_ms)
+        end = self.clock.now_ns() + round(self.drive.capabilities.arming_s * 1e9)
+        while not self.drive.armed:
+            self.run(0.01, 0.0)
+            assert self.clock.now_ns() < end, f"did not arm: {self.drive.words}"
+
+    def zero_after(self, since_ns: int) -> float:
+        """Time [s] from `since_ns` until the drive asked the motor for nothing for the rest of the record."""
+        t_ns, commanded, _ = self.far.record
+        on = np.flatnonzero((np.abs(commanded) > 0.0) & (t_ns >= since_ns))
+        return float(t_ns[on[-1]] - since_ns) * 1e-9 if on.size else 0.0
+
+
+def telemetry(received: list[Received]) -> list[Telemetry]:
+    """The samples among what came."""
+    return [one.message for one in received if isinstance(one.message, Telemetry)]
+
+
+def states(received: list[Received]) -> set[State]:
+    """The states that they name."""
+    return {State(one.state) for one in telemetry(received)}
