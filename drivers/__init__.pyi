@@ -15,6 +15,8 @@ from .drive import Received as Received
 from .drive import Wiring as Wiring
 from .drive import attach as attach
 from .drive import drive_kinds as drive_kinds
+from .drive import drive_rate_hz as drive_rate_hz
+from .drive import find_nodes as find_nodes
 from .drive import open_drive as open_drive
 from .errors import DeviceAbsent as DeviceAbsent
 from .errors import DriverError as DriverError
@@ -39,6 +41,7 @@ from .protocol import FaultReport as FaultReport
 from .protocol import Hello as Hello
 from .protocol import Message as Message
 from .protocol import Pong as Pong
+from .protocol import Reaction as Reaction
 from .protocol import State as State
 from .protocol import Telemetry as Telemetry
 from .protocol import describe_faults as describe_faults

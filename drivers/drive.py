@@ -99,6 +99,10 @@ class Drive(Protocol):
         """The drive's state in its maker's words, for a person: an error code, a version; empty where none."""
 
     @property
+    def refusal(self) -> str:
+        """Why `arm` would refuse by the drive's settings, with the remedy; empty where it would not."""
+
+    @property
     def armed(self) -> bool:
         """The newest telemetry says ARMED."""
 
@@ -187,6 +191,26 @@ def attach(kind: str, link: Link[Any], wiring: Wiring, now_ns: Callable[[], int]
     """The drive behind a link, on any clock, not yet greeted."""
     drive: Drive = drive_module(kind).attach(link, wiring, now_ns, sleep)
     return drive
+
+
+def find_nodes(kind: str, wiring: Wiring) -> list[int]:
+    """Nodes of drives of this kind that are there, by the module's `find_nodes(link, wiring)`; none where it has no
+    such function, or where the place is not one for it. Motors that answer are stopped. Raises a `DriverError`."""
+    module = drive_module(kind)
+    find = getattr(module, "find_nodes", None)
+    if find is None:
+        return []
+    link = module.open_link(wiring)
+    try:
+        found: list[int] = find(link, wiring)
+        return found
+    finally:
+        link.close()
+
+
+def drive_rate_hz(kind: str) -> float:
+    """At which a drive of this kind is polled by default [Hz]: the module's RATE_HZ."""
+    return float(getattr(drive_module(kind), "RATE_HZ", 250.0))
 
 
 def open_drive(kind: str, wiring: Wiring) -> Drive:

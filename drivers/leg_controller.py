@@ -58,7 +58,7 @@ class LegController:
         self.limits: DriveLimits | None = None
         """What the drive checks by itself, asked for when arming; None where its firmware does not say."""
         self.capabilities = Capabilities()
-        self.words = ""
+        self.words = self.refusal = ""
         self._link = link
         self._now_ns = now_ns
         self._codec: Codec[Any] = codec or Decoder()

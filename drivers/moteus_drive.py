@@ -18,7 +18,7 @@ from dataclasses import replace
 
 from drivers.can_frame import CanFrame, Frames, padded
 from drivers.drive import Capabilities, Lack, Received, Wiring
-from drivers.errors import DeviceAbsent, DeviceFault, ProtocolMismatch
+from drivers.errors import DeviceAbsent, ProtocolMismatch
 from drivers.fdcanusb_link import FdcanusbLink
 from drivers.link import Link
 from drivers.multiplex import (
@@ -43,6 +43,9 @@ from drivers.transport import open_port
 HOST = 0
 REPLY_WANTED = 0x8000
 MAP_VERSION = 5
+RATE_HZ = 500.0
+NODES_TRIED = 16
+"""Nodes that are looked for."""
 STOPPED, FAULT, POSITION, TIMEOUT = 0, 1, 10, 11
 TENTH = {Kind.INT16: 0.1}
 FAULTS = {32: Fault.KNEE_ENCODER, 33: Fault.GATE_DRIVER, 34: Fault.OVERVOLTAGE, 35: Fault.KNEE_ENCODER,
@@ -114,6 +117,11 @@ class MoteusDrive(PolledDrive[Frames]):
                                    f"knows {MAP_VERSION}; flash matching firmware: moteus_tool --flash")
         self._latched = self._faults(int(found[Register.MODE]), int(found[Register.FAULT]))
         self.settings = self._read_settings()
+        mode = self.settings["servo.timeout_mode"]
+        if mode != 0.0:
+            said = "cannot be read" if math.isnan(mode) else f"is {mode:g}"
+            self.refusal = f"{self._where}: servo.timeout_mode {said}, so a lost host might not take the torque off; " \
+                           "in tview: conf set servo.timeout_mode 0, then conf write"
         most = self.settings["servo.max_current_A"] * self.wiring.torque_constant_nm_per_a
         self.limits = self._own_limits()
         return Hello(VERSION, self._boot_id, round(self.wiring.rate_hz), self.wiring.gear_ratio,
@@ -225,11 +233,6 @@ class MoteusDrive(PolledDrive[Frames]):
     # -- torque --------------------------------------------------------------------------------------------
 
     def _enable(self, watchdog_ms: int) -> None:
-        mode = self.settings.get("servo.timeout_mode", math.nan)
-        if mode != 0.0:
-            said = "cannot be read" if math.isnan(mode) else f"is {mode:g}"
-            raise DeviceFault(f"{self._where}: servo.timeout_mode {said}, so a lost host might not take the torque "
-                              "off; in tview: conf set servo.timeout_mode 0, then conf write")
         self._timeout_s = watchdog_ms * 1e-3
         self._turn(0.0)
 
@@ -279,13 +282,23 @@ class MoteusDrive(PolledDrive[Frames]):
         return text
 
 
+def find_nodes(link: Link[Frames], wiring: Wiring) -> list[int]:
+    """Identifiers of the moteus that answer, up to NODES_TRIED; each is stopped."""
+    found: set[int] = set()
+    for node in range(1, NODES_TRIED + 1):
+        identifier = REPLY_WANTED | HOST << 8 | node
+        link.write((CanFrame(identifier, padded(IDENTITY, NOP), True, True),))
+        found |= {frame.can_id >> 8 for frame in link.read() if frame.can_id & 0xFF == HOST and frame.fd}
+    return sorted(found & set(range(1, NODES_TRIED + 1)))
+
+
 def open_link(wiring: Wiring) -> Link[Frames]:
     """The CAN FD bus, or the adapter on its serial port. Raises a `DriverError`."""
     if wiring.can is None:
         return FdcanusbLink(open_port(wiring.port, wiring.baud))
     from drivers.can_link import CanFilter, CanLink  # python-can takes a while to load
 
-    mine = CanFilter(wiring.node << 8 | HOST, 0xFFFF, None)
+    mine = CanFilter(wiring.node << 8 | HOST, 0xFFFF if wiring.node else 0xFF, None)  # 0: whoever answers
     return CanLink(wiring.node, accept=mine, fd=True, **wiring.can)
 
 

@@ -68,7 +68,7 @@ class PolledDrive(ABC, Generic[Chunk]):
         self.hello: Hello | None = None
         self.telemetry: Telemetry | None = None
         self.limits: DriveLimits | None = None
-        self.words = ""
+        self.words = self.refusal = ""
         self.wiring = wiring
         self._link, self._now_ns, self._sleep = link, now_ns, sleep
         self._lock = threading.RLock()
@@ -205,6 +205,9 @@ class PolledDrive(ABC, Generic[Chunk]):
             self.stop()
             raise DeviceFault(f"drive has latched: {describe_faults(self._latched)}{self._said()}; "
                               f"{fault_remedy(self._latched)}")
+        if self.refusal:
+            self.stop()
+            raise DeviceFault(self.refusal)
         with self._lock:
             self._enable(watchdog_ms)
             self._enabled = True

@@ -4,6 +4,7 @@ from .facts import shunt_facts as shunt_facts
 from .intake import ControllerIntake as ControllerIntake
 from .intake import ImuIntake as ImuIntake
 from .plan import Plan as Plan
+from .plan import check_drive as check_drive
 from .plan import read_plan as read_plan
 from .plan import write_plan as write_plan
 from .recorder import Progress as Progress

@@ -296,7 +296,8 @@ class Recorder:
             raise WorkError("leg controller: restarted during the run; check its supply")
         telemetry = self._leg.telemetry
         if telemetry is not None and telemetry.faults and (self._driving or telemetry.state == State.FAULT):
-            raise WorkError(f"leg controller: fault latched: {describe_faults(telemetry.faults)}; "
+            said = f" ({self._controller.words})" if self._controller.words else ""
+            raise WorkError(f"leg controller: fault latched: {describe_faults(telemetry.faults)}{said}; "
                             f"{fault_remedy(telemetry.faults)}")
         if self._driving and not self._armed():
             raise WorkError("leg controller: disarmed itself during the run")

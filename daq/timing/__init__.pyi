@@ -1,7 +1,9 @@
 from .align import Decoded as Decoded
 from .align import align as align
 from .align import decode as decode
+from .align import is_polled as is_polled
 from .align import recorded_rig as recorded_rig
+from .clock import fit_answers as fit_answers
 from .clock import fit_samples as fit_samples
 from .clock import fit_ticks as fit_ticks
 from .notes import configured as configured

@@ -52,13 +52,12 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
     if telemetry.size < MIN_SAMPLES:
         raise unusable(raw, f"holds {telemetry.size} telemetry samples, at least {MIN_SAMPLES} are needed")
     epoch_ns = int(telemetry["host_ns"][0])
-    drive = configured(raw, "drive")
-    polled = drive.get("polled") is True
-    time_ns, clocks = _telemetry_times(raw, telemetry, epoch_ns, polled)
-    if polled:
+    asked = is_polled(raw)
+    time_ns, clocks = _telemetry_times(raw, telemetry, epoch_ns, asked)
+    if asked:
         time_ns = np.where(_sure(raw, telemetry, rig), time_ns, np.nan)
-    channels = _leg_channels(raw, telemetry, time_ns, rig, drive.get("current") == "instant")
-    sources = {"file": raw.name, **_clock_facts(clocks, time_ns if polled else None)}
+    channels = _leg_channels(raw, telemetry, time_ns, rig, configured(raw, "drive").get("current") == "instant")
+    sources = {"file": raw.name, **_clock_facts(clocks, time_ns if asked else None)}
     distance = raw.streams["/distance"]
     if distance.size:
         channels.append(_distance_channel(distance, epoch_ns))
@@ -107,14 +106,19 @@ def recorded_rig(raw: RawRun) -> Rig:
     return parse_rig(raw.files["rig.toml"], f"{raw.name} (rig.toml inside)")
 
 
+def is_polled(raw: RawRun) -> bool:
+    """The run's drive keeps no time: each of its samples answered a request of the host."""
+    return configured(raw, "drive").get("polled") is True
+
+
 def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int,
-                     polled: bool) -> tuple[FloatArray, list[TickClock]]:
+                     asked: bool) -> tuple[FloatArray, list[TickClock]]:
     """Host times [ns after epoch] of telemetry ticks, NaN for a boot without probes; one clock a boot."""
     probes = raw.streams["/leg/clock"]
     time_ns = np.full(telemetry.shape, np.nan)
     arrived = (telemetry["host_ns"] - epoch_ns).astype(float)
     clocks = []
-    fit = fit_answers if polled else fit_ticks
+    fit = fit_answers if asked else fit_ticks
     for boot in np.unique(telemetry["boot_id"]):
         mine = probes[probes["boot_id"] == boot]
         if mine.size == 0:

@@ -116,7 +116,7 @@ class BenchDrive(ABC):
         if self.alive and self.powered:
             self._check(t0_ns)
         asked = self.torque_nm * self.wiring.turns * self.current_gain if self.powered else 0.0
-        return self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, asked)
+        return self.settings.torque_gain * self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, asked)
 
     def observe(self, segment: Segment) -> None:
         """What the sensors see of a step; the motor warms up."""

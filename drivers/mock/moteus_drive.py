@@ -69,9 +69,9 @@ class MockMoteus(BenchDrive):
         self.map_version, self.has_counter = MAP_VERSION, True
         self.stuck_counter_ms: int | None = None
         """Set: the registers are no longer written, as behind a task that hangs; all readings stay as they are."""
-        torque = settings.torque_limit_nm / settings.torque_constant_nm_per_a
+        current = 1.05 * settings.torque_limit_nm / settings.torque_constant_nm_per_a
         self.config = {"id.id": float(wiring.node), "servo.timeout_mode": 0.0, "servo.default_timeout_s": 0.1,
-                       "servo.max_current_A": torque, "servo.max_velocity": settings.speed_limit_radps
+                       "servo.max_current_A": current, "servo.max_velocity": settings.speed_limit_radps
                        * abs(wiring.turns) / (2.0 * math.pi), "servopos.position_min": math.nan,
                        "servopos.position_max": math.nan, "servo.enable_motor_temperature": 1.0,
                        "servo.pid_position.kp": 4.0, "servo.pid_position.kd": 0.05}

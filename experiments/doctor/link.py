@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import time
 from pathlib import Path
 
-from daq import ControllerDevice, Rig
-from drivers import VERSION, Drive, State, describe_faults, fault_remedy
+from daq import ControllerDevice, InputError, Rig
+from daq.recording import check_drive
+from drivers import VERSION, Drive, Reaction, State, describe_faults, fault_remedy
 from experiments.doctor.check import Check
 from experiments.reports import GOOD_TIMER_MS
 
@@ -101,7 +103,8 @@ def after_opening(controller: Drive, rig: Rig, device: ControllerDevice, told: b
     hello = controller.hello
     if hello is None:
         raise ValueError("open the leg controller first")
-    checks = [Check("firmware version", "ok", f"speaks protocol version {hello.version}, as this program does")]
+    words = controller.words or f"speaks protocol version {hello.version}, as this program does"
+    checks = [Check("firmware version", "ok", words)]
     if hello.version != VERSION:  # opening refuses it too
         checks = [Check("firmware version", "FAIL", f"protocol version {hello.version}, this program has {VERSION}; "
                                                     "flash matching firmware")]
@@ -118,7 +121,29 @@ def after_opening(controller: Drive, rig: Rig, device: ControllerDevice, told: b
         checks.append(Check("firmware settings", "FAIL",
                             f"{', '.join(wrong)}; make the rig file and the firmware agree") if wrong else
                       Check("firmware settings", "ok", "gear ratio, limits, watchdog and rate agree"))
+    if controller.capabilities.lacks:
+        checks += _drive_alone(controller, rig)
     return [*checks, *_latency(controller, device), _faults(controller)]
+
+
+def _drive_alone(controller: Drive, rig: Rig) -> list[Check]:
+    """What a drive that is not our own firmware limits by itself, refuses, and does not do."""
+    checks = [Check("drive's watchdog", "FAIL", controller.refusal)] if controller.refusal else []
+    limits, hello = controller.limits, controller.hello
+    if limits is not None and hello is not None:
+        ends = [f"{end:.3g}" if math.isfinite(end) else "no limit" for end in (limits.position_min_rad,
+                                                                              limits.position_max_rad)]
+        checks.append(Check("drive's limits", "ok", f"torque {hello.torque_limit_nm:.3g} N m, speed "
+                            f"{limits.speed_limit_radps:.3g} rad/s, knee {' to '.join(dict.fromkeys(ends))} rad, of the "
+                            f"joint; at a lost host: {Reaction(limits.reaction).name.lower()}"))
+    elif hello is not None:
+        checks.append(Check("drive's limits", "warn", "it tells none; [limits] are written to it as it is armed"))
+    try:
+        check_drive(rig, controller)
+    except InputError as error:
+        checks.append(Check("knee's encoder", "FAIL", f"{error.what}; {error.remedy}"))
+    return checks + [Check("not in this drive", "warn", f"{lack.what}; instead: {lack.instead}")
+                     for lack in controller.capabilities.lacks]
 
 
 def _latency(controller: Drive, device: ControllerDevice) -> list[Check]:
@@ -151,6 +176,7 @@ def _faults(controller: Drive) -> Check:
     if telemetry is None:
         return Check("drive", "FAIL", "answers, but sends no telemetry; check the firmware")
     if telemetry.faults or telemetry.state == State.FAULT:
-        return Check("drive", "FAIL", f"has latched: {describe_faults(telemetry.faults)}; "
+        said = f" ({controller.words})" if controller.words else ""
+        return Check("drive", "FAIL", f"has latched: {describe_faults(telemetry.faults)}{said}; "
                                       f"{fault_remedy(telemetry.faults)}")
     return Check("drive", "ok", f"disarmed, no fault, supply {telemetry.bus_v:.1f} V")

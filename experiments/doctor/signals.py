@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from daq import Dataset, FloatArray, InputError, Rig, imu_columns
-from daq.timing import align
+from daq.timing import align, is_polled
 from experiments.doctor.check import Check, Heard
 from experiments.reports import BOUND_S, clock_bound_s
 
 RATE_TOLERANCE = 0.06
 LOST_SHARE = 0.01
+SLOW_SHARE = 0.9
+"""Of the rate at which a drive is to be polled."""
 SHUNT_SHARE = 0.005
 """Offset of the shunt that counts, as a share of the torque limit."""
 STILL_RADPS = 0.05
@@ -45,6 +47,10 @@ def _telemetry(heard: Heard, rig: Rig) -> Check:
         return Check("telemetry", "FAIL", "none came; check the firmware and the cable")
     if hurt > LOST_SHARE * count:
         return Check("telemetry", "FAIL", f"{words}; check cable, ground and baud rate")
+    wanted = rig.devices.controller.rate_hz if rig.devices.controller else 0.0
+    if is_polled(heard.raw) and count / heard.seconds < SLOW_SHARE * wanted:
+        return Check("telemetry", "warn", f"{words}, {wanted:g} are asked for: the bus or this computer carries no "
+                                          "more; lower [devices.controller] rate_hz")
     return Check("telemetry", "warn" if hurt else "ok", words + ("; check cable and ground" if hurt else ""))
 
 

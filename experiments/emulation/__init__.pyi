@@ -1,3 +1,4 @@
+from .drive_rig import rig_with_drive as rig_with_drive
 from .emulated_rig import REMARK as REMARK
 from .emulated_rig import record_emulated as record_emulated
 from .hidden_effects import DEFAULT as DEFAULT

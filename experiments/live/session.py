@@ -128,7 +128,7 @@ class Session:
         ours.setblocking(False)
         with theirs:
             arguments = ["record", "--rig", str(self.rig), "--plan", str(plan), "--out", str(path),
-                         "--watched-by", str(theirs.fileno())]
+                         "--watched-by", str(theirs.fileno()), "--estop-at-hand"]  # legid live has asked
             self._line = ours
             try:
                 self._child = await children.start(arguments, pass_fds=[theirs.fileno()])

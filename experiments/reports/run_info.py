@@ -10,7 +10,17 @@ from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray, InputError, Rig
 from daq.runs import Note, RawRun, RawTable
-from daq.timing import HOLE_PERIODS, align, compare_torque_channels, configured, fit_ticks, measure_skew, recorded_rig
+from daq.timing import (
+    HOLE_PERIODS,
+    align,
+    compare_torque_channels,
+    configured,
+    fit_answers,
+    fit_ticks,
+    is_polled,
+    measure_skew,
+    recorded_rig,
+)
 from drivers import describe_faults
 from experiments.console import text_table
 
@@ -144,7 +154,8 @@ def second_shunt(raw: RawRun, run: Dataset) -> list[str]:
 def clock_bound_s(raw: RawRun) -> float:
     """How well the controller's clock is known in the worst boot [s]; 0 without probes."""
     probes = raw.streams["/leg/clock"]
-    return max((fit_ticks(probes[probes["boot_id"] == boot], int(probes["host_tx_ns"][0])).bound_s
+    fit = fit_answers if is_polled(raw) else fit_ticks
+    return max((fit(probes[probes["boot_id"] == boot], int(probes["host_tx_ns"][0])).bound_s
                 for boot in np.unique(probes["boot_id"])), default=0.0)
 
 

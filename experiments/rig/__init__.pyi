@@ -7,6 +7,8 @@ from .devices import open_imu as open_imu
 from .devices import open_sensors as open_sensors
 from .devices import wiring as wiring
 from .discovery import probe as probe
+from .estop import FLAG as FLAG
+from .estop import confirm_estop as confirm_estop
 from .questions import ask_facts as ask_facts
 from .servo_law import needs_law as needs_law
 from .setup import Setup as Setup

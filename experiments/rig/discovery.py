@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from msgspec import structs
+
 from daq import ControllerDevice, InputError
-from drivers import DriverError, I2CBus, open_bus, read_registers
+from drivers import DriverError, I2CBus, drive_kinds, drive_rate_hz, find_nodes, open_bus, read_registers
 from drivers import lsm9ds1_registers as reg
 from experiments.rig import devices
 from experiments.rig.writer import RigFacts
@@ -41,17 +43,21 @@ def can_channels() -> list[str]:
 def probe(facts: RigFacts, say: Callable[[str], None], ports: Sequence[str] | None = None) -> RigFacts:
     """`facts` with what answered: the first LSM9DS1, the first leg controller. Each find and miss is said."""
     facts = _probe_imu(facts, say)
-    choices = [ControllerDevice(port=port) for port in (serial_ports() if ports is None else ports)]
+    places = [ControllerDevice(port=port) for port in (serial_ports() if ports is None else ports)]
     if ports is None:
-        choices += [ControllerDevice(can={"interface": "socketcan", "channel": name}) for name in can_channels()]
-    for device in choices:
+        places += [ControllerDevice(can={"interface": "socketcan", "channel": name}) for name in can_channels()]
+    for device in (choice for place in places for choice in drives_at(place)):
         place = device.port if device.can is None else str(device.can["channel"])
         try:
             with devices.connect(device) as controller:
-                hello = controller.open(HELLO_TIMEOUT_S)
+                hello, words = controller.open(HELLO_TIMEOUT_S), controller.words
         except (DriverError, InputError) as error:
             say(f"{place}: {error}")
             continue
+        if device.kind != "legid":
+            say(f"{place}: a {device.kind}, node {device.node}: {words}")
+            return replace(facts, port=None if device.can else place, can_channel=place if device.can else None,
+                           kind=device.kind, node=device.node, rate_hz=device.rate_hz, known=facts.known | {"port"})
         say(f"{place}: a leg controller, gear {hello.gear_ratio:g}, at most {hello.torque_limit_nm:g} N m, "
             f"{hello.telemetry_hz} Hz")
         return replace(
@@ -59,8 +65,20 @@ def probe(facts: RigFacts, say: Callable[[str], None], ports: Sequence[str] | No
             gear_ratio=hello.gear_ratio, torque_nm=hello.torque_limit_nm, rate_hz=float(hello.telemetry_hz),
             watchdog_ms=min(facts.watchdog_ms, hello.watchdog_ms),
             known=facts.known | {"port", "gear_ratio", "torque_nm", "rate_hz"})
-    say(f"no leg controller answered on {', '.join(d.port for d in choices if d.can is None) or 'any port'}")
+    say(f"no leg controller answered on {', '.join(d.port for d in places if d.can is None) or 'any port'}")
     return facts
+
+
+def drives_at(place: ControllerDevice) -> Iterator[ControllerDevice]:
+    """What to greet there: our own firmware first, then every drive that answers to a look for it, by its node."""
+    yield place
+    for kind in drive_kinds():
+        try:
+            nodes = find_nodes(kind, devices.wiring(place))
+        except DriverError:
+            continue  # said already, of the same place
+        rate_hz = drive_rate_hz(kind)
+        yield from (structs.replace(place, kind=kind, node=node, rate_hz=rate_hz) for node in nodes)
 
 
 def _probe_imu(facts: RigFacts, say: Callable[[str], None]) -> RigFacts:

@@ -29,6 +29,8 @@ class RigFacts:
     port: str | None = None
     """Serial port of the controller; None: it is on CAN, or was not found."""
     can_channel: str | None = None
+    kind: str = "legid"
+    """Of the drive."""
     node: int = 0
     rate_hz: float = 500.0
     watchdog_ms: int = 100
@@ -62,7 +64,10 @@ def rig_toml(facts: RigFacts) -> str:
               line("gravity_mps2", _number(facts.gravity_mps2), "local gravity [m/s2]"), "",
               "[imu]", line("lever_arm_m", _number(facts.lever_arm_m), "pivot to IMU along link 1 [m]", "lever_arm_m"),
               "", "[motor]",
-              line("gear_ratio", _number(facts.gear_ratio), "motor turns per turn of the joint", "gear_ratio"), "",
+              line("gear_ratio", _number(facts.gear_ratio), "motor turns per turn of the joint", "gear_ratio"),
+              *([] if facts.kind == "legid" else [
+                  line("side", '"motor"', "motor | joint: where the drive's angle and torque are meant", "side"),
+                  line("sign", "1", "-1: the drive counts backwards when the knee's angle grows", "sign")]), "",
               "[sampling]", line("rate_hz", "100.0", "grid on which runs are aligned [Hz]"),
               line("hold", '"auto"', "zero | linear | average | smooth: torque between samples; or the likeliest"), "",
               *_imu(facts, line), "", *_controller(facts, line), "",
@@ -74,7 +79,9 @@ def rig_toml(facts: RigFacts) -> str:
               line("q2_rad", _number(facts.q2_rad), "knee, either side of straight [rad]", "q2_rad"),
               line("temperature_degc", "70.0", "motor [degC]"),
               line("staleness_s", "0.1", "longest silence of a device [s]"),
-              line("clock_bound_s", "0.005", "uncertainty of the controller's clock [s]"), "",
+              line("clock_bound_s", "0.005", "uncertainty of the controller's clock [s]"),
+              *([] if facts.kind == "legid" else [
+                  line("unchecked", '["encoder_s"]', "this drive reads the knee by one sensor")]), "",
               "[calibration]",
               line("knee_zero_rad", "0.0", "reading of the knee encoder when the knee is straight [rad]",
                    "knee_zero_rad"),
@@ -107,13 +114,15 @@ def _imu(facts: RigFacts, line: Line) -> list[str]:
 def _controller(facts: RigFacts, line: Line) -> list[str]:
     settings = [line("rate_hz", _number(facts.rate_hz), "telemetry [Hz]", "rate_hz"),
                 line("watchdog_ms", str(facts.watchdog_ms), "torque ends after this silence [ms]")]
+    drive = [line("kind", f'"{facts.kind}"', "which drive")] if facts.kind != "legid" else []
     if facts.can_channel is not None:
-        return ["[devices.controller]",
+        return ["[devices.controller]", *drive,
                 line("can", f'{{interface = "socketcan", channel = "{facts.can_channel}"}}', "python-can's settings"),
                 line("node", str(facts.node), "the controller's node"), *settings]
     if facts.port is not None:
-        return ["[devices.controller]", line("port", f'"{facts.port}"', "serial port"),
-                line("baud", "1000000", "bits per second"), *settings]
+        node = [line("node", str(facts.node), "the drive's node")] if drive else []
+        return ["[devices.controller]", *drive, line("port", f'"{facts.port}"', "serial port"),
+                line("baud", "1000000", "bits per second"), *node, *settings]
     return ["# [devices.controller]           # none found; uncomment when it is there", '# port = "/dev/ttyACM0"']
 
 

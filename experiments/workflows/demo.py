@@ -15,7 +15,7 @@ from daq.runs import read_run
 from estimator import cores, worker_pool
 from estimator.fitting import fit
 from experiments.console import busy, make_directory, progress, stages, write_text
-from experiments.emulation import DEFAULT, EFFECTS, NOTHING, REMARK, Hidden, LegBody, record_emulated
+from experiments.emulation import DEFAULT, EFFECTS, NOTHING, REMARK, Hidden, LegBody, record_emulated, rig_with_drive
 from experiments.excite import random_multisine
 from experiments.reports import diagnosed_model
 from experiments.rig import load_setup
@@ -33,15 +33,17 @@ WORKERS = 2
 
 
 def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = DEFAULT, runs: int = RUNS,
-             body: LegBody | None = None) -> Demo:
+             body: LegBody | None = None, drive: str = "legid") -> Demo:
     """Record `runs` runs of `seconds` [s] on a leg that hides `effect`, fit, diagnose; everything goes into `out`.
+
+    `drive`: the kind that turns its knee.
 
     Files of an earlier demo in `out` are replaced. Raises `WorkError` when the fit does not converge or no diagnosis
     is possible.
     """
     started = time.monotonic()
     make_directory(out)
-    rig_text = (files(__package__) / RIG_FILE).read_text(encoding="utf-8")
+    rig_text = rig_with_drive((files(__package__) / RIG_FILE).read_text(encoding="utf-8"), drive)
     rig = parse_rig(rig_text, RIG_FILE)
     remove_earlier_runs(out)
     write_text(out / "rig.toml", rig_text)
@@ -58,7 +60,8 @@ def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = D
     with busy("fitting"):
         result = fit(training.datasets, setup.mechanism, setup.options)
         hall = replace(setup.options, sensors="encoder", cutoff_hz=HALL_CUTOFF_HZ)
-        benchmark = fit(training.datasets, setup.mechanism, hall, "wls")
+        seen = all("q1_rad" in d for d in training.datasets)  # a drive reads no hip
+        benchmark = fit(training.datasets, setup.mechanism, hall, "wls") if seen else None
         model = diagnosed_model(diagnosis, setup, rig.motor.gear_ratio)
     before = validate_setup(held, result.mechanism, result.beta, result.hold)
     after = validate_runs(model, held, "the extended model") if model.effects else before

@@ -33,7 +33,7 @@ from experiments.reports import (
 from experiments.workflows.demo_result import Demo
 
 
-def write_results(out: Path, demo: Demo, benchmark: FitResult) -> dict[str, Path]:
+def write_results(out: Path, demo: Demo, benchmark: FitResult | None) -> dict[str, Path]:
     """Models, documents and both reports; returns what -> path."""
     result, setup = demo.result, demo.setup
     runs = [out / name for names in demo.diagnosis.runs.values() for name in names]

@@ -37,7 +37,7 @@ def test_a_drive_that_nobody_knows_is_named_with_those_that_there_are() -> None:
 def test_angle_torque_and_current_are_the_joints(kind: str) -> None:
     bench = DriveBench(kind, StillPlant(StillState(q2=0.3)))
     hello = bench.drive.open()
-    assert hello.torque_limit_nm == pytest.approx(2.0, rel=1e-5) and hello.gear_ratio == 50.0
+    assert hello.torque_limit_nm == pytest.approx(2.1, rel=1e-5) and hello.gear_ratio == 50.0
     bench.armed()
     bench.run(0.1, 0.6)
     seen = telemetry(bench.run(0.2, 0.6))
@@ -81,7 +81,7 @@ def test_a_torque_beyond_the_limit_stops_the_motor(kind: str, torque: float) -> 
     bench = DriveBench(kind)
     bench.armed(1000)
     bench.run(0.05, 1.0)
-    with pytest.raises(DriverError, match="beyond its limit of 2"):
+    with pytest.raises(DriverError, match=r"beyond its limit of 2\.1"):
         bench.drive.command(torque)
     bench.run(0.02)
     assert bench.far.torque_nm == 0.0

@@ -27,7 +27,7 @@ def test_its_own_limits_are_read_and_shown() -> None:
     bench.far.config |= {"servopos.position_min": -10.0, "servopos.position_max": 20.0}
     hello = bench.drive.open()
     assert bench.drive.limits is not None and bench.drive.limits.reaction == Reaction.LIMP
-    assert hello.torque_limit_nm == pytest.approx(2.0, rel=1e-5)
+    assert hello.torque_limit_nm == pytest.approx(2.1, rel=1e-5)
     assert bench.drive.limits.position_min_rad == pytest.approx(-20.0 * 2 * math.pi / 50)
     assert bench.drive.limits.position_max_rad == pytest.approx(10.0 * 2 * math.pi / 50)
     assert bench.drive.limits.speed_limit_radps == pytest.approx(40.0, rel=1e-4)
@@ -167,7 +167,7 @@ def test_our_driver_builds_what_the_vendors_library_builds() -> None:
     moteus = vendor()
     servo = moteus.Controller(id=1)
     theirs = servo.make_position(position=math.nan, velocity=0.0, kp_scale=0.0, kd_scale=0.0, ilimit_scale=0.0,
-                                 feedforward_torque=-0.02, maximum_torque=0.04, watchdog_timeout=0.1)
+                                 feedforward_torque=-0.02, maximum_torque=0.042, watchdog_timeout=0.1)
     bench = DriveBench("moteus")
     drive = bench.drive
     assert isinstance(drive, MoteusDrive)

@@ -21,6 +21,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="where the files go, over those of an earlier demo; default: demo-out")
     parser.add_argument("--effect", metavar="NAME", choices=HIDEABLE, default="joint_stiffness",
                         help=f"what is hidden in the leg: {', '.join(HIDEABLE)}; default: joint_stiffness")
+    parser.add_argument("--drive", metavar="KIND", default="legid",
+                        help="what turns the knee: legid (our own firmware, the default), moteus or another drive that "
+                             "has an emulator")
     parser.add_argument("--runs", metavar="N", type=_runs, default=8, help="number of runs; default: 8")
     parser.add_argument("--seconds", metavar="S", type=_seconds, default=10.0, help="length of each run; default: 10")
     parser.add_argument("--seed", metavar="N", type=parse_seed, default=1,
@@ -55,5 +58,6 @@ def run(args: argparse.Namespace) -> int:
 
     from experiments.workflows import demo_text, run_demo
 
-    print(demo_text(run_demo(Path(args.out), args.seconds, args.seed, args.effect, args.runs)))
+    print(demo_text(run_demo(Path(args.out), args.seconds, args.seed, args.effect, args.runs,
+                             drive=args.drive)))
     return 0

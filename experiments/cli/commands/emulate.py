@@ -19,6 +19,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                                                                              "default: emulated-rig")
     parser.add_argument("--effect", metavar="NAME", choices=HIDEABLE, default="none",
                         help="what is hidden in the leg, as for legid demo; default: none")
+    parser.add_argument("--drive", metavar="KIND", default="legid",
+                        help="what turns the knee: legid (our own firmware, the default), moteus or another drive that "
+                             "has an emulator")
     add_force(parser)
     parser.add_argument("--until-eof", action="store_true", help=argparse.SUPPRESS)  # ends with whoever started it
     parser.set_defaults(run=run)
@@ -37,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         signal.pthread_sigmask(signal.SIG_BLOCK, signals)  # before any thread: then they wait for sigwait
     folder = Path(args.out)
     write_plans(folder)
-    with ServedRig(folder, hidden=EFFECTS.get(args.effect, NOTHING)) as served:
+    with ServedRig(folder, hidden=EFFECTS.get(args.effect, NOTHING), drive=args.drive) as served:
         print(f"{served.rig_path}: an emulated rig, served until Ctrl-C", flush=True)
         if args.until_eof:
             sys.stdin.read()

@@ -23,6 +23,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                              "address; default: 127.0.0.1")
     parser.add_argument("--token", action="store_true",
                         help="ask for a token on this machine, too, where others have accounts")
+    parser.add_argument("--estop-at-hand", action="store_true",
+                        help="on a drive other than our own firmware: a hard-wired emergency stop is within reach, so "
+                             "do not ask")
     parser.add_argument("--port", type=_port, default=8080, help="default: 8080; 0 takes any that is free")
     parser.set_defaults(run=run)
 
@@ -45,12 +48,15 @@ def run(args: argparse.Namespace) -> int:
     if find_spec("nicegui") is None:
         raise WorkError("needs the extra: pip install legid[live]")
     from experiments.live import serve, started_demo_rig
+    from experiments.rig import confirm_estop
 
     out = Path(args.out).absolute()
     make_directory(out)
     with ExitStack() as stack:
         path = stack.enter_context(started_demo_rig(out / "rig")) if args.demo else Path(args.rig).absolute()
         rig = load_rig(path)
+        if not args.demo:
+            confirm_estop(rig, args.estop_at_hand)
         serve(path, rig, Path(args.plans).absolute() if args.plans else path.parent, out, args.host, args.port,
               args.token)
     return 0

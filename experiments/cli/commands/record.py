@@ -23,6 +23,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                       help="play this run back instead: the bytes that were read then, to the same drivers, under the "
                            "rig that it holds or that of --rig")
     add_output(parser, "--out", "run", "RUN.mcap", required=True, help="the run file to write; never overwritten")
+    parser.add_argument("--estop-at-hand", action="store_true",
+                        help="on a drive other than our own firmware: a hard-wired emergency stop is within reach, so "
+                             "do not ask")
     parser.add_argument("--watched-by", metavar="FD", type=int, help=argparse.SUPPRESS)  # legid live: see daq.remote
     parser.add_argument("--emulate", metavar="NAME", nargs="?", const="none", choices=HIDEABLE,
                         help="record an emulated leg of the rig's kind instead, with this hidden in it: "
@@ -38,13 +41,15 @@ def run(args: argparse.Namespace) -> int:
         return _replay(args)
     import sys
 
+    from daq import load_rig
     from daq.recording import read_plan, watched_by
     from experiments.console import progress_to
-    from experiments.rig import rig_path
+    from experiments.rig import confirm_estop, rig_path
     from experiments.workflows import record_plan
 
     plan = read_plan(args.plan)
     if args.emulate is None:
+        confirm_estop(load_rig(rig_path(args.rig)), args.estop_at_hand)
         print("The leg will move: hardwired emergency stop at hand, nobody within its reach (docs/safety.md).",
               flush=True)
     with watched_by(args.watched_by) as remote, progress_to("recording") as report:
