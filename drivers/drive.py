@@ -170,6 +170,8 @@ class Wiring:
     """Of the joint, by the rig file."""
     speed_limit_radps: float = 15.0
     """Of the joint, by the rig file."""
+    watchdog_ms: int = 100
+    """Of the drive, by the rig file."""
 
 
 def drive_kinds() -> list[str]:

@@ -56,6 +56,8 @@ class Reading(NamedTuple):
     """By a second sensor."""
     code: float = math.nan
     """The maker's number of what is wrong."""
+    taken_ns: int | None = None
+    """Host time at which angle and current were there, where more was asked for with them [ns]."""
 
 
 class PolledDrive(ABC, Generic[Chunk]):
@@ -76,7 +78,7 @@ class PolledDrive(ABC, Generic[Chunk]):
         self._latched = 0
         self._bad = self._unknown = self._lost = self._reboots = self._bytes_in = self._bytes_out = 0
         self._period_ns = round(1e9 / wiring.rate_hz)
-        self._asked_ns = self._due_ns = 0
+        self._asked_ns = self._due_ns = self._cleared_ns = 0
         self._request = -1
         self._command_seq = 0
         self._boot_id = random.getrandbits(32)
@@ -155,6 +157,8 @@ class PolledDrive(ABC, Generic[Chunk]):
                 self._asked_ns, self._unsure = 0, True
             return []
         asked_ns, self._asked_ns = self._asked_ns, 0
+        if asked_ns <= self._cleared_ns:
+            return []  # of before the faults were forgotten
         return self._received(reading, asked_ns, host_ns)
 
     def _begin(self) -> bool:
@@ -177,6 +181,7 @@ class PolledDrive(ABC, Generic[Chunk]):
         return True
 
     def _received(self, reading: Reading, asked_ns: int, host_ns: int) -> list[Received]:
+        host_ns = reading.taken_ns or host_ns
         tick_us = (asked_ns + host_ns) // 2000 % 2**32
         out: list[Received] = []
         with self._lock:
@@ -235,7 +240,7 @@ class PolledDrive(ABC, Generic[Chunk]):
         with self._lock:
             self.stop()
             self._forget()
-            self._latched, self.words = 0, ""
+            self._latched, self.words, self._cleared_ns = 0, "", self._now_ns()
         self.telemetry = None
 
     def close(self) -> None:

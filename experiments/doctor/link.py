@@ -134,8 +134,8 @@ def _drive_alone(controller: Drive, rig: Rig) -> list[Check]:
         ends = [f"{end:.3g}" if math.isfinite(end) else "no limit" for end in (limits.position_min_rad,
                                                                               limits.position_max_rad)]
         checks.append(Check("drive's limits", "ok", f"torque {hello.torque_limit_nm:.3g} N m, speed "
-                            f"{limits.speed_limit_radps:.3g} rad/s, knee {' to '.join(dict.fromkeys(ends))} rad, of the "
-                            f"joint; at a lost host: {Reaction(limits.reaction).name.lower()}"))
+                            f"{limits.speed_limit_radps:.3g} rad/s, knee {' to '.join(dict.fromkeys(ends))} rad, of "
+                            f"the joint; at a lost host: {Reaction(limits.reaction).name.lower()}"))
     elif hello is not None:
         checks.append(Check("drive's limits", "warn", "it tells none; [limits] are written to it as it is armed"))
     try:

@@ -42,6 +42,8 @@ class DriveBench:
 
     def armed(self, watchdog_ms: int = 100) -> None:
         """Open, arm, and wait for it."""
+        if hasattr(self.far, "watchdog_s"):  # where it is a setting of the drive's
+            self.far.watchdog_s = watchdog_ms * 1e-3
         self.drive.open()
         self.run(0.05)
         self.drive.arm(watchdog_ms)
