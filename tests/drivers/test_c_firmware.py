@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.can_codec import CanCodec, CanFrame
+from drivers.can_codec import CanCodec
+from drivers.can_frame import CanFrame
 from drivers.protocol import (
     Arm,
     ClearFaults,

@@ -5,8 +5,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from drivers.drive import Received
 from drivers.errors import DeviceFault
-from drivers.leg_controller import LegController, Received
+from drivers.leg_controller import LegController
 from drivers.protocol import (
     Fault,
     Pong,

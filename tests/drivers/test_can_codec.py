@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.can_codec import CanCodec, CanFrame
+from drivers.can_codec import CanCodec
+from drivers.can_frame import CanFrame
 from drivers.protocol import FaultReport, Heartbeat, Hello, Message, Ping, Pong, Stop, Telemetry, TorqueCommand
 
 TELEMETRY = Telemetry(7, 4000, 1, 0, 0.5, -0.25, 0.5, 0.125, 24.0, 30.5, 0.125)

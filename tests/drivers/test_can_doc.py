@@ -8,7 +8,8 @@ import cantools
 import pytest
 
 from drivers import protocol
-from drivers.can_codec import PARTS, CanCodec, CanFrame
+from drivers.can_codec import PARTS, CanCodec
+from drivers.can_frame import CanFrame
 from tests.support.paths import ROOT
 
 TEXT = (ROOT / "firmware_protocol.md").read_text().split("\n## 10.")[1]

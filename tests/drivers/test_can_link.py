@@ -12,7 +12,8 @@ import can
 import numpy as np
 import pytest
 
-from drivers.can_codec import CanCodec, CanFrame
+from drivers.can_codec import CanCodec
+from drivers.can_frame import CanFrame
 from drivers.can_link import CanLink
 from drivers.errors import DeviceAbsent, LinkLost
 from drivers.leg_controller import LegController

@@ -155,7 +155,7 @@ def test_what_comes_too_late_is_no_answer_to_a_later_request(kind: str) -> None:
     bench = DriveBench(kind)
     bench.drive.open()
     bench.run(0.05)
-    true, held = bench.link.read, []
+    true, held = bench.link.read, list[Any]()
 
     def slow() -> Any:
         data = true()
@@ -164,7 +164,7 @@ def test_what_comes_too_late_is_no_answer_to_a_later_request(kind: str) -> None:
             return data[:0]
         return data
 
-    bench.link.read = slow  # type: ignore[method-assign]
+    bench.link.read = slow
     lost = bench.drive.stats.lost
     received = bench.run(0.1)
     assert bench.drive.stats.lost > lost
@@ -237,5 +237,5 @@ def test_noise_on_the_line_is_counted_and_survived(kind: str) -> None:
             data = (CanFrame(own, rng.bytes(int(rng.integers(9))), False, True), *data)
         return data
 
-    bench.link.read = noisy  # type: ignore[method-assign]
+    bench.link.read = noisy
     assert len(telemetry(bench.run(1.0))) > 0.3 * bench.wiring.rate_hz

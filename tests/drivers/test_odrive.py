@@ -114,7 +114,7 @@ def test_250_a_second_fit_the_bus_at_a_megabit() -> None:
         sent[0] += sum(bits(len(f.data)) + (bits(8) if f.remote else 0) for f in frames)
         true(frames)
 
-    bench.link.write = count  # type: ignore[method-assign]
+    bench.link.write = count  # type: ignore[assignment]
     seen = telemetry(bench.run(1.0, 0.3))
     assert len(seen) > 240 and sent[0] < 0.3e6
 

@@ -14,7 +14,8 @@ from typing import Any
 import can
 import pytest
 
-from drivers.can_codec import CanCodec, CanFrame
+from drivers.can_codec import CanCodec
+from drivers.can_frame import CanFrame
 from drivers.can_link import CanLink
 from drivers.errors import DeviceAbsent, LinkLost
 from drivers.leg_controller import LegController

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from drivers.can_codec import CanCodec, CanFrame, Frames
+from drivers.can_codec import CanCodec
+from drivers.can_frame import CanFrame, Frames
 from drivers.mock.clock import VirtualClock
 from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig

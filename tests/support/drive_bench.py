@@ -27,7 +27,7 @@ class DriveBench:
         self.rig = MockRig(plant or StillPlant(), self.clock, firmware=settings, seed=seed,
                            make=drive_maker(kind, self.wiring))
         self.far: Any = self.rig.drive
-        self.link = EmulatorLink(self.rig.drive, self.clock, seed=seed, nothing=self.far.nothing)
+        self.link = EmulatorLink(self.rig.drive, self.clock, seed=seed, nothing=getattr(self.rig.drive, "nothing", b""))
         self.drive: Drive = attach(kind, self.link, self.wiring, self.clock.now_ns, self.clock.sleep)
 
     def run(self, seconds: float, torque_nm: float | None = None) -> list[Received]:
