@@ -7,8 +7,9 @@ from .files import check_place as check_place
 from .files import kind_of as kind_of
 from .files import replacing_anything as replacing_anything
 from .files import write_file as write_file
-from .load import SUFFIXES as SUFFIXES
-from .load import load_run as load_run
+from .findings import Damage as Damage
+from .findings import Doubt as Doubt
+from .findings import Steps as Steps
 from .mechanisms import JOINTS as JOINTS
 from .rig import Calibration as Calibration
 from .rig import Column as Column

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Self
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from daq.findings import Damage, Doubt, Steps
+
+if TYPE_CHECKING:
+    from daq.rig import Rig
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -28,12 +33,17 @@ class Dataset:
     """(n,) grid times [s], uniform, on the recorder's clock."""
     columns: Mapping[str, FloatArray]
     """Column name (`q2_rad`, `tau2_nm`, ...) to values, each (n,)."""
-    sources: Mapping[str, str] = field(default_factory=dict)
-    """Provenance a report may print: file, recording date, firmware; free text. `damaged`: what is missing of the
-    file, where something is."""
     clock_bound_s: float = 0.0
     """How far the time line of the IMU, without one the pivot sensor's, may be off the controller's [s]; 0 where all
     share one clock."""
+    damage: tuple[Damage, ...] = ()
+    """Ways in which its file is not what was recorded; empty for a whole one."""
+    doubts: tuple[Doubt, ...] = ()
+    """What in it cannot be true of one IMU on one leg."""
+    steps: Steps | None = None
+    """The touchdowns by which a walker's run was cut."""
+    recorded_on: Rig | None = None
+    """The rig file that a native run holds."""
 
     def __post_init__(self) -> None:
         n = self.time_s.shape[0]

@@ -12,6 +12,7 @@ from .parallel import cores as cores
 from .parallel import worker_pool as worker_pool
 from .result import TWO_SIDED as TWO_SIDED
 from .result import Combination as Combination
+from .result import Finding as Finding
 from .result import FitResult as FitResult
 from .result import RunAgreement as RunAgreement
 from .result import RunNoise as RunNoise

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,28 @@ class Combination:
         """For a person: "beta2 -0.8*beta3"."""
         (lead, _), *others = self.amounts
         return " ".join([lead, *(f"{amount:+.3g}*{name}" for name, amount in others)])
+
+
+Role = Literal["assumption", "warning", "fault", "remedy", "doubt", "fact"]
+FindingKind = Literal["run_set_aside", "run_doubt", "rig_contradiction", "run_note", "choice", "servo_gain",
+                      "noise_share", "level_at_zero", "level_negative", "impossible", "columns", "not_converged",
+                      "undetermined", "torque_residual", "passive_joint", "sensor_residual", "torque_fit",
+                      "runs_disagree", "loose", "not_shown"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was found about a fit besides its numbers."""
+
+    role: Role
+    """assumption: the intervals rest on it. warning: a person should know it. fault: these parameters may not be used.
+    remedy: what to write into the rig file. doubt: a reason not to trust them. fact: what limits their use."""
+    kind: FindingKind
+    text: str
+    """For a person, one sentence."""
+
+    def __str__(self) -> str:
+        return self.text
 
 
 @dataclass(frozen=True)
@@ -112,7 +135,8 @@ class FitResult:
     """What this data cannot determine: single parameters, or several together."""
     assumptions: tuple[str, ...] = ()
     """What the intervals rest on, one plain sentence each."""
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    """What checks of the fit and of its runs found, in the order in which a person reads it."""
     trajectories: tuple[Trajectory, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
     """Parameters that were given, not estimated."""
@@ -122,16 +146,27 @@ class FitResult:
     """Log-likelihood of that hold above the next one's, where it was chosen by the likelihood."""
     at_bound: Mapping[str, float] = field(default_factory=dict)
     """Levels that came out below zero and are held there -> the upper end of their 95 % interval."""
-    inadmissible: tuple[str, ...] = ()
-    """Why these parameters are no mechanism's, or the records behind them are read wrongly, one sentence each."""
-    remedies: tuple[str, ...] = ()
-    """Set-ups under which the same records make sense, the best first, with what to write into the rig file."""
     agreement: RunAgreement | None = None
     """Whether the runs agree; the covariance has in it what they disagree about. None: the method does not ask."""
 
     run_noise: RunNoise | None = None
     """Where runs have levels of their own, each weighs by its own; `noise` is then their root mean square over samples.
     None: all runs have those."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a person should know, the remedies last."""
+        return tuple(one.text for one in self.findings if one.role in ("warning", "remedy"))
+
+    @property
+    def inadmissible(self) -> tuple[str, ...]:
+        """Why these parameters are no mechanism's, or the records behind them are read wrongly, one sentence each."""
+        return tuple(one.text for one in self.findings if one.role == "fault")
+
+    @property
+    def remedies(self) -> tuple[str, ...]:
+        """Set-ups under which the same records make sense, the best first, with what to write into the rig file."""
+        return tuple(one.text for one in self.findings if one.role == "remedy")
 
     @property
     def open_parameters(self) -> frozenset[str]:

@@ -34,14 +34,25 @@ from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from experiments.excite import random_multisine
 from experiments.models import Model, load_model, save_model
-from experiments.reports import check_sound, diagnosed_model, model_of
-from experiments.rig import load_runs, setup_of
-from experiments.workflows import diagnose_setup, fit_runs, record_plan, reference_values, simulate_run, validate_runs
-from legid.results import Dataset, Diagnosis, FitResult, Validation, Validations, dressed
+from experiments.reports import check_sound, diagnosed_model, model_of, model_with_origin, origin_from, source_of
+from experiments.session import damaged_runs, load_runs, prepare
+from experiments.workflows import (
+    compare_models,
+    diagnose_prepared,
+    fit_runs,
+    record_plan,
+    reference_values,
+    simulate_run,
+    tune_runs,
+    validate_runs,
+)
+from legid.listings import Comparison, Tuning
+from legid.results import Dataset, Diagnosis, FitResult, Validation, Validations, dressed, sources_of
 
-__all__ = ["Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError", "Model", "Plan", "Recording",
-           "Rig", "Validation", "Validations", "WorkError", "diagnose", "fit", "load", "load_model", "load_rig",
-           "model", "multisine", "read_plan", "record", "save_model", "simulate", "validate", "write_plan"]
+__all__ = ["Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError", "Model",
+           "Plan", "Recording", "Rig", "Tuning", "Validation", "Validations", "WorkError", "compare", "diagnose",
+           "fit", "load", "load_model", "load_rig", "model", "multisine", "read_plan", "record", "save_model",
+           "simulate", "tune", "validate", "write_plan"]
 
 RigLike = Rig | Path | str
 Runs = PlainDataset | Sequence[PlainDataset]
@@ -61,24 +72,31 @@ class Recording:
 
 
 @overload
-def load(runs: Path | str, rig: RigLike | None = None) -> Dataset: ...  # type: ignore[overload-overlap]
+def load(runs: Path | str, rig: RigLike | None = None, damaged: bool = False  # type: ignore[overload-overlap]
+         ) -> Dataset: ...
 @overload
-def load(runs: Sequence[Path | str], rig: RigLike | None = None) -> tuple[Dataset, ...]: ...
-def load(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None) -> Dataset | tuple[Dataset, ...]:
+def load(runs: Sequence[Path | str], rig: RigLike | None = None, damaged: bool = False) -> tuple[Dataset, ...]: ...
+def load(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, damaged: bool = False
+         ) -> Dataset | tuple[Dataset, ...]:
     """A run file on the uniform grid of the rig's `[sampling] rate_hz`; of a list of files, a tuple in its order.
 
     Columns (n,) in SI units, angles and IMU axes by the contract (docs/formats.md, "A run as CSV"). Without a `rig` the
-    one stored in the (first) native run is taken. Raises `InputError` naming file, line and column.
+    one stored in the (first) native run is taken. A file of which something is missing is refused unless `damaged` ones
+    are wanted. Raises `InputError` naming file, line and column.
     """
     paths = [runs] if isinstance(runs, Path | str) else list(runs)
     known = _stored_rig(paths) if rig is None else _rig(rig)
-    found = tuple(dressed(Dataset, data, rig=known) for data in load_runs(paths, known))
+    found = tuple(dressed(Dataset, data, rig=known, source=source_of(path))
+                  for path, data in zip(paths, load_runs(paths, known, damaged), strict=True))
     return found[0] if isinstance(runs, Path | str) else found
 
 
 def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors: str | None = None,
-        fixed: Mapping[str, float] | None = None, latent: str = "trajectory") -> FitResult:
+        fixed: Mapping[str, float] | None = None, latent: str = "trajectory", choose: bool = True) -> FitResult:
     """Identify the parameters of the rig's mechanism from `runs`, all together.
+
+    Runs that cannot be used are set aside. The records choose what the rig file leaves open, unless `choose` is False.
+    The result's `findings` say both.
 
     `method`: mle (maximum likelihood along one motion, the default), wls (section III of Dolinsky and Celikovsky,
     IEEE TCST 26(4), 2018), rls, hekf (its appendices). `sensors`: imu or encoder, what gives the pivot's angle; None
@@ -91,8 +109,8 @@ def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors:
     refuse it. Raises `InputError`, or `FitError` where the data cannot answer.
     """
     given, known = _given(runs, rig)
-    found = fit_runs(given, known, sensors, fixed, latent, method)
-    return dressed(FitResult, found.result, runs=given, rig=found.rig)
+    found = fit_runs(given, known, sensors=sensors, fixed=fixed, latent=latent, method=method, choose=choose)
+    return dressed(FitResult, found.result, runs=given, rig=found.rig, fitted=found)
 
 
 def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None) -> Validations:
@@ -103,7 +121,8 @@ def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str 
     `InputError` for a model of another mechanism, `FitError` where a first state cannot be estimated.
     """
     given, known = _given(runs, rig)
-    found = validate_runs(model, setup_of(given, known, sensors, beta=np.array(model.beta)), "the model")
+    prepared = prepare(given, known, sensors=sensors, beta=np.array(model.beta))
+    found = validate_runs(model, prepared.setup, "the model")
     return Validations(dressed(Validation, one) for one in found)
 
 
@@ -123,10 +142,36 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
     and 95 % intervals. Raises `InputError` for runs that do not belong together.
     """
     given, known = _given(runs, rig)
-    setup = setup_of(given, known, fixed=fixed)
-    values = None if reference is None else reference_values(reference, "reference", setup)
-    found = diagnose_setup(setup, known, seed, values, progress, workers, material)
-    return dressed(Diagnosis, found, fitted=given, rig=known)
+    prepared = prepare(given, known, fixed=fixed)
+    values = None if reference is None else reference_values(reference, "reference", prepared.setup)
+    found = diagnose_prepared(prepared, seed, values, progress, workers, material)
+    return dressed(Diagnosis, found, fitted=given, rig=known, prepared=prepared)
+
+
+def compare(model_a: Model, model_b: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
+            names: tuple[str, str] = ("A", "B")) -> Comparison:
+    """Two models on `runs` that neither was fitted to: parameters, free-run errors over horizons, which is better.
+
+    `names` are what the result calls them. Runs that cannot be used are set aside. Raises `InputError` for models of
+    another mechanism than the rig's, `FitError` where no motion can be estimated.
+    """
+    given, known = _given(runs, rig)
+    found = compare_models((model_a, model_b), names, given, known, sensors)
+    return Comparison(found, damaged_runs([run for run in given if run.name in found.runs]), sources_of(given))
+
+
+def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, sensors: str | None = None,
+         damaged: bool = False, progress: Callable[[str, float], None] | None = None) -> Tuning:
+    """The entries of a rig file that predict its records best: grid, hold, filter, encoders' error and zeros, terms.
+
+    Each is chosen by how well a fit to half of the runs predicts the other half. `runs` are files, since they are read
+    on several grids. `progress` is called with (entry, share done). Raises `InputError`, and `FitError` where no run
+    can be used.
+    """
+    paths = [runs] if isinstance(runs, Path | str) else list(runs)
+    known = _stored_rig(paths) if rig is None else _rig(rig)
+    found = tune_runs(paths, known, sensors, damaged, progress or (lambda what, share: None))
+    return Tuning(found, tuple(map(source_of, paths)))
 
 
 def model(found: PlainFit | PlainDiagnosis, runs: Runs | None = None, rig: RigLike | None = None
@@ -139,13 +184,19 @@ def model(found: PlainFit | PlainDiagnosis, runs: Runs | None = None, rig: RigLi
     if runs is None:
         runs = found.fitted if isinstance(found, Diagnosis) else found.runs if isinstance(found, FitResult) else ()
     given, known = _given(runs, rig or (found.rig if isinstance(found, Diagnosis | FitResult) else None))
-    setup = setup_of(given, known)
+    setup = found.prepared.setup if isinstance(found, Diagnosis) and found.prepared is not None else \
+        found.fitted.setup if isinstance(found, FitResult) and found.fitted is not None else prepare(given, known).setup
+    sources = sources_of(given)
     if isinstance(found, PlainDiagnosis):
         if found.verdict == "fit_failed":
             raise WorkError(found.sentence)
-        return diagnosed_model(found, setup, known.motor.gear_ratio)
-    check_sound(found, for_model=True)
-    return model_of(found, setup.settings, setup.options.hold, [run.name for run in given])
+        made = diagnosed_model(found, setup, known.motor.gear_ratio)
+    else:
+        check_sound(found, for_model=True)
+        made = model_of(found, setup.settings, setup.options.hold, [run.name for run in setup.datasets])
+    if len(sources) < len(given):  # runs made by hand have no file to be named
+        return made
+    return model_with_origin(made, origin_from(sources), setup.datasets)
 
 
 def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = None, seed: int = 1,

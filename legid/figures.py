@@ -9,16 +9,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from daq import Dataset, FloatArray
+from daq import Dataset, FloatArray, WorkError
+from daq.recording import Plan
 from estimator import FitResult
 from estimator.diagnosis import Diagnosis, SensorGain, Signature
 from estimator.fitting import Validation
-from experiments.reports import BLUE, GREEN, GREY, ORANGE, window
+from experiments.reports import BLUE, GREEN, GREY, ORANGE, Comparison, window
+from experiments.workflows import Tuning
 
 SECONDS = 12.0
 """What a figure of a fit shows of a run: more becomes a smear."""
 MOST_STRETCHES = 4
-UNITS = {"radps": "rad/s", "mps2": "m/s²", "nm": "N m", "degc": "°C"}
+UNITS = {"radps": "rad/s", "mps2": "m/s²", "nm": "N m", "degc": "°C", "v": "V"}
 
 
 class NotebookFigure(Figure):
@@ -107,6 +109,51 @@ def diagnosis_figure(found: Diagnosis) -> Figure:
     axes[0].set_title(found.verdict)
     for ax, signature in zip(axes[1:], found.signatures):
         _signature(ax, signature)
+    return figure
+
+
+def plan_figure(plan: Plan) -> Figure:
+    """The torque of a plan over time."""
+    figure, axes = _panels(1)
+    ax = axes[0, 0]
+    ax.plot(plan.time_s, plan.torque_nm, color=BLUE, linewidth=0.9)
+    ax.set_ylabel("torque [N m]")
+    ax.set_xlabel("time [s]")
+    return figure
+
+
+def tuning_figure(found: Tuning) -> Figure:
+    """Error of runs not fitted, a group of bars a joint: before, and with what was chosen. Raises `WorkError`."""
+    trials = [(label, colour, trial.rmse) for label, colour, trial in
+              (("before", BLUE, found.before), ("chosen", ORANGE, found.after))
+              if trial is not None and np.isfinite(trial.score)]
+    if not trials:
+        raise WorkError("no set-up that was tried can be simulated; record richer motion")
+    figure = NotebookFigure(figsize=(7.2, 2.6), layout="constrained")
+    ax = figure.subplots()
+    for k, (label, colour, rmse) in enumerate(trials):
+        ax.bar(np.arange(len(rmse)) + 0.4 * (k - 0.5 * (len(trials) - 1)), rmse, 0.38, color=colour, label=label)
+    ax.set_xticks(range(len(trials[0][2])), [f"joint {j + 1}" for j in range(len(trials[0][2]))])
+    ax.set_ylabel("rms error after a second")
+    ax.legend(frameon=False)
+    return figure
+
+
+def comparison_figure(found: Comparison) -> Figure:
+    """The error of B over that of A, a row each horizon and sensor, with its 95 % interval; below 1, B is better."""
+    errors = [e for e in found.errors if np.isfinite(e.a + e.b) and e.a > 0.0]
+    figure = NotebookFigure(figsize=(7.2, 0.8 + 0.22 * max(len(errors), 4)), layout="constrained")
+    ax = figure.subplots()
+    ratio = np.array([e.b / e.a for e in errors])
+    for k, e in enumerate(errors):
+        if e.ci95 is not None:
+            ax.plot(e.ci95, [k, k], color=GREY, linewidth=1.6)
+    ax.plot(ratio, np.arange(len(errors)), "o", color=BLUE, markersize=4.0)
+    ax.axvline(1.0, color=ORANGE, linewidth=0.9)
+    ax.set_yticks(range(len(errors)), [f"{'whole' if np.isinf(e.horizon_s) else f'{e.horizon_s:g} s'}, {e.column}"
+                                       for e in errors])
+    ax.invert_yaxis()
+    ax.set_xlabel("rms error of B over that of A")
     return figure
 
 

@@ -8,7 +8,9 @@ wherever the floor's own is taken, and nothing below this package knows of it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -20,13 +22,19 @@ from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.fitting import Validation as PlainValidation
 from experiments.reports import (
     PARAMETER_HEADER,
+    Source,
     agreement_lines,
+    diagnosis_document,
     error_rows,
+    fit_trust,
     gap_text,
     parameter_rows,
     size_rows,
     validation_rows,
+    write_document,
 )
+from experiments.session import Prepared, damaged_runs
+from experiments.workflows import Fitted
 from legid.tables import frame, html_table, paragraphs
 
 if TYPE_CHECKING:
@@ -42,12 +50,19 @@ def dressed(kind: type[T], plain: Any, **more: Any) -> T:
     return kind(**given, **more)
 
 
+def sources_of(runs: Sequence[PlainDataset]) -> tuple[Source, ...]:
+    """The files of those that were loaded from one."""
+    return tuple(run.source for run in runs if isinstance(run, Dataset) and run.source is not None)
+
+
 @dataclass(frozen=True)
 class Dataset(PlainDataset):
     """One run on a uniform grid: columns of contract names in SI units, NaN where a sample is missing."""
 
     rig: Rig | None = None
     """The rig that it was loaded with; None for a run that was simulated or made by hand."""
+    source: Source | None = None
+    """The file that it was loaded from."""
 
     def to_frame(self) -> DataFrame:
         """One row a sample, `time_s` [s] as index, one column a signal. Raises `WorkError` without pandas."""
@@ -75,8 +90,26 @@ class FitResult(PlainFit):
     """Identified parameters with their covariance, noise levels and the motion that they came with."""
 
     runs: tuple[PlainDataset, ...] = ()
-    """What was fitted."""
+    """What was given to be fitted."""
     rig: Rig | None = None
+    fitted: Fitted | None = None
+    """The runs used, those set aside, the entries of the rig that were chosen."""
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """`legid.fit/1`, as `legid fit --json` writes it. Raises `WorkError` for a result that `fit` did not give."""
+        if self.fitted is None:
+            raise WorkError("only a result of legid.fit has a document")
+        return {**self.fitted.document, "damaged": damaged_runs(self.fitted.setup.datasets)}
+
+    def to_json(self, path: Path | str) -> None:
+        """Write `document` with its provenance. Raises `InputError`."""
+        write_document(path, self.document, sources_of(self.runs))
+
+    @property
+    def trust(self) -> str:
+        """Whether the parameters can be trusted, and for what: the first line of `legid fit`."""
+        return fit_trust(self).sentence
 
     def to_frame(self) -> DataFrame:
         """One row a parameter: value, std, low and high of its 95 % interval, unit, meaning, whether it was given.
@@ -107,8 +140,8 @@ class FitResult(PlainFit):
         notes = [f"This data does not determine {name}." for name in self.undetermined]
         notes += [f"{text[:1].upper()}{text[1:]}." for text in agreement_lines(self)]
         notes += [f"Warning: {text}" for text in self.warnings]
-        return (paragraphs([f"{self.mechanism.name}, {self.method}, sensors {self.sensors}, {self.samples} samples: "
-                            f"{state}."])
+        return (paragraphs([self.trust, f"{self.mechanism.name}, {self.method}, sensors {self.sensors}, {self.samples} "
+                            f"samples: {state}."])
                 + html_table(PARAMETER_HEADER, parameter_rows(self)) + paragraphs(notes))
 
 
@@ -165,6 +198,18 @@ class Diagnosis(PlainDiagnosis):
     fitted: tuple[PlainDataset, ...] = ()
     """The runs that it was made from, in their order."""
     rig: Rig | None = None
+    prepared: Prepared | None = None
+    """The runs used and those set aside."""
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """`legid.diagnosis/1`, as `legid diagnose --json` writes it."""
+        aside, used = ((), ()) if self.prepared is None else (self.prepared.set_aside, self.prepared.setup.datasets)
+        return {**diagnosis_document(self, aside), "damaged": damaged_runs(used)}
+
+    def to_json(self, path: Path | str) -> None:
+        """Write `document` with its provenance. Raises `InputError`."""
+        write_document(path, self.document, sources_of(self.fitted))
 
     def to_frame(self, what: str = "causes") -> DataFrame:
         """`causes`: one row a size of a cause, with its 95 % interval; `candidates`: one row an effect that was scored.

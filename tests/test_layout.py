@@ -15,13 +15,13 @@ FLOORS = {"drivers": {"drivers"}, "daq": {"drivers", "daq"}, "estimator": {"esti
           "legid": {"drivers", "daq", "estimator", "experiments", "legid"}}
 """Floor to the floors that it may import."""
 ROOMS = {
-    "daq": [["errors", "files", "dataset", "imu_mount", "mechanisms", "rig", "rig_devices", "rig_text",
-             "rig_types", "servo", "si_units"], ["runs"], ["timing"], ["recording"], ["calibration"], ["load"]],
+    "daq": [["errors", "files", "findings", "dataset", "imu_mount", "mechanisms", "rig", "rig_devices", "rig_text",
+             "rig_types", "servo", "si_units"], ["runs"], ["timing"], ["recording"], ["calibration"]],
     "estimator": [["errors", "methods", "parallel", "verdicts"], ["numerics"], ["model"], ["options", "result"],
                   ["signals"], ["effects"], ["likelihood"], ["fitting"], ["diagnosis", "calibration"]],
-    "experiments": [["console", "provenance"], ["models"], ["exchange"], ["rig", "excite", "emulation"], ["reports"],
-                    ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
-    "legid": [["tables", "figures"], ["results"], ["api"]],
+    "experiments": [["console", "provenance"], ["models"], ["exchange"], ["rig", "excite", "emulation", "session"],
+                    ["reports"], ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
+    "legid": [["tables", "figures"], ["results", "listings"], ["api", "tools"]],
 }
 """The rooms of a floor from the ground up; those of one row may know each other as far as they make no circle."""
 LEVELS = 8

@@ -4,11 +4,13 @@ from .blocks import block_means as block_means
 from .blocks import mean_interval as mean_interval
 from .blocks import mean_of as mean_of
 from .columns import IMU as IMU
+from .columns import VOLTAGE as VOLTAGE
 from .columns import imu_columns_of as imu_columns_of
 from .columns import is_contract_column as is_contract_column
 from .columns import missing as missing
 from .csv_run import CLOCK_BOUND as CLOCK_BOUND
 from .csv_run import MIN_SAMPLES as MIN_SAMPLES
+from .csv_run import SUFFIXES as SUFFIXES
 from .csv_run import RawTable as RawTable
 from .csv_run import read_csv as read_csv
 from .csv_run import write_csv as write_csv

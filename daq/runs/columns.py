@@ -26,6 +26,8 @@ def imu_columns_of(rig: Rig) -> list[str]:
 
 _IMU_COLUMN = re.compile(r"gyro([2-9]|1[0-9]|20)_radps|accel([2-9]|1[0-9]|20)_[xy]_mps2")
 _JOINT_COLUMN = re.compile(r"(q|tau)([1-9]|1[0-9]|20)_(rad|nm|cmd_rad)")
+VOLTAGE = "voltage1_v"
+"""Of a motor that drives joint 1; in its place a run may have `duty` and `volts`."""
 
 
 def is_contract_column(name: str) -> bool:
@@ -33,7 +35,8 @@ def is_contract_column(name: str) -> bool:
     match = _JOINT_COLUMN.fullmatch(name)
     if match:
         return (match[1] == "q") == (match[3] != "nm")
-    return bool(_IMU_COLUMN.fullmatch(name)) or name in ("time_s", "q1_m", "tau1_n", "duty", "volts", *IMU, *OPTIONAL)
+    return bool(_IMU_COLUMN.fullmatch(name)) or name in ("time_s", "q1_m", "tau1_n", "duty", "volts", VOLTAGE, *IMU,
+                                                         *OPTIONAL)
 
 
 class Missing(NamedTuple):
@@ -112,6 +115,8 @@ def _missing_joint1(rig: Rig, present: Collection[str]) -> Missing | None:
     if not prismatic and "q1_rad" not in present:
         return Missing("q1_rad", "add the joint's position: q1_rad, or q1_m for a prismatic joint")
     if 1 not in rig.mechanism.actuated:
+        return None
+    if rig.mechanism.input == "voltage" and VOLTAGE in present:
         return None
     if rig.servo is not None and not prismatic and "q1_cmd_rad" in present:
         return None if rig.mechanism.input == "torque" or "volts" in present else Missing(

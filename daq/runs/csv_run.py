@@ -8,7 +8,7 @@ import gzip
 import io
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite, isinf
 from pathlib import Path
@@ -27,6 +27,7 @@ MOST, MOST_OF_OTHERS = 1e12, 1e100
 """Largest magnitude of a reading, and of what stands in a column of the user's own (counts, times since 1970 in ns)."""
 LEAST_STEP_S = 1e-9
 _GZIP_MAGIC = b"\x1f\x8b"
+SUFFIXES = (".csv", ".csv.gz")
 UNPACKED_BYTES, UNPACKED_RATIO = 16 << 20, 30
 """A packed file may unpack to so much, and so many times its own size more: numbers pack to a third or a tenth."""
 
@@ -41,15 +42,16 @@ class RawTable:
     """(n,) strictly increasing sample times [s]."""
     columns: Mapping[str, FloatArray]
     """Every numeric column but the time, (n,) each, finite."""
-    sources: Mapping[str, str] = field(default_factory=dict)
+    ignored: tuple[str, ...] = ()
+    """Columns of the user's own that hold anything but numbers, left out."""
 
 
 def read_csv(path: Path | str, rig: Rig | None = None, min_samples: int = MIN_SAMPLES) -> RawTable:
     """Samples of a `.csv` or `.csv.gz`.
 
     With a `rig` its mechanism's required columns are checked as well; without one only `time_s` is
-    required. A column of the user's own that holds anything but numbers is left out (and named in
-    `sources["ignored"]`). Raises `InputError` naming file, line and column.
+    required. Of the user's own columns those that hold anything but numbers are left out and
+    named in `ignored`. Raises `InputError` naming file, line and column.
     """
     path = Path(path)
     header, body = _split(path)
@@ -62,11 +64,7 @@ def read_csv(path: Path | str, rig: Rig | None = None, min_samples: int = MIN_SA
     columns = {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(kept)}
     time_s = columns.pop("time_s")
     _check_time(path, time_s, names, body)
-    sources = {"file": str(path)}
-    ignored = [name for name in names if name not in kept]
-    if ignored:
-        sources["ignored"] = ", ".join(ignored)
-    return RawTable(path.name, time_s, columns, sources)
+    return RawTable(path.name, time_s, columns, tuple(name for name in names if name not in kept))
 
 
 def write_csv(dataset: Dataset, path: Path | str) -> int:

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from daq.errors import InputError, WorkError
 from daq.files import new_run
-from daq.runs.damage import damage_of, hole_texts
+from daq.findings import Damage
+from daq.runs.damage import damage_of, holes
 from daq.runs.mcap_scan import Scan
 from daq.runs.streams import CDR_HEADER, NOTE_SCHEMA, NOTE_TEXT, NOTE_TOPICS, STREAMS, Note, pack_note, read_notes
 
@@ -226,8 +227,8 @@ class RawRun:
     """False when the file ends before its footer (a crash, a full disk)."""
     damaged_chunks: int = 0
     """Chunks whose check sum was wrong; their messages are left out."""
-    damage: tuple[str, ...] = ()
-    """Everything by which the file is not what was recorded, a sentence each; see `daq.runs.damage`."""
+    damage: tuple[Damage, ...] = ()
+    """Everything by which the file is not what was recorded; see `daq.runs.damage`."""
 
     @property
     def messages(self) -> int:
@@ -264,7 +265,7 @@ def read_run(path: Path | str) -> RawRun:
     streams = {topic: stream.unpack(payloads[topic]) for topic, stream in STREAMS.items()}
     events, config = (read_notes(payloads[topic]) for topic in NOTE_TOPICS)
     read = sum(stream.size for stream in streams.values()) + len(events) + len(config)
-    damage = (*(f"before it was recovered: {text}" for text in lost),
+    damage = (*(Damage("recovered", f"before it was recovered: {text}") for text in lost),
               *damage_of(scan, seen, sum(map(len, payloads.values())) - read, streams["/imu"]))
     return RawRun(path.name, facts, files, streams, events, config, scan.complete, scan.damaged_chunks, damage)
 
@@ -318,9 +319,9 @@ def recover(path: Path | str, out: Path | str) -> RecoverReport:
                 writer.add_metadata(record.name, record.metadata)
             elif isinstance(record, Attachment):
                 writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
-        holes = hole_texts(scan, messages)
-        if holes:
-            writer.add_metadata(RECOVERED, {str(k): text for k, text in enumerate(holes)})
+        lost = holes(scan, messages)
+        if lost:
+            writer.add_metadata(RECOVERED, {str(k): damage.text for k, damage in enumerate(lost)})
         writer.finish()  # type: ignore[no-untyped-call]
     return RecoverReport(messages, scan.damaged_chunks, scan.complete)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
+from daq.findings import Doubt
 from daq.rig import Rig, parse_rig
 from daq.runs import MIN_SAMPLES, RawRun
 from daq.si_units import imu_columns, joint_torque, knee_angle
@@ -37,7 +39,10 @@ class Decoded(NamedTuple):
     """At the controller's tick; the torque; with an IMU, last, its samples."""
     bound_s: float
     """How far the time line of the IMU, without one the pivot sensor's, may be off the controller's [s]."""
-    sources: dict[str, str]
+    doubts: tuple[Doubt, ...]
+    """What cannot be true of one IMU on one leg."""
+    clocks: Mapping[str, str]
+    """What was timed -> how it ran against the host's clock, in words."""
 
 
 def decode(raw: RawRun, rig: Rig) -> Decoded:
@@ -57,17 +62,17 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
     if asked:
         time_ns = np.where(_sure(raw, telemetry, rig), time_ns, np.nan)
     channels = _leg_channels(raw, telemetry, time_ns, rig, configured(raw, "drive").get("current") == "instant")
-    sources = {"file": raw.name, **_clock_facts(clocks, time_ns if asked else None)}
     distance = raw.streams["/distance"]
     if distance.size:
         channels.append(_distance_channel(distance, epoch_ns))
-    bound_s = 0.0
+    bound_s, words = 0.0, {"controller clock": _clock_words(clocks, time_ns if asked else None)}
+    flagged: tuple[Doubt, ...] = ()
     if raw.streams["/pivot"].size:
         pivot, late_s = pivot_channel(raw, rig, epoch_ns)
         channels = [Channel(c.time_s, {n: v for n, v in c.columns.items() if n != "q1_rad"}) for c in channels]
         channels.append(pivot)
         bound_s = late_s + max(clock.bound_s for clock in clocks)
-        sources["pivot_sensor"] = f"each angle within {late_s * 1e6:.0f} us of the host's clock"
+        words["pivot sensor"] = f"each angle within {late_s * 1e6:.0f} us of the host's clock"
     if raw.streams["/shunt"].size:
         channels.append(shunt_channel(raw, rig, epoch_ns))
     samples = raw.streams["/imu"]
@@ -75,15 +80,11 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
         clock = fit_samples(samples, epoch_ns)
         bound_s = clock.bound_s + max(other.bound_s for other in clocks)
         channels.append(_imu_channel(raw, samples, clock, rig))
-        doubtful = doubts(raw, rig, configured(raw, "imu"))
-        if doubtful:
-            sources["doubt"] = "; ".join(doubtful)
-        sources["imu_clock"] = f"{clock.rate_hz:.3f} Hz, within {clock.bound_s * 1e6:.0f} us"
-    if raw.damage:
-        sources["damaged"] = "; ".join(raw.damage)
+        flagged = tuple(doubts(raw, rig, configured(raw, "imu")))
+        words["IMU clock"] = f"{clock.rate_hz:.3f} Hz, within {clock.bound_s * 1e6:.0f} us"
     if any(channel.time_s.size < 2 for channel in channels):
         raise unusable(raw, "is too short for its clocks to be put together")
-    return Decoded(epoch_ns, channels, bound_s, sources)
+    return Decoded(epoch_ns, channels, bound_s, flagged, words)
 
 
 def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
@@ -93,10 +94,15 @@ def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
     """
     found = decode(raw, rig)
     rate = rig.sampling.rate_hz if rate_hz is None else rate_hz
-    dataset = align_channels(raw.name, found.channels, rate, found.sources)
+    dataset = align_channels(raw.name, found.channels, rate)
     if len(dataset) < MIN_SAMPLES:
         raise unusable(raw, f"gives {len(dataset)} samples on the grid, at least {MIN_SAMPLES} are needed")
-    return replace(dataset, clock_bound_s=found.bound_s)
+    own, flagged = None, found.doubts
+    try:
+        own = recorded_rig(raw) if "rig.toml" in raw.files else None
+    except InputError as error:
+        flagged = (*flagged, Doubt("rig", f"the rig file inside it cannot be read: {error}"))
+    return replace(dataset, clock_bound_s=found.bound_s, damage=raw.damage, doubts=flagged, recorded_on=own)
 
 
 def recorded_rig(raw: RawRun) -> Rig:
@@ -189,14 +195,13 @@ def _distance_channel(readings: NDArray[np.void], epoch_ns: int) -> Channel:
     return Channel(times[rows] * 1e-9, {"distance_m": np.where(good, value, np.nan)})
 
 
-def _clock_facts(clocks: list[TickClock], polled_ns: FloatArray | None) -> dict[str, str]:
+def _clock_words(clocks: list[TickClock], polled_ns: FloatArray | None) -> str:
     """What is known of the controller's clock; `polled_ns`: the times of samples that the host asked for."""
     worst = max(clocks, key=lambda clock: clock.bound_s)
     if polled_ns is not None:
         steps = np.diff(polled_ns[np.isfinite(polled_ns)])
         jitter_us = float(np.sqrt(np.mean((steps - np.median(steps)) ** 2))) * 1e-3 if steps.size else 0.0
-        return {"controller_clock": f"none: samples lie between request and answer, within "
-                                    f"{worst.bound_s * 1e6:.0f} us, {worst.probes} samples, their interval jitters by "
-                                    f"{jitter_us:.0f} us (rms)"}
-    return {"controller_clock": f"{worst.rate_ppm:+.1f} ppm, within {worst.bound_s * 1e6:.0f} us, "
-                                f"{worst.probes} probes" + (f", {len(clocks)} boots" if len(clocks) > 1 else "")}
+        return (f"none: samples lie between request and answer, within {worst.bound_s * 1e6:.0f} us, {worst.probes} "
+                f"samples, their interval jitters by {jitter_us:.0f} us (rms)")
+    return (f"{worst.rate_ppm:+.1f} ppm, within {worst.bound_s * 1e6:.0f} us, {worst.probes} probes"
+            + (f", {len(clocks)} boots" if len(clocks) > 1 else ""))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.dataset import FloatArray
+from daq.findings import Doubt
 from daq.rig import Rig
 from daq.runs import RawRun
 
@@ -28,8 +29,8 @@ GRAVITY_TOLERANCE = 0.25
 """How far the acceleration of the first second, motor off, may be off gravity: uncalibrated biases and a slow swing."""
 
 
-def doubts(raw: RawRun, rig: Rig, facts: dict[str, float]) -> list[str]:
-    """Sentences, empty where nothing is wrong; `facts` are the run's own of its IMU (rate and scales)."""
+def doubts(raw: RawRun, rig: Rig, facts: dict[str, float]) -> list[Doubt]:
+    """One for each fault, empty where nothing is wrong; `facts` are the run's own of its IMU (rate and scales)."""
     samples = raw.streams["/imu"]
     if samples.size < 2 or not facts.get("rate_hz"):
         return []
@@ -41,11 +42,11 @@ def doubts(raw: RawRun, rig: Rig, facts: dict[str, float]) -> list[str]:
     accel = (counts * facts["accel_mps2_per_lsb"] - np.array(c.accel_bias_mps2)) @ np.array(c.accel_matrix).T
     size, g = float(np.linalg.norm(accel[time_s < REST_S], axis=1).mean()), rig.mechanism.gravity_mps2
     if abs(size - g) > GRAVITY_TOLERANCE * g:
-        found.append(f"the IMU measured {size:.3g} m/s2 in the first second, gravity is {g:g}")
+        found.append(Doubt("gravity", f"the IMU measured {size:.3g} m/s2 in the first second, gravity is {g:g}"))
     return found
 
 
-def _rate(samples: NDArray[np.void], nominal_hz: float) -> list[str]:
+def _rate(samples: NDArray[np.void], nominal_hz: float) -> list[Doubt]:
     """By the sample counts of whole seconds: a second reader of the FIFO takes some of them, marked or not."""
     after_ns, drain = np.unique(samples["drain_after_ns"], return_index=True)
     time_s = (after_ns - after_ns[0]) * 1e-9
@@ -59,19 +60,19 @@ def _rate(samples: NDArray[np.void], nominal_hz: float) -> list[str]:
             lost += max(nominal_hz * span - counted, 0.0)
         else:
             rates.append((counted / span, RATE_TOLERANCE * nominal_hz + 2.0 / span))
-    found = []
+    found: list[Doubt] = []
     wrong = [rate for rate, allowed in rates if abs(rate - nominal_hz) > allowed]
     if wrong:
         worst = max(wrong, key=lambda rate: abs(rate - nominal_hz))
-        found.append(f"the IMU gave {worst:.4g} samples a second in {len(wrong)} of {len(rates)} seconds, "
-                     f"{nominal_hz:g} were set: another program may have read it")
+        found.append(Doubt("imu_rate", f"the IMU gave {worst:.4g} samples a second in {len(wrong)} of {len(rates)} "
+                           f"seconds, {nominal_hz:g} were set: another program may have read it"))
     if lost > MISSING_SHARE * samples.size:
-        found.append(f"about {lost:.0f} of {samples.size + lost:.0f} IMU samples are missing in "
-                     f"{int(samples['gap_before'].sum())} gaps")
+        found.append(Doubt("imu_missing", f"about {lost:.0f} of {samples.size + lost:.0f} IMU samples are missing in "
+                           f"{int(samples['gap_before'].sum())} gaps"))
     return found
 
 
-def _unmarked(samples: NDArray[np.void], nominal_hz: float) -> list[str]:
+def _unmarked(samples: NDArray[np.void], nominal_hz: float) -> list[Doubt]:
     """A drain says that its newest sample was taken before it ended, and the next one not before it began. Where no
     steady clock makes all of that true within a second, samples are missing, or came twice, without a mark."""
     newest = np.flatnonzero(np.append(np.diff(samples["drain_before_ns"]) != 0, True))
@@ -87,8 +88,8 @@ def _unmarked(samples: NDArray[np.void], nominal_hz: float) -> list[str]:
                                   1.0 / nominal_hz))
     if not apart > UNMARKED_SAMPLES:
         return []
-    return [f"IMU samples are missing without a mark, its drains contradict each other by {apart:.1f} of them: another "
-            "program may have read it"]
+    return [Doubt("imu_unmarked", "IMU samples are missing without a mark, its drains contradict each other by "
+                  f"{apart:.1f} of them: another program may have read it")]
 
 
 def _apart(index: FloatArray, before_s: FloatArray, after_s: FloatArray, first: NDArray[np.intp],
@@ -110,7 +111,7 @@ def _apart(index: FloatArray, before_s: FloatArray, after_s: FloatArray, first: 
     return float(np.max(contradiction(low) / low))
 
 
-def _repeated(counts: NDArray[np.int16]) -> list[str]:
+def _repeated(counts: NDArray[np.int16]) -> list[Doubt]:
     """An emptied FIFO gives its last sample again. By the share of samples (n, 6) in which each number alone is the one
     before, all six would be so by chance `expected` times; Chernoff's bound of a Poisson number says how likely more
     are."""
@@ -118,5 +119,5 @@ def _repeated(counts: NDArray[np.int16]) -> list[str]:
     times, expected = int(same.all(axis=1).sum()), float(len(same) * np.prod(same.mean(axis=0)))
     if not times > expected or times - expected + times * math.log(expected / times) > math.log(BY_CHANCE):
         return []
-    return [f"{times} IMU samples repeat the one before in all six numbers, {expected:.1g} would by chance: another "
-            "program may have read it, or it hangs"]
+    return [Doubt("imu_repeated", f"{times} IMU samples repeat the one before in all six numbers, {expected:.1g} would "
+                  "by chance: another program may have read it, or it hangs")]

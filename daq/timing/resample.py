@@ -63,12 +63,12 @@ def align_table(table: RawTable, rate_hz: float) -> Dataset:
                          "[sampling]")
     time_s = snapped_times(table.time_s, rate_hz)
     columns = {name: values for name, values in table.columns.items() if name != CLOCK_BOUND}
-    run = align_channels(table.name, [Channel(time_s, columns)], rate_hz, table.sources)
+    run = align_channels(table.name, [Channel(time_s, columns)], rate_hz)
     bound = table.columns.get(CLOCK_BOUND)
     return run if bound is None else replace(run, clock_bound_s=float(np.max(bound)))
 
 
-def align_channels(name: str, channels: list[Channel], rate_hz: float, sources: Mapping[str, str]) -> Dataset:
+def align_channels(name: str, channels: list[Channel], rate_hz: float) -> Dataset:
     """Channels, each at its own times, on one grid over the time that all of them cover.
 
     Raises `InputError` when the times span so much that the grid would be empty nearly everywhere.
@@ -88,7 +88,7 @@ def align_channels(name: str, channels: list[Channel], rate_hz: float, sources: 
     for channel in channels:
         for column, values in channel.columns.items():
             columns[column] = _on_grid(channel.time_s, values, grid, rate_hz, averaged)
-    return Dataset(name, rate_hz, grid, columns, sources)
+    return Dataset(name, rate_hz, grid, columns)
 
 
 def snapped_times(time_s: FloatArray, rate_hz: float) -> FloatArray:

@@ -180,7 +180,7 @@ def _likely(mechanism: Mechanism, imu: bool, gear_ratio: float, span: FloatArray
     nothing, eye = _nothing(n), np.eye(n)
     angles = list(range(int(imu), n))
     name = {("q", j): angle_column(mechanism, j) for j in range(n)} | {
-        ("tau", j): torque_column(mechanism, j) for j in range(n)}
+        ("tau", j): torque_column(mechanism, j) if mechanism.force_unit != "V" else "duty" for j in range(n)}
     signs = [("tau", j) for j in mechanism.actuated] + [("q", j) for j in angles]
     for count in range(1, len(signs) + 1):
         for which in combinations(signs, count):

@@ -19,7 +19,7 @@ from estimator.fitting.fit import fit
 from estimator.methods import Method
 from estimator.model import Mechanism
 from estimator.options import FitOptions
-from estimator.result import FitResult
+from estimator.result import Finding, FitResult
 
 NOT_NEGATIVE = ("viscous", "coulomb", "rotor")
 """Terms whose parameters are levels."""
@@ -69,7 +69,7 @@ def _impossible_lengths(mechanism: Mechanism, beta: FloatArray, std: FloatArray)
 
 def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: Method = "mle",
                    by: Fit = fit) -> FitResult:
-    """`fit` with levels that may not be negative held at zero where they come out so, and faults named.
+    """`fit` with levels that may not be negative held at zero where they come out so, and its findings.
 
     One level is held at a time, that of the most standard deviations below zero first. Its interval then reaches from
     zero to where it reached before. Judged is by the noise alone: what runs disagree about excuses no set-up that is
@@ -77,27 +77,30 @@ def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
     """
     result = by(datasets, mechanism, options, method)
     limits: dict[str, float] = {}
-    told: list[str] = []
+    findings: list[Finding] = []
     while (k := _most_negative(result)) is not None:
         name, value, std = mechanism.names[k], float(result.beta[k]), float(result.own_std[k])
         low = f"{name} ({mechanism.parameters[k].meaning}) comes out at {value:.2g} +- {std:.1g}, below what it can be"
         if result.undetermined:  # a level in its place would pass for knowledge of the rest
-            told.append(low)
+            findings.append(Finding("warning", "level_at_zero", low))
             break
-        scatter = "" if value >= -SURE * std else "; no scatter, something else in the model or the set-up is wrong"
-        told.append(f"{low}: held at 0, the others fitted again{scatter}")
+        sure = value < -SURE * std
+        scatter = "; no scatter, something else in the model or the set-up is wrong" if sure else ""
+        findings.append(Finding("warning", "level_negative" if sure else "level_at_zero",
+                                f"{low}: held at 0, the others fitted again{scatter}"))
         held = replace(options, fixed={**options.fixed, **dict.fromkeys([*limits, name], 0.0)})
         try:
             result = by(datasets, mechanism, held, method)
         except FitError as error:
-            told[-1] = f"{low}; with 0 in its place there is no fit ({error})"
+            findings[-1] = Finding("warning", "level_at_zero", f"{low}; with 0 in its place there is no fit ({error})")
             break
         limits[name] = max(value + float(result.half_width[k]), 0.0)
     fixed = {name: value for name, value in result.fixed.items() if name not in limits}
     closed = np.where([name in result.open_parameters for name in mechanism.names], np.inf, result.own_std)
     q = np.concatenate([t.q for t in result.trajectories]) if result.trajectories else np.zeros((0, mechanism.n))
-    return replace(result, fixed=fixed, at_bound=limits, warnings=(*result.warnings, *told),
-                   inadmissible=faults(mechanism, result.beta, closed, q) if result.converged else ())
+    impossible = faults(mechanism, result.beta, closed, q) if result.converged else ()
+    return replace(result, fixed=fixed, at_bound=limits,
+                   findings=(*findings, *(Finding("fault", "impossible", text) for text in impossible)))
 
 
 def _most_negative(result: FitResult) -> int | None:

@@ -86,8 +86,7 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     if method == "mle" and options.latent == "free":
         from estimator.fitting.mle_free import fit_mle_free as run  # it alone needs sparse matrices
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that runs away is found out by itself
-        result = run(datasets, mechanism, options)
-    return result if run is fit_mle else replace(result, hold=options.hold)
+        return run(datasets, mechanism, options)
 
 
 def _refuse_correlations(options: FitOptions, method: Method) -> None:

@@ -300,4 +300,5 @@ def hekf_result(signals: Sequence[SignalSet], mechanism: Mechanism, options: Fit
         (f"torque acts between samples by the '{options.hold}' hold",
          "the filter's linearisation holds over a sample; its intervals mean little where it does not",
          "the first estimate (wls) is wrong by 30 % at 1 sigma"),
-        (), tuple(trajectory(s, k, mechanism, beta) for s, k in zip(signals, design.motions)), dict(options.fixed))
+        (), tuple(trajectory(s, k, mechanism, beta) for s, k in zip(signals, design.motions)), dict(options.fixed),
+        options.hold)

@@ -277,7 +277,7 @@ def fit_mle_free(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
         time.perf_counter() - start, undetermined(mechanism, found.beta, covariance, problem.free),
         ("derivatives are central differences of the latents; their bias is not in the intervals",
          "relative angles are exact after filtering", "noise is white, Gaussian and of the levels given or first seen"),
-        (), paths, dict(options.fixed))
+        (), paths, dict(options.fixed), options.hold)
 
 
 def _trajectories(problem: FreeProblem, signals: Sequence[SignalSet],

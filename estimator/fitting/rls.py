@@ -84,4 +84,4 @@ def fit_rls(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
          "the filtered motion is taken as exact: errors in it bias the estimate and are not in the intervals",
          "a passive joint's torque is zero to within passive_nm, or the first fit's residual",
          "the first estimate counts as one that may be 100 % wrong"),
-        (), trajectories, dict(options.fixed))
+        (), trajectories, dict(options.fixed), options.hold)

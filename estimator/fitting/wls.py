@@ -204,7 +204,7 @@ def fit_wls(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         (design.filtering,
          "the filtered motion is taken as exact: errors in it bias the estimate and are not in the intervals",
          "torque errors are white within the filter's band"),
-        (), trajectories, dict(options.fixed))
+        (), trajectories, dict(options.fixed), options.hold)
 
 
 def known_weights(mechanism: Mechanism, options: FitOptions) -> FloatArray | None:

@@ -70,7 +70,9 @@ def angle_column(mechanism: Mechanism, joint: int) -> str:
 
 
 def torque_column(mechanism: Mechanism, joint: int) -> str:
-    """Contract's column of a joint's torque or force (joint 0-based)."""
+    """Contract's column of a joint's input: torque [N m], force [N] or a motor's voltage [V] (joint 0-based)."""
+    if mechanism.force_unit == "V":
+        return f"voltage{joint + 1}_v"
     return f"tau{joint + 1}_n" if mechanism.length_unit == "m" else f"tau{joint + 1}_nm"
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq import SUFFIXES, Calibration, Dataset, FloatArray, InputError, Rig
-from daq.runs import IMU, RawRun, read_csv, read_run
+from daq import Calibration, Dataset, FloatArray, InputError, Rig
+from daq.runs import IMU, SUFFIXES, RawRun, read_csv, read_run
 from daq.timing import align, align_table, measure_skew
 from estimator.calibration import ACCEL, EncoderFit, Found, Stretch, fit_imu
 from experiments.calibrate.motor_off import Wanted

@@ -63,7 +63,7 @@ def read_records(paths: Sequence[str]) -> list[RawRun]:
     records = [read_run(path) for path in paths]
     for record in records:
         if record.damage:
-            raise InputError(record.name, f"is damaged: {'; '.join(record.damage)}",
+            raise InputError(record.name, f"is damaged: {'; '.join(map(str, record.damage))}",
                              "record again, or calibrate by what legid recover saves")
     return records
 

@@ -46,15 +46,13 @@ def add_rig(parser: argparse.ArgumentParser, runs: bool = True) -> None:
 
 
 def chosen_rig(args: argparse.Namespace, runs: Sequence[str]) -> ChosenRig:
-    """The rig that the command goes by, told of where nobody gave it or a run contradicts it."""
-    from experiments.console import note, warn
+    """The rig that the command goes by, told of where nobody gave it."""
+    from experiments.console import note
     from experiments.rig import choose_rig
 
     chosen = choose_rig(args.rig, runs)
     if chosen.note:
         note(chosen.note)
-    for text in chosen.warnings:
-        warn(text)
     return chosen
 
 

@@ -1,6 +1,7 @@
 from .column_map import TIME as TIME
 from .column_map import ColumnMap as ColumnMap
 from .column_map import apply_map as apply_map
+from .column_map import check_map as check_map
 from .column_map import load_map as load_map
 from .column_map import map_text as map_text
 from .exports import export_run as export_run

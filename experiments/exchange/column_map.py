@@ -96,7 +96,7 @@ def apply_map(foreign: Foreign, columns: ColumnMap, rate_hz: float | None = None
     rates = [1.0 / float(np.median(np.diff(c.time_s))) for c in channels]
     if rate_hz is None:
         rate_hz = float(f"{min(rates):.3g}")
-    run = align_channels(foreign.name, channels, rate_hz, {"file": foreign.name})
+    run = align_channels(foreign.name, channels, rate_hz)
     if len(run) < MIN_SAMPLES:
         raise InputError(foreign.name, f"gives {len(run)} samples, at least {MIN_SAMPLES} are needed",
                          "record for longer, or check the unit of time_s")

@@ -30,7 +30,9 @@ def _parquet(data: Dataset) -> bytes:
     columns = {"time_s": data.time_s, **data.columns}
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
     facts = {"legid.run": data.name, "legid.rate_hz": repr(data.rate_hz),
-             "legid.clock_bound_s": repr(data.clock_bound_s), **data.sources}
+             "legid.clock_bound_s": repr(data.clock_bound_s), "file": data.name,
+             **{f"legid.{what}": "; ".join(map(str, found)) for what, found in
+                (("damage", data.damage), ("doubts", data.doubts)) if found}}
     out = BytesIO()
     parquet.write_table(table.replace_schema_metadata({str(k): str(v) for k, v in facts.items()}), out)
     return out.getvalue()

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq import SUFFIXES, Column, Dataset, InputError, Rig, load_rig, load_run
-from daq.runs import missing, read_csv
+from daq import Column, Dataset, InputError, Rig, load_rig
+from daq.runs import SUFFIXES, missing, read_csv
 from daq.timing import align_table
 from experiments.exchange.binary import read_mat, read_parquet
 from experiments.exchange.can_log import SUFFIXES as CAN_LOGS
@@ -82,11 +82,11 @@ def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Da
     rate = rig.sampling.rate_hz if rate_hz is None else rate_hz
     csv = str(path).lower().endswith(SUFFIXES)
     if is_native(path) or (csv and not rig.columns):
-        return load_run(path, rig, rate_hz)
+        return _own(Path(path), rig, rate)
     foreign = read_foreign(path)
     columns = check_map(dict(rig.columns), "the rig file") if rig.columns else {}
     if csv and not applies(foreign, columns):
-        return load_run(path, rig, rate_hz)
+        return _own(Path(path), rig, rate)
     run = mapped(foreign, columns, rate)
     lacking = missing(rig, ["time_s", *run.columns])
     if lacking is not None:
@@ -94,6 +94,16 @@ def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Da
                          lacking.remedy if foreign.names == list(run.columns) else
                          f"map a column to it by [columns.{lacking.column}] in the rig file, or by legid import")
     return run
+
+
+def _own(path: Path, rig: Rig, rate_hz: float) -> Dataset:
+    """A run of legid's own two kinds."""
+    if path.name.lower().endswith(SUFFIXES):
+        return align_table(read_csv(path, rig), rate_hz)
+    from daq.runs import read_run  # MCAP and clocks take a while to load
+    from daq.timing import align
+
+    return align(read_run(path), rig, rate_hz)
 
 
 def mapped(foreign: Foreign, columns: ColumnMap, rate_hz: float | None) -> Dataset:
@@ -114,8 +124,8 @@ def own_export(foreign: Foreign, rate_hz: float | None) -> Dataset | None:
         return None
     columns = dict(foreign.table_of("time_s").columns)
     time_s = columns.pop("time_s")
-    run = Dataset(foreign.facts.get("run", foreign.name), written, time_s, columns, {"file": foreign.name})
-    return replace(run, clock_bound_s=float(foreign.facts.get("clock_bound_s", "0")))
+    return Dataset(foreign.facts.get("run", foreign.name), written, time_s, columns,
+                   float(foreign.facts.get("clock_bound_s", "0")))
 
 
 def load_to_convert(path: Path | str, rig_path: Path | str | None, rate_hz: float | None) -> Dataset:

@@ -23,6 +23,7 @@ UNITS: dict[str, dict[str, float]] = {
     "degc": {"degc": 1.0, "°c": 1.0, "c": 1.0},
     "duty": {"": 1.0, "%": 1e-2},
     "volts": {"v": 1.0, "mv": 1e-3},
+    "v": {"v": 1.0, "mv": 1e-3},
 }
 """Ending of a contract column -> unit (small letters) -> factor. A torque in A has its constant as scale."""
 BRACKETED = re.compile(r"[\[({]\s*([^\])}]+?)\s*[\])}]\s*$")
@@ -48,7 +49,7 @@ def factor(unit: str, column: str, where: str) -> float:
 def si_unit(column: str) -> str:
     """The contract's unit of `column`, for a person."""
     kind = kind_of(column)
-    return {"nm": "N m", "n": "N"}.get(kind, next(iter(UNITS[kind])))
+    return {"nm": "N m", "n": "N", "v": "V"}.get(kind, next(iter(UNITS[kind])))
 
 
 def unit_in_name(name: str, column: str) -> str:

@@ -1,6 +1,8 @@
+from .first_plan import first_plan as first_plan
 from .multisine import random_multisine as random_multisine
 from .optimal_design import Band as Band
 from .optimal_design import Bench as Bench
+from .optimal_design import Design as Design
 from .optimal_design import Search as Search
 from .optimal_design import design as design
 from .optimal_design import design_text as design_text

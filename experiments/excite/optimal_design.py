@@ -133,7 +133,11 @@ class Bench:
     """A prior model on a rig: where plans are tried."""
 
     def __init__(self, model: Model, rig: Rig, where: str, doubt: float = DOUBT) -> None:
-        """`where` names the model in errors; `doubt` see `DOUBT`. Raises `InputError` for a rig that no plan fits."""
+        """`where` names the model in errors; `doubt` see `DOUBT`. Raises `InputError` for a model of another rig, and
+        for a rig that no plan fits."""
+        if (model.mechanism.model, model.mechanism.actuated) != (rig.mechanism.model, rig.mechanism.actuated):
+            raise InputError(where, f"is of a {model.mechanism.model}, the rig is a {rig.mechanism.model} or drives "
+                                    "other joints", "give a model of this rig")
         self.mechanism: Mechanism = build_mechanism(model.mechanism)
         if len(self.mechanism.actuated) != 1 or self.mechanism.n > 2 or model.mechanism.prismatic:
             raise InputError(where, "is no mechanism of one or two rotary joints of which one is driven",

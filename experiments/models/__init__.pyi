@@ -5,9 +5,12 @@ from .free_runs import GYRO as GYRO
 from .free_runs import SHORT_S as SHORT_S
 from .free_runs import FreeRuns as FreeRuns
 from .free_runs import Prediction as Prediction
+from .gains import Gains as Gains
 from .gains import Tolerances as Tolerances
 from .gains import gain_rows as gain_rows
+from .gains import gains_document as gains_document
 from .gains import gains_of as gains_of
+from .gains import gains_text as gains_text
 from .mechanism_settings import build_mechanism as build_mechanism
 from .mechanism_settings import fitted_settings as fitted_settings
 from .mechanism_settings import mechanism_settings as mechanism_settings

@@ -16,13 +16,14 @@ frequencies at which the passive one is free, the inertia is 1 / (b' M^-1 b).
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
 from daq import FloatArray, InputError, WorkError
+from experiments.console import text_table
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import Model
 
@@ -105,6 +106,11 @@ def linear_plant(model: Model, where: str) -> Plant:
 
 def gains_of(model: Model, where: str, wanted: Tolerances) -> Gains:
     """Gains for the model's driven joint. Raises `InputError`, and `WorkError` where the loop would not be stable."""
+    for name, value in (("angle", wanted.angle_rad), ("speed", wanted.speed_radps), ("torque", wanted.torque_nm)):
+        if not 0.0 < value < 1e6:
+            raise InputError(f"--{name}", f"{value:g} is not a size to tolerate", "give one above 0")
+    if not 0.0 <= wanted.delay_s < 1.0:
+        raise InputError("--delay", f"{wanted.delay_s:g} is not a delay in seconds", "give one from 0 to 1")
     plant = linear_plant(model, where)
     j = plant.joint
     mechanism = build_mechanism(model.mechanism)
@@ -165,6 +171,19 @@ def is_stable(plant: Plant, omega: FloatArray, loop: NDArray[np.complex128]) -> 
     free = np.linalg.det(plant.inertia * s**2 + plant.damping * s + plant.stiffness)
     angle = np.unwrap(np.angle(free * (1.0 + loop)))
     return round(float(angle[-1] - angle[0]) / math.pi) == len(plant.inertia)
+
+
+def gains_document(found: Gains, wanted: Tolerances) -> dict[str, Any]:
+    """`legid.gains/1`."""
+    return {"schema": "legid.gains/1", **found._asdict(), "tolerated": {
+        "angle_rad": wanted.angle_rad, "speed_radps": wanted.speed_radps, "torque_nm": wanted.torque_nm},
+        "delay_s": wanted.delay_s}
+
+
+def gains_text(found: Gains) -> str:
+    """The control law and its numbers, for a terminal."""
+    law = f"joint {found.joint}: torque = kS sign(v) + kV v + kA a + kG sin(angle) + kP angle error + kD speed error"
+    return f"{law}\n{text_table(['', 'value', 'unit', ''], gain_rows(found), {1})}"
 
 
 def gain_rows(found: Gains) -> list[list[str]]:

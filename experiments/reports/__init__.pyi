@@ -60,9 +60,13 @@ from .numbers import Estimate as Estimate
 from .numbers import estimates_of as estimates_of
 from .numbers import normal as normal
 from .numbers import number as number
+from .origin import Source as Source
 from .origin import model_with_origin as model_with_origin
+from .origin import origin_from as origin_from
 from .origin import origin_section as origin_section
+from .origin import source_of as source_of
 from .origin import with_origin as with_origin
+from .origin import write_document as write_document
 from .run_agreement import agreement_lines as agreement_lines
 from .run_info import BOUND_S as BOUND_S
 from .run_info import GOOD_TIMER_MS as GOOD_TIMER_MS

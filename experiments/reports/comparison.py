@@ -19,6 +19,7 @@ from experiments.reports.figures import BLUE, GREEN, GREY, HEIGHT_IN, INK, ORANG
 from experiments.reports.html import Picture, Section, Table
 from experiments.reports.numbers import Estimate, number
 from experiments.reports.trust import Trust
+from experiments.session import SetAside
 
 SCHEMA = "legid.comparison/1"
 FIGURE_SECONDS = 12.0
@@ -83,6 +84,8 @@ class Comparison:
     """What limits the answer: runs that were fitted, rigs that differ."""
     notes: tuple[str, ...] = ()
     """What limits the reading of z."""
+    set_aside: tuple[SetAside, ...] = ()
+    """Runs that were not used."""
 
 
 def comparison_trust(found: Comparison) -> Trust:
@@ -177,7 +180,7 @@ def comparison_document(found: Comparison) -> dict[str, Any]:
                     "ratio": e.b / e.a if math.isfinite(e.a + e.b) and e.a > 0.0 else None,
                     "ratio_ci95": None if e.ci95 is None else list(e.ci95), "better": e.better or None}
                    for e in found.errors],
-        "trust": comparison_trust(found).document}
+        "trust": comparison_trust(found).document, "set_aside": [run.document for run in found.set_aside]}
 
 
 def comparison_sections(found: Comparison) -> list[Section]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -20,15 +20,16 @@ from experiments.models import (
     fitted_settings,
 )
 from experiments.provenance import program_version
-from experiments.rig import Setup
+from experiments.session import SetAside, Setup
 
 SCHEMA = "legid.diagnosis/1"
 WHOLE_RIG = frozenset({"rotor_inertia"})
 """Effects that the library places at a joint and the contract does not."""
 
 
-def diagnosis_document(found: Diagnosis) -> dict[str, Any]:
-    """`legid.diagnosis/1` of docs/formats.md, with the sentence, warnings and the next experiment added to it."""
+def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = ()) -> dict[str, Any]:
+    """`legid.diagnosis/1` of docs/formats.md, with the sentence, warnings and the next experiment added to it; `aside`
+    are the runs that were set aside."""
     before, after = found.torque_rms_nm
     return {
         "schema": SCHEMA, "verdict": found.verdict, "sentence": found.sentence,
@@ -58,6 +59,7 @@ def diagnosis_document(found: Diagnosis) -> dict[str, Any]:
                          for effect, joint, why in untestable(found)],
         "runs": {group: list(found.runs.get(group, ())) for group in ("fit", "screen", "confirm")},
         "warnings": list(found.warnings), "next_experiment": found.next_experiment, "wall_s": found.wall_s,
+        "set_aside": [run.document for run in aside],
     }
 
 

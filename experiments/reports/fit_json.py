@@ -13,9 +13,10 @@ from daq import WorkError
 from estimator import FitResult
 from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, fitted_settings
 from experiments.provenance import program_version
+from experiments.reports.fit_checks import check_fit
 from experiments.reports.residual_tests import residual_tests
 from experiments.reports.run_agreement import agreement_document
-from experiments.reports.trust import Trust, fit_trust
+from experiments.reports.trust import fit_trust
 
 FIT_SCHEMA = "legid.fit/1"
 LISTED = ((re.compile(r"accel_[xy]_mps2"), "accel_mps2_by_axis"),
@@ -23,7 +24,7 @@ LISTED = ((re.compile(r"accel_[xy]_mps2"), "accel_mps2_by_axis"),
 """Levels of single axes and joints in a result, and the list that has them in the file."""
 
 
-def fit_document(result: FitResult, settings: MechanismSettings, trust: Trust | None = None) -> dict[str, Any]:
+def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, Any]:
     """`legid.fit/1` of docs/formats.md, with what is undetermined, warned of and assumed added to it.
 
     A parameter that takes part in what is undetermined has NaN, null in the file, for numbers.
@@ -47,7 +48,9 @@ def fit_document(result: FitResult, settings: MechanismSettings, trust: Trust | 
         "agreement": agreement_document(result),
         "inadmissible": list(result.inadmissible), "remedies": list(result.remedies),
         "warnings": list(result.warnings), "assumptions": list(result.assumptions),
-        "trust": (trust or fit_trust(result)).document,
+        "findings": [{"role": one.role, "kind": one.kind, "text": one.text}
+                     for one in (*result.findings, *check_fit(result))],
+        "trust": fit_trust(result).document,
         "residuals": [{"what": c.what, "kind": kind, "outside": c.outside, "largest": c.largest, "band99": c.band}
                       for kind, some in (("auto", auto), ("cross", cross)) for c in some],
     }

@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from daq import Dataset
+from experiments.console import write_json
 from experiments.models import Model
-from experiments.provenance import Origin
+from experiments.provenance import Origin, origin_of
+from experiments.provenance import Source as Source
+from experiments.provenance import source_of as source_of
 from experiments.reports.html import Section, Table
-from experiments.rig import damaged_runs
+from experiments.session import damaged_runs
 
 
 def with_origin(document: Mapping[str, Any], origin: Origin, runs: Sequence[Dataset] = ()) -> dict[str, Any]:
     """`document` with `damaged` and `provenance` added."""
     return {**document, "damaged": damaged_runs(runs), "provenance": origin}
+
+
+def origin_from(sources: Sequence[Source]) -> Origin:
+    """Of a result that a script asked for: the program and the run files."""
+    return msgspec.structs.replace(origin_of(), runs=tuple(sources))
+
+
+def write_document(path: Path | str, document: Mapping[str, Any], sources: Sequence[Source] = ()) -> None:
+    """Write `document` as a command's --json does, with `origin_from`. Raises `InputError`."""
+    write_json(path, {**document, "provenance": origin_from(sources)})
 
 
 def model_with_origin(model: Model, origin: Origin, runs: Sequence[Dataset] = ()) -> Model:

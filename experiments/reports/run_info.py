@@ -15,6 +15,7 @@ from daq.timing import (
     align,
     compare_torque_channels,
     configured,
+    decode,
     fit_answers,
     fit_ticks,
     is_polled,
@@ -52,7 +53,7 @@ def describe_csv(table: RawTable) -> str:
     seconds = float(table.time_s[-1] - table.time_s[0])
     rows = [[name, f"{values.min():.4g}", f"{values.max():.4g}", f"{values.std():.4g}"]
             for name, values in table.columns.items()]
-    ignored = table.sources.get("ignored")
+    ignored = ", ".join(table.ignored)
     lines = [f"{table.name}: {table.time_s.size} samples, {seconds:.2f} s, {1.0 / nominal:.6g} Hz",
              f"jitter of the sample times (rms): {float(np.std(steps[steps <= HOLE_PERIODS * nominal])) * 1e6:.3g} us; "
              f"gaps: {holes}" + (f", longest {float(steps.max()):.3g} s" if holes else ""), "",
@@ -113,17 +114,14 @@ def lost_frames(telemetry: NDArray[np.void]) -> int:
 def _clocks(raw: RawRun) -> list[str]:
     try:
         rig = recorded_rig(raw)
-        facts = align(raw, rig).sources
+        found = decode(raw, rig)
         fine = align(raw, rig, SKEW_RATE_HZ)
         skew = measure_skew(fine)
     except InputError as error:
         return [f"clocks: {error}", *clock_warnings(0.0, configured(raw, "link"))]
-    lines = [f"{label}: {facts[key]}" for key, label in
-             [("controller_clock", "controller clock"), ("imu_clock", "IMU clock"), ("pivot_sensor", "pivot sensor")]
-             if key in facts]
+    lines = [f"{label}: {words}" for label, words in found.clocks.items()]
     lines += second_shunt(raw, fine)
-    if "doubt" in facts:
-        lines.append(f"warning: a fit of this run is to be doubted: {facts['doubt']}")
+    lines += [f"warning: a fit of this run is to be doubted: {doubt}" for doubt in found.doubts]
     if skew is not None:
         lines.append(f"IMU against encoders, by correlation of gyro and pivot: {skew.seconds * 1e3:+.2f} +- "
                      f"{skew.std_s * 1e3:.2f} ms (positive: the IMU is late)")

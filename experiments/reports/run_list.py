@@ -154,7 +154,7 @@ def _ended(raw: RawRun) -> str:
         return early[-1].split(";")[0]
     if not raw.complete:
         return "file cut off"
-    return f"damaged: {'; '.join(raw.damage)}" if raw.damage else ""
+    return f"damaged: {'; '.join(map(str, raw.damage))}" if raw.damage else ""
 
 
 def _verdicts(folder: Path) -> list[tuple[Path, _Diagnosis]]:

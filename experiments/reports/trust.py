@@ -12,28 +12,12 @@ from typing import Any
 import numpy as np
 
 from daq import FloatArray
-from estimator import FitResult
+from estimator import Finding, FitResult
 from estimator.model import VELOCITY_SCALE
 from experiments.models import GYRO, SHORT_S, MechanismSettings, Prediction
+from experiments.reports.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
 from experiments.reports.html import Level, VerdictBox
-from experiments.reports.residual_tests import (
-    STRONG,
-    autocorrelation,
-    fit_percent,
-    residuals_of,
-    torque_fit,
-    torque_step,
-)
-from experiments.reports.run_agreement import disputed
-
-STRUCTURE = 0.3
-"""Correlation of a driven joint's torque residual, at any of 25 lags, beyond which the model lacks something."""
-NEIGHBOURS = 4
-"""Lags at which the estimated motion colours the residuals of sensors, on a right model too: they are not looked at."""
-GOOD_FIT, ROUGH_FIT = 90.0, 70.0
-"""Fit [%], 100 (1 - rms error / rms motion about its mean): from here on trusted, from there on roughly."""
-PRECISE = 0.1
-"""Half of a 95 % interval over the value, beyond which a parameter counts as loosely known."""
+from experiments.reports.residual_tests import fit_percent
 
 
 @dataclass(frozen=True)
@@ -56,115 +40,42 @@ class Trust:
         return VerdictBox(self.level, title, [*lines, *self.reasons], [f"Warning: {text}" for text in warnings])
 
 
-def fit_trust(result: FitResult, contradictions: Sequence[str] = ()) -> Trust:
-    """Of a fit by itself: what its residuals, its intervals and physics say. Free runs are `validation_trust`'s."""
-    names = {p.name for p in result.mechanism.parameters} - set(result.fixed)
-    if not result.converged:
-        return Trust("bad", "NOT TO BE USED: the fit did not converge.")
-    if names and names <= result.open_parameters:
-        return Trust("bad", "NOT TO BE USED: these runs determine no parameter.")
-    impossible = _impossible(result)
-    if impossible:
-        return Trust("bad", f"NOT TO BE USED: no leg has these parameters ({'; '.join(impossible)}).")
-    tested = result.method == "mle"
-    structure, torque = _structure(result) if tested else {}, _torque_fit(result)
-    disputes = _disputes(result)
-    allowed = "; the intervals allow for what runs disagree about" if disputes else " and the intervals are too narrow"
-    doubts = [f"the torque left over at joint {j} has structure (correlation {r:.2f}, {STRUCTURE:g} allowed), so "
-              f"something is missing in the model{allowed}: see legid diagnose"
-              for j, r in structure.items() if r > STRUCTURE]
-    doubts += _sensor_doubts(result) if tested else []
-    doubts += [f"these runs do not determine {', '.join(map(str, result.undetermined))}"] if result.undetermined else []
-    doubts += [f"the rig file contradicts a run: {text}" for text in contradictions]
-    fits = "; ".join(f"torque of joint {j} {share:.1f} %" for j, share in torque.items())
-    loose = _loose(result)
-    facts = [*([f"Fit: {fits} ({GOOD_FIT:g} wanted)."] if fits else []),
-             *([f"Runs disagree about {disputes}: the next run may differ as much."] if disputes else []),
-             *([f"Known loosely: {', '.join(loose)}."] if loose else []),
-             "What no residual shows: a wrong scale of a sensor passes for other parameters. Calibrate.",
-             "How far a simulation follows the leg is not known until legid validate has tried it on other runs."]
+def fit_trust(result: FitResult) -> Trust:
+    """Of a fit by itself: its own findings and those of `check_fit`, joined. Free runs are `validation_trust`'s."""
+    findings = (*result.findings, *check_fit(result))
+    faults = [one for one in findings if one.role == "fault"]
+    if faults:
+        return Trust("bad", f"NOT TO BE USED: {_fault(faults)}.")
+    doubts = [one.text for one in findings if one.role == "doubt"]
+    doubts += [f"the rig file contradicts a run: {one}" for one in findings if one.kind == "rig_contradiction"]
+    facts = tuple(f"{one}." for one in findings if one.role == "fact")
+    torque = list(torque_fits(result).values())
+    disputes, tested = any(one.kind == "runs_disagree" for one in findings), result.method == "mle"
     if doubts:
         use = ("" if not torque else " Good for torque feedforward within the motion fitted."
-               if min(torque.values()) >= GOOD_FIT else " Good for rough torque feedforward only."
-               if min(torque.values()) >= ROUGH_FIT else " Not good for torque feedforward either.")
-        return Trust("caution", f"DO NOT TRUST the parameters: {'; '.join(doubts)}.{use}", tuple(facts))
+               if min(torque) >= GOOD_FIT else " Good for rough torque feedforward only."
+               if min(torque) >= ROUGH_FIT else " Not good for torque feedforward either.")
+        return Trust("caution", f"DO NOT TRUST the parameters: {'; '.join(doubts)}.{use}", facts)
     if tested and not result.mechanism.actuated:
         return Trust("caution", f"TRUST the ratios of the parameters within their intervals: no torque was measured, "
-                     f"and their scale is that of {', '.join(result.fixed)}, which was given.", tuple(facts))
+                     f"and their scale is that of {', '.join(result.fixed)}, which was given.", facts)
     if not tested or not torque:
         return Trust("caution", f"NOT TESTED: what {result.method} leaves over is coloured by its filters and cannot "
-                     "judge the parameters; mle's can.", tuple(facts))
-    if min(torque.values()) < GOOD_FIT:
-        return Trust("caution", "TRUST the parameters within their intervals; the model's torque is rough.",
-                     tuple(facts))
+                     "judge the parameters; mle's can.", facts)
+    if min(torque) < GOOD_FIT:
+        return Trust("caution", "TRUST the parameters within their intervals; the model's torque is rough.", facts)
     if disputes:
         return Trust("caution", "TRUST the parameters within their intervals, which are wide because runs disagree, "
-                     "and the model's torque.", tuple(facts))
-    return Trust("good", "TRUST the parameters within their intervals, and the model's torque.", tuple(facts))
+                     "and the model's torque.", facts)
+    return Trust("good", "TRUST the parameters within their intervals, and the model's torque.", facts)
 
 
-def _impossible(result: FitResult) -> list[str]:
-    """What physics forbids: an inertia matrix that is not positive definite, friction that drives."""
-    found = []
-    paths = [path.q[:: max(1, len(path.q) // 200)] for path in result.trajectories]
-    q = np.concatenate(paths) if paths else np.zeros((1, result.mechanism.n))
-    least = np.linalg.eigvalsh(result.mechanism.inertia_matrix(q, result.beta))
-    if not np.isfinite(least).all() or least.min() <= 0.0:
-        found.append("a mass that is not positive")
-    for p, value, std in zip(result.mechanism.parameters, result.beta, result.std):
-        if "friction" in p.meaning and p.name not in result.open_parameters and value + 3.0 * std < 0.0:
-            found.append(f"{p.name}, {p.meaning}, is negative")
-    return found
-
-
-def _structure(result: FitResult) -> dict[int, float]:
-    """Driven joint, from 1 -> largest correlation of its torque's residual at 25 lags, apart as a right model leaves
-    them independent."""
-    found = residuals_of(result)
-    return {j + 1: autocorrelation(name, found[name], torque_step(result, j, found[name])).largest
-            for j in result.mechanism.actuated if (name := f"torque {j + 1}") in found}
-
-
-def _sensor_doubts(result: FitResult) -> list[str]:
-    """What passive joints and the sensors' own residuals say against a fit.
-
-    Nothing drives a passive joint, and no torque sensor's noise is in its equation: an error beyond that noise is the
-    model's, or that of the sensors of motion.
-    """
-    found = []
-    passive, driven = result.noise.get("passive_joint_nm", 0.0), result.noise.get("torque_nm", 0.0)
-    if passive > driven > 0.0:
-        found.append(f"the equation of a joint that nothing drives is off by {passive:.2g} N m, more than the driven "
-                     f"one's torque by noise ({driven:.2g}), so the model or a sensor is wrong: see legid diagnose")
-    for name, residuals in residuals_of(result).items():
-        if not name.startswith("torque"):
-            far = float(np.max(np.abs(autocorrelation(name, residuals).values[NEIGHBOURS:])))
-            if far > STRONG:
-                found.append(f"what is left over of {name} has structure (correlation {far:.2f}, {STRONG:g} allowed): "
-                             "see legid diagnose")
-    return found
-
-
-def _torque_fit(result: FitResult) -> dict[int, float]:
-    """Driven joint, from 1 -> fit of the model's torque to the measured one [%]; without those that hardly move."""
-    found = {j + 1: torque_fit(result, j) for j in result.mechanism.actuated} if result.trajectories else {}
-    return {j: share for j, share in found.items() if np.isfinite(share)}
-
-
-def _disputes(result: FitResult) -> str:
-    """What runs disagree about, in words; empty where they agree."""
-    if result.agreement is None or not result.agreement.disagree:
-        return ""
-    return ", ".join(result.mechanism.names[k] for k in disputed(result)) or "the parameters"
-
-
-def _loose(result: FitResult) -> list[str]:
-    found = []
-    for p, value, half in zip(result.mechanism.parameters, result.beta, result.half_width):
-        share = half / abs(value) if value else np.inf
-        if p.name not in result.open_parameters and p.name not in result.fixed and share > PRECISE:
-            found.append(f"{p.name} ({p.meaning}) to {100 * share:.0f} %" if np.isfinite(share) else p.name)
-    return found
+def _fault(faults: Sequence[Finding]) -> str:
+    """The first kind of fault, in words."""
+    kind = faults[0].kind
+    texts = "; ".join(one.text for one in faults if one.kind == kind)
+    return {"impossible": f"no leg has these parameters ({texts})",
+            "columns": f"the columns cannot be right ({texts})"}.get(kind, texts)
 
 
 def judged(prediction: Prediction) -> list[str]:

@@ -10,14 +10,6 @@ from .discovery import probe as probe
 from .estop import FLAG as FLAG
 from .estop import confirm_estop as confirm_estop
 from .questions import ask_facts as ask_facts
-from .servo_law import needs_law as needs_law
-from .setup import Setup as Setup
-from .setup import damaged_runs as damaged_runs
-from .setup import load_runs as load_runs
-from .setup import load_setup as load_setup
-from .setup import prepare as prepare
-from .setup import require_whole as require_whole
-from .setup import setup_of as setup_of
 from .writer import RigFacts as RigFacts
 from .writer import already_there as already_there
 from .writer import write_rig as write_rig

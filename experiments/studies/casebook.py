@@ -24,8 +24,8 @@ from estimator.fitting import Validation
 from estimator.signals import torque_column
 from experiments.calibrate import compare, read_moving
 from experiments.reports import pieces, rmse
-from experiments.rig import Setup, load_setup
-from experiments.workflows import diagnose_setup, fit_setup, validate_setup
+from experiments.session import Setup, load_runs, prepare
+from experiments.workflows import diagnose_prepared, fit_runs, validate_setup
 
 T = TypeVar("T")
 RIGS = Path(__file__).parent / "rigs"
@@ -226,7 +226,7 @@ def _fit(task: FitTask, home: Path) -> Fitted:
     rig = load_rig(RIGS / task.rig)
 
     def estimate() -> FitResult:
-        return fit_setup(load_setup([home / run for run in task.runs], rig, None, task.fix), task.method)
+        return fit_runs([home / run for run in task.runs], rig, fixed=task.fix, method=task.method, choose=False).result
 
     result, refusal = _attempt(estimate)
     if result is None or not task.validate:
@@ -234,8 +234,8 @@ def _fit(task: FitTask, home: Path) -> Fitted:
     mechanism, beta, hold = result.mechanism, result.beta, result.hold
 
     def simulate() -> list[Validation]:
-        setup = load_setup([home / run for run in task.validate], rig, None, task.fix, beta=beta)
-        return validate_setup(setup, mechanism, beta, hold)
+        prepared = prepare([home / run for run in task.validate], rig, fixed=task.fix, beta=beta)
+        return validate_setup(prepared.setup, mechanism, beta, hold)
 
     validations, problem = _attempt(simulate)
     return Fitted(task, result, refusal, validations or (), problem)
@@ -246,24 +246,25 @@ def _sweep(task: SweepTask, home: Path) -> Swept:
     found: dict[tuple[str, float], Mapping[str, float] | str] = {}
     for cutoff in task.cutoffs_hz:
         narrow = msgspec.structs.replace(rig, filter=msgspec.structs.replace(rig.filter, cutoff_hz=cutoff))
-        setup = load_setup([home / run for run in task.runs], narrow)
+        runs = load_runs([home / run for run in task.runs], narrow)
         for method in task.methods:
-            result, refusal = _attempt(partial(fit_setup, setup, method))
-            if result is None:
+            fitted, refusal = _attempt(partial(fit_runs, runs, narrow, method=method, choose=False))
+            if fitted is None:
                 found[method, cutoff] = refusal
             else:  # also what is not determined: what a method makes of noise is what a sweep shows
-                found[method, cutoff] = {n: float(result.beta[result.mechanism.names.index(n)]) for n in task.published}
+                names, beta = fitted.result.mechanism.names, fitted.result.beta
+                found[method, cutoff] = {n: float(beta[names.index(n)]) for n in task.published}
     return Swept(task, found)
 
 
 def _diagnose(task: DiagnoseTask, home: Path, seed: int) -> Diagnosed:
     rig = load_rig(RIGS / task.rig)
-    setup, refusal = _attempt(lambda: load_setup([home / run for run in task.runs], rig))
-    if setup is None:
+    prepared, refusal = _attempt(lambda: prepare([home / run for run in task.runs], rig))
+    if prepared is None:
         return Diagnosed(task, None, refusal)
-    found, refusal = _attempt(lambda: diagnose_setup(setup, rig, seed))
-    others = [] if found is None else [diagnose_setup(setup, rig, seed + k) for k in range(1, task.again + 1)]
-    return Diagnosed(task, found, refusal, drive_rms(setup),
+    found, refusal = _attempt(lambda: diagnose_prepared(prepared, seed))
+    others = [] if found is None else [diagnose_prepared(prepared, seed + k) for k in range(1, task.again + 1)]
+    return Diagnosed(task, found, refusal, drive_rms(prepared.setup),
                      tuple((other.verdict, tuple(c.effect for c in other.causes)) for other in others))
 
 

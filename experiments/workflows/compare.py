@@ -11,8 +11,7 @@ from daq import Dataset, FloatArray, InputError, Rig
 from experiments.console import progress
 from experiments.models import FreeRuns, Model, build_mechanism, known_effects
 from experiments.reports import Comparison, Estimate, HorizonError, ParameterPair, model_contradictions, normal
-from experiments.rig import setup_of
-from experiments.workflows.suspicion import require_sound
+from experiments.session import Prepared, prepare, require_sound
 
 HORIZONS_S = (0.25, 0.5, 1.0, 2.0, 5.0, np.inf)
 BLOCK_S = 2.0
@@ -22,20 +21,22 @@ DRAWS = 2000
 
 
 def compare_models(models: tuple[Model, Model], files: tuple[str, str], runs: Sequence[Dataset], rig: Rig,
-                   sensors: str | None = None, warnings: Sequence[str] = ()) -> Comparison:
+                   sensors: str | None = None) -> Comparison:
     """Compare `models`, read from `files`, on `runs` of `rig`. Raises `InputError` for models of other mechanisms,
     `FitError` where no motion can be estimated."""
-    sides = [_free_runs(model, file, runs, rig, sensors) for model, file in zip(models, files)]
+    prepared = [prepare(runs, rig, sensors=sensors, beta=np.array(model.beta)) for model in models]
+    sides = [_free_runs(model, file, one) for model, file, one in zip(models, files, prepared)]
+    names = [data.name for data in prepared[0].setup.datasets]
     traces = sides[0][0].prediction(), sides[1][0].prediction()
     errors = [error for horizon in HORIZONS_S if np.isinf(horizon) or any(p.longest_s > horizon for p in traces)
               for error in _errors(sides, horizon)]
-    return Comparison(files, parameter_pairs(models), tuple(errors), traces, tuple(data.name for data in runs),
-                      (*warnings, *_doubts(models, files, [data.name for data in runs])),
-                      _notes(models))
+    return Comparison(files, parameter_pairs(models), tuple(errors), traces, tuple(names),
+                      (*prepared[0].warnings, *_doubts(models, files, names)), _notes(models),
+                      prepared[0].set_aside)
 
 
-def _free_runs(model: Model, file: str, runs: Sequence[Dataset], rig: Rig, sensors: str | None) -> list[FreeRuns]:
-    setup = setup_of(runs, rig, sensors, beta=np.array(model.beta))
+def _free_runs(model: Model, file: str, prepared: Prepared) -> list[FreeRuns]:
+    setup = prepared.setup
     mechanism = build_mechanism(model.mechanism)
     if (setup.settings.model, setup.mechanism.n) != (model.mechanism.model, mechanism.n):
         raise InputError(file, f"is a {model.mechanism.model}, the rig file says {setup.settings.model}",

@@ -18,10 +18,10 @@ from experiments.console import busy, make_directory, progress, stages, write_te
 from experiments.emulation import DEFAULT, EFFECTS, NOTHING, REMARK, Hidden, LegBody, record_emulated, rig_with_drive
 from experiments.excite import random_multisine
 from experiments.reports import diagnosed_model
-from experiments.rig import load_setup
+from experiments.session import prepare
 from experiments.workflows.demo_files import write_results
 from experiments.workflows.demo_result import Demo
-from experiments.workflows.diagnose import diagnose_setup
+from experiments.workflows.diagnose import diagnose_prepared
 from experiments.workflows.validate import validate_runs, validate_setup
 
 RUNS, SECONDS = 8, 10.0
@@ -49,9 +49,10 @@ def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = D
     write_text(out / "rig.toml", rig_text)
     body = body or LegBody(gravity=rig.mechanism.gravity_mps2)
     hidden = EFFECTS.get(effect, NOTHING)
-    setup = load_setup(record_runs(out, rig, rig_text, runs, seconds, seed, body, hidden), rig)
+    prepared = prepare(record_runs(out, rig, rig_text, runs, seconds, seed, body, hidden), rig)
+    setup = prepared.setup
     with stages("diagnosing") as show:
-        diagnosis = diagnose_setup(setup, rig, seed, progress=show)
+        diagnosis = diagnose_prepared(prepared, seed, progress=show)
     if diagnosis.verdict == "fit_failed":
         raise WorkError(diagnosis.sentence)
     confirm = set(diagnosis.runs["confirm"])

@@ -12,7 +12,7 @@ from estimator.fitting import Validation
 from experiments.emulation import Hidden
 from experiments.models import Model
 from experiments.reports import Estimate, estimates_of, normal
-from experiments.rig import Setup
+from experiments.session import Setup
 
 
 @dataclass(frozen=True)

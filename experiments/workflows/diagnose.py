@@ -4,48 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from daq import Dataset, InputError, Rig
-from daq.runs import IMU, read_run
-from daq.timing import recorded_rig
+from daq.runs import IMU
 from estimator import FitError
 from estimator.calibration import differing_text, find_differing
 from estimator.diagnosis import MATERIAL, Diagnosis, diagnose
 from estimator.signals import angle_column
 from experiments.models import Model, known_effects, values_of
-from experiments.rig import Setup
-from experiments.workflows.suspicion import require_sound
+from experiments.session import Prepared, Setup, require_one_rig, require_sound
 
 BENCHMARK = "q1_rad"
 GAIN = "torque_gain"
 
 
-def diagnose_setup(setup: Setup, rig: Rig, seed: int = 0, reference: Mapping[str, tuple[float, float]] | None = None,
+def diagnose_prepared(prepared: Prepared, seed: int = 0, reference: Mapping[str, tuple[float, float]] | None = None,
                    progress: Callable[[str, float], None] | None = None, workers: int | None = None,
                    material: float = MATERIAL) -> Diagnosis:
-    """Diagnose the runs of `setup`, in the order given, on `workers` processes (by default one a core).
+    """Diagnose the runs of `prepared`, in the order given, on `workers` processes (by default one a core).
 
     Columns that contradict themselves are no effect's: then the verdict is fit_failed, with what mends them. Raises
     `InputError` for runs that do not belong together.
     """
     known_effects()
+    setup, rig = prepared.setup, prepared.rig
+    notes = (*(str(one) for one in prepared.doubts), *setup.notes)
     imus = setup.mechanism.imus
     if setup.options.sensors == "imu" and len(imus) > 1:
         raise InputError("the rig file", f"has {len(imus)} IMUs; a diagnosis knows the faults of one",
                          "diagnose with one [[imu]] in a copy of the rig file, and encoders of the other joints")
+    require_one_rig(setup.datasets)
     require_alike(setup.datasets)
     setup = without_benchmark(setup)
     try:
         require_sound(setup)
     except FitError as error:
-        return Diagnosis("fit_failed", f"No diagnosis: {error}.", warnings=setup.notes, material=material)
+        return Diagnosis("fit_failed", f"No diagnosis: {error}.", warnings=notes, material=material)
     found = diagnose(setup.datasets, setup.mechanism, setup.options, gear_ratio=rig.motor.gear_ratio, seed=seed,
                      progress=progress, reference=reference, workers=workers, material=material)
     differing = None if rig.terms.encoder_zero else find_differing(setup.datasets, setup.mechanism, setup.options)
     told = () if differing is None else (differing_text(differing, setup.mechanism.length_unit),)
-    found = replace(found, not_testable=with_known_gain(found.not_testable, rig))
-    return replace(found, warnings=(*found.warnings, *setup.notes, *told))
+    return replace(found, not_testable=with_known_gain(found.not_testable, rig),
+                   warnings=(*found.warnings, *notes, *told))
 
 
 def with_known_gain(not_testable: Mapping[str, str], rig: Rig) -> dict[str, str]:
@@ -89,23 +89,6 @@ def _motion(data: Dataset) -> set[str]:
     imu = all(name in data for name in IMU)
     return {name for name in data.columns if name.startswith(("q", "tau"))
             and not name.endswith(("cmd_nm", "motor_rad", "shunt_nm")) and not (imu and name == BENCHMARK)}
-
-
-def require_one_rig(paths: Sequence[Path | str]) -> None:
-    """Raises `InputError` where two native runs were recorded on rigs that differ in what a model depends on."""
-    first: tuple[str, object] | None = None
-    for path in paths:
-        if not str(path).lower().endswith(".mcap"):
-            continue
-        raw = read_run(path)
-        if "rig.toml" not in raw.files:
-            continue
-        rig = recorded_rig(raw)
-        found = (rig.mechanism, rig.imus, rig.motor)
-        if first is None:
-            first = raw.name, found
-        elif found != first[1]:
-            raise InputError(raw.name, f"was recorded on another rig than {first[0]}", "diagnose one rig at a time")
 
 
 def reference_values(model: Model, where: str, setup: Setup) -> dict[str, tuple[float, float]]:

@@ -1,24 +1,212 @@
-"""`fit_setup`: a fit of prepared runs, which says what was done to them and what looks wrong in their set-up."""
+"""`fit_runs`: runs prepared, estimated, checked, and all findings joined once into the result."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
-from estimator import FitError, FitResult, Method
-from estimator.fitting import fit_admissible
-from experiments.rig import Setup
-from experiments.workflows.suspicion import suspect
+import numpy as np
+from msgspec import structs
+
+from daq import InputError, Rig
+from estimator import Finding, FitError, FitResult, Method
+from estimator.fitting import fit_admissible, measured_states, prediction_score
+from estimator.model import Mechanism
+from experiments.reports import fit_document
+from experiments.session import (
+    Choice,
+    Prepared,
+    RunDoubt,
+    Runs,
+    SetAside,
+    Setup,
+    as_datasets,
+    needs_law,
+    prepare,
+    suspect,
+    with_choices,
+)
+from experiments.workflows.servo_gain import scaled
+
+NOISY = 0.2
+"""Share of a torque's spread that, put down to noise, asks whether the angles err by more than their encoder shows."""
+UNLIMITED = 1e6
+"""Torque limit [rad of error] of a servo in units of its gain."""
+NOT_WHITE = 0.25
+"""Such a share that remains at the end is said: intervals take it for white. (On two real arms the published values lie
+up to eight half widths away.)"""
+LEVELS = (2.5, 6.0)
+"""Times its estimate that an encoder's error is then taken to be, and ..."""
+BETTER = 0.05
+"""... the share by which the next second must be predicted better for it. (Measured on two real arms: 45 and 57 %.)"""
 
 
-def fit_setup(setup: Setup, method: Method = "mle") -> FitResult:
-    """`fit_admissible`, with the notes of `setup` among its assumptions, and with the remedies of a set-up that
-    contradicts itself. Raises `FitError` as that does, naming them."""
+@dataclass(frozen=True)
+class Fitted:
+    """A fit with what was chosen for it."""
+
+    setup: Setup
+    result: FitResult
+    rig: Rig
+    """With the choices in it."""
+    choices: tuple[Choice, ...]
+    aside: tuple[SetAside, ...] = ()
+    """Runs that were not used."""
+    doubts: tuple[RunDoubt, ...] = ()
+    """Of the runs that were."""
+    servo_gain: tuple[float, float, float] | None = None
+    """Value and 95 % interval of a servo's gain that the fit found"""
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """`legid.fit/1` with the runs set aside, the entries chosen and a servo's gain."""
+        gain = self.servo_gain
+        return {**fit_document(self.result, self.setup.settings),
+                "set_aside": [run.document for run in self.aside],
+                "servo_gain": None if gain is None else {"value": gain[0], "ci95": list(gain[1:])},
+                "chosen": [choice.document for choice in self.choices]}
+
+
+def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[str, float] | None = None,
+             latent: str = "trajectory", method: Method = "mle", damaged: bool = False, choose: bool = True) -> Fitted:
+    """A fit of the `runs` that can be used. What `rig` leaves open is chosen by the records, unless `choose` is False.
+
+    A servo whose gain is not known is fitted in units of the gain, which the one parameter in `fixed` then tells.
+    Raises `InputError` and `FitError` as `prepare`, and `FitError` where the data cannot answer, with the remedies of a
+    set-up that contradicts itself.
+    """
+    datasets = as_datasets(runs, rig, damaged)
+    gainless = rig.servo is not None and rig.servo.gain is None and any(needs_law(data, rig) for data in datasets)
+    name, value = _gain_teller(rig, fixed) if gainless else ("", 0.0)
+    prepared = prepare(datasets, _in_units_of_gain(rig) if gainless else rig, sensors=sensors,
+                       fixed=None if gainless else fixed, latent=latent, choose=choose)
+    setup, choices = prepared.setup, prepared.choices
+    if gainless and name not in setup.mechanism.names:
+        raise InputError("--fix", f"{rig.mechanism.model} has no parameter {name}",
+                         f"it has {', '.join(setup.mechanism.names)}")
+    result, wrong = _checked(setup, method)
+    if choose and method == "mle" and latent == "trajectory" and rig.noise.encoder_rad is None and result.converged:
+        found = encoder_error(setup, result)
+        if found is not None:
+            choice, setup, result, wrong = found
+            choices = (*choices, choice)
+    findings = [*_of_runs(prepared), *_noise_findings(result), *result.findings, *wrong,
+                *(Finding("assumption", "run_note", text) for text in setup.notes),
+                *(Finding("assumption", "choice", str(choice)) for choice in choices)]
+    choices = (*choices, *_found_smoothing(setup.mechanism, result.mechanism))  # its fit has said so
+    gain, known = None, with_choices(rig, choices)
+    if gainless and known.servo is not None:
+        result, size, half = scaled(result, name, value)
+        gain, known = (size, size - half, size + half), structs.replace(
+            known, servo=structs.replace(known.servo, gain=size))
+        findings.append(_gain_finding(gain, rig, result.mechanism, f"{name} = {value:g}"))
+    return Fitted(setup, _joined(result, findings), known, choices, prepared.set_aside, prepared.doubts, gain)
+
+
+def _checked(setup: Setup, method: Method = "mle") -> tuple[FitResult, tuple[Finding, ...]]:
+    """A fit, and what its set-up contradicts. Raises `FitError`, naming the remedies."""
     try:
-        found = fit_admissible(setup.datasets, setup.mechanism, setup.options, method)
+        result = fit_admissible(setup.datasets, setup.mechanism, setup.options, method)
     except FitError as error:
         mends = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, True).remedies
         raise FitError("; ".join([str(error), *["; or ".join(mends)] * bool(mends)])) from None
-    bad = bool(found.inadmissible) or not found.converged or any("no scatter" in text for text in found.warnings)
-    seen = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, bad)
-    return replace(found, assumptions=(*found.assumptions, *setup.notes), remedies=seen.remedies,
-                   inadmissible=found.inadmissible or seen.against, warnings=(*found.warnings, *seen.remedies))
+    kinds = {one.kind for one in result.findings}
+    suspected = not result.converged or bool(kinds & {"impossible", "level_negative"})
+    seen = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, suspected)
+    against = () if "impossible" in kinds else seen.against
+    return result, (*(Finding("fault", "columns", text) for text in against),
+                    *(Finding("remedy", "columns", text) for text in seen.remedies))
+
+
+def _joined(result: FitResult, findings: Sequence[Finding]) -> FitResult:
+    """`result` with `findings` in place of its own; assumptions among them follow the estimator's."""
+    more = tuple(one.text for one in findings if one.role == "assumption")
+    return replace(result, findings=tuple(findings), assumptions=(*result.assumptions, *more))
+
+
+def _of_runs(prepared: Prepared) -> list[Finding]:
+    """Runs that were set aside, and doubts of the others."""
+    return [*(Finding("warning", "run_set_aside", str(run)) for run in prepared.set_aside),
+            *(Finding("warning", "rig_contradiction" if one.doubt.kind == "rig" else "run_doubt", str(one))
+              for one in prepared.doubts)]
+
+
+def _noise_findings(result: FitResult) -> list[Finding]:
+    """Torque that is put down to noise, where that is too much to be white."""
+    if (share := noise_share(result)) <= NOT_WHITE:
+        return []
+    wide = result.agreement is not None and result.agreement.disagree
+    narrow = "intervals allow for what runs disagree about alone" if wide else "intervals are too narrow"
+    return [Finding("warning", "noise_share", f"{100 * share:.0f} % of the torque's spread is left to noise, which is "
+                    f"hardly white: {narrow}; see what legid tune and legid diagnose find")]
+
+
+def noise_share(result: FitResult) -> float:
+    """Torque that a fit puts down to noise, as a share of the spread of what was measured, at the worst joint."""
+    mechanism: Mechanism = result.mechanism
+    if not result.trajectories or not mechanism.actuated:
+        return 0.0
+    torque = np.concatenate([t.tau_measured for t in result.trajectories])[:, list(mechanism.actuated)]
+    return float(result.noise.get("torque_nm", 0.0) / max(float(np.std(torque, axis=0).max()), 1e-300))
+
+
+def encoder_error(setup: Setup, result: FitResult
+                  ) -> tuple[Choice, Setup, FitResult, tuple[Finding, ...]] | None:
+    """A larger error of the encoders than they show, such as play, where a fit that takes it for granted predicts the
+    next second better; None where none does.
+
+    Without it the likelihood holds on to angles that are off by play, and puts torque down to noise instead.
+    """
+    share = noise_share(result)
+    if share < NOISY or "encoder_rad" not in result.noise:
+        return None
+    states = measured_states(setup.datasets, setup.mechanism, setup.options)
+    first = best = prediction_score(states, result.mechanism, result.beta, result.hold)
+    shown, found = result.noise["encoder_rad"], None
+    for times in LEVELS:
+        level = float(f"{times * shown:.1g}")
+        trial = replace(setup, options=replace(setup.options, noise={**setup.options.noise, "encoder_rad": level}))
+        try:
+            tried, wrong = _checked(trial)
+        except FitError:
+            continue
+        score = prediction_score(states, tried.mechanism, tried.beta, tried.hold)
+        faulty = any(one.role == "fault" for one in (*tried.findings, *wrong))
+        if tried.converged and not faulty and score < best + np.log(1.0 - BETTER):
+            best = score
+            why = (f"angles that err by more than their encoder shows, {shown:.2g} (play, or time stamps that jitter): "
+                   f"{100 * share:.0f} % of the torque's spread went for noise")
+            gain = f"{100 * (1 - np.exp(best - first)):.0f} % better" if np.isfinite(first) else "at all"
+            choice = Choice("noise", "encoder_rad", level, why, f"the next second is predicted {gain}")
+            found = choice, trial, tried, wrong
+    return found
+
+
+def _found_smoothing(stated: Mechanism, found: Mechanism) -> list[Choice]:
+    """The friction smoothing velocities of a fit, where they are not the ones stated."""
+    if np.array_equal(found.velocity_scales, stated.velocity_scales):
+        return []
+    value = tuple(float(f"{speed:.2g}") for speed in found.velocity_scales)
+    return [Choice("terms", "friction_velocity_radps", value, "friction that takes its full level over that speed",
+                   "the likeliest of speeds from the default up")]
+
+
+def _gain_teller(rig: Rig, fixed: Mapping[str, float] | None) -> tuple[str, float]:
+    """The one parameter that was given, and its value. Raises `FitError`."""
+    if fixed is None or len(fixed) != 1:
+        raise FitError("nothing tells the servo's gain: give it as gain under [servo], or one parameter, as "
+                       "--fix NAME=VALUE, by which the fit finds it")
+    (name, value), = fixed.items()
+    return name, value
+
+
+def _in_units_of_gain(rig: Rig) -> Rig:
+    assert rig.servo is not None
+    return structs.replace(rig, servo=structs.replace(rig.servo, gain=1.0, limit=UNLIMITED))
+
+
+def _gain_finding(gain: tuple[float, float, float], rig: Rig, mechanism: Mechanism, given: str) -> Finding:
+    unit = "1/rad of duty" if rig.mechanism.input == "voltage" else f"{mechanism.force_unit}/rad"
+    return Finding("assumption", "servo_gain", f"the servo's gain is {gain[0]:.4g} [{gain[1]:.4g}, {gain[2]:.4g}] "
+                   f"{unit}, by {given}, which was given")

@@ -34,17 +34,15 @@ class Refit:
 def refit(piece: Refit) -> dict[str, Any]:
     """The run's fit JSON with its name, or `error` where the run cannot be read or fitted."""
     from estimator import FitError
-    from experiments.reports import fit_document, with_origin
-    from experiments.rig import load_setup
-    from experiments.workflows.fit import fit_setup
+    from experiments.reports import with_origin
+    from experiments.workflows.fit import fit_runs
 
     try:
-        setup = load_setup([piece.run], piece.rig, piece.sensors, dict(piece.fixed), piece.latent,
-                           damaged=piece.damaged)
-        result = fit_setup(setup, piece.method)
+        found = fit_runs([piece.run], piece.rig, sensors=piece.sensors, fixed=dict(piece.fixed), latent=piece.latent,
+                         method=piece.method, damaged=piece.damaged)
     except (FitError, InputError, WorkError) as error:
         return {"run": piece.run, "error": " ".join(str(error).split()), "input": isinstance(error, InputError)}
-    return {"run": piece.run, **with_origin(fit_document(result, setup.settings), piece.origin, setup.datasets)}
+    return {"run": piece.run, **with_origin(found.document, piece.origin, found.setup.datasets)}
 
 
 def refit_all(pieces: Sequence[Refit], executor: Executor, done: Callable[[int, str], None]) -> list[dict[str, Any]]:

@@ -9,11 +9,21 @@ import numpy as np
 from daq import Dataset, FloatArray, InputError, WorkError
 from daq.recording import Plan
 from estimator.model import Mechanism, simulate
-from estimator.signals import Channel, encoder_of, imu_channels, imu_columns, imu_readings, torque_of
+from estimator.signals import (
+    Channel,
+    angle_column,
+    encoder_of,
+    imu_channels,
+    imu_columns,
+    imu_readings,
+    torque_column,
+    torque_of,
+)
 from experiments.models import Model, build_mechanism, simulate_extended
 
 CHANNELS = {"gyro": ("gyro_radps",), "accel_x": ("accel_x_mps2", "accel_mps2"),
-            "accel_y": ("accel_y_mps2", "accel_mps2"), "tau": ("torque_nm",), "q": ("encoder_rad",)}
+            "accel_y": ("accel_y_mps2", "accel_mps2"), "tau": ("torque_nm",),
+            "voltage": ("torque_nm",), "q": ("encoder_rad",)}
 """How a column's name begins, and the noise levels that may belong to it, the closest first."""
 
 
@@ -67,10 +77,9 @@ def _extended_columns(model: Model, mechanism: Mechanism, time_s: FloatArray, ta
 
 def _columns(model: Model, mechanism: Mechanism, readings: Mapping[Channel, FloatArray]) -> dict[str, FloatArray]:
     """Readings by the estimator's channel as columns of the contract."""
-    length, force = ("m", "n") if model.mechanism.prismatic else ("rad", "nm")
-    columns = {f"q{j + 1}_{length}": readings[encoder_of(j)] for j in range(mechanism.n)}
+    columns = {angle_column(mechanism, j): readings[encoder_of(j)] for j in range(mechanism.n)}
     driven = mechanism.actuated[0]
-    columns[f"tau{driven + 1}_{force}"] = readings[torque_of(driven)]
+    columns[torque_column(mechanism, driven)] = readings[torque_of(driven)]
     for k in range(len(mechanism.imus) if model.mechanism.has_imu else 0):
         columns |= {column: readings[channel] for column, channel in zip(imu_columns(k), imu_channels(k))}
     return columns

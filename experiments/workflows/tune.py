@@ -15,9 +15,8 @@ from daq.runs import read_csv
 from estimator import FitError
 from estimator.fitting import fit_admissible, measured_states, predict
 from experiments.console import text_table
-from experiments.rig import load_runs, setup_of
-from experiments.workflows.choices import LEVELS, Choice, choose_terms, with_choices
-from experiments.workflows.usable import SetAside, usable_runs
+from experiments.session import Choice, SetAside, load_runs, prepare, setup_of, with_choices
+from experiments.workflows.fit import LEVELS
 
 GRIDS_HZ = (25.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 MOST_SAMPLES = 60_000
@@ -67,7 +66,7 @@ def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
     bench = _Bench(paths, rig, sensors, damaged)
     out = Tuning(aside=bench.aside)
     done("terms", 0.05)
-    out.choices += choose_terms(bench.runs(rig), rig, sensors)
+    out.choices += bench.terms
     best_rig = with_choices(rig, out.choices)
     out.before = bench.trial(rig)
     best = bench.trial(best_rig) if out.choices else out.before
@@ -110,11 +109,10 @@ class _Bench:
         self.paths, self.sensors, self.damaged = list(paths), sensors, damaged
         self.grids: dict[float, tuple[Dataset, ...]] = {}
         self.names: frozenset[str] | None = None
-        bare = structs.replace(rig, terms=structs.replace(rig.terms, encoder_zero=()))
-        setup = setup_of(self.runs(rig), bare, sensors)
-        kept, self.aside = usable_runs(setup.datasets, setup.mechanism, setup.options)
-        self.grids = {rig.sampling.rate_hz: kept}
-        gone = {a.run for a in self.aside}
+        prepared = prepare(self.runs(rig), rig, sensors=sensors, choose=True)
+        self.aside, self.terms = prepared.set_aside, prepared.choices
+        gone = {run.run for run in self.aside}
+        self.grids = {rig.sampling.rate_hz: tuple(data for data in self.runs(rig) if data.name not in gone)}
         self.paths = [p for p in self.paths if Path(p).name not in gone]
         self.own_rate = _own_rate(self.paths, rig)
 
@@ -220,9 +218,14 @@ def _errors(trial: Trial) -> str:
     return "blows up" if not np.isfinite(trial.score) else " and ".join(f"{x:.3g}" for x in trial.rmse)
 
 
+def tuning_rows(found: Tuning) -> list[list[str]]:
+    """Entry, what was chosen, why and what it changes."""
+    return [[f"[{c.table}] {c.key}", _text(c.value), c.why, c.changes] for c in found.choices]
+
+
 def tuning_text(found: Tuning) -> str:
     """What a person reads: one table, then what it is worth."""
-    rows = [[f"[{c.table}] {c.key}", _text(c.value), c.why, c.changes] for c in found.choices]
+    rows = tuning_rows(found)
     lines = [text_table(["entry", "chosen", "why", "what it changes"], rows, set())] if rows else [
         "rig.toml as it is predicts best: nothing to change"]
     if found.before is not None and found.after is not None:

@@ -21,8 +21,7 @@ from estimator.model import Mechanism
 from experiments.console import progress
 from experiments.models import FreeRuns, Model, Prediction, build_mechanism, validate_extended
 from experiments.provenance import Origin
-from experiments.rig import Setup
-from experiments.workflows.suspicion import require_sound
+from experiments.session import Setup, require_sound
 
 
 def validate_runs(model: Model, setup: Setup, where: str) -> list[Validation]:

@@ -17,7 +17,7 @@ def test_the_notebook_runs_and_shows_tables_and_figures() -> None:
     nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
     shown = [output.data for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs
              if "data" in output]
-    assert sum("image/png" in data for data in shown) == 3
-    assert sum("<table" in data.get("text/html", "") for data in shown) == 5
+    assert sum("image/png" in data for data in shown) == 5
+    assert sum("<table" in data.get("text/html", "") for data in shown) == 7
     (fitted,) = [data["text/html"] for data in shown if "converged" in data.get("text/html", "")]
     assert "beta9" in fitted and "NOT" not in fitted

@@ -32,7 +32,7 @@ from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import MechanismSettings, Model, ParameterValue, Provenance
 from experiments.reports.html import Table
 from experiments.reports.markdown import markdown_table
-from experiments.rig.setup import load_setup
+from experiments.session import prepare
 from experiments.studies.machine import machine
 from tests.evidence.registry import Evidence
 
@@ -117,7 +117,7 @@ def refit(plan: Plan, rig: Rig, rig_text: str, seeds: Sequence[int], body: LegBo
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "run.mcap"
             record_emulated(path, rig, rig_text, plan, seed, body)  # raises where the leg leaves the limits
-            setup = load_setup([path], rig)
+            setup = prepare([path], rig).setup
         found = fit(setup.datasets, setup.mechanism, setup.options)
         if not found.converged:
             raise SystemExit(f"seed {seed}: the fit did not converge")

@@ -35,7 +35,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
-from daq.load import load_run
 from daq.recording.plan import write_plan
 from daq.rig import load_rig
 from daq.runs import read_run
@@ -49,6 +48,7 @@ from tests.evidence.registry import Evidence
 from tests.support.paths import ROOT
 from tests.support.processes import favoured
 from tests.support.recordings import sine
+from tests.support.runs import load_run
 
 PLAN_S, WHOLE_S = 0.6, 2.8
 """A plan, and a little more than a recording of it takes with its lead in."""
@@ -199,7 +199,7 @@ def _judge(path: Path, status: int | None, given: int, handed: int, said: str) -
         return Killed("an empty file, refused", given, f"refused: {error}" if handed or "\n" in str(error) else "")
     lost = given - raw.messages
     faults = [f"{handed} messages had been handed over, {raw.messages} are left"] * (raw.messages < handed)
-    told = [damage for damage in raw.damage if damage.startswith("its end is missing")]
+    told = [damage for damage in raw.damage if damage.kind == "cut"]
     faults += ["nobody says that its end is missing"] * (given != raw.messages and (raw.complete or not told))
     faults += [f"damaged within: {raw.damage}"] * (len(raw.damage) > len(told))
     saved = path.with_suffix(".saved.mcap")
@@ -263,7 +263,7 @@ def _shared(first: int, stranger: int, path: Path, said: Path, taken: Path) -> K
     lost = len({tuple(row) for row in taken_ones.reshape(-1, 6).tolist()} - kept)
     twice = int((np.diff(_rows(samples), axis=0) == 0).all(axis=1).sum())
     marked = bool(samples["gap_before"].any())
-    doubt = load_run(path, load_rig(path.with_name("rig.toml"))).sources.get("doubt", "")
+    doubt = load_run(path, load_rig(path.with_name("rig.toml"))).doubts
     found = "nothing lost"
     if lost or twice:
         found = "doubted" if doubt else "its gaps are marked" if marked else "not a word"

@@ -26,7 +26,6 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from daq.errors import InputError
-from daq.load import load_run
 from daq.recording.plan import Plan, read_plan
 from daq.rig import load_rig, parse_rig
 from daq.runs import read_run
@@ -39,6 +38,7 @@ from experiments.reports.run_info import describe_mcap
 from tests.evidence.registry import Evidence
 from tests.support.fits import synthetic_fit
 from tests.support.paths import DEMO_RIG
+from tests.support.runs import load_run
 
 SECONDS, BYTES = 5.0, 1 << 30
 STANDSTILL_S = 120.0

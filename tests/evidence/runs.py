@@ -18,7 +18,7 @@ from daq import Dataset, FloatArray
 from daq.rig import parse_rig
 from estimator import FitError, FitOptions, FitResult, fit
 from estimator.model import leg2
-from experiments.rig import load_runs
+from experiments.session import load_runs
 from experiments.studies import machine
 from experiments.workflows import fit_runs
 from tests.evidence.blind import servo

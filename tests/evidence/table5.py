@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 
 from daq import Dataset, FloatArray
-from daq.load import load_run
 from daq.rig import parse_rig
 from estimator import FitError, FitOptions, Method, fit
 from estimator.model import Mechanism, leg2, simulate
@@ -29,6 +28,7 @@ from experiments.studies import machine
 from tests.evidence.registry import Evidence
 from tests.support.mujoco_leg import random_leg
 from tests.support.mujoco_leg import record as record_mujoco
+from tests.support.runs import load_run
 
 LEGS, TUNING, CHECKS = 10, 2, 3
 SECONDS, RATE_HZ, PEAK_NM = 20.0, 100.0, 1.2

@@ -24,8 +24,8 @@ from estimator.fitting.fit import fit
 from estimator.fitting.prediction import measured_states, predict
 from experiments import cli
 from experiments.models.mechanism_settings import build_mechanism
-from experiments.rig.setup import load_runs, setup_of
-from experiments.workflows.choices import fit_runs, with_choices
+from experiments.session import load_runs, setup_of, with_choices
+from experiments.workflows import fit_runs
 from experiments.workflows.tune import tune_runs
 from tests.evidence.registry import Evidence
 from tests.support.mujoco_leg import random_leg, record
@@ -193,7 +193,7 @@ def cases() -> Iterator[Case]:
     emps = raw("emps", ("estimation",), parse_rig(RECORDS["emps"].rig))
     yield "axis", "force negated", RECORDS["emps"].rig, [spoilt(emps[0], negated("tau1_n"))], "tau1_n looks negated"
     bam = raw("bam_xl330", ("kp100_sin_sin", "kp400_up_and_down"), joint)
-    for what, by, said in (("volts negated", negated("tau1_nm"), "tau1_nm looks negated"),
+    for what, by, said in (("volts negated", negated("voltage1_v"), "duty looks negated"),
                            ("degrees for radians", times(180 / np.pi, "q1_rad"), "q1_rad looks in degrees"),
                            ("gravity upside down", lambda d: {"q1_rad": d["q1_rad"] + np.pi}, "upside down")):
         yield "servo", what, JOINT, [spoilt(run, by) for run in bam], said

@@ -151,9 +151,10 @@ def _shunt(args: argparse.Namespace, rig: Rig) -> Outcome:
 
 
 def _torque_constant(args: argparse.Namespace, rig: Rig) -> Outcome:
-    from daq import InputError, load_run
+    from daq import InputError
     from estimator.calibration import Weight
     from experiments.calibrate import calibrate_torque_constant
+    from experiments.session import load_runs
 
     for flag, value in (("--weight", args.weight), ("--arm", args.arm)):
         if value is None or not 1e-4 <= value <= 100.0:
@@ -164,8 +165,7 @@ def _torque_constant(args: argparse.Namespace, rig: Rig) -> Outcome:
     if not args.runs or not args.weighted:
         raise InputError("RUN", "holds with the weight and without it are needed", "record both with a plan of legid "
                          "excite --holds and give RUN... --weighted RUN...")
-    return calibrate_torque_constant([load_run(path, rig) for path in args.runs],
-                                     [load_run(path, rig) for path in args.weighted], rig,
+    return calibrate_torque_constant(load_runs(args.runs, rig), load_runs(args.weighted, rig), rig,
                                      Weight(args.weight, args.arm, args.weight_error, args.arm_error))
 
 

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     from experiments.models import load_model
     from experiments.provenance import origin_of
     from experiments.reports import comparison_document, comparison_text, with_origin
-    from experiments.rig import load_runs
+    from experiments.session import load_runs
     from experiments.workflows import compare_models
 
     paths = args.model_a, args.model_b
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     origin = origin_of(args.runs, rig.source, models=paths, command=command_line())
     runs = load_runs(args.runs, rig.rig, args.damaged)
     files = (Path(paths[0]).name, Path(paths[1]).name)
-    found = compare_models(models, paths if files[0] == files[1] else files, runs, rig.rig, args.sensors, rig.warnings)
+    found = compare_models(models, paths if files[0] == files[1] else files, runs, rig.rig, args.sensors)
     print(comparison_text(found))
     if args.json:
         write_json(args.json, with_origin(comparison_document(found), origin, runs))

@@ -57,31 +57,30 @@ def run(args: argparse.Namespace) -> int:
         model_with_origin,
         with_origin,
     )
-    from experiments.rig import load_setup
-    from experiments.workflows import diagnose_setup, reference_values, require_one_rig, set_aside
+    from experiments.session import contradictions, prepare
+    from experiments.workflows import diagnose_prepared, reference_values
 
     chosen = chosen_rig(args, args.runs)
     rig = chosen.rig
     origin = origin_of(args.runs, chosen.source, args.reference, args.seed, command=command_line())
     earlier = load_model(args.reference) if args.reference else None
-    require_one_rig(args.runs)
-    setup, aside = set_aside(load_setup(args.runs, rig, fixed=dict(args.fix), damaged=args.damaged))
-    for run in aside:
-        warn(str(run))
+    prepared = prepare(args.runs, rig, fixed=dict(args.fix), damaged=args.damaged)
+    setup = prepared.setup
+    for text in prepared.warnings:
+        warn(text)
     reference = None if earlier is None else reference_values(earlier, args.reference, setup)
     with stages("diagnosing") as show:
-        found = diagnose_setup(setup, rig, args.seed, reference, show, args.workers, args.material)
+        found = diagnose_prepared(prepared, args.seed, reference, show, args.workers, args.material)
     if found.verdict != "fit_failed":
         print(diagnosis_text(found), flush=True)  # before any file: a full disk must not take minutes of work with it
     if args.json:
         write_json(args.json, with_origin(
-            {**diagnosis_document(found), "set_aside": [run.document for run in aside]}, origin,
-            setup.datasets))
+            diagnosis_document(found, prepared.set_aside), origin, setup.datasets))
     if args.html:
         from experiments.reports import write_diagnosis
 
         write_diagnosis(args.html, found, setup.settings.model, origin, setup.datasets, setup.mechanism,
-                        chosen.warnings)
+                        contradictions(prepared.doubts))
     if found.verdict == "fit_failed":
         raise WorkError(found.sentence)
     if args.model_out:

@@ -12,10 +12,6 @@ if TYPE_CHECKING:
     from daq.recording import Plan
     from experiments.excite import Band, Bench, Search
 
-FIRST_SHARE = 0.1
-"""Peak of a first plan, as a share of the torque limit."""
-FIRST_LOW_HZ = 0.1
-
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -47,7 +43,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                              "logarithms; worst: the largest alone (default d)")
     parser.add_argument("--seconds", type=_Number(2.0, 600.0), default=20.0, help="length of a plan (default 20)")
     parser.add_argument("--low", metavar="HZ", type=_Number(0.0, 25.0),
-                        help=f"lowest frequency (default: one period a plan; {FIRST_LOW_HZ:g} without a model)")
+                        help="lowest frequency (default: one period a plan; 0.1 without a model)")
     parser.add_argument("--high", metavar="HZ", type=_Number(0.0, 25.0), default=3.0,
                         help="highest frequency (default 3)")
     parser.add_argument("--margin", type=_Number(0.05, 1.0), default=0.8, help="share of each limit used (default 0.8)")
@@ -105,15 +101,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _prior(args: argparse.Namespace, rig: Rig) -> tuple[Bench, Band, Search]:
     """What a design is made on, in which band, and how it is sought."""
-    from daq import InputError
     from experiments.excite import Band, Bench, Search
     from experiments.models import load_model
 
-    model = load_model(args.model)
-    if model.mechanism.model != rig.mechanism.model or model.mechanism.actuated != rig.mechanism.actuated:
-        raise InputError(args.model, f"is of a {model.mechanism.model}, the rig is a {rig.mechanism.model} or drives "
-                                     "other joints", "give a model of this rig")
-    return (Bench(model, rig, args.model, args.doubt), Band(args.seconds, args.low or 0.0, args.high),
+    return (Bench(load_model(args.model), rig, args.model, args.doubt),
+            Band(args.seconds, args.low or 0.0, args.high),
             Search(args.margin, args.criterion, int(args.tries), int(args.steps), args.seed))
 
 
@@ -147,17 +139,7 @@ def _designed(args: argparse.Namespace, rig: Rig) -> Plan:
 
 def _plain(args: argparse.Namespace, rig: Rig) -> Plan:
     """Equal sines with random phases, or a staircase; nothing is known of what they will do."""
-    from daq import InputError
-    from experiments.excite import random_multisine, staircase
+    from experiments.excite import first_plan
 
-    limit = rig.limits.torque_nm
-    peak = FIRST_SHARE * limit if args.peak is None else args.peak
-    low = FIRST_LOW_HZ if args.low is None else args.low
-    if peak > limit:
-        raise InputError("--peak", f"{peak:g} N m is beyond the rig's limit of {limit:g} N m", "lower it")
-    if args.holds is not None:
-        return staircase(peak, int(args.holds))
-    try:
-        return random_multisine(args.seed, args.seconds, peak, low_hz=low, high_hz=args.high)
-    except ValueError as error:
-        raise InputError("--seconds", str(error), "give more seconds or a wider band") from None
+    holds = None if args.holds is None else int(args.holds)
+    return first_plan(rig, args.seed, args.seconds, args.peak, args.low, args.high, holds)

@@ -41,13 +41,13 @@ def run(args: argparse.Namespace) -> int:
         return _export_model(args)
     from experiments.console import warn
     from experiments.exchange import export_run, load_to_convert
-    from experiments.rig import require_whole
+    from experiments.session import require_whole
 
     if args.to == "ros2":
         return _export_ros2(args)
     data = require_whole(load_to_convert(args.run_file, args.rig, args.rate), args.damaged)
-    if "damaged" in data.sources:
-        warn(f"{data.name} is damaged: {data.sources['damaged']}")
+    if data.damage:
+        warn(f"{data.name} is damaged: {'; '.join(map(str, data.damage))}")
     rows = export_run(data, args.to, args.out)
     print(f"{args.out}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
     return 0

@@ -66,43 +66,33 @@ def run(args: argparse.Namespace) -> int:
     """Fit, print, write what was asked for. Raises `WorkError` where the fit is no use."""
     if args.each:
         return _run_each(args)
-    import sys
-
-    from experiments.console import busy, command_line, write_json
+    from experiments.console import busy, command_line, warn, write_json
     from experiments.provenance import origin_of
-    from experiments.reports import check_sound, fit_document, fit_text, fit_trust, model_of, with_origin
-    from experiments.rig import load_runs
+    from experiments.reports import check_sound, fit_text, fit_trust, model_of, with_origin
+    from experiments.session import load_runs
     from experiments.workflows import fit_runs
 
     rig = chosen_rig(args, args.runs)
     written = args.json or args.html or args.model_out
     origin = origin_of(args.runs, rig.source, command=command_line()) if written else None
-    runs = load_runs(args.runs, rig.rig, damaged=args.damaged)
+    runs = load_runs(args.runs, rig.rig, args.damaged)
     with busy(f"fitting {len(runs)} runs by {args.method}"):
-        fitted = fit_runs(runs, rig.rig, args.sensors, dict(args.fix), args.latent, args.method)
+        fitted = fit_runs(runs, rig.rig, sensors=args.sensors, fixed=dict(args.fix), latent=args.latent,
+                          method=args.method)
     setup, result = fitted.setup, fitted.result
-    trust = fit_trust(result, rig.warnings)
+    trust = fit_trust(result)
     print("\n".join([trust.sentence, *trust.reasons, "", fit_text(result, setup.settings.model)]))
-    for dataset in setup.datasets:
-        if "doubt" in dataset.sources:
-            print(f"warning: {dataset.name} is to be doubted: {dataset.sources['doubt']}", file=sys.stderr)
+    for doubt in fitted.doubts:
+        warn(str(doubt))
     if args.json and origin:
-        write_json(args.json, with_origin(
-            {**fit_document(result, setup.settings, trust),
-             "set_aside": [run.document for run in fitted.aside],
-             "servo_gain": None if fitted.servo_gain is None else {"value": fitted.servo_gain[0],
-                                                                   "ci95": list(fitted.servo_gain[1:])},
-             "chosen": [choice.document for choice in fitted.choices]}, origin, setup.datasets))
+        write_json(args.json, with_origin(fitted.document, origin, setup.datasets))
     if args.html and origin:
         from experiments.reports import fit_sections, fit_summary, origin_section, write_page
-
-        doubts = [*rig.warnings, *(f"{d.name} is to be doubted: {d.sources['doubt']}" for d in setup.datasets
-                                   if "doubt" in d.sources)]
 
         title = f"Fit of {setup.settings.model}: {', '.join(d.name for d in setup.datasets)}"
         write_page(args.html, title, fit_summary(result, setup.settings.model),
                    [*fit_sections(result), origin_section(origin, setup.datasets)], origin,
-                   trust.verdict([*result.warnings, *doubts]))
+                   trust.verdict(result.warnings))
     check_sound(result, bool(args.model_out))
     if args.model_out and origin:
         from experiments.models import save_model

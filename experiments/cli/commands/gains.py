@@ -29,24 +29,16 @@ def run(args: argparse.Namespace) -> int:
     """Compute, print, write what was asked for."""
     import sys
 
-    from daq import InputError
-    from experiments.console import command_line, text_table, write_json
-    from experiments.models import Tolerances, gain_rows, gains_of, load_model
+    from experiments.console import command_line, write_json
+    from experiments.models import Tolerances, gains_document, gains_of, gains_text, load_model
     from experiments.provenance import origin_of
 
-    for name in ("angle", "speed", "torque"):
-        if not 0.0 < getattr(args, name) < 1e6:
-            raise InputError(f"--{name}", f"{getattr(args, name):g} is not a size to tolerate", "give one above 0")
-    if not 0.0 <= args.delay < 1.0:
-        raise InputError("--delay", f"{args.delay:g} is not a delay in seconds", "give one from 0 to 1")
-    model = load_model(args.model)
-    found = gains_of(model, args.model, Tolerances(args.angle, args.speed, args.torque, args.delay))
-    print(f"joint {found.joint}: torque = kS sign(v) + kV v + kA a + kG sin(angle) + kP angle error + kD speed error")
-    print(text_table(["", "value", "unit", ""], gain_rows(found), {1}))
+    model, wanted = load_model(args.model), Tolerances(args.angle, args.speed, args.torque, args.delay)
+    found = gains_of(model, args.model, wanted)
+    print(gains_text(found))
     if model.effects:
         print("note: the model's effects take no part: " + ", ".join(e.name for e in model.effects), file=sys.stderr)
     if args.json:
-        write_json(args.json, {"schema": "legid.gains/1", **found._asdict(), "tolerated": {
-            "angle_rad": args.angle, "speed_radps": args.speed, "torque_nm": args.torque}, "delay_s": args.delay,
-            "provenance": origin_of(model=args.model, command=command_line())})
+        write_json(args.json, {**gains_document(found, wanted),
+                               "provenance": origin_of(model=args.model, command=command_line())})
     return 0

@@ -48,26 +48,26 @@ def run(args: argparse.Namespace) -> int:
         walk_text,
         with_origin,
     )
-    from experiments.rig import load_setup
-    from experiments.workflows import foretell, foretell_steps, predict_runs, seen_in_fit, set_aside, validate_runs
+    from experiments.session import contradictions, prepare
+    from experiments.workflows import foretell, foretell_steps, predict_runs, seen_in_fit, validate_runs
 
     model = load_model(args.model)
     against = load_model(args.against) if args.against else None
     rig = chosen_rig(args, args.runs)
     origin = origin_of(args.runs, rig.source, args.model, command=command_line())
-    setup = load_setup(args.runs, rig.rig, args.sensors, beta=np.array(model.beta), damaged=args.damaged)
+    prepared = prepare(args.runs, rig.rig, sensors=args.sensors, beta=np.array(model.beta), damaged=args.damaged)
+    setup = prepared.setup
     if against is not None and against.mechanism.model != model.mechanism.model:
         raise InputError(args.against, f"is a {against.mechanism.model}, not a {model.mechanism.model}",
                          "give a model of the same mechanism")
-    setup, aside = set_aside(setup)
-    for run in aside:
-        warn(str(run))
+    for text in prepared.warnings:
+        warn(text)
     seen = seen_in_fit(model, origin)
     if seen:
         warn(f"{args.model} was fitted to {', '.join(seen)}: what it says of them is no validation; give other runs")
     validations, predictions = validate_runs(model, setup, args.model), predict_runs(model, setup)
-    contradictions = [*rig.warnings, *model_contradictions(model.mechanism, setup.settings)]
-    trust = validation_trust(predictions, seen, contradictions)
+    against_rig = [*contradictions(prepared.doubts), *model_contradictions(model.mechanism, setup.settings)]
+    trust = validation_trust(predictions, seen, against_rig)
     horizons, steps = foretell(model, setup, against), foretell_steps(model, setup)
     print("\n".join([trust.sentence, *trust.reasons, "", validation_text(validations, predictions)]))
     if horizons is not None:
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         document = validation_document(validations, setup.options.sensors, predictions)
         document |= {"trust": trust.document, "fitted_to": list(seen),
-                     "set_aside": [run.document for run in aside]}
+                     "set_aside": [run.document for run in prepared.set_aside]}
         if horizons is not None:
             document["horizons"] = horizons_document(horizons)
         if steps is not None:

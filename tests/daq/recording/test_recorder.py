@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError, WorkError
-from daq.load import load_run
 from daq.recording.plan import Plan
 from daq.recording.recorder import RAMP_S, RecordReport, record_run
 from daq.rig import parse_rig
@@ -30,6 +29,7 @@ from drivers.mock.settings import FirmwareSettings
 from drivers.protocol import State
 from tests.support.paths import ROOT
 from tests.support.recordings import RIG, sine, threaded
+from tests.support.runs import load_run
 
 
 class Drift(StillPlant):

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from daq.errors import WorkError
-from daq.load import load_run
 from daq.recording.plan import Plan
 from daq.recording.recorder import record_run
 from daq.rig import parse_rig
@@ -31,6 +30,7 @@ from drivers.protocol import Decoder, State, Telemetry
 from drivers.serial_link import SerialLink
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
+from tests.support.runs import load_run
 
 pytestmark = REAL_CLOCK
 

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.load import load_run
 from daq.recording.plausibility import Plausibility
 from daq.rig import Calibration, Limits, parse_rig
 from daq.runs.mcap_run import read_run
-from daq.timing.align import recorded_rig
+from daq.timing.align import decode, recorded_rig
 from drivers.mock.plant import StillPlant, StillState
 from drivers.mock.settings import PivotSettings, ShuntSettings
 from drivers.protocol import Hello
 from tests.support.recordings import RIG
+from tests.support.runs import load_run
 from tests.support.sensor_bench import TABLES, SensorBench
 
 
@@ -59,7 +59,7 @@ def test_both_are_recorded_and_come_back_in_si_units(tmp_path: Path) -> None:
     assert np.abs(data["q1_rad"]).max() < 0.006  # its noise; the zero of 0.4 rad taken off, whatever its sign
     assert data["tau2_shunt_nm"].mean() == pytest.approx(0.02, abs=2e-3)  # 0.2 mV over 10 mOhm
     assert np.corrcoef(data["tau2_shunt_nm"], data["tau2_nm"])[0, 1] > 0.99
-    assert "pivot_sensor" in data.sources
+    assert "pivot sensor" in decode(raw, recorded_rig(raw)).clocks
 
 
 def test_the_angle_goes_on_where_the_chip_wraps(tmp_path: Path) -> None:

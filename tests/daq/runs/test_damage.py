@@ -82,20 +82,21 @@ def test_what_is_missing_is_said_and_a_hole_stays_one(broken: Callable[[bytes], 
     path.write_bytes(broken(whole))
     raw = read_run(path)
     assert raw.streams["/imu"].size == left
-    assert any(says in text for text in raw.damage), raw.damage
+    assert any(says in damage.text for damage in raw.damage), raw.damage
     recover(path, mended)
     after = read_run(mended)
     assert after.complete and after.streams["/imu"].size == left
-    assert any(says in text for text in after.damage) == stays  # a run cut short is a shorter run
+    assert any(says in damage.text for damage in after.damage) == stays  # a run cut short is a shorter run
 
 
 def test_a_hole_before_a_lost_end_is_seen_by_the_samples_own_count(whole: bytes, tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     a, b = chunk(whole, 1)
     path.write_bytes(whole[:a] + whole[b: chunk(whole, 3)[0]])
-    assert any(f"{EACH} IMU samples are missing" in text for text in read_run(path).damage)
+    assert any(f"{EACH} IMU samples are missing" in text for text in map(str, read_run(path).damage))
     recover(path, tmp_path / "mended.mcap")
-    assert any(f"{EACH} IMU samples are missing" in text for text in read_run(tmp_path / "mended.mcap").damage)
+    assert any(f"{EACH} IMU samples are missing" in text
+               for text in map(str, read_run(tmp_path / "mended.mcap").damage))
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])

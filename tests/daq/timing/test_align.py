@@ -9,13 +9,12 @@ import pytest
 
 from daq.dataset import Dataset
 from daq.errors import InputError
-from daq.load import load_run
 from daq.recording.plan import Plan
 from daq.recording.recorder import record_run
 from daq.rig import parse_rig
 from daq.runs.csv_run import RawTable
-from daq.runs.mcap_run import RunWriter
-from daq.timing.align import recorded_rig
+from daq.runs.mcap_run import RunWriter, read_run
+from daq.timing.align import decode, recorded_rig
 from daq.timing.resample import Channel, align_channels, align_table, snapped_times
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import Lsm9ds1
@@ -23,6 +22,7 @@ from drivers.mock.clock import VirtualClock
 from drivers.mock.link import EmulatorLink
 from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings, ImuSettings
+from tests.support.runs import load_run
 
 
 def table(time_s: np.ndarray, **columns: np.ndarray) -> RawTable:
@@ -97,7 +97,7 @@ def test_channels_of_different_rates_carry_the_same_filter() -> None:
     w = 2 * np.pi * 5.0
     fast, slow = np.arange(0, 10, 1 / 500), np.arange(0.0013, 10, 1 / 119)
     channels = [Channel(fast, {"a": np.sin(w * fast)}), Channel(slow, {"b": np.sin(w * slow)})]
-    run = align_channels("r", channels, 100.0, {})
+    run = align_channels("r", channels, 100.0)
     inner = slice(5, -5)
     np.testing.assert_allclose(run["a"][inner], run["b"][inner], atol=5e-4)
     assert run.time_s[0] >= 0.0013 + 0.005
@@ -241,7 +241,8 @@ def test_the_run_file_alone_is_enough_for_a_refit(recorded: tuple[Path, MockRig,
     assert {note.kind for note in raw.config} >= {"firmware", "imu"}
     run = load_run(path, recorded_rig(raw), rate_hz=50.0)
     assert run.rate_hz == 50.0
-    assert run.sources["controller_clock"].startswith("+")
+    assert decode(raw, recorded_rig(raw)).clocks["controller clock"].startswith("+")
+    assert run.recorded_on == recorded_rig(raw)
 
 
 def test_a_cut_run_still_aligns_and_says_so(recorded: tuple[Path, MockRig, int], tmp_path: Path) -> None:
@@ -250,7 +251,7 @@ def test_a_cut_run_still_aligns_and_says_so(recorded: tuple[Path, MockRig, int],
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
     run = load_run(tmp_path / "cut.mcap", parse_rig(RIG))
     assert len(run) > 150
-    assert "its end is missing" in run.sources["damaged"]
+    assert [damage.kind for damage in run.damage] == ["cut"] and "its end is missing" in run.damage[0].text
 
 
 def test_runs_that_cannot_be_timed_are_refused(tmp_path: Path) -> None:
@@ -281,7 +282,8 @@ def test_a_reboot_in_mid_run_leaves_a_gap_and_keeps_the_time(tmp_path: Path) -> 
             sent, back = round(t * 1e9), round((t + 0.0004) * 1e9)
             writer.add("/leg/clock", back, sent, back, tick(t + 0.0002), tick(t + 0.0002), boot, k)
     writer.close()
-    run = load_run(tmp_path / "b.mcap", parse_rig('[mechanism]\nmodel = "leg2"\nactuated = [2]\n'))
+    rig = parse_rig('[mechanism]\nmodel = "leg2"\nactuated = [2]\n')
+    run = load_run(tmp_path / "b.mcap", rig)
     epoch = 0.003
     here = ~run.gap()
     np.testing.assert_allclose(run["q2_rad"][here], run.time_s[here] + epoch, atol=5e-6)
@@ -289,4 +291,4 @@ def test_a_reboot_in_mid_run_leaves_a_gap_and_keeps_the_time(tmp_path: Path) -> 
     assert hole.min() == pytest.approx(4.0, abs=0.02)
     assert hole.max() == pytest.approx(4.7, abs=0.02)
     assert "q1_rad" not in run
-    assert "2 boots" in run.sources["controller_clock"]
+    assert "2 boots" in decode(read_run(tmp_path / "b.mcap"), rig).clocks["controller clock"]

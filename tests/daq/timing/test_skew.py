@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from daq.dataset import Dataset
-from daq.load import load_run
 from daq.recording.plan import Plan
 from daq.rig import load_rig
 from daq.runs.mcap_run import RunWriter, read_run
@@ -15,6 +14,7 @@ from daq.timing.skew import measure_skew
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.reports.run_info import describe_mcap
 from tests.support.paths import DEMO_RIG
+from tests.support.runs import load_run
 
 RATE = 200.0
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n'

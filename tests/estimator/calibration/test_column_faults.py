@@ -15,7 +15,7 @@ from estimator.calibration.column_faults import find_remedies
 from estimator.calibration.imu_faults import read_imu, wrong_lever
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
-from experiments.workflows.suspicion import Suspicion, suspect
+from experiments.session.suspicion import Suspicion, suspect
 from tests.support.mujoco_leg import Leg, random_leg, record
 
 DEGREES = 180.0 / np.pi

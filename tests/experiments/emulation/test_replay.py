@@ -12,8 +12,7 @@ from estimator.result import FitResult
 from experiments import cli
 from experiments.emulation.plant import LegBody
 from experiments.emulation.replayed_run import replay_run
-from experiments.rig.setup import load_setup
-from experiments.workflows.fit import fit_setup
+from experiments.workflows.fit import fit_runs
 from tests.support.paths import FIXTURES
 from tests.support.sensor_bench import SensorBench
 
@@ -34,7 +33,7 @@ def replayed(name: str, folder: Path, *more: object) -> Path:
 
 @cache
 def fit_of(path: Path) -> FitResult:
-    result = fit_setup(load_setup([path], recorded_rig(read_run(path))), "mle")
+    result = fit_runs([path], recorded_rig(read_run(path)), choose=False).result
     assert result.converged
     return result
 

@@ -8,7 +8,6 @@ import pytest
 from mcap_ros2.reader import read_ros2_messages
 
 from daq.dataset import Dataset
-from daq.load import load_run
 from daq.rig import Rig, load_rig
 from daq.runs.mcap_run import read_run
 from daq.timing.align import decode
@@ -16,8 +15,9 @@ from estimator.fitting.fit import fit
 from estimator.result import FitResult
 from experiments.cli import main
 from experiments.exchange.reading import is_native, load_any_run
-from experiments.rig.setup import setup_of
+from experiments.session.setup import setup_of
 from tests.support.paths import DEMO_RIG
+from tests.support.runs import load_run
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from experiments.cli import main
 from experiments.exchange.column_map import apply_map, load_map, map_text
 from experiments.exchange.delimited import read_delimited
 from experiments.exchange.reading import load_any_run, read_foreign
-from experiments.rig.setup import setup_of
+from experiments.session.setup import setup_of
 from tests.support.foreign_files import matlab, plotjuggler, ros2_bag, spreadsheet
 from tests.support.mujoco_leg import Leg, record
 

@@ -20,7 +20,7 @@ from experiments.models.model_file import load_model, save_model, widening_of
 from experiments.models.schema import MechanismSettings, Model
 from experiments.reports.fit_json import fit_document, model_of
 from experiments.reports.fit_text import noise_rows
-from experiments.rig.setup import choose_sensors
+from experiments.session.setup import choose_sensors
 from experiments.workflows.compare import parameter_pairs
 from tests.support.fits import synthetic_fit
 from tests.support.paths import ROOT

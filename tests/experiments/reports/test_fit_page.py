@@ -10,7 +10,7 @@ import pytest
 
 from estimator import Combination
 from estimator.model.mechanism import Mechanism, joint1
-from estimator.result import FitResult, RunAgreement
+from estimator.result import Finding, FitResult, RunAgreement
 from experiments.emulation.plant import LegBody
 from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, picture_lines, plot_lines, window
@@ -106,7 +106,8 @@ def test_figures_follow_the_colour_scheme(page: str) -> None:
 
 def test_unconverged_and_undetermined_fits_say_so() -> None:
     result = replace(synthetic_fit(), converged=False,
-                     undetermined=(Combination((("beta8", 1.0), ("beta6", -0.5))),), warnings=("few samples",))
+                     undetermined=(Combination((("beta8", 1.0), ("beta6", -0.5))),),
+                     findings=(Finding("warning", "run_note", "few samples"),))
     covariance = result.covariance.copy()
     covariance[7, 7] = np.inf
     result = replace(result, covariance=covariance, trajectories=())

@@ -15,8 +15,8 @@ from daq.rig import parse_rig
 from estimator.calibration.encoder_zeros import find_differing, find_zeros, subtract
 from estimator.fitting.validation import validate
 from experiments.cli import main
-from experiments.rig.setup import load_runs, setup_of
-from experiments.workflows.fit import fit_setup
+from experiments.session import load_runs, setup_of
+from experiments.workflows.fit import fit_runs
 from tests.support.paths import REAL as DATA
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
@@ -98,7 +98,7 @@ def test_zeros_that_differ_are_found_and_lower_the_error_of_halves_not_seen(desi
         first, second = run.part(slice(0, middle)), run.part(slice(middle, None))
         for way, rig in enumerate((plain, declared)):
             setup = setup_of(others, rig)
-            beta = fit_setup(setup).beta
+            beta = fit_runs(others, rig, choose=False).result.beta
             if way:
                 second = subtract([second], setup.mechanism,
                                   find_zeros([first], setup.mechanism, setup.options, (0, 1), beta))[0]

@@ -12,7 +12,7 @@ from estimator import FitError, FitOptions
 from estimator.calibration import MOST_LEFT, ImuReading, Reading, as_it_is, find_remedies, read_imu, wrong_lever
 from estimator.model import Mechanism
 from estimator.signals import angle_column, is_plain
-from experiments.rig import Setup
+from experiments.session.setup import Setup
 
 SUSPICIOUS = 0.1
 """Share of the torque that slow least squares leaves over, from which on other readings of the columns are tried."""

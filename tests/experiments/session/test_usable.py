@@ -15,7 +15,7 @@ from daq.timing.resample import align_table
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from experiments.cli import main
-from experiments.workflows.usable import usable_runs
+from experiments.session.usable import usable_runs
 from tests.support.prescribed import ARM_RIG, BETA, arm_run, negated, written
 
 GOOD = [arm_run(k, seconds=6.0) for k in range(4)]

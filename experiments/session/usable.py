@@ -12,7 +12,6 @@ from estimator import FitError, FitOptions, GapError
 from estimator.fitting import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.signals import angle_column, imu_columns, split_signals, torque_column
-from experiments.rig import Setup
 
 FEWEST = 3
 """Runs that must be left over for one to be held against them."""
@@ -40,18 +39,12 @@ class SetAside:
         return {"run": self.run, "why": self.why}
 
 
-def set_aside(setup: Setup) -> tuple[Setup, tuple[SetAside, ...]]:
-    """`setup` without the runs that cannot be used, and those. Of a single run nothing is set aside.
+def usable_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions
+                ) -> tuple[tuple[Dataset, ...], tuple[SetAside, ...]]:
+    """The runs that can be used, and those that cannot. Of a single run nothing is set aside.
 
     Raises `FitError` where none is left, with the reasons.
     """
-    kept, gone = usable_runs(setup.datasets, setup.mechanism, setup.options)
-    return replace(setup, datasets=kept) if gone else setup, gone
-
-
-def usable_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions
-                ) -> tuple[tuple[Dataset, ...], tuple[SetAside, ...]]:
-    """As `set_aside`, for runs in memory."""
     if len(datasets) < 2:
         return tuple(datasets), ()
     gone: dict[int, str] = {}

@@ -10,7 +10,8 @@ import pytest
 
 from daq.rig import parse_rig
 from experiments.cli import main
-from experiments.workflows.choices import choose_terms, fit_runs, with_choices
+from experiments.session.choices import choose_terms, with_choices
+from experiments.workflows.fit import fit_runs
 from tests.support.paths import REAL, needs_records
 from tests.support.prescribed import ARM_RIG, BETA, arm_run
 

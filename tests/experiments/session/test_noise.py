@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from daq.rig import parse_rig
-from experiments.rig.setup import fit_options, setup_of
-from experiments.workflows import fit_setup
+from experiments.session.setup import fit_options
+from experiments.workflows import fit_runs
 from tests.support.mujoco_leg import random_leg, record
 
 LEG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[noise]\n'
@@ -44,8 +44,9 @@ def test_each_encoder_is_believed_as_far_as_it_is_declared() -> None:
     run = record(leg, rng, seconds=20.0, torque=0.02)
     data = [replace(run, columns={**run.columns, "q1_rad": run["q1_rad"] + 0.01 * rng.normal(size=len(run)),
                                   "q2_rad": run["q2_rad"] + 0.0005 * rng.normal(size=len(run))})]
-    alike, told, swapped = (fit_setup(setup_of(data, parse_rig(LEG + f"encoder_rad = {levels}"), "encoder"), "mle")
-                            for levels in ("0.01", "[0.01, 0.0005]", "[0.0005, 0.01]"))
+    alike, told, swapped = (
+        fit_runs(data, parse_rig(LEG + f"encoder_rad = {levels}"), sensors="encoder", choose=False).result
+        for levels in ("0.01", "[0.01, 0.0005]", "[0.0005, 0.01]"))
     assert told.noise["torque_nm"] == pytest.approx(0.02, rel=0.1) and alike.noise["torque_nm"] < 0.017
     assert np.all(np.abs(told.beta - leg.beta())[:5] < 4.0 * told.std[:5])
     assert np.abs(swapped.beta - leg.beta())[0] > 0.2 * leg.beta()[0]

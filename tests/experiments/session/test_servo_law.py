@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq import Dataset, InputError, load_run
+from daq import Dataset, InputError
 from daq.rig import parse_rig
 from daq.runs.csv_run import write_csv
 from experiments.cli import main
-from experiments.rig.setup import prepare
+from experiments.session.inputs import driven
+from experiments.session.runs import load_runs
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.servo_leg import follow
 
@@ -77,7 +78,7 @@ def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, capsys: pytest.Captu
     bare = replace(run, columns={name: run[name] for name in ("q1_rad", "q2_rad")})
     write_csv(bare, tmp_path / "bare.csv")
     with pytest.raises(InputError, match="q2_cmd_rad is missing; add the angle that the servo was commanded"):
-        load_run(tmp_path / "bare.csv", parse_rig(RIG))
+        load_runs([tmp_path / "bare.csv"], parse_rig(RIG))
     for servo, what in (("damping = 0.1\n", "say nothing without a gain"),
                         ("gain = [1.0, 2.0]\n", r"servo\.gain has 2 numbers"), ("gain = -1.0\n", "gain")):
         with pytest.raises(InputError, match=what):
@@ -88,7 +89,7 @@ def test_a_measured_torque_goes_before_the_law_and_volts_are_duty_of_the_law() -
     time = np.arange(60) / 100.0
     columns = {"q1_rad": 0.1 * np.sin(time), "q1_cmd_rad": np.linspace(0.0, 3.0, 60), "volts": np.full(60, 7.4)}
     rig = parse_rig('[mechanism]\nmodel = "joint1"\nactuated = [1]\ninput = "voltage"\n[servo]\ngain = 0.5\n')
-    found = prepare(Dataset("run", 100.0, time, columns), rig)
-    assert found["tau1_nm"] == pytest.approx(7.4 * np.clip(0.5 * (columns["q1_cmd_rad"] - columns["q1_rad"]), -1, 1))
-    measured = prepare(Dataset("run", 100.0, time, {**columns, "duty": np.full(60, 0.25)}), rig)
-    assert measured["tau1_nm"] == pytest.approx(np.full(60, 7.4 * 0.25))
+    found = driven(Dataset("run", 100.0, time, columns), rig)
+    assert found["voltage1_v"] == pytest.approx(7.4 * np.clip(0.5 * (columns["q1_cmd_rad"] - columns["q1_rad"]), -1, 1))
+    measured = driven(Dataset("run", 100.0, time, {**columns, "duty": np.full(60, 0.25)}), rig)
+    assert measured["voltage1_v"] == pytest.approx(np.full(60, 7.4 * 0.25))

@@ -1,11 +1,9 @@
-"""From a rig file to what the estimator takes: the mechanism, the options, the sensors, the runs."""
+"""From a rig and runs to what the estimator takes: the mechanism, the options, the runs less their zeros."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from msgspec import structs
@@ -14,14 +12,10 @@ from numpy.typing import NDArray
 from daq import Dataset, InputError, Rig, joint_count
 from daq.runs import imu_columns_of
 from estimator import FitOptions
-from estimator.calibration import DistanceMeter, angle_record, find_zeros, subtract, zeros_text
+from estimator.calibration import find_zeros, subtract, zeros_text
 from estimator.fitting import has_torque
 from estimator.model import Mechanism
-from estimator.signals import STANCE, cut_steps
-from experiments.console import detail, progress
-from experiments.exchange import load_any_run
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
-from experiments.rig.servo_law import with_law
 
 FREE_SWING = "no joint is driven, for every torque of every run is exactly zero"
 
@@ -38,43 +32,6 @@ class Setup:
     """What was done to the runs, in sentences."""
     gear_ratio: float = 1.0
     """Of the motor."""
-
-
-def load_setup(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
-               fixed: Mapping[str, float] | None = None, latent: str = "trajectory",
-               beta: NDArray[np.float64] | None = None, damaged: bool = False) -> Setup:
-    """Runs read and aligned; the rest as `setup_of`. Raises `InputError`, and `FitError` as that does."""
-    return setup_of(load_runs(paths, rig, damaged), rig, sensors, fixed, latent, beta)
-
-
-def load_runs(paths: Sequence[Path | str], rig: Rig, damaged: bool = False) -> tuple[Dataset, ...]:
-    """Runs read, aligned, with the input that the mechanism is driven by.
-
-    Raises `InputError`, for a run of whose file something is missing too, unless `damaged` ones are wanted, and
-    `FitError` as `prepare`.
-    """
-    return tuple(prepare(require_whole(_loaded(path, rig), damaged), rig)
-                 for path in progress(list(paths), "reading runs", unit="run"))
-
-
-def _loaded(path: Path | str, rig: Rig) -> Dataset:
-    started = time.monotonic()
-    data = load_any_run(path, rig)
-    detail(f"{path}: {len(data)} samples at {data.rate_hz:g} Hz, read in {time.monotonic() - started:.2f} s")
-    return data
-
-
-def require_whole(data: Dataset, damaged: bool = False) -> Dataset:
-    """`data` itself. Raises `InputError` where something is missing of its file, unless `damaged` ones are wanted."""
-    if "damaged" in data.sources and not damaged:
-        raise InputError(data.name, f"is damaged: {data.sources['damaged']}",
-                         "save what is whole with legid recover, or use it as it is with --damaged")
-    return data
-
-
-def damaged_runs(datasets: Sequence[Dataset]) -> list[dict[str, str]]:
-    """Runs of whose files something is missing, and what: `damaged` of every document."""
-    return [{"run": d.name, "what": d.sources["damaged"]} for d in datasets if "damaged" in d.sources]
 
 
 def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
@@ -104,9 +61,7 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
         if sigmas:
             level = float(np.sqrt(np.nanmean(np.square(np.concatenate(sigmas)))))
             options = replace(options, noise={**options.noise, "encoder1_rad": level})
-    doubts = (f"{d.name} is to be doubted: {d.sources['doubt']}" for d in datasets if "doubt" in d.sources)
-    steps = (f"{d.name}: {d.sources['steps']}" for d in datasets if "steps" in d.sources)
-    notes = (*[FREE_SWING] * free_swing, *doubts, *steps)
+    notes = (*[FREE_SWING] * free_swing, *(f"{d.name}: {d.steps}" for d in datasets if d.steps is not None))
     return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes, rig.motor.gear_ratio), rig, beta)
 
 
@@ -119,35 +74,6 @@ def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> S
     zeros = find_zeros(setup.datasets, setup.mechanism, setup.options, joints, known)
     return replace(setup, datasets=subtract(setup.datasets, setup.mechanism, zeros),
                    notes=(*setup.notes, zeros_text(setup.datasets, zeros)))
-
-
-def prepare(data: Dataset, rig: Rig) -> Dataset:
-    """`data` with the input that the mechanism is driven by: for a servo on voltage, duty times volts, for one without
-    a torque channel what its law gives; with the absolute angle that a distance meter shows; and a walker's cut into
-    steps.
-
-    The column keeps its torque name; every parameter is then in volt units, and said to be. Raises `FitError`
-    where a walker's steps cannot be told.
-    """
-    if rig.walker is not None:
-        return walked(data, rig.walker.touchdown_s)
-    if rig.distance_meter is not None and "distance_m" in data:
-        d = rig.distance_meter
-        data = angle_record(data, DistanceMeter(d.mount_m, d.gamma_rad, d.sigma_m, d.sigma_per_m), d.upright_rad)
-    if rig.servo is not None and rig.servo.gain is not None:
-        data = with_law(data, rig, rig.servo)
-    if rig.mechanism.input != "voltage" or "duty" not in data:
-        return data
-    column = "tau1_n" if "q1_m" in data and "q1_rad" not in data else "tau1_nm"
-    return replace(data, columns={**data.columns, column: data["duty"] * data["volts"]})
-
-
-def walked(data: Dataset, open_s: float) -> Dataset:
-    """A walker's record by role, and in its sources what was seen of its steps. Raises `FitError`."""
-    cut, found = cut_steps(data, open_s)
-    told = f"its column {STANCE} says" if STANCE in data else \
-        f"its angles show, to {1e3 * float(found.open_s.max()):.1f} ms, for it has no column {STANCE}"
-    return replace(cut, sources={**cut.sources, "steps": f"{found.time_s.size} touchdowns, as {told}"})
 
 
 def choose_sensors(rig: Rig, datasets: Sequence[Dataset], wanted: str | None) -> str:

@@ -13,7 +13,7 @@ from daq.runs.mcap_run import RunWriter, read_run
 from daq.timing.align import align, recorded_rig
 from estimator.calibration.distance_meter import DistanceMeter
 from estimator.fitting.fit import fit
-from experiments.rig.setup import load_setup
+from experiments.session import prepare
 from experiments.studies.biped3.study import CASES, case_options, noisy_record
 from experiments.studies.walker import one_step
 from tests.support.paths import FIXTURES
@@ -39,7 +39,7 @@ def test_a_csv_of_distances_is_fitted_with_the_noise_of_each(tmp_path: Path) -> 
     columns = {name: values for name, values in data.columns.items() if name != "q1_rad"}
     distance = METER.read(step.q[:, 0], np.random.default_rng(4))
     write_csv(replace(data, columns={**columns, "distance_m": distance}), tmp_path / "walk.csv")
-    setup = load_setup([tmp_path / "walk.csv"], parse_rig(RIG))
+    setup = prepare([tmp_path / "walk.csv"], parse_rig(RIG)).setup
     sigma = setup.datasets[0]["q1_sigma_rad"]
     assert np.ptp(sigma) > 0.1 * sigma.mean()
     off = (setup.datasets[0]["q1_rad"] - step.q[:, 0]) / sigma
@@ -56,7 +56,7 @@ def test_a_meter_needs_a_mechanism_that_stands(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="q1_rad"):
         (tmp_path / "walk.csv").write_text("time_s,q2_rad,q3_rad,tau2_nm,tau3_nm,distance_m\n" + "".join(
             f"{0.01 * k},0,0,0,0,0.7\n" for k in range(60)))
-        load_setup([tmp_path / "walk.csv"], parse_rig(RIG.partition("[distance_meter]")[0]))
+        prepare([tmp_path / "walk.csv"], parse_rig(RIG.partition("[distance_meter]")[0]))
 
 
 def test_a_run_file_holds_distances_as_a_stream(tmp_path: Path) -> None:

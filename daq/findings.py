@@ -1,0 +1,47 @@
+"""What is known of a run besides its samples: damage of its file, reasons to doubt it, steps of a walker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+DamageKind = Literal["cut", "recovered", "check_sum", "messages", "form", "imu_missing", "imu_twice"]
+DoubtKind = Literal["imu_rate", "imu_missing", "imu_unmarked", "imu_repeated", "gravity", "rig"]
+
+
+@dataclass(frozen=True)
+class Damage:
+    """One way in which a run file is not what was recorded."""
+
+    kind: DamageKind
+    text: str
+    """For a person, one sentence."""
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """One thing in a run that cannot be true of its rig, or contradicts the rig file in use."""
+
+    kind: DoubtKind
+    text: str
+    """For a person, one sentence."""
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The touchdowns by which a walker's run was cut."""
+
+    touchdowns: int
+    within_s: float | None
+    """How well they are placed by the angles [s]; None where a column gave them."""
+
+    def __str__(self) -> str:
+        by = "its column stance says" if self.within_s is None else \
+            f"its angles show, to {1e3 * self.within_s:.1f} ms, for it has no column stance"
+        return f"{self.touchdowns} touchdowns, as {by}"

@@ -1,0 +1,131 @@
+"""What a fit's own residuals, intervals and physics say of it, as findings.
+
+The thresholds stand here and in docs/trust.md, which says what they were held against.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimator import Finding, FitResult
+from experiments.reports.residual_tests import STRONG, autocorrelation, residuals_of, torque_fit, torque_step
+from experiments.reports.run_agreement import disputed
+
+STRUCTURE = 0.3
+"""Correlation of a driven joint's torque residual, at any of 25 lags, beyond which the model lacks something."""
+NEIGHBOURS = 4
+"""Lags at which the estimated motion colours the residuals of sensors, on a right model too: they are not looked at."""
+GOOD_FIT, ROUGH_FIT = 90.0, 70.0
+"""Fit [%], 100 (1 - rms error / rms motion about its mean): from here on trusted, from there on roughly."""
+PRECISE = 0.1
+"""Half of a 95 % interval over the value, beyond which a parameter counts as loosely known."""
+
+
+def check_fit(result: FitResult) -> list[Finding]:
+    """Findings beside those in `result`: faults alone where there are any, else doubts and facts."""
+    names = {p.name for p in result.mechanism.parameters} - set(result.fixed)
+    if not result.converged:
+        return [Finding("fault", "not_converged", "the fit did not converge")]
+    if names and names <= result.open_parameters:
+        return [Finding("fault", "undetermined", "these runs determine no parameter")]
+    if any(one.role == "fault" for one in result.findings):
+        return []
+    impossible = _impossible(result)
+    if impossible:
+        return [Finding("fault", "impossible", text) for text in impossible]
+    return [*_doubts(result), *_facts(result)]
+
+
+def _doubts(result: FitResult) -> list[Finding]:
+    """Reasons not to trust the parameters."""
+    found: list[Finding] = []
+    if result.method == "mle":
+        allowed = "; the intervals allow for what runs disagree about" if _disputes(result) else \
+            " and the intervals are too narrow"
+        found += [Finding("doubt", "torque_residual", f"the torque left over at joint {j} has structure (correlation "
+                          f"{r:.2f}, {STRUCTURE:g} allowed), so something is missing in the model{allowed}: see legid "
+                          "diagnose") for j, r in _structure(result).items() if r > STRUCTURE]
+        found += _sensor_doubts(result)
+    if result.undetermined:
+        found.append(Finding("doubt", "undetermined",
+                             f"these runs do not determine {', '.join(map(str, result.undetermined))}"))
+    return found
+
+
+def _facts(result: FitResult) -> list[Finding]:
+    """What limits the use of the parameters."""
+    fits = "; ".join(f"torque of joint {j} {share:.1f} %" for j, share in torque_fits(result).items())
+    disputes, loose = _disputes(result), _loose(result)
+    return [*([Finding("fact", "torque_fit", f"Fit: {fits} ({GOOD_FIT:g} wanted)")] if fits else []),
+            *([Finding("fact", "runs_disagree", f"Runs disagree about {disputes}: the next run may differ as much")]
+              if disputes else []),
+            *([Finding("fact", "loose", f"Known loosely: {', '.join(loose)}")] if loose else []),
+            Finding("fact", "not_shown", "What no residual shows: a wrong scale of a sensor passes for other "
+                    "parameters. Calibrate"),
+            Finding("fact", "not_shown", "How far a simulation follows the leg is not known until legid validate has "
+                    "tried it on other runs")]
+
+
+def _impossible(result: FitResult) -> list[str]:
+    """What physics forbids: an inertia matrix that is not positive definite, friction that drives."""
+    found = []
+    paths = [path.q[:: max(1, len(path.q) // 200)] for path in result.trajectories]
+    q = np.concatenate(paths) if paths else np.zeros((1, result.mechanism.n))
+    least = np.linalg.eigvalsh(result.mechanism.inertia_matrix(q, result.beta))
+    if not np.isfinite(least).all() or least.min() <= 0.0:
+        found.append("a mass that is not positive")
+    for p, value, std in zip(result.mechanism.parameters, result.beta, result.std):
+        if "friction" in p.meaning and p.name not in result.open_parameters and value + 3.0 * std < 0.0:
+            found.append(f"{p.name}, {p.meaning}, is negative")
+    return found
+
+
+def _structure(result: FitResult) -> dict[int, float]:
+    """Driven joint, from 1 -> largest correlation of its torque's residual at 25 lags, apart as a right model leaves
+    them independent."""
+    found = residuals_of(result)
+    return {j + 1: autocorrelation(name, found[name], torque_step(result, j, found[name])).largest
+            for j in result.mechanism.actuated if (name := f"torque {j + 1}") in found}
+
+
+def _sensor_doubts(result: FitResult) -> list[Finding]:
+    """What passive joints and the sensors' own residuals say against a fit.
+
+    Nothing drives a passive joint, and no torque sensor's noise is in its equation: an error beyond that noise is the
+    model's, or that of the sensors of motion.
+    """
+    found: list[Finding] = []
+    passive, driven = result.noise.get("passive_joint_nm", 0.0), result.noise.get("torque_nm", 0.0)
+    if passive > driven > 0.0:
+        found.append(Finding("doubt", "passive_joint", f"the equation of a joint that nothing drives is off by "
+                             f"{passive:.2g} N m, more than the driven one's torque by noise ({driven:.2g}), so the "
+                             "model or a sensor is wrong: see legid diagnose"))
+    for name, residuals in residuals_of(result).items():
+        if not name.startswith("torque"):
+            far = float(np.max(np.abs(autocorrelation(name, residuals).values[NEIGHBOURS:])))
+            if far > STRONG:
+                found.append(Finding("doubt", "sensor_residual", f"what is left over of {name} has structure "
+                                     f"(correlation {far:.2f}, {STRONG:g} allowed): see legid diagnose"))
+    return found
+
+
+def torque_fits(result: FitResult) -> dict[int, float]:
+    """Driven joint, from 1 -> fit of the model's torque to the measured one [%]; without those that hardly move."""
+    found = {j + 1: torque_fit(result, j) for j in result.mechanism.actuated} if result.trajectories else {}
+    return {j: share for j, share in found.items() if np.isfinite(share)}
+
+
+def _disputes(result: FitResult) -> str:
+    """What runs disagree about, in words; empty where they agree."""
+    if result.agreement is None or not result.agreement.disagree:
+        return ""
+    return ", ".join(result.mechanism.names[k] for k in disputed(result)) or "the parameters"
+
+
+def _loose(result: FitResult) -> list[str]:
+    found = []
+    for p, value, half in zip(result.mechanism.parameters, result.beta, result.half_width):
+        share = half / abs(value) if value else np.inf
+        if p.name not in result.open_parameters and p.name not in result.fixed and share > PRECISE:
+            found.append(f"{p.name} ({p.meaning}) to {100 * share:.0f} %" if np.isfinite(share) else p.name)
+    return found

@@ -1,0 +1,117 @@
+"""What rig.toml is silent about, chosen by the records: terms, encoders' zeros, friction's rounding."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from msgspec import structs
+
+from daq import Dataset, Rig
+from estimator import FitError
+from estimator.calibration import find_differing, needed_terms
+from estimator.fitting import measured_states
+from estimator.model import settings_of
+from experiments.models import MechanismSettings, build_mechanism
+from experiments.session.setup import Setup, setup_of
+
+SPEED_SHARE = 1e-3
+"""Of a slide's speed, over which its friction's sign is rounded: what 0.005 rad/s is of a joint at 5 rad/s."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One entry of rig.toml that the records chose."""
+
+    table: str
+    key: str
+    value: Any
+    why: str
+    changes: str
+    """What it changes, measured."""
+
+    @property
+    def entry(self) -> str:
+        """As it stands in rig.toml."""
+        value = list(self.value) if isinstance(self.value, tuple) else self.value
+        return f"{self.key} = {value!r}".replace("'", '"') + f" under [{self.table}]"
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """For the JSON documents."""
+        return {"table": self.table, "key": self.key, "value": self.value, "why": self.why, "changes": self.changes}
+
+    def __str__(self) -> str:
+        return f"chosen, where rig.toml is silent: {self.entry}, for {self.why}; {self.changes}"
+
+
+def with_choices(rig: Rig, choices: Sequence[Choice]) -> Rig:
+    """`rig` with the entries chosen."""
+    for choice in choices:
+        table = structs.replace(getattr(rig, choice.table), **{choice.key: choice.value})
+        rig = structs.replace(rig, **{choice.table: table})
+    return rig
+
+
+def choose_terms(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
+                 fixed: Mapping[str, float] | None = None) -> tuple[Choice, ...]:
+    """Rotor inertias, torque offsets, encoders' zeros and friction's rounding, each where `[terms]` says nothing."""
+    bare = structs.replace(rig, terms=structs.replace(rig.terms, encoder_zero=()))
+    setup = setup_of(datasets, bare, sensors, fixed)
+    chosen: list[Choice] = []
+    terms = rig.terms
+    if setup.mechanism.length_unit == "m" and terms.friction_velocity_radps is None:
+        chosen.append(_rounding(setup))
+    try:
+        with np.errstate(all="ignore"):
+            zeros = _zeros(setup) if terms.encoder_zero is None else []
+            stated = bare if terms.encoder_zero is None else rig
+            known = setup_of(datasets, with_choices(stated, [*chosen, *zeros]), sensors, fixed)
+            chosen += _extra_terms(known, rig)  # which other zeros in every run would hide
+            if terms.encoder_zero is None and not zeros:
+                zeros = _zeros(setup_of(datasets, with_choices(bare, chosen), sensors, fixed))
+            chosen += zeros
+    except (FitError, np.linalg.LinAlgError, ValueError):  # too short or too still to ask; the fit itself says so
+        pass
+    return tuple(chosen)
+
+
+def _rounding(setup: Setup) -> Choice:
+    speed = float(np.percentile(np.abs(np.concatenate(
+        [s.qd.ravel() for s in measured_states(setup.datasets, setup.mechanism, setup.options)])), 99.0))
+    value = float(f"{max(SPEED_SHARE * speed, 1e-9):.1g}")
+    return Choice("terms", "friction_velocity_radps", value, f"a slide that moves at {speed:.2g} m/s",
+                  "friction's sign is rounded over a thousandth of that")
+
+
+def _extra_terms(setup: Setup, rig: Rig) -> list[Choice]:
+    settings, driven = setup.settings, setup.settings.actuated
+    rotors = tuple(j for j in driven if j > 1) if "rotor_inertia" in settings_of(settings.model) else ()
+    offsets = driven if "torque_offset" in settings_of(settings.model) else ()
+    rotors = rotors if rig.terms.rotor_inertia is None else ()
+    offsets = offsets if rig.terms.torque_offset is None else ()
+    if not rotors and not offsets:
+        return []
+    wide: MechanismSettings = structs.replace(settings, rotor_inertia=rig.terms.rotor_inertia or rotors,
+                                              torque_offset=rig.terms.torque_offset or offsets)
+    found = needed_terms(setup.datasets, build_mechanism(wide), setup.options)
+    out = []
+    for key, joints, why in (("rotor_inertia", rotors, "a rotor behind a gear"),
+                             ("torque_offset", offsets, "a constant in the measured torque")):
+        wanted = tuple(j for j in joints if f"{key}_{j}" in found)
+        if wanted:
+            falls = " and ".join(f"{100 * found[f'{key}_{j}']:.0f} %" for j in wanted)
+            out.append(Choice("terms", key, wanted, why, f"slow torque not fitted is foretold {falls} better"))
+    return out
+
+
+def _zeros(setup: Setup) -> list[Choice]:
+    found = find_differing(setup.datasets, setup.mechanism, setup.options)
+    if found is None:
+        return []
+    spread = " and ".join(f"{1e3 * s:.0f} mrad (p = {p:.1g})" for s, p in zip(found.spread, found.p_value))
+    return [Choice("terms", "encoder_zero", tuple(j + 1 for j in found.joints),
+                   f"zeros that differ from run to run by {spread}",
+                   f"without them {' and '.join(f'{100 * x:.0f} %' for x in found.left)} of the slow torque is left")]

@@ -1,0 +1,74 @@
+"""`prepare`: where every verb starts, from the shell and from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from msgspec import structs
+
+from daq import Dataset, FloatArray, Rig
+from experiments.session.choices import Choice, choose_terms, with_choices
+from experiments.session.doubts import RunDoubt, doubts_of
+from experiments.session.inputs import driven
+from experiments.session.runs import load_runs
+from experiments.session.setup import Setup, setup_of
+from experiments.session.usable import SetAside, usable_runs
+
+Runs = Sequence[Path | str | Dataset]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a verb works on, and what was done to get there."""
+
+    setup: Setup
+    """Mechanism, options and the runs that are used."""
+    rig: Rig
+    """With the choices in it."""
+    set_aside: tuple[SetAside, ...] = ()
+    """Runs that are not used."""
+    choices: tuple[Choice, ...] = ()
+    """Entries of `rig` that the records chose."""
+    doubts: tuple[RunDoubt, ...] = ()
+    """Of the runs that are used."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a person should know before the result: runs left out, and doubts."""
+        return (*map(str, self.set_aside), *map(str, self.doubts))
+
+
+def prepare(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[str, float] | None = None,
+            latent: str = "trajectory", beta: FloatArray | None = None, damaged: bool = False,
+            choose: bool = False) -> Prepared:
+    """The runs (files, or data sets) of a rig, ready for any verb, in their order.
+
+    Every verb leaves out the runs that cannot be used. The flags say in what verbs differ:
+
+    - `choose`: entries that the rig file leaves open are chosen by the records (fit, tune);
+    - `beta` (p,): parameters of a model, by which encoders' zeros are found (validate, compare);
+    - `sensors`, `fixed`, `latent`, `damaged`: as the command line gives them.
+
+    Raises `InputError` for a run or a rig that cannot be read, and `FitError` where no run is left, or zeros or steps
+    cannot be found.
+    """
+    datasets = as_datasets(runs, rig, damaged)
+    bare = setup_of(datasets, unzeroed(rig), sensors, fixed)
+    kept, gone = usable_runs(bare.datasets, bare.mechanism, bare.options)
+    choices = choose_terms(kept, rig, sensors, fixed) if choose else ()
+    known = with_choices(rig, choices)
+    return Prepared(setup_of(kept, known, sensors, fixed, latent, beta), known, gone, choices,
+                    doubts_of(kept, rig))
+
+
+def as_datasets(runs: Runs, rig: Rig, damaged: bool = False) -> tuple[Dataset, ...]:
+    """Data sets with the input of the rig's mechanism; files among `runs` are read. Raises as `load_runs`."""
+    files = iter(load_runs([run for run in runs if not isinstance(run, Dataset)], rig, damaged))
+    return tuple(driven(run, rig) if isinstance(run, Dataset) else next(files) for run in runs)
+
+
+def unzeroed(rig: Rig) -> Rig:
+    """`rig` without encoders' zeros of single runs."""
+    return structs.replace(rig, terms=structs.replace(rig.terms, encoder_zero=()))

@@ -1,0 +1,104 @@
+"""Files and data sets are prepared alike; what contradicts the rig in use is said; findings are joined once."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.dataset import Dataset
+from daq.errors import InputError
+from daq.rig import load_rig, parse_rig
+from daq.runs.csv_run import read_csv
+from estimator.result import Finding
+from experiments.models import mechanism_settings
+from experiments.reports.fit_json import fit_document
+from experiments.reports.trust import fit_trust
+from experiments.session import prepare
+from experiments.session.doubts import contradictions, require_one_rig
+from experiments.session.runs import load_runs
+from experiments.workflows.fit import fit_runs
+from tests.support.fits import synthetic_fit
+from tests.support.paths import FIXTURES
+from tests.support.prescribed import ARM_RIG, arm_run, negated, written
+
+VOLTS = '[mechanism]\nmodel = "joint1"\nactuated = [1]\ninput = "voltage"\n'
+
+
+def stuck(run: Dataset) -> Dataset:
+    return replace(run, name="bad.csv", columns={**run.columns, "q2_rad": np.full(len(run), 0.3)})
+
+
+def test_files_and_data_sets_are_prepared_alike(tmp_path: Path) -> None:
+    runs = [*(arm_run(k, seconds=6.0) for k in range(3)), stuck(arm_run(7, seconds=6.0))]
+    rig = parse_rig(ARM_RIG)
+    by_file = prepare(written(runs, tmp_path), rig, choose=True)
+    by_data = prepare(load_runs(written(runs, tmp_path), rig), rig, choose=True)
+    assert [run.run for run in by_file.set_aside] == ["bad.csv"]
+    assert (by_file.set_aside, by_file.choices, by_file.rig) == (by_data.set_aside, by_data.choices, by_data.rig)
+    for a, b in zip(by_file.setup.datasets, by_data.setup.datasets, strict=True):
+        assert a.name == b.name and all(np.array_equal(a[name], b[name]) for name in a.columns)
+    assert prepare(runs, rig).choices == ()
+
+
+def test_what_a_run_was_recorded_on_is_held_against_the_rig_in_use() -> None:
+    own = load_rig(FIXTURES / "rig.toml")
+    other = parse_rig((FIXTURES / "rig.toml").read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.1"))
+    path = FIXTURES / "healthy.mcap"
+    assert contradictions(prepare([path], own).doubts) == []
+    found = prepare([path], other)
+    assert contradictions(found.doubts) == [
+        "healthy.mcap was recorded with imu.lever_arm_m = 0.2, the rig file in use says 0.1"]
+    assert [one.doubt.kind for one in found.doubts] == ["rig"] and str(found.doubts[0]) in found.warnings
+    (run,) = load_runs([path], own)
+    require_one_rig([run, replace(run, recorded_on=None), run])
+    with pytest.raises(InputError, match="was recorded on another rig than healthy"):
+        require_one_rig([run, replace(run, name="other.mcap", recorded_on=other)])
+
+
+def test_a_voltage_is_called_so_and_read_again(tmp_path: Path) -> None:
+    time = np.arange(60) / 100.0
+    rows = "\n".join(f"{t},{0.1 * np.sin(t)},0.5,8.0" for t in time.tolist())
+    (tmp_path / "duty.csv").write_text(f"time_s,q1_rad,duty,volts\n{rows}\n")
+    rig = parse_rig(VOLTS)
+    (run,) = load_runs([tmp_path / "duty.csv"], rig)
+    assert np.array_equal(run["voltage1_v"], np.full(60, 4.0)) and "tau1_nm" not in run
+    (tmp_path / "volts.csv").write_text("time_s,q1_rad,voltage1_v\n" + "\n".join(
+        f"{t},{0.1 * np.sin(t)},4.0" for t in time.tolist()) + "\n")
+    assert np.array_equal(load_runs([tmp_path / "volts.csv"], rig)[0]["voltage1_v"], run["voltage1_v"])
+    with pytest.raises(InputError, match="duty is missing"):
+        read_csv_without(tmp_path)
+    twice = prepare([run], parse_rig(VOLTS)).setup.datasets[0]
+    assert np.array_equal(twice["voltage1_v"], run["voltage1_v"])
+
+
+def read_csv_without(folder: Path) -> None:
+    (folder / "none.csv").write_text("time_s,q1_rad\n" + "\n".join(f"{k / 100.0},0.0" for k in range(60)) + "\n")
+    read_csv(folder / "none.csv", parse_rig(VOLTS))
+
+
+def test_findings_of_a_fit_have_their_kind_and_stand_in_its_document() -> None:
+    runs = [*(arm_run(k, seconds=6.0) for k in range(3)), stuck(arm_run(7, seconds=6.0))]
+    fitted = fit_runs(runs, parse_rig(ARM_RIG))
+    kinds = [one.kind for one in fitted.result.findings]
+    assert kinds[0] == "run_set_aside" and fitted.result.warnings[0] == str(fitted.aside[0])
+    assert kinds.count("choice") == len([c for c in fitted.choices if c.key != "friction_velocity_radps"])
+    document = fitted.document
+    assert {"role": "warning", "kind": "run_set_aside", "text": str(fitted.aside[0])} in document["findings"]
+    assert document["assumptions"][-kinds.count("choice"):] == [
+        one.text for one in fitted.result.findings if one.kind == "choice"] or "choice" not in kinds
+
+
+def test_a_fault_of_the_columns_is_the_first_line() -> None:
+    wrong = fit_runs([negated(arm_run(1, seconds=6.0), "tau1_nm")], parse_rig(ARM_RIG), choose=False).result
+    assert wrong.inadmissible and wrong.remedies[0].startswith("tau1_nm looks negated")
+    assert fit_trust(wrong).sentence.startswith("NOT TO BE USED")
+    sound = synthetic_fit()
+    assert fit_trust(sound).level == "good"
+    told = replace(sound, findings=(Finding("fault", "columns", "gyro and accelerometer contradict each other"),))
+    assert fit_trust(told).sentence == (
+        "NOT TO BE USED: the columns cannot be right (gyro and accelerometer contradict each other).")
+    said = replace(sound, findings=(Finding("warning", "rig_contradiction", "run1 was recorded with x = 1"),))
+    assert "the rig file contradicts a run: run1 was recorded with x = 1" in fit_trust(said).sentence
+    settings = mechanism_settings(load_rig(FIXTURES / "rig.toml"))
+    assert fit_document(told, settings)["trust"]["level"] == "bad"
