@@ -44,7 +44,7 @@ from experiments.workflows import (
     reference_values,
     simulate_run,
     tune_runs,
-    validate_runs,
+    validate_prepared,
 )
 from legid.listings import Comparison, Tuning
 from legid.results import Dataset, Diagnosis, FitResult, Validation, Validations, dressed, sources_of
@@ -122,8 +122,8 @@ def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str 
     """
     given, known = _given(runs, rig)
     prepared = prepare(given, known, sensors=sensors, beta=np.array(model.beta))
-    found = validate_runs(model, prepared.setup, "the model")
-    return Validations(dressed(Validation, one) for one in found)
+    files = sources_of(given)
+    return Validations.of(validate_prepared(model, prepared, "the model", files), files)
 
 
 def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,

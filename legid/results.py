@@ -34,7 +34,7 @@ from experiments.reports import (
     write_document,
 )
 from experiments.session import Prepared, damaged_runs
-from experiments.workflows import Fitted
+from experiments.workflows import Fitted, ValidationReport
 from legid.tables import frame, html_table, paragraphs
 
 if TYPE_CHECKING:
@@ -168,6 +168,28 @@ class Validation(PlainValidation):
 
 class Validations(list[Validation]):
     """A list of `Validation`, one a gap-free stretch, that shows itself as a table."""
+
+    report: ValidationReport | None = None
+    """What `validate` found, with its trust, horizons and the runs set aside."""
+    sources: tuple[Source, ...] = ()
+
+    @classmethod
+    def of(cls, report: ValidationReport, sources: tuple[Source, ...] = ()) -> Validations:
+        """Of what a validation found on the runs of `sources`."""
+        made = cls(dressed(Validation, one) for one in report.validations)
+        made.report, made.sources = report, sources
+        return made
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """`legid.validation/1`, as `legid validate --json` writes it. Raises `WorkError` for a list made by hand."""
+        if self.report is None:
+            raise WorkError("only a result of legid.validate has a document")
+        return {**self.report.document, "damaged": damaged_runs(self.report.prepared.setup.datasets)}
+
+    def to_json(self, path: Path | str) -> None:
+        """Write `document` with its provenance. Raises `InputError`."""
+        write_document(path, self.document, self.sources)
 
     def to_frame(self) -> DataFrame:
         """One row a stretch: run, seconds, whether it ran away, rms error by signal.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,8 +22,53 @@ from estimator.fitting import (
 from estimator.model import Mechanism
 from experiments.console import progress
 from experiments.models import FreeRuns, Model, Prediction, build_mechanism, validate_extended
-from experiments.provenance import Origin
-from experiments.session import Setup, require_sound
+from experiments.provenance import Source
+from experiments.reports import (
+    Trust,
+    horizons_document,
+    model_contradictions,
+    validation_document,
+    validation_trust,
+    walk_document,
+)
+from experiments.session import Prepared, Setup, contradictions, require_sound
+
+
+@dataclass(frozen=True)
+class ValidationReport:
+    """Everything that a validation says, for a terminal, a page, a document or a notebook."""
+
+    prepared: Prepared
+    validations: list[Validation]
+    predictions: list[Prediction]
+    horizons: Horizons | None
+    steps: WalkAhead | None
+    seen: tuple[str, ...]
+    """Runs that the model was fitted to."""
+    trust: Trust
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """`legid.validation/1` of docs/formats.md."""
+        found = validation_document(self.validations, self.prepared.setup.options.sensors, self.predictions)
+        found |= {"trust": self.trust.document, "fitted_to": list(self.seen),
+                  "set_aside": [run.document for run in self.prepared.set_aside]}
+        found |= {} if self.horizons is None else {"horizons": horizons_document(self.horizons)}
+        return found | ({} if self.steps is None else {"walk": walk_document(self.steps)})
+
+
+def validate_prepared(model: Model, prepared: Prepared, where: str, files: Sequence[Source] = (),
+                      against: Model | None = None) -> ValidationReport:
+    """Free runs of `model`, named `where` in errors, on the runs of `prepared`, which were read from `files`.
+
+    Raises `InputError` for a model of another mechanism, `FitError` for runs whose columns contradict themselves.
+    """
+    setup, seen = prepared.setup, seen_in_fit(model, files)
+    validations, predictions = validate_runs(model, setup, where), predict_runs(model, setup)
+    against_rig = [*contradictions(prepared.doubts), *model_contradictions(model.mechanism, setup.settings)]
+    trust = validation_trust(predictions, seen, against_rig)
+    return ValidationReport(prepared, validations, predictions, foretell(model, setup, against),
+                            foretell_steps(model, setup), seen, trust)
 
 
 def validate_runs(model: Model, setup: Setup, where: str) -> list[Validation]:
@@ -90,7 +137,7 @@ def foretell_steps(model: Model, setup: Setup) -> WalkAhead | None:
     return walk_ahead(setup.datasets, mechanism, np.array(model.beta), replace(setup.options, hold=model.hold))
 
 
-def seen_in_fit(model: Model, origin: Origin) -> tuple[str, ...]:
-    """Files of `origin` that `model` was fitted to, by their SHA-256; models of earlier versions do not tell."""
+def seen_in_fit(model: Model, files: Sequence[Source]) -> tuple[str, ...]:
+    """Names of `files` that `model` was fitted to, by their SHA-256; models of earlier versions do not tell."""
     fitted = {source.sha256 for source in model.provenance.origin.runs} if model.provenance.origin else set()
-    return tuple(source.file for source in origin.runs if source.sha256 in fitted)
+    return tuple(source.file for source in files if source.sha256 in fitted)

@@ -149,6 +149,14 @@ def models_of(case: Case, folder: Path) -> tuple[Path, Path]:
     return first, second
 
 
+def same_validation(case: Case, folder: Path) -> None:
+    first, _ = models_of(case, folder)
+    said = shell(folder, "validate", first, *case.runs, "--rig", case.rig, "--damaged")
+    runs = legid.load(case.runs, case.rig, damaged=True)
+    assert python(folder, legid.validate(legid.load_model(first), runs)) == said
+    assert [run["run"] for run in said["set_aside"]] == list(case.aside)
+
+
 def same_comparison(case: Case, folder: Path) -> None:
     first, second = models_of(case, folder)
     said = shell(folder, "compare", first, second, *case.runs, "--rig", case.rig, "--damaged")
@@ -172,7 +180,7 @@ def same_tuning(case: Case, folder: Path) -> None:
 
 
 VERBS: dict[str, Callable[[Case, Path], None]] = {
-    "fit": same_fit, "compare": same_comparison, "diagnose": same_diagnosis,
+    "fit": same_fit, "validate": same_validation, "compare": same_comparison, "diagnose": same_diagnosis,
     "tune": same_tuning}
 
 
@@ -181,7 +189,7 @@ def test_a_fit_of_a_fixture(name: str, folder: Path) -> None:
     same_fit(FIXTURE_CASES[name], folder)
 
 
-@pytest.mark.parametrize("verb", ["fit", "compare"])
+@pytest.mark.parametrize("verb", ["fit", "validate", "compare"])
 def test_a_verb_on_runs_of_which_one_is_bad(verb: str, folder: Path) -> None:
     VERBS[verb](leg_with_bad_run(folder), folder)
 

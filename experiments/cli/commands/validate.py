@@ -35,21 +35,16 @@ def run(args: argparse.Namespace) -> int:
     from experiments.models import load_model
     from experiments.provenance import origin_of
     from experiments.reports import (
-        horizons_document,
         horizons_section,
         horizons_text,
-        model_contradictions,
-        validation_document,
         validation_section,
         validation_text,
-        validation_trust,
-        walk_document,
         walk_section,
         walk_text,
         with_origin,
     )
-    from experiments.session import contradictions, prepare
-    from experiments.workflows import foretell, foretell_steps, predict_runs, seen_in_fit, validate_runs
+    from experiments.session import prepare
+    from experiments.workflows import seen_in_fit, validate_prepared
 
     model = load_model(args.model)
     against = load_model(args.against) if args.against else None
@@ -62,27 +57,19 @@ def run(args: argparse.Namespace) -> int:
                          "give a model of the same mechanism")
     for text in prepared.warnings:
         warn(text)
-    seen = seen_in_fit(model, origin)
+    seen = seen_in_fit(model, origin.runs)
     if seen:
         warn(f"{args.model} was fitted to {', '.join(seen)}: what it says of them is no validation; give other runs")
-    validations, predictions = validate_runs(model, setup, args.model), predict_runs(model, setup)
-    against_rig = [*contradictions(prepared.doubts), *model_contradictions(model.mechanism, setup.settings)]
-    trust = validation_trust(predictions, seen, against_rig)
-    horizons, steps = foretell(model, setup, against), foretell_steps(model, setup)
+    found = validate_prepared(model, prepared, args.model, origin.runs, against)
+    validations, predictions, trust = found.validations, found.predictions, found.trust
+    horizons, steps = found.horizons, found.steps
     print("\n".join([trust.sentence, *trust.reasons, "", validation_text(validations, predictions)]))
     if horizons is not None:
         print(horizons_text(horizons))
     if steps is not None:
         print(walk_text(steps))
     if args.json:
-        document = validation_document(validations, setup.options.sensors, predictions)
-        document |= {"trust": trust.document, "fitted_to": list(seen),
-                     "set_aside": [run.document for run in prepared.set_aside]}
-        if horizons is not None:
-            document["horizons"] = horizons_document(horizons)
-        if steps is not None:
-            document["walk"] = walk_document(steps)
-        write_json(args.json, with_origin(document, origin, setup.datasets))
+        write_json(args.json, with_origin(found.document, origin, setup.datasets))
     if args.html:
         from experiments.reports import origin_section, write_page
 
