@@ -42,7 +42,7 @@ def test_angle_torque_and_current_are_the_joints(kind: str) -> None:
     bench.run(0.1, 0.6)
     seen = telemetry(bench.run(0.2, 0.6))
     assert states(bench.run(0.02, 0.6)) == {State.ARMED}
-    assert seen[-1].knee_rad == pytest.approx(0.3, abs=2 * math.pi / 50 / 16384)
+    assert seen[-1].knee_rad == pytest.approx(0.3, abs=2 * math.pi / 50 / 4096)
     assert seen[-1].torque_cmd_nm == pytest.approx(0.6, abs=1e-3)
     assert np.mean([t.current_a for t in seen]) * CONSTANT == pytest.approx(0.6, abs=0.02)
     assert seen[-1].bus_v == pytest.approx(24.0, abs=0.2)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from fastcrc import crc16
 
+from drivers import dynamixel
 from drivers.can_codec import CanCodec
 from drivers.mock.faults import KINDS, FaultyWire, WireFaults
 from drivers.protocol import Decoder, Fault, FaultReport, Hello, Message, Pong, Telemetry, encode
@@ -113,6 +114,32 @@ def fuzz_can(frames: int, seed: int) -> Outcome:
     return Outcome(passed, sum(wire.injected.values()), delivered, wrong, odds, counted, time.perf_counter() - started)
 
 
+def fuzz_dynamixel(frames: int, seed: int) -> Outcome:
+    """A third noise, a third packets broken in every way, a third whole, all in one stream."""
+    rng, decoder, started = np.random.default_rng(seed), dynamixel.Decoder(), time.perf_counter()
+    wire = FaultyWire(WireFaults(**{kind: 0.5 / len(KINDS) for kind in KINDS}), rng)
+    broken = delivered = wrong = 0
+    recent: deque[dynamixel.Packet] = deque(maxlen=12)
+    for k in range(frames):
+        if rng.random() < 1 / 3:
+            start = dynamixel.HEADER if rng.random() < 0.5 else b""
+            parts, broken = [start + rng.bytes(int(rng.integers(1, 90)))], broken + 1
+        else:
+            sent = dynamixel.Packet(k % 253, dynamixel.Instruction.STATUS, 0, rng.bytes(k % 90))
+            recent.append(sent)
+            before = sum(wire.injected.values())
+            parts = wire.pass_on(dynamixel.status(sent.ident, sent.error, sent.params))
+            broken += sum(wire.injected.values()) - before
+        stream = b"".join(parts)
+        cut = int(rng.integers(0, len(stream) + 1))
+        for chunk in (stream[:cut], stream[cut:]):
+            for got in decoder.feed(chunk):
+                delivered += 1
+                wrong += got not in recent
+    counted = decoder.bad_crc + decoder.bad_length
+    return Outcome(frames, broken, delivered, wrong, broken * CRC_ODDS, counted, time.perf_counter() - started)
+
+
 EVIDENCE = (
     Evidence("The host's codecs under broken frames", "python -m tests.evidence fuzz-codecs --frames 10000000",
              "fuzz.md", 32, "no crash",
@@ -128,3 +155,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     assert crc16.ibm_3740(b"123456789") == 0x29B1
     print(f"serial: {fuzz_serial(args.frames, args.seed)}")
     print(f"CAN: {fuzz_can(args.frames, args.seed)}")
+    print(f"Dynamixel: {fuzz_dynamixel(args.frames, args.seed)}")

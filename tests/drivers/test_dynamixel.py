@@ -1,0 +1,266 @@
+"""Dynamixel: packets as the e-Manual prints them, units by model, the half-duplex line, the watchdog, refusals."""
+
+import math
+import struct
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.recording.recorder import record_run
+from daq.rig import parse_rig
+from daq.runs.mcap_run import read_run
+from drivers import dynamixel as dxl
+from drivers.drive import Wiring
+from drivers.dynamixel import Address, Instruction
+from drivers.dynamixel_drive import DynamixelDrive, find_nodes
+from drivers.errors import DeviceAbsent, DeviceFault, ProtocolMismatch
+from drivers.mock import EmulatorLink, FirmwareSettings, MockRig, VirtualClock
+from drivers.mock.dynamixel_drive import MockDynamixel, new_table
+from drivers.mock.plant import StillPlant, StillState
+from drivers.protocol import FaultReport, Hello
+from tests.support.drive_bench import CONSTANT, DriveBench, telemetry
+from tests.support.recordings import RIG, sine
+
+PRINTED = [
+    ("ping", dxl.packet(1, Instruction.PING), "FF FF FD 00 01 03 00 01 19 4E"),
+    ("its status", dxl.status(1, 0, bytes([0x06, 0x04, 0x26])), "FF FF FD 00 01 07 00 55 00 06 04 26 65 5D"),
+    ("read of the position", dxl.read(1, 132, 4), "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"),
+    ("its status", dxl.status(1, 0, bytes([0xA6, 0, 0, 0])), "FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0"),
+    ("reboot", dxl.packet(1, Instruction.REBOOT), "FF FF FD 00 01 03 00 08 2F 4E"),
+    ("sync read", dxl.sync_read([1, 2], 132, 4), "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA"),
+    ("sync write", dxl.packet(dxl.BROADCAST, Instruction.SYNC_WRITE, struct.pack("<HHBIBI", 116, 4, 1, 150, 2, 170)),
+     "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87"),
+]
+
+
+@pytest.mark.parametrize(("what", "made", "printed"), PRINTED, ids=[what for what, _, _ in PRINTED])
+def test_packets_are_those_that_the_e_manual_prints(what: str, made: bytes, printed: str) -> None:
+    assert made == bytes.fromhex(printed)
+    (one,) = dxl.Decoder().feed(made)
+    assert one.ident == made[4] and one.instruction == made[7]
+
+
+def test_what_looks_like_a_header_is_stuffed_and_comes_back() -> None:
+    data = b"\xff\xff\xfd\x00" * 5 + b"\xff\xff\xfd"
+    sent = dxl.status(1, 0, data)
+    assert sent[4:].count(b"\xff\xff\xfd\x00") == 0
+    (one,) = dxl.Decoder().feed(sent)
+    assert one.params == data
+
+
+def test_any_cut_of_the_stream_gives_the_same_packets() -> None:
+    rng = np.random.default_rng(1)
+    sent = [dxl.status(int(rng.integers(253)), 0, rng.bytes(int(rng.integers(60)))) for _ in range(300)]
+    stream, decoder, found = b"".join(sent), dxl.Decoder(), []
+    while stream:
+        n = int(rng.integers(1, 40))
+        found += decoder.feed(stream[:n])
+        stream = stream[n:]
+    assert len(found) == 300 and decoder.bad_crc == decoder.bad_length == 0
+
+
+def test_broken_packets_are_counted_and_nothing_false_comes_through() -> None:
+    rng, decoder, whole = np.random.default_rng(2), dxl.Decoder(), 0
+    sent = {dxl.status(1, 0, bytes([k % 256]) * (k % 50 + 1)) for k in range(2000)}
+    for one in sent:
+        if rng.random() < 0.4:
+            broken = bytearray(one)
+            broken[int(rng.integers(len(broken)))] ^= 1 << int(rng.integers(8))
+            one = bytes(broken)[: int(rng.integers(1, len(broken) + 1))]
+        for packet in decoder.feed(one):
+            assert dxl.status(packet.ident, packet.error, packet.params) in sent
+            whole += 1
+    assert whole > 0.5 * len(sent) and decoder.bad_crc + decoder.bad_length > 100
+
+
+# -- units ---------------------------------------------------------------------------------------------------
+
+
+def on_model(model: int, plant: StillPlant | None = None, **wiring: float) -> tuple[DriveBench, MockDynamixel]:
+    bench = DriveBench.__new__(DriveBench)
+    bench.wiring = Wiring(node=1, rate_hz=250.0, torque_constant_nm_per_a=CONSTANT, **wiring)  # type: ignore[arg-type]
+    bench.clock = VirtualClock()
+    settings = FirmwareSettings(torque_constant_nm_per_a=CONSTANT)
+
+    def make(settings: FirmwareSettings, seed: int, t_ns: int, advance: Callable[[int], None],
+             lock: threading.RLock) -> MockDynamixel:
+        return MockDynamixel(settings, bench.wiring, seed, t_ns, advance, lock, model)
+
+    bench.rig = MockRig(plant or StillPlant(), bench.clock, firmware=settings, seed=1, make=make)
+    bench.far = bench.rig.drive
+    bench.link = EmulatorLink(bench.far, bench.clock, seed=1, nothing=b"")
+    bench.drive = DynamixelDrive(bench.link, bench.wiring, bench.clock.now_ns, bench.clock.sleep)
+    return bench, bench.far
+
+
+@pytest.mark.parametrize("model", sorted(dxl.MODELS))
+@pytest.mark.parametrize("turns", [1.0, -1.0])
+def test_units_of_every_model(model: int, turns: float) -> None:
+    """A goal in counts of this model is the torque that was asked for, to half a count, and so is the reading."""
+    bench, far = on_model(model, StillPlant(StillState(q2=-0.7)), turns=turns)
+    bench.armed()
+    bench.run(0.1, 0.6)
+    unit = dxl.MODELS[model].current_a
+    goal = struct.unpack_from("<h", far.table, Address.GOAL_CURRENT)[0]
+    assert goal == math.copysign(round(0.6 / CONSTANT / unit), turns)
+    assert bench.rig.drive.motor.last_mean_nm == pytest.approx(0.6, abs=0.51 * unit * CONSTANT)
+    seen = telemetry(bench.run(0.2, 0.6))
+    assert np.mean([t.current_a for t in seen]) == pytest.approx(0.6 / CONSTANT, abs=0.01)
+    assert {t.torque_cmd_nm for t in seen} == {0.6}  # what was asked for, not what became of it
+    assert seen[-1].knee_rad == pytest.approx(-0.7, abs=math.pi / dxl.COUNTS)
+
+
+def test_positions_go_on_over_many_turns_and_below_zero() -> None:
+    for angle in (-300.0, -3.2, 3.2, 300.0):
+        bench, _ = on_model(1200, StillPlant(StillState(q2=angle)))
+        bench.drive.open()
+        assert telemetry(bench.run(0.05))[-1].knee_rad == pytest.approx(angle, abs=math.pi / dxl.COUNTS)
+
+
+def test_the_tick_wraps_and_nothing_is_lost_by_it() -> None:
+    bench = DriveBench("dynamixel", settings=FirmwareSettings(torque_constant_nm_per_a=CONSTANT,
+                                                              first_tick_us=32_600_000))
+    bench.drive.open()
+    seen = telemetry(bench.run(0.5))
+    assert len(seen) == pytest.approx(125, abs=4) and bench.drive.stats.reboots == 0
+
+
+# -- the line ------------------------------------------------------------------------------------------------
+
+
+def test_no_command_goes_out_between_a_request_and_its_answer() -> None:
+    """On a line of half duplex they would collide."""
+    bench = DriveBench("dynamixel")
+    bench.armed(1000)
+    sent: list[tuple[int, bytes]] = []
+    write, transmit = bench.link.write, bench.far.transmit
+    answered: list[int] = []
+
+    def spy(data: bytes) -> None:
+        sent.append((bench.clock.now_ns(), data))
+        write(data)
+
+    def heard(until_ns: int) -> list[tuple[int, bytes]]:
+        out = transmit(until_ns)
+        answered.extend(t_ns for t_ns, _ in out)
+        return out
+
+    bench.link.write = spy
+    bench.far.transmit = heard
+    for k in range(200):
+        bench.drive.command(0.001 * k)
+        bench.drive.poll()
+    reads = [t for t, data in sent if data.endswith(dxl.read(1, 64, 83))]
+    writes = [t for t, data in sent if not data.endswith(dxl.read(1, 64, 83))]
+    assert len(reads) > 20
+    for asked in reads:
+        reply = min((t for t in answered if t > asked), default=asked)
+        assert not any(asked < t < reply for t in writes)
+
+
+def test_two_on_a_line_do_not_disturb_each_other() -> None:
+    bench = DriveBench("dynamixel")
+    bench.far.others[7] = new_table(7, 1200)
+    bench.armed()
+    assert len(telemetry(bench.run(0.4, 0.5))) == pytest.approx(100, abs=4)
+    assert bench.far.others[7][Address.TORQUE_ENABLE] == 0
+    assert struct.unpack_from("<h", bench.far.others[7], Address.GOAL_CURRENT)[0] == 0
+    assert find_nodes(bench.link, bench.wiring) == [1, 7]
+
+
+def test_a_sync_read_has_both_answer_in_turn() -> None:
+    bench = DriveBench("dynamixel")
+    bench.far.others[7] = new_table(7, 1200)
+    bench.link.write(dxl.sync_read([7, 1], Address.MODEL_NUMBER, 2))
+    decoder, found = dxl.Decoder(), []
+    for _ in range(5):
+        found += decoder.feed(bench.link.read())
+    assert [(one.ident, int.from_bytes(one.params, "little")) for one in found] == [(7, 1200), (1, 1040)]
+
+
+# -- refusals ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("at", "data", "line"), [
+    (Address.MODEL_NUMBER, struct.pack("<H", 1060), "model number 1060 is none that this program knows"),
+    (Address.FIRMWARE_VERSION, b"\x25", "firmware 37 has no Bus Watchdog.*DYNAMIXEL Wizard"),
+    (Address.STATUS_RETURN_LEVEL, b"\0", "answers a ping and no read")])
+def test_what_it_cannot_work_with_is_refused_with_a_remedy(at: int, data: bytes, line: str) -> None:
+    bench = DriveBench("dynamixel")
+    bench.far.table[at:at + len(data)] = data
+    with pytest.raises((ProtocolMismatch, DeviceAbsent), match=line):
+        bench.drive.open(0.5)
+
+
+def test_another_operating_mode_becomes_current_control() -> None:
+    bench = DriveBench("dynamixel")
+    bench.far.table[Address.OPERATING_MODE] = 3
+    bench.far.table[Address.TORQUE_ENABLE] = 1  # somebody left it holding a position
+    bench.drive.open()
+    assert bench.far.table[Address.OPERATING_MODE] == dxl.CURRENT_MODE and not bench.far.table[Address.TORQUE_ENABLE]
+    bench.armed()
+
+
+def test_a_hardware_error_goes_by_a_reboot_only() -> None:
+    bench = DriveBench("dynamixel")
+    bench.armed()
+    bench.run(0.05, 0.5)
+    bench.far.driver_ok = False
+    bench.run(0.05, 0.5)
+    bench.far.driver_ok = True
+    assert "electrical shock" in bench.drive.words
+    with pytest.raises(DeviceFault, match="electrical shock"):
+        bench.drive.arm(100)
+    bench.drive.clear_faults()
+    bench.run(0.3)
+    assert bench.far.table[Address.HARDWARE_ERROR_STATUS] == 0
+    bench.armed()
+    assert telemetry(bench.run(0.1, 0.4))[-1].torque_cmd_nm == 0.4
+
+
+def test_readings_that_stand_still_are_no_telemetry() -> None:
+    bench = DriveBench("dynamixel")
+    bench.drive.open()
+    bench.run(0.1)
+    bench.far.stuck = True
+    bench.run(0.02)
+    assert not telemetry(bench.run(0.2)) and bench.drive.stats.bad_crc > 5
+
+
+def test_a_reboot_on_the_way_is_told_and_the_torque_stays_off() -> None:
+    bench = DriveBench("dynamixel")
+    bench.armed()
+    bench.run(0.2, 0.5)
+    bench.far.power_cycle()
+    received = bench.run(0.1, 0.5)
+    assert any(isinstance(one.message, Hello) for one in received) and bench.drive.stats.reboots == 1
+    assert bench.far.torque_nm == 0.0 and not bench.drive.armed
+
+
+def test_polls_alone_do_not_keep_the_torque_on() -> None:
+    """Its watchdog counts any instruction: the driver falls silent where commands stop."""
+    bench = DriveBench("dynamixel")
+    bench.armed(100)
+    bench.run(0.1, 1.0)
+    since = bench.clock.now_ns()
+    reports = [one.message for one in bench.run(0.3) if isinstance(one.message, FaultReport)]
+    assert bench.zero_after(since) <= 0.1 and len(reports) == 1
+    assert bench.far.table[Address.BUS_WATCHDOG] == dxl.WATCHDOG_ERROR
+
+
+def test_a_plan_is_recorded_over_it_without_a_lost_sample(tmp_path: Path) -> None:
+    bench = DriveBench("dynamixel", turns=1.0)
+    bench.drive.open()
+    text = RIG.replace("[limits]\n", 'kind = "dynamixel"\nnode = 1\nrate_hz = 250.0\n[calibration]\n'
+                       f"torque_constant_nm_per_a = {CONSTANT}\n[limits]\nunchecked = [\"encoder_s\", \"q1_rad\"]\n")
+    report = record_run(tmp_path / "r.mcap", parse_rig(text), text, sine(0.8), None, bench.drive, bench.clock.now_ns,
+                        threaded=False)
+    raw = read_run(tmp_path / "r.mcap")
+    telemetry_seen = raw.streams["/leg/telemetry"]
+    assert [event.kind for event in raw.events] == ["start", "stop"] and bench.drive.stats.lost == 0
+    assert (np.diff(telemetry_seen["seq"].astype(int)) == 1).all()
+    assert telemetry_seen.size == pytest.approx(2.1 * 250, rel=0.05) and report.clock_bound_s < 1e-3
+    assert bench.far.torque_nm == 0.0
