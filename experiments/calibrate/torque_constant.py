@@ -37,7 +37,8 @@ class Found(NamedTuple):
     angle_rad: FloatArray
     side: FloatArray
     left_out: int
-    """Holds that moved, came back, or did not move since the one before."""
+    """Holds that moved, came back, did not move since the one before, or are the first after a reversal: friction has not
+    turned round there in full."""
 
 
 def find_holds(run: Dataset, rig: Rig) -> Found:
@@ -55,7 +56,7 @@ def find_holds(run: Dataset, rig: Rig) -> Found:
     spans = [(int(a), int(b)) for a, b in zip(starts, stops) if (b - a) * run.dt_s >= LEAST_HOLD_S]
     if not spans:
         raise InputError(run.name, f"holds no torque for {LEAST_HOLD_S:g} s", "record a plan of legid excite --holds")
-    rows, left_out, before, end = [], 0, None, 0
+    rows, left_out, before, end, way = [], 0, None, 0, 0.0
     for a, b in spans:
         rest = slice(b - round(LOOKED_AT * (b - a)), b)
         knee = run["q2_rad"][rest]
@@ -63,7 +64,7 @@ def find_holds(run: Dataset, rig: Rig) -> Found:
         path = run["q2_rad"][end:b] * np.sign(moved)
         overshot = float(np.nanmax(path)) - here * np.sign(moved)
         usable = (np.isfinite(knee).all() and float(np.std(knee)) < STILL_RAD and before is not None
-                  and abs(moved) > MOVED_RAD and overshot < OVERSHOT_RAD)
+                  and abs(moved) > MOVED_RAD and overshot < OVERSHOT_RAD and np.sign(moved) != -way)
         if by_imu:
             hip = float(np.arctan2(np.mean(run["accel_x_mps2"][rest]), -np.mean(run["accel_y_mps2"][rest])))
         else:
@@ -73,7 +74,7 @@ def find_holds(run: Dataset, rig: Rig) -> Found:
             rows.append((current, hip + here, np.sign(moved)))
         elif before is not None:
             left_out += 1
-        before, end = here, b
+        before, end, way = here, b, np.sign(moved)
     table = np.array(rows).reshape(-1, 3)
     return Found(table[:, 0], table[:, 1], table[:, 2], left_out)
 

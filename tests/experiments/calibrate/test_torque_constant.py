@@ -50,12 +50,12 @@ def test_the_interval_holds_on_many() -> None:
 def test_holds_that_move_or_come_back_are_left_out() -> None:
     run = hold_run(Truth(), np.random.default_rng(1))
     whole = find_holds(run, parse_rig(RIG))
-    assert whole.left_out == 0 and whole.current.size == 16 and set(whole.side) == {1.0, -1.0}
+    assert whole.left_out == 2 and whole.current.size == 14 and set(whole.side) == {1.0, -1.0}
     knee = run["q2_rad"].copy()
     knee[650:700] += np.linspace(0.0, 0.05, 50)  # the first hold behind the first ramp: it creeps
     knee[1050:1100] += 0.03  # the second: it swings beyond where it comes to rest
     left = find_holds(Dataset("r", run.rate_hz, run.time_s, {**run.columns, "q2_rad": knee}), parse_rig(RIG))
-    assert left.left_out == 2 and left.current.size == 14
+    assert left.left_out == 4 and left.current.size == 12
 
 
 @pytest.mark.parametrize(("column", "line"), [("tau2_cmd_nm", "has no column tau2_cmd_nm"),
