@@ -37,8 +37,8 @@ class Found(NamedTuple):
     angle_rad: FloatArray
     side: FloatArray
     left_out: int
-    """Holds that moved, came back, did not move since the one before, or are the first after a reversal: friction has not
-    turned round there in full."""
+    """Holds that moved, came back, did not move since the one before, or are the first after a reversal: there friction
+    has not turned round in full."""
 
 
 def find_holds(run: Dataset, rig: Rig) -> Found:
