@@ -20,17 +20,17 @@ QUIET, USUAL, VERBOSE = -1, 0, 1
 FIRST_LINE_S, LINE_EVERY_S = 5.0, 10.0
 """Where stderr is no terminal, a long work says after so long what it is at, and then again after so long."""
 _command: ContextVar[str] = ContextVar("command", default="")
-_loudness: ContextVar[int] = ContextVar("loudness", default=USUAL)
+_verbosity: ContextVar[int] = ContextVar("verbosity", default=USUAL)
 
 
 @contextmanager
-def loudness(level: int) -> Iterator[None]:
+def verbosity(level: int) -> Iterator[None]:
     """Within it notes and progress are left out (`QUIET`), or details told (`VERBOSE`)."""
-    token = _loudness.set(level)
+    token = _verbosity.set(level)
     try:
         yield
     finally:
-        _loudness.reset(token)
+        _verbosity.reset(token)
 
 
 @contextmanager
@@ -57,13 +57,13 @@ def warn(text: str) -> None:
 
 def note(text: str) -> None:
     """A line on stderr that --quiet leaves out."""
-    if _loudness.get() > QUIET:
+    if _verbosity.get() > QUIET:
         print(printable(text), file=sys.stderr)
 
 
 def detail(text: str) -> None:
     """A line on stderr for --verbose."""
-    if _loudness.get() >= VERBOSE:
+    if _verbosity.get() >= VERBOSE:
         note(text)
 
 
@@ -93,7 +93,7 @@ class _Lines:
 
     def __init__(self, label: str) -> None:
         self._label, self._due = label, time.monotonic() + FIRST_LINE_S
-        self._muted = sys.stderr.isatty() or _loudness.get() == QUIET
+        self._muted = sys.stderr.isatty() or _verbosity.get() == QUIET
 
     def say(self, what: str) -> None:
         if not self._muted and time.monotonic() >= self._due:
@@ -103,7 +103,7 @@ class _Lines:
 
 def _hidden() -> bool | None:
     """For tqdm's `disable`: None lets it look for a terminal."""
-    return True if _loudness.get() == QUIET else None
+    return True if _verbosity.get() == QUIET else None
 
 
 def _shown() -> bool:

@@ -8,7 +8,7 @@ from .clock import fit_samples as fit_samples
 from .clock import fit_ticks as fit_ticks
 from .notes import configured as configured
 from .resample import HOLE_PERIODS as HOLE_PERIODS
-from .resample import Channel as Channel
+from .resample import TimedColumns as TimedColumns
 from .resample import align_channels as align_channels
 from .resample import align_table as align_table
 from .skew import measure_skew as measure_skew

@@ -19,7 +19,7 @@ from daq.timing.clock import ImuClock, TickClock, fit_answers, fit_samples, fit_
 from daq.timing.doubts import doubts
 from daq.timing.notes import configured, increasing, unusable
 from daq.timing.polled import pivot_channel, shunt_channel
-from daq.timing.resample import Channel, align_channels
+from daq.timing.resample import TimedColumns, align_channels
 
 RAIL = 32_767
 """Counts of 16 bits at the end of an axis's range."""
@@ -35,7 +35,7 @@ class Decoded(NamedTuple):
 
     epoch_ns: int
     """Host's monotonic clock at the time 0 of the channels [ns]."""
-    channels: list[Channel]
+    channels: list[TimedColumns]
     """At the controller's tick; the torque; with an IMU, last, its samples."""
     bound_s: float
     """How far the time line of the IMU, without one the pivot sensor's, may be off the controller's [s]."""
@@ -69,7 +69,7 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
     flagged: tuple[Doubt, ...] = ()
     if raw.streams["/pivot"].size:
         pivot, late_s = pivot_channel(raw, rig, epoch_ns)
-        channels = [Channel(c.time_s, {n: v for n, v in c.columns.items() if n != "q1_rad"}) for c in channels]
+        channels = [TimedColumns(c.time_s, {n: v for n, v in c.columns.items() if n != "q1_rad"}) for c in channels]
         channels.append(pivot)
         bound_s = late_s + max(clock.bound_s for clock in clocks)
         words["pivot sensor"] = f"each angle within {late_s * 1e6:.0f} us of the host's clock"
@@ -147,7 +147,7 @@ def _sure(raw: RawRun, telemetry: NDArray[np.void], rig: Rig) -> NDArray[np.bool
 
 
 def _leg_channels(raw: RawRun, telemetry: NDArray[np.void], time_ns: FloatArray, rig: Rig,
-                  instant: bool) -> list[Channel]:
+                  instant: bool) -> list[TimedColumns]:
     """Knee, Hall, temperature and command at the tick; the torque there too where its current is `instant`, else half
     a period earlier, for it is the period's mean."""
     rows = increasing(time_ns)
@@ -163,10 +163,10 @@ def _leg_channels(raw: RawRun, telemetry: NDArray[np.void], time_ns: FloatArray,
     period = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
     current: FloatArray = np.where(np.abs(telemetry["current_a"]) <= MOST, telemetry["current_a"], np.nan)
     torque = {"tau2_nm": joint_torque(current, rig.calibration)}
-    return [Channel(time_s, measured), Channel(time_s if instant else time_s - 0.5 * period, torque)]
+    return [TimedColumns(time_s, measured), TimedColumns(time_s if instant else time_s - 0.5 * period, torque)]
 
 
-def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: Rig) -> Channel:
+def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: Rig) -> TimedColumns:
     facts = configured(raw, "imu")
     try:
         scale = (float(facts["gyro_radps_per_lsb"]), float(facts["accel_mps2_per_lsb"]))
@@ -183,16 +183,16 @@ def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: R
     used = np.concatenate((z, x + y)) > LEAST_SHARE
     inside = (np.abs(counts[:, used].astype(np.int32)) < RAIL).all(axis=1)  # clipped, it says only that it was more
     rows, counts = rows[inside], counts[inside]
-    return Channel(clock.time_ns[rows] * 1e-9, imu_columns(counts, scale, rig.calibration))
+    return TimedColumns(clock.time_ns[rows] * 1e-9, imu_columns(counts, scale, rig.calibration))
 
 
-def _distance_channel(readings: NDArray[np.void], epoch_ns: int) -> Channel:
+def _distance_channel(readings: NDArray[np.void], epoch_ns: int) -> TimedColumns:
     """A laser distance meter's readings at the host's times; those that are none are gaps."""
     times: FloatArray = (readings["host_ns"] - epoch_ns).astype(float)
     rows = increasing(times)
     value = readings["distance_m"][rows]
     good = (readings["valid"][rows] != 0) & np.isfinite(value) & (np.abs(value) <= MOST)
-    return Channel(times[rows] * 1e-9, {"distance_m": np.where(good, value, np.nan)})
+    return TimedColumns(times[rows] * 1e-9, {"distance_m": np.where(good, value, np.nan)})
 
 
 def _clock_words(clocks: list[TickClock], polled_ns: FloatArray | None) -> str:

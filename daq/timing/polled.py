@@ -10,7 +10,7 @@ from daq.rig import Rig
 from daq.runs import RawRun
 from daq.si_units import pivot_angle, second_torque
 from daq.timing.notes import configured, increasing, unusable
-from daq.timing.resample import Channel
+from daq.timing.resample import TimedColumns
 from drivers import as5600
 
 STALLED_S = 0.005
@@ -19,7 +19,7 @@ COVERED = 95.0
 """Percent of the samples for which the bound on their time holds."""
 
 
-def pivot_channel(raw: RawRun, rig: Rig, epoch_ns: int) -> tuple[Channel, float]:
+def pivot_channel(raw: RawRun, rig: Rig, epoch_ns: int) -> tuple[TimedColumns, float]:
     """`q1_rad` [rad] of the pivot sensor, not wrapped, and the bound on its samples' times [s].
 
     The chip's filter settles within `as5600.SETTLING_S`, so an angle is between nothing and that old. A reading without
@@ -36,10 +36,10 @@ def pivot_channel(raw: RawRun, rig: Rig, epoch_ns: int) -> tuple[Channel, float]
     for k in np.flatnonzero(good).tolist():
         angle[k] = near = pivot_angle(int(readings["raw"][k]), rig, near)
     bound_s = float(np.percentile(half_s, COVERED)) + 0.5 * as5600.SETTLING_S
-    return Channel(middle * 1e-9, {"q1_rad": angle}), bound_s
+    return TimedColumns(middle * 1e-9, {"q1_rad": angle}), bound_s
 
 
-def shunt_channel(raw: RawRun, rig: Rig, epoch_ns: int) -> Channel:
+def shunt_channel(raw: RawRun, rig: Rig, epoch_ns: int) -> TimedColumns:
     """`tau2_shunt_nm` [N m] of the second shunt.
 
     A reading is the mean of a conversion that ended at most its own length T before it was read, anywhen: its middle is
@@ -56,7 +56,7 @@ def shunt_channel(raw: RawRun, rig: Rig, epoch_ns: int) -> Channel:
     rows = increasing(middle)
     torque = second_torque(readings["raw"][rows] * scale, rig)
     good = (readings["flags"][rows] == 0) & (half_s[rows] >= 0.0) & (half_s[rows] < STALLED_S)
-    return Channel(middle[rows] * 1e-9 - conversion_s, {"tau2_shunt_nm": np.where(good, torque, np.nan)})
+    return TimedColumns(middle[rows] * 1e-9 - conversion_s, {"tau2_shunt_nm": np.where(good, torque, np.nan)})
 
 
 def _times(before: NDArray[np.int64], after: NDArray[np.int64], epoch_ns: int) -> tuple[FloatArray, FloatArray]:

@@ -41,7 +41,7 @@ _SNAP_RATE = 1e-4
 """Largest relative error of the rate at which a grid counts as the nominal one (an oscillator's 100 ppm)."""
 
 
-class Channel(NamedTuple):
+class TimedColumns(NamedTuple):
     """Samples that share their times."""
 
     time_s: FloatArray
@@ -63,12 +63,12 @@ def align_table(table: RawTable, rate_hz: float) -> Dataset:
                          "[sampling]")
     time_s = snapped_times(table.time_s, rate_hz)
     columns = {name: values for name, values in table.columns.items() if name != CLOCK_BOUND}
-    run = align_channels(table.name, [Channel(time_s, columns)], rate_hz)
+    run = align_channels(table.name, [TimedColumns(time_s, columns)], rate_hz)
     bound = table.columns.get(CLOCK_BOUND)
     return run if bound is None else replace(run, clock_bound_s=float(np.max(bound)))
 
 
-def align_channels(name: str, channels: list[Channel], rate_hz: float) -> Dataset:
+def align_channels(name: str, channels: list[TimedColumns], rate_hz: float) -> Dataset:
     """Channels, each at its own times, on one grid over the time that all of them cover.
 
     Raises `InputError` when the times span so much that the grid would be empty nearly everywhere.

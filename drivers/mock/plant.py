@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 
-class State(Protocol):
+class JointState(Protocol):
     """Joint state [rad, rad/s, rad/s2], signs as in the CSV contract.
 
     It may also have `q2_motor`, the knee motor's angle divided by the gear ratio [rad], where that differs from
@@ -28,7 +28,7 @@ class State(Protocol):
 class Plant(Protocol):
     """Physics advanced in small steps."""
 
-    def step(self, dt_s: float, torque_nm: float) -> State:
+    def step(self, dt_s: float, torque_nm: float) -> JointState:
         """State after `dt_s` [s] with this mean joint torque at the knee [N m]."""
 
 
@@ -65,7 +65,7 @@ class Snapshot(NamedTuple):
     q2_motor: float
 
 
-def snapshot(state: State) -> Snapshot:
+def snapshot(state: JointState) -> Snapshot:
     """Copy of the plant's state."""
     return Snapshot(float(state.q1), float(state.q2), float(state.q1d), float(state.q2d), float(state.q1dd),
                     float(getattr(state, "q2_motor", state.q2)))

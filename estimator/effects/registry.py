@@ -10,7 +10,7 @@ from pkgutil import iter_modules
 
 from estimator.effects import sensors
 from estimator.effects.base import BodyEffect, Effect, Perturbation, Points, SensorEffect, Shape, Size, View
-from estimator.effects.by_leg import by_leg
+from estimator.effects.hip_effect import hip_effect
 from estimator.model import Mechanism
 
 UNTESTABLE = {
@@ -65,7 +65,7 @@ def library(mechanism: Mechanism, has_imu: bool, encoders: Collection[int] | Non
 def placed(kind: type[Effect], joint: int | None, mechanism: Mechanism) -> Effect:
     """An effect of this kind on this rig, at a joint (0-based), of a walker at the hip of a leg."""
     if joint is not None and joint in mechanism.exchanged:
-        return by_leg(kind, joint, mechanism.exchanged)
+        return hip_effect(kind, joint, mechanism.exchanged)
     effect = kind(joint)
     effect.slide = mechanism.length_unit == "m"
     return effect

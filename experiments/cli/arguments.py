@@ -21,19 +21,19 @@ def add_output(parser: argparse._ActionsContainer, flag: str, kind: Kind, metava
     parser.set_defaults(outputs=(*(parser.get_default("outputs") or ()), (action.dest, kind)))
 
 
-def add_loudness(parser: argparse.ArgumentParser) -> None:
+def add_verbosity(parser: argparse.ArgumentParser) -> None:
     """`--quiet` and `--verbose`, for a command and those below it."""
     from experiments.console import QUIET, VERBOSE
 
     how = parser.add_mutually_exclusive_group()
-    how.add_argument("--quiet", dest="loudness", action="store_const", const=QUIET, default=argparse.SUPPRESS,
+    how.add_argument("--quiet", dest="verbosity", action="store_const", const=QUIET, default=argparse.SUPPRESS,
                      help="no progress and no notes, only results, warnings and errors")
-    how.add_argument("--verbose", dest="loudness", action="store_const", const=VERBOSE, default=argparse.SUPPRESS,
+    how.add_argument("--verbose", dest="verbosity", action="store_const", const=VERBOSE, default=argparse.SUPPRESS,
                      help="also what was read and how long it took")
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for below in action.choices.values():
-                add_loudness(below)
+                add_verbosity(below)
 
 
 def add_rig(parser: argparse.ArgumentParser, runs: bool = True) -> None:

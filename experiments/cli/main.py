@@ -17,8 +17,8 @@ from typing import Any, NoReturn
 from daq import InputError, WorkError, did_you_mean, replacing_anything
 from drivers import DriverError
 from estimator import FitError
-from experiments.cli.arguments import add_loudness, check_outputs
-from experiments.console import USUAL, PlainOutput, commanded, detail, loudness, printable
+from experiments.cli.arguments import add_verbosity, check_outputs
+from experiments.console import USUAL, PlainOutput, commanded, detail, printable, verbosity
 
 HELP_ORDER = ("demo", "record", "calibrate", "info", "recover", "import_", "export", "fit", "tune", "validate",
               "compare", "diagnose", "effects", "simulate", "gains", "casebook", "monte_carlo", "doctor", "runs",
@@ -90,7 +90,7 @@ def build_parser() -> Parser:
     for name in sorted((info.name for info in iter_modules([str(folder)])), key=lambda n: place.get(n, len(place))):
         import_module(f"experiments.cli.commands.{name}").add_parser(subparsers)
     for command in subparsers.choices.values():
-        add_loudness(command)
+        add_verbosity(command)
     return parser
 
 
@@ -118,7 +118,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             argcomplete.autocomplete(parser)
         args = parser.parse_args(argv)
         name = f"legid {args.command}"
-        with replacing_anything(getattr(args, "force", False)), loudness(getattr(args, "loudness", USUAL)):
+        with replacing_anything(getattr(args, "force", False)), verbosity(getattr(args, "verbosity", USUAL)):
             started = time.monotonic()
             check_outputs(args)
             with redirect_stdout(PlainOutput(sys.stdout)), commanded(sys.argv[1:] if argv is None else argv):

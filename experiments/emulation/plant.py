@@ -68,7 +68,7 @@ class LegBody:
                 *self.viscous, *self.coulomb)
 
 
-class State(NamedTuple):
+class LegState(NamedTuple):
     """Motion at one instant; angles by docs/formats.md [rad], rates [rad/s], accelerations [rad/s2]."""
 
     q1: float
@@ -98,10 +98,10 @@ class LegPlant:
         self._torque = 0.0
 
     @property
-    def state(self) -> State:
+    def state(self) -> LegState:
         """Motion now, under the torque of the last step."""
         modes = self._modes(self._x, self._torque)
-        return State(*self._x, *self._acceleration(self._x, self._torque, modes))
+        return LegState(*self._x, *self._acceleration(self._x, self._torque, modes))
 
     def energy(self) -> float:
         """Kinetic plus potential energy [J], zero at rest hanging straight down."""
@@ -114,7 +114,7 @@ class LegPlant:
         height2 = b.l1 * (1.0 - cos(q1)) + b.c2 * (1.0 - cos(q1 + q2))
         return kinetic + b.gravity * (b.m1 * height1 + b.m2 * height2)
 
-    def step(self, dt: float, torque: float) -> State:
+    def step(self, dt: float, torque: float) -> LegState:
         """Motion after `dt` seconds of a constant knee torque [N m]."""
         self._torque = torque = float(torque)
         parts = max(1, ceil(dt / MAX_STEP_S - 1e-9))

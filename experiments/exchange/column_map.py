@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from daq import Column, Dataset, FloatArray, InputError
 from daq.runs import MIN_SAMPLES, is_contract_column
-from daq.timing import Channel, align_channels
+from daq.timing import TimedColumns, align_channels
 from experiments.exchange.foreign import Foreign, Table
 from experiments.exchange.units import factor
 
@@ -103,7 +103,7 @@ def apply_map(foreign: Foreign, columns: ColumnMap, rate_hz: float | None = None
     return run
 
 
-def _channels(foreign: Foreign, columns: ColumnMap) -> list[Channel]:
+def _channels(foreign: Foreign, columns: ColumnMap) -> list[TimedColumns]:
     """Columns in SI units, those of the same times together; times count from the first."""
     groups: dict[Key, dict[str, FloatArray]] = defaultdict(dict)
     clocks: dict[Key, FloatArray] = {}
@@ -120,7 +120,7 @@ def _channels(foreign: Foreign, columns: ColumnMap) -> list[Channel]:
     for key, group in groups.items():
         rows = _increasing(foreign.name, clocks[key])
         for times, names in _sparse({name: values[rows] for name, values in group.items()}, clocks[key][rows]):
-            out.append(Channel(times, names))
+            out.append(TimedColumns(times, names))
     return out
 
 

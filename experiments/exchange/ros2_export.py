@@ -23,7 +23,7 @@ from mcap.writer import CompressionType, Writer
 
 from daq import Dataset, FloatArray, InputError, Rig, load_rig, write_file
 from daq.runs import IMU, RawRun, read_run
-from daq.timing import Channel, decode, recorded_rig
+from daq.timing import TimedColumns, decode, recorded_rig
 from experiments.exchange.reading import is_native, load_to_convert
 
 LIBRARY = "ros2 messages by legid"
@@ -57,12 +57,12 @@ def export_ros2(path: Path | str, rig_path: Path | str | None, out: Path | str) 
     return Exported(_write(Path(out), topics, store), notes)
 
 
-def _samples(path: Path | str, rig_path: Path | str | None) -> tuple[list[Channel], int, float, list[str]]:
+def _samples(path: Path | str, rig_path: Path | str | None) -> tuple[list[TimedColumns], int, float, list[str]]:
     """Channels in SI units, the wall clock at their time 0 [ns since 1970], the clocks' bound [s], what is unknown."""
     if not is_native(path):
         run: Dataset = load_to_convert(path, rig_path, None)
         notes = ["the file has no wall clock: times count from 1970"]
-        return [Channel(run.time_s, run.columns)], 0, run.clock_bound_s, notes
+        return [TimedColumns(run.time_s, run.columns)], 0, run.clock_bound_s, notes
     raw = read_run(path)
     rig: Rig = recorded_rig(raw) if rig_path is None else load_rig(rig_path)
     found = decode(raw, rig)
@@ -77,7 +77,7 @@ def _wall_clock_ns(raw: RawRun, epoch_ns: int) -> tuple[int, list[str]]:
     return int(facts["started_unix_ns"]) - int(facts["started_monotonic_ns"]) + epoch_ns, []
 
 
-def _messages(channels: Sequence[Channel], start_ns: int, store: Any) -> dict[str, tuple[str, list[Message]]]:
+def _messages(channels: Sequence[TimedColumns], start_ns: int, store: Any) -> dict[str, tuple[str, list[Message]]]:
     """Topic -> its type and (time, CDR) of every message."""
     types = store.types
     time_type, header_type = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
@@ -87,7 +87,7 @@ def _messages(channels: Sequence[Channel], start_ns: int, store: Any) -> dict[st
     empty = np.zeros(0)
     upright = quaternion(0.0, 0.0, 0.0, 1.0)
 
-    def stamped(channel: Channel, kind: str, frame: str, build: Callable[[Any, int], Any]) -> list[Message]:
+    def stamped(channel: TimedColumns, kind: str, frame: str, build: Callable[[Any, int], Any]) -> list[Message]:
         out = []
         for k, t in enumerate(np.rint(channel.time_s * 1e9).astype(np.int64)):
             at = start_ns + int(t)

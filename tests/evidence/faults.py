@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.mock.plant import State
+from drivers.mock.plant import JointState
 from drivers.mock.settings import FirmwareSettings
 from tests.evidence.fault_list import FAULTS
 from tests.evidence.registry import Evidence
@@ -40,7 +40,7 @@ def turned_rad(after_s: float) -> float:
     bench, passed_s, turned = FaultBench(lambda bench: None, "never"), 0.0, 0.0
     step = bench.mock._plant.step
 
-    def watched(dt_s: float, torque_nm: float) -> State:
+    def watched(dt_s: float, torque_nm: float) -> JointState:
         nonlocal passed_s, turned
         state = step(dt_s, torque_nm)
         passed_s += dt_s if torque_nm or passed_s else 0.0

@@ -5,6 +5,7 @@ The physical parameters are seeded; `record` returns a `Dataset` with the noise 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import mujoco
@@ -95,19 +96,18 @@ def record(leg: Leg, rng: np.random.Generator, *, seconds: float = 20.0, rate_hz
         tau = multisine(rng, time, amplitude, high=high)
     tau_next = np.append(tau[1:], tau[-1])
     rows = np.empty((n, 6))
-    coulomb = np.array(leg.coulomb)
+    applied, qpos, qvel, sensed = data.qfrc_applied, data.qpos, data.qvel, data.sensordata  # views: MuJoCo's own memory
+    (dry1, dry2), (stiffness, rest) = leg.coulomb, spring
     for k in range(n):
+        now, slope = float(tau[k]), 0.0 if hold == "zero" else float(tau_next[k] - tau[k]) / sub
         for i in range(sub):
-            u = tau[k] if hold == "zero" else tau[k] + (tau_next[k] - tau[k]) * (i + 0.5) / sub
-            friction = -coulomb * np.tanh(data.qvel / friction_velocity)
-            data.qfrc_applied[:] = friction
-            data.qfrc_applied[1] += u
-            data.qfrc_applied[0] -= spring[0] * (data.qpos[0] - spring[1])
+            v1, v2 = qvel.tolist()
+            applied[:] = (-dry1 * math.tanh(v1 / friction_velocity) - stiffness * (qpos[0] - rest),
+                          -dry2 * math.tanh(v2 / friction_velocity) + now + slope * (i + 0.5))
             if i == 0:
                 mujoco.mj_forward(model, data)
-                s = data.sensordata
                 # MuJoCo: x forward, z up along the link towards the pivot, rotation about -y
-                rows[k] = data.qpos[0], data.qpos[1], -s[4], s[0], -s[2], tau[k]
+                rows[k] = qpos[0], qpos[1], -sensed[4], sensed[0], -sensed[2], now
             mujoco.mj_step(model, data)
     q1, q2, w, ax, ay, u = rows.T
     grid = 2 * np.pi / counts

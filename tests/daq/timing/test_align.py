@@ -15,7 +15,7 @@ from daq.rig import parse_rig
 from daq.runs.csv_run import RawTable
 from daq.runs.mcap_run import RunWriter, read_run
 from daq.timing.align import decode, recorded_rig
-from daq.timing.resample import Channel, align_channels, align_table, snapped_times
+from daq.timing.resample import TimedColumns, align_channels, align_table, snapped_times
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import Lsm9ds1
 from drivers.mock.clock import VirtualClock
@@ -96,7 +96,7 @@ def test_channels_of_different_rates_carry_the_same_filter() -> None:
     """A slow channel beside a fast one gets the same window, so that their relation is not bent."""
     w = 2 * np.pi * 5.0
     fast, slow = np.arange(0, 10, 1 / 500), np.arange(0.0013, 10, 1 / 119)
-    channels = [Channel(fast, {"a": np.sin(w * fast)}), Channel(slow, {"b": np.sin(w * slow)})]
+    channels = [TimedColumns(fast, {"a": np.sin(w * fast)}), TimedColumns(slow, {"b": np.sin(w * slow)})]
     run = align_channels("r", channels, 100.0)
     inner = slice(5, -5)
     np.testing.assert_allclose(run["a"][inner], run["b"][inner], atol=5e-4)

@@ -60,11 +60,11 @@ def test_progress_is_told_where_there_is_no_terminal(capsys: pytest.CaptureFixtu
     monkeypatch.setattr(console, "FIRST_LINE_S", 0.0)
     for level, lines in ((console.USUAL, 1), (console.QUIET, 0)):
         capsys.readouterr()
-        with console.loudness(level), console.stages("diagnosing") as show:
+        with console.verbosity(level), console.stages("diagnosing") as show:
             show("fitting", 0.25)
             show("scoring", 0.5)
         assert capsys.readouterr().err == "diagnosing: fitting, 25 %\n" * lines
-        with console.loudness(level):
+        with console.verbosity(level):
             assert list(console.progress([1, 2, 3], "reading", unit="run")) == [1, 2, 3]
         assert capsys.readouterr().err == "reading: 0 of 3 runs\n" * lines
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from experiments.emulation.plant import LegBody, LegPlant, State
+from experiments.emulation.plant import LegBody, LegPlant, LegState
 
 FREE = LegBody(viscous=(0.0, 0.0), coulomb=(0.0, 0.0))
 
@@ -67,7 +67,7 @@ def test_motion_agrees_with_mujoco() -> None:
     assert state[:4] == pytest.approx([*data.qpos, *data.qvel], abs=2e-6)
 
 
-def hang(torque: float, coulomb: tuple[float, float]) -> State:
+def hang(torque: float, coulomb: tuple[float, float]) -> LegState:
     plant = LegPlant(LegBody(coulomb=coulomb))
     for _ in range(200):
         state = plant.step(5e-4, torque)

@@ -1,4 +1,4 @@
-"""`by_leg`: an effect of one hip of a walker, whose place in the mechanism changes with the leg that stands.
+"""`hip_effect`: an effect of one hip of a walker, whose place in the mechanism changes with the leg that stands.
 
 A mechanism whose joints are by role (`Mechanism.exchanged`) has the hip of leg 1 at one joint as leg 1 stands and at
 the other as leg 2 does. An effect of that hip is the effect at one joint over some steps, and at the other over the
@@ -41,13 +41,13 @@ class Half:
         return replace(view, angle_range=reach)
 
 
-class _ByLeg(Effect):
+class _HipEffect(Effect):
     """Beside an effect's class: what it adds is that of two of its kind by turns."""
 
     halves: tuple[Half, Half]
 
     def __reduce__(self) -> tuple[object, ...]:  # its class is made on the spot: another process makes its own
-        return by_leg, (type(self.halves[0].effect), self.joint, self.halves[0].pair)
+        return hip_effect, (type(self.halves[0].effect), self.joint, self.halves[0].pair)
 
     @property
     def parts(self) -> tuple[Joined, ...]:
@@ -79,10 +79,10 @@ class _ByLeg(Effect):
         return out
 
 
-def by_leg(kind: type[Effect], joint: int, pair: tuple[int, ...]) -> Effect:
+def hip_effect(kind: type[Effect], joint: int, pair: tuple[int, ...]) -> Effect:
     """An effect of this kind at the hip that is `joint` (of `pair`) as leg 1 stands and the other of the pair as leg 2
     does."""
     other = pair[1] if joint == pair[0] else pair[0]
-    effect: _ByLeg = type(kind.__name__, (_ByLeg, kind), {"__module__": kind.__module__})(joint)
+    effect: _HipEffect = type(kind.__name__, (_HipEffect, kind), {"__module__": kind.__module__})(joint)
     effect.halves = Half(kind(joint), False, pair), Half(kind(other), True, pair)
     return effect
