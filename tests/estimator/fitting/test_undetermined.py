@@ -142,7 +142,7 @@ def test_no_model_is_written_with_values_that_mean_nothing(tmp_path: Path, capsy
 
 @pytest.mark.parametrize(("method", "sensors"), WAYS[2:])
 def test_a_good_record_is_not_accused(method: Method, sensors: str) -> None:
-    run = record(LEG, np.random.default_rng(5), seconds=8.0)
+    run = record(LEG, np.random.default_rng(5), seconds=4.0)
     assert fit([run], leg2(lever_arm=LEG.lever), FitOptions(sensors=sensors), method).undetermined == ()
 
 
