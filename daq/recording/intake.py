@@ -70,7 +70,9 @@ class ControllerIntake:
                  now_ns: Callable[[], int]) -> None:
         if controller.hello is None:
             raise ValueError("open the leg controller before recording")
-        self.boot_id = self.first_boot_id = controller.hello.boot_id
+        self.hello = controller.hello
+        """As it was when the recording began."""
+        self.boot_id = self.first_boot_id = self.hello.boot_id
         self.heard_ns = now_ns()
         """Host time of the last telemetry. Heartbeats and answers do not count: they say nothing of the leg."""
         self.telemetry: Telemetry | None = None

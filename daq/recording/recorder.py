@@ -64,8 +64,6 @@ class Recorder:
                  supervisor: Supervisor | None = None, now_ns: Callable[[], int] = time.monotonic_ns,
                  threaded: bool = True, progress: Progress | None = None, remote: Remote | None = None,
                  sensors: Sensors | None = None) -> None:
-        if controller.hello is None:
-            raise ValueError("open the leg controller before recording")
         self.supervisor = supervisor or Supervisor(rig.limits)
         self._rig, self._controller, self._writer = rig, controller, writer
         self._now_ns, self._threaded, self._progress, self._remote = now_ns, threaded, progress, remote
@@ -77,7 +75,7 @@ class Recorder:
         self._imu = None if imu is None else ImuIntake(imu, self._sink, rig.calibration, now_ns, slow_hz)
         rate = imu.config.rate_hz if imu else 238.0
         self._sensors = SensorIntakes(sensors or Sensors(), self._sink, rig, now_ns)
-        self._senses = Senses(rig, controller.hello, self._leg, self._imu, rate, now_ns(), self._sensors,
+        self._senses = Senses(rig, self._leg.hello, self._leg, self._imu, rate, now_ns(), self._sensors,
                               controller.capabilities.polled)
         self._drain_every_s = min(DRAIN_EVERY_S, FIFO_DEPTH / rate / 3)
         self._watchdog_ms = (rig.devices.controller or ControllerDevice()).watchdog_ms

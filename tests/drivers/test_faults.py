@@ -13,12 +13,12 @@ from drivers.errors import DriverError, LinkLost
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
 from drivers.mock.clock import VirtualClock
-from drivers.mock.faults import KINDS, FaultyI2C, FaultyLink, FaultyWire, WireFaults
 from drivers.mock.link import EmulatorLink
 from drivers.mock.lsm9ds1 import MockLsm9ds1
 from drivers.mock.plant import StillPlant
 from drivers.mock.rig import MockRig
 from drivers.protocol import Decoder, Telemetry, encode
+from tests.support.device_faults import KINDS, FaultyI2C, FaultyLink, FaultyWire, WireFaults
 
 TELEMETRY = Telemetry(0, 0, 1, 0, 0.5, -0.25, 0.5, 0.125, 24.0, 30.5, 0.125)
 

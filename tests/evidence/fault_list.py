@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 from daq.runs import mcap_run
-from drivers.mock.faults import WireFaults
 from drivers.protocol import State, Telemetry
+from tests.support.device_faults import WireFaults
 from tests.support.fault_bench import FaultBench
 
 Fault = Callable[[FaultBench], None]

@@ -15,9 +15,9 @@ from fastcrc import crc16
 
 from drivers import dynamixel
 from drivers.can_codec import CanCodec
-from drivers.mock.faults import KINDS, FaultyWire, WireFaults
 from drivers.protocol import Decoder, Fault, FaultReport, Hello, Message, Pong, Telemetry, encode
 from tests.evidence.registry import Evidence, shares
+from tests.support.device_faults import KINDS, FaultyWire, WireFaults
 
 TELEMETRY = Telemetry(0, 0, 1, 0, 0.0, 0.0, 0.0, 0.0, 24.0, 30.5, 0.125)
 CRC_ODDS = 2.0**-16

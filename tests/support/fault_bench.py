@@ -19,11 +19,11 @@ from drivers.errors import DriverError
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
 from drivers.mock.clock import VirtualClock
-from drivers.mock.faults import FaultyDisk, FaultyI2C, FaultyLink, FaultyWire, WireFaults
 from drivers.mock.link import EmulatorLink
 from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings, ImuSettings
 from experiments.emulation.plant import LegPlant
+from tests.support.device_faults import FaultyDisk, FaultyI2C, FaultyLink, FaultyWire, WireFaults
 
 MOMENTS = ("arming", "ramp", "driving", "stopping")
 RIG = """[mechanism]

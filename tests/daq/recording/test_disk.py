@@ -17,9 +17,9 @@ from daq.recording.recorder import Recorder
 from daq.runs import mcap_run
 from daq.runs.mcap_run import RunWriter, read_run
 from drivers.leg_controller import LegController
-from drivers.mock.faults import FaultyDisk
 from drivers.mock.rig import MockRig
 from drivers.protocol import State
+from tests.support.device_faults import FaultyDisk
 from tests.support.recordings import sine, threaded
 
 LIMITS = "staleness_s = 2.0\nclock_bound_s = 1.0\nunsaved_s = 1.3\n"

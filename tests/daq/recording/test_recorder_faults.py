@@ -20,7 +20,6 @@ from drivers.can_codec import CanCodec
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import ImuConfig, Lsm9ds1
 from drivers.mock.clock import VirtualClock
-from drivers.mock.faults import FaultyDisk, FaultyLink, FaultyWire, WireFaults
 from drivers.mock.link import EmulatorLink
 from drivers.mock.plant import StillPlant
 from drivers.mock.pty_server import PtyServer
@@ -28,6 +27,7 @@ from drivers.mock.rig import MockRig
 from drivers.mock.settings import FirmwareSettings, ImuSettings
 from drivers.protocol import Decoder, State, Telemetry
 from drivers.serial_link import SerialLink
+from tests.support.device_faults import FaultyDisk, FaultyLink, FaultyWire, WireFaults
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
 from tests.support.runs import load_run

@@ -16,7 +16,6 @@ from daq.rig import Rig
 from daq.rig_devices import ControllerDevice
 from drivers.errors import DeviceAbsent
 from drivers.i2c_bus import open_bus
-from drivers.mock.faults import FaultyDisk, FaultyWire, WireFaults
 from drivers.mock.plant import StillPlant, StillState
 from drivers.mock.pty_server import PtyServer
 from drivers.mock.rig import MockRig
@@ -25,6 +24,7 @@ from drivers.protocol import Fault
 from drivers.serial_link import SerialLink
 from experiments.cli import main
 from experiments.doctor import bus, link, preflight
+from tests.support.device_faults import FaultyDisk, FaultyWire, WireFaults
 from tests.support.processes import REAL_CLOCK
 
 pytestmark = REAL_CLOCK
