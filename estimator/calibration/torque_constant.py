@@ -25,6 +25,9 @@ FEWEST = 6
 SPREAD = 0.15
 """Standard deviation of sin(theta) that the holds of either kind must have."""
 WORST_CONDITION = 200.0
+FRICTION_SHARE = 0.15
+"""By so much friction may differ between hanging and the largest angle of either load: no scatter shows it, for it goes
+with the angle as the weight does."""
 
 
 class Holds(NamedTuple):
@@ -58,6 +61,8 @@ class TorqueConstant(NamedTuple):
     """Of the 95 % interval, weight and arm included."""
     half_holds: float
     """The share of the holds' scatter in it."""
+    half_friction: float
+    """The share of friction that differs with the angle."""
     friction_nm: float
     """F, without the weight."""
     own_moment_kgm: float
@@ -96,8 +101,21 @@ def fit_torque_constant(holds: Holds, weight: Weight, gravity_mps2: float) -> To
                        "the encoder's direction")
     direction = theta[:2] / slope
     share = float(student.ppf(0.975, dof) * np.sqrt(direction @ cover[:2, :2] @ direction)) / slope
+    one = direction @ np.linalg.pinv(table)[:2]
+    by_friction = FRICTION_SHARE * sum(abs(float(one @ uneven)) for uneven in _uneven(theta, sine, holds)) / slope
     constant = weight.mass_kg * weight.arm_m * gravity_mps2 / slope
     known = float(np.hypot(weight.mass_half_kg / weight.mass_kg, weight.arm_half_m / weight.arm_m))
-    return TorqueConstant(constant, constant * float(np.hypot(share, known)), constant * share,
-                          constant * float(theta[4]), constant * float(np.hypot(theta[2], theta[3])) / gravity_mps2,
-                          constant * float(np.sqrt(residual @ residual / dof)), float(np.arctan2(theta[1], theta[0])))
+    half = constant * float(np.sqrt(share**2 + known**2 + by_friction**2))
+    own_moment = constant * float(np.hypot(theta[2], theta[3])) / gravity_mps2
+    return TorqueConstant(constant, half, constant * share, constant * by_friction, constant * float(theta[4]),
+                          own_moment, constant * float(np.sqrt(residual @ residual / dof)),
+                          float(np.arctan2(theta[1], theta[0])))
+
+
+def _uneven(theta: FloatArray, sine: FloatArray, holds: Holds) -> list[FloatArray]:
+    """For each load the friction's current (n,) that grows with the sine of the angle from nothing to all of it."""
+    found = []
+    for load, level in ((0.0, theta[4]), (1.0, theta[4] + theta[5])):
+        mine = holds.weighted == load
+        found.append(np.where(mine, level * holds.side * np.abs(sine) / np.abs(sine[mine]).max(), 0.0))
+    return found

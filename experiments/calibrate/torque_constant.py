@@ -23,7 +23,7 @@ MOVED_RAD = 0.01
 OVERSHOT_RAD = 0.004
 """One that came back by more than this rests on no known side of its friction."""
 ASSUMED = (
-    "friction as large in either direction, at each of the two loads",
+    "friction as large in either direction at each of the two loads, and over the angles within 15 %",
     "a linear current sensor, a constant torque constant, no gear that gives back less than it takes",
     "the weight on the link's axis and rigidly fixed, its mass and arm as given",
     "the pivot's angle by gravity at rest, the knee's by its encoder",
@@ -91,7 +91,8 @@ def calibrate_torque_constant(bare: Sequence[Dataset], weighted: Sequence[Datase
     left_out = sum(f.left_out for f, _ in found)
     lines = [f"{holds.current.size} holds, {int(holds.weighted.sum())} of them with the weight; {left_out} left out: "
              "moving, or resting on an unknown side of their friction",
-             f"torque constant: {fit.value:.5g} +- {fit.half:.2g} N m/A (95 %; by the holds {fit.half_holds:.2g})",
+             f"torque constant: {fit.value:.5g} +- {fit.half:.2g} N m/A (95 %; by scatter "
+             f"{fit.half_holds:.2g}, by friction {fit.half_friction:.2g})",
              f"rig.toml had {old:g}: the torque gain is {fit.value / old:.4f} +- {fit.half / old:.2g}",
              f"with it: friction {fit.friction_nm:.3g} N m, the link's own moment {fit.own_moment_kgm:.4g} kg m, "
              f"scatter of a hold {fit.residual_nm:.2g} N m, zero of the angle {fit.tilt_rad:+.3f} rad",

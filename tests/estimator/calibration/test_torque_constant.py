@@ -37,7 +37,16 @@ def test_a_zero_of_the_angle_that_is_off_does_not_spoil_it(tilt: float) -> None:
 
 def test_the_interval_holds_in_nineteen_of_twenty() -> None:
     found = [fit_torque_constant(holds(seed), WEIGHT, G) for seed in range(400)]
-    assert 0.92 < np.mean([abs(f.value - 0.9) < f.half for f in found]) < 0.98
+    assert 0.92 < np.mean([abs(f.value - 0.9) < f.half_holds for f in found]) < 0.98
+    assert all(f.half > np.hypot(f.half_holds, 0.99 * f.half_friction) for f in found)
+
+
+@pytest.mark.parametrize("share", [-0.15, 0.15])
+def test_friction_that_grows_with_the_angle_stays_within_the_interval(share: float) -> None:
+    made = holds(1, scatter=0.0)
+    uneven = 0.04 * (1 + 0.5 * made.weighted) * share * made.side * np.abs(np.sin(made.angle_rad)) / np.sin(0.9)
+    found = fit_torque_constant(made._replace(current=made.current + uneven / 0.9), WEIGHT, G)
+    assert 1e-4 < abs(found.value - 0.9) < found.half
 
 
 def test_the_weight_s_own_error_widens_it() -> None:
