@@ -58,7 +58,7 @@ Role = Literal["assumption", "warning", "fault", "remedy", "doubt", "fact"]
 FindingKind = Literal["run_set_aside", "run_doubt", "rig_contradiction", "run_note", "choice", "servo_gain",
                       "noise_share", "level_at_zero", "level_negative", "impossible", "columns", "not_converged",
                       "undetermined", "torque_residual", "passive_joint", "sensor_residual", "torque_fit",
-                      "runs_disagree", "loose", "not_shown"]
+                      "runs_disagree", "estimators_disagree", "loose", "not_shown"]
 
 
 @dataclass(frozen=True)
@@ -111,6 +111,39 @@ class RunNoise:
 
 
 @dataclass(frozen=True)
+class SecondOpinion:
+    """Another estimate of the same p parameters from the same data, by a method that fails differently."""
+
+    method: ResultMethod
+    """Of this estimate: shooting, or mle where a fit reports shooting."""
+    beta: FloatArray
+    """(p,)"""
+    half_width: FloatArray
+    """(p,) half of each 95 % interval."""
+    disagreement: FloatArray
+    """(p,) |difference| of both estimates over the root of the sum of both squared half widths; NaN where not compared:
+    given, at a bound, or not determined by both."""
+    held_out: HeldOut | None = None
+    """Which of both predicts better; asked where they disagree. None: not asked, or too little data to ask."""
+
+    @property
+    def largest(self) -> float:
+        """Of the disagreements; 0 where nothing is compared."""
+        return float(np.nanmax(self.disagreement)) if np.isfinite(self.disagreement).any() else 0.0
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Both methods fitted to one half of the data predict the other half, and the reverse."""
+
+    gain: float
+    """Share by which the rms error over a second is lower with shooting than with mle: geometric mean over seconds."""
+    ci95: tuple[float, float]
+    segments: int
+    """Seconds predicted."""
+
+
+@dataclass(frozen=True)
 class FitResult:
     """Identified parameters with their covariance, noise levels and the motion they came with."""
 
@@ -152,6 +185,8 @@ class FitResult:
     run_noise: RunNoise | None = None
     """Where runs have levels of their own, each weighs by its own; `noise` is then their root mean square over samples.
     None: all runs have those."""
+    second_opinion: SecondOpinion | None = None
+    """Of a method that fails differently. None: not asked, or it came to no end."""
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from estimator.fitting.prediction import (
 )
 from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.scale import has_torque, require_scale
+from estimator.fitting.second_opinion import MOST_DISAGREEMENT, with_second_opinion
 from estimator.fitting.validation import Validation, validate
 from estimator.fitting.walking import StepsAhead, WalkAhead, Whole, walk_ahead
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
@@ -27,6 +28,7 @@ from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 __all__ = [
     "HORIZONS_S",
     "MAX_ITERATIONS",
+    "MOST_DISAGREEMENT",
     "PASSIVE_SHARE",
     "TORQUE_SHARE",
     "Horizons",
@@ -61,5 +63,6 @@ __all__ = [
     "torque_levels",
     "validate",
     "walk_ahead",
-    "weighted_least_squares"
+    "weighted_least_squares",
+    "with_second_opinion"
 ]

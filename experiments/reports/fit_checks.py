@@ -10,6 +10,7 @@ import numpy as np
 from estimator import Finding, FitResult
 from experiments.reports.residual_tests import STRONG, autocorrelation, residuals_of, torque_fit, torque_step
 from experiments.reports.run_agreement import disputed
+from experiments.reports.second_opinion import disagreement
 
 STRUCTURE = 0.3
 """Correlation of a driven joint's torque residual, at any of 25 lags, beyond which the model lacks something."""
@@ -38,10 +39,11 @@ def check_fit(result: FitResult) -> list[Finding]:
 
 def _doubts(result: FitResult) -> list[Finding]:
     """Reasons not to trust the parameters."""
-    found: list[Finding] = []
-    if result.method == "mle":
+    apart = disagreement(result)
+    found = [] if apart is None else [Finding("doubt", "estimators_disagree", apart)]
+    if result.method in ("mle", "shooting"):
         allowed = "; the intervals allow for what runs disagree about" if _disputes(result) else \
-            " and the intervals are too narrow"
+            "" if result.method == "shooting" else " and the intervals are too narrow"
         found += [Finding("doubt", "torque_residual", f"the torque left over at joint {j} has structure (correlation "
                           f"{r:.2f}, {STRUCTURE:g} allowed), so something is missing in the model{allowed}: see legid "
                           "diagnose") for j, r in _structure(result).items() if r > STRUCTURE]

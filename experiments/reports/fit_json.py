@@ -16,6 +16,7 @@ from experiments.provenance import program_version
 from experiments.reports.fit_checks import check_fit
 from experiments.reports.residual_tests import residual_tests
 from experiments.reports.run_agreement import agreement_document
+from experiments.reports.second_opinion import opinion_document
 from experiments.reports.trust import fit_trust
 
 FIT_SCHEMA = "legid.fit/1"
@@ -45,7 +46,7 @@ def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, An
         "converged": bool(result.converged), "iterations": int(result.iterations), "samples": int(result.samples),
         "wall_s": float(result.wall_s), "undetermined": list(map(str, result.undetermined)),
         "hold": {"name": result.hold, "chosen": result.hold_margin is not None, "margin": result.hold_margin},
-        "agreement": agreement_document(result),
+        "agreement": agreement_document(result), "second_opinion": opinion_document(result),
         "inadmissible": list(result.inadmissible), "remedies": list(result.remedies),
         "warnings": list(result.warnings), "assumptions": list(result.assumptions),
         "findings": [{"role": one.role, "kind": one.kind, "text": one.text}

@@ -25,6 +25,7 @@ from experiments.reports.residual_tests import (
     torque_fit,
 )
 from experiments.reports.run_agreement import agreement_section
+from experiments.reports.second_opinion import opinion_section
 
 FIGURE_SECONDS = 12.0
 WORTH_CUTTING = 1.2
@@ -52,7 +53,7 @@ def _sensors(result: FitResult) -> str:
 
 def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[Section]:
     """Everything a fit alone can show; `benchmark` is a second model for the torques (the paper's Fig. 5)."""
-    sections = [_parameters(result), *agreement_section(result), *_sensors_section(result),
+    sections = [_parameters(result), *agreement_section(result), *opinion_section(result), *_sensors_section(result),
                 *_torques(result, benchmark), *_residuals(result), _noise(result)]
     return [*sections, _limits(result)]
 

@@ -12,6 +12,7 @@ from experiments.console import text_table
 from experiments.reports.friction_form import friction_lines
 from experiments.reports.numbers import number
 from experiments.reports.run_agreement import agreement_lines
+from experiments.reports.second_opinion import opinion_lines
 
 
 def parameter_rows(result: FitResult) -> list[list[str]]:
@@ -99,6 +100,7 @@ def fit_text(result: FitResult, model: str) -> str:
         lines.append(VOLTS)
     lines += friction_lines(result)
     lines += agreement_lines(result)
+    lines += opinion_lines(result)
     lines += [f"not determined by this data: {name}" for name in result.undetermined]
     lines += [f"warning: {text}" for text in (*result.inadmissible, *result.warnings)]
     lines += [f"assumed: {text}" for text in result.assumptions]

@@ -108,7 +108,7 @@ def open_torque(result: FitResult, path: Trajectory, j: int) -> NDArray[np.bool_
     rms = float(result.torque_residual_rms[j])
     sigma = torque_level(result, j, rms) if j in m.actuated else result.noise.get("passive_joint_nm", rms)
     for p, level in zip(m.parameters, result.beta):
-        if p.term == "coulomb" and p.at[0] == j and result.method == "mle":
+        if p.term == "coulomb" and p.at[0] == j and result.method in ("mle", "shooting"):
             found |= held_variance(path.qd[:, j], float(level), float(m.velocity_scales[j])) > sigma**2
     return found
 

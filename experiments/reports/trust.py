@@ -50,7 +50,12 @@ def fit_trust(result: FitResult) -> Trust:
     doubts += [f"the rig file contradicts a run: {one}" for one in findings if one.kind == "rig_contradiction"]
     facts = tuple(f"{one}." for one in findings if one.role == "fact")
     torque = list(torque_fits(result).values())
-    disputes, tested = any(one.kind == "runs_disagree" for one in findings), result.method == "mle"
+    disputes, tested = any(one.kind == "runs_disagree" for one in findings), result.method in (
+        "mle", "shooting")
+    apart = [one.text for one in findings if one.kind == "estimators_disagree"]
+    if apart and result.method == "shooting":  # which allows for errors of any colour
+        reasons = [f"{one[:1].upper()}{one[1:]}." for one in doubts if one not in apart]
+        return Trust("caution", f"TRUST WITH CARE: {apart[0]}.", (*reasons, *facts))
     if doubts:
         use = ("" if not torque else " Good for torque feedforward within the motion fitted."
                if min(torque) >= GOOD_FIT else " Good for rough torque feedforward only."

@@ -11,7 +11,7 @@ from msgspec import structs
 
 from daq import InputError, Rig
 from estimator import Finding, FitError, FitResult, Method
-from estimator.fitting import fit_admissible, measured_states, prediction_score
+from estimator.fitting import fit_admissible, measured_states, prediction_score, with_second_opinion
 from estimator.model import Mechanism
 from experiments.reports import fit_document
 from experiments.session import (
@@ -111,6 +111,7 @@ def _checked(setup: Setup, method: Method = "mle") -> tuple[FitResult, tuple[Fin
     except FitError as error:
         mends = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, True).remedies
         raise FitError("; ".join([str(error), *["; or ".join(mends)] * bool(mends)])) from None
+    result = with_second_opinion(setup.datasets, setup.mechanism, setup.options, result)
     kinds = {one.kind for one in result.findings}
     suspected = not result.converged or bool(kinds & {"impossible", "level_negative"})
     seen = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, suspected)

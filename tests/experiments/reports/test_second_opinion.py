@@ -1,0 +1,71 @@
+"""What a second estimator says, as the first line, a terminal, the JSON and a page say it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimator.result import FitResult, HeldOut, SecondOpinion
+from experiments.models.schema import MechanismSettings
+from experiments.reports.fit_json import fit_document
+from experiments.reports.fit_page import fit_sections
+from experiments.reports.fit_text import fit_text
+from experiments.reports.html import render_page
+from experiments.reports.trust import fit_trust
+from tests.support.fits import synthetic_fit
+
+
+def with_opinion(times: float, held_out: HeldOut | None = None, reported: str = "mle") -> FitResult:
+    """A fit whose beta2 lies so many half widths from another method's; beta9 is not compared."""
+    plain = synthetic_fit()
+    half = 1.5 * plain.half_width
+    apart = np.zeros(plain.mechanism.p)
+    apart[1], apart[8] = times, np.nan
+    other = plain.beta.copy()
+    other[1] += times * np.hypot(half[1], plain.half_width[1])
+    method = "shooting" if reported == "mle" else "mle"
+    return replace(plain, method=reported, second_opinion=SecondOpinion(method, other, half, apart, held_out))
+
+
+def test_estimators_that_agree_take_a_line_and_no_doubt() -> None:
+    found = with_opinion(1.23)
+    assert fit_trust(found).sentence == fit_trust(replace(found, second_opinion=None)).sentence
+    assert ("second opinion, by multiple shooting: largest disagreement 1.2 half widths, in beta2; not compared: beta9"
+            in fit_text(found, "leg2").splitlines())
+
+
+@pytest.mark.parametrize(("held_out", "told"), [
+    (None, "too little data to let held-out data decide"),
+    (HeldOut(0.1, (-0.2, 0.3), 40), "held-out seconds do not decide (shooting's error is 10 % lower [-20, 30])"),
+    (HeldOut(-0.5, (-0.7, -0.3), 40), "shooting's error on held-out seconds is 50 % higher [30, 70]")])
+def test_the_first_line_says_that_mle_is_contradicted(held_out: HeldOut | None, told: str) -> None:
+    trust = fit_trust(with_opinion(4.5, held_out))
+    assert trust.level == "caution"
+    assert trust.sentence.startswith("DO NOT TRUST the parameters: two estimators disagree: beta2 is ")
+    assert "4.5 half widths apart" in trust.sentence and told in trust.sentence
+
+
+def test_the_first_line_says_that_shooting_is_reported() -> None:
+    found = with_opinion(36.0, HeldOut(0.6, (0.4, 0.7), 40), "shooting")
+    trust = fit_trust(found)
+    assert trust.level == "caution" and trust.sentence.startswith("TRUST WITH CARE: two estimators disagree: beta2 is ")
+    assert "by maximum likelihood, 36.0 half widths apart" in trust.sentence
+    assert trust.sentence.endswith("shooting is reported, its error on held-out seconds is 60 % lower [40, 70].")
+
+
+def test_json_and_page_have_both_estimates() -> None:
+    found = with_opinion(36.0, HeldOut(0.6, (0.4, 0.7), 40), "shooting")
+    document = fit_document(found, MechanismSettings(model="leg2", actuated=(2,), gravity_mps2=9.81))
+    opinion = document["second_opinion"]
+    assert (document["method"], opinion["method"], opinion["reported"]) == ("shooting", "mle", "shooting")
+    assert opinion["disagreement"] == 36.0 and opinion["not_compared"] == ["beta9"]
+    assert opinion["held_out"] == {"gain": 0.6, "ci95": [0.4, 0.7], "segments": 40}
+    row = opinion["parameters"][1]
+    assert row["name"] == "beta2" and row["disagreement"] == 36.0 and len(opinion["parameters"]) == 8
+    assert found.second_opinion is not None and row["value"] == found.second_opinion.beta[1]
+    assert fit_document(synthetic_fit(), MechanismSettings(model="leg2", actuated=(2,), gravity_mps2=9.81)
+                        )["second_opinion"] is None
+    page = render_page("Fit", "", fit_sections(found))
+    assert "Second opinion" in page and "maximum likelihood" in page
