@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from daq.dataset import Dataset, FloatArray
 from estimator.fitting.fit import fit
 from estimator.fitting.mle import fit_mle
-from estimator.fitting.run_scatter import DISAGREE, agreement_of, homogeneity, random_effects
+from estimator.fitting.run_scatter import DISAGREE, agreement_of, homogeneity, random_effects, robust_covariance
 from estimator.fitting.run_scores import RunScores
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
@@ -196,3 +196,19 @@ def test_a_skew_between_clocks_is_no_disagreement() -> None:
     found = fit_mle(runs, leg2(lever_arm=0.2), FitOptions(hold="smooth"))
     assert any("late against the controller" in text for text in found.assumptions)
     assert found.agreement is not None and not found.agreement.disagree
+
+
+def test_clusters_of_scores_give_the_variance_of_their_sum_and_none_to_what_they_do_not_show() -> None:
+    """Least squares with 40 clusters of equal errors within each: the variance is that of 40 errors, not of 400."""
+    rng, known = np.random.default_rng(4), []
+    for _ in range(300):
+        x = np.repeat(rng.normal(size=(40, 1)), 10, axis=1)
+        error = np.repeat(rng.normal(size=(40, 1)), 10, axis=1)
+        slope = np.sum(x * error) / np.sum(x * x)
+        score = np.stack([np.sum(x * (error - slope * x), axis=1), np.zeros(40)], axis=1)
+        information = np.zeros((40, 2, 2))
+        information[:, 0, 0] = np.sum(x * x, axis=1)
+        covariance, quantile = robust_covariance(score, information)
+        assert covariance[1, 1] > 1e50
+        known.append(abs(slope) < quantile[0] * np.sqrt(covariance[0, 0]))
+    assert 0.91 < np.mean(known) < 0.98
