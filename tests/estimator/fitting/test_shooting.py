@@ -39,7 +39,7 @@ def axis_run(inertia: float, viscous: float, name: str = "axis") -> Dataset:
     for k in range(n - 1):
         v[k + 1] = end[k] + (v[k] - end[k]) * decay
         q[k + 1] = q[k] + end[k] * h + (v[k] - end[k]) * inertia / viscous * (1.0 - decay)
-    return Dataset(name, 100.0, h * np.arange(n), {"q1_rad": q + 1e-7 * rng.normal(size=n), "tau1_nm": torque})
+    return Dataset(name, 100.0, np.arange(n) / 100.0, {"q1_rad": q + 1e-7 * rng.normal(size=n), "tau1_nm": torque})
 
 
 def test_a_wheel_of_closed_form_is_found_to_the_noise() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimator.methods import ResultMethod
 from estimator.result import FitResult, HeldOut, SecondOpinion
 from experiments.models.schema import MechanismSettings
 from experiments.reports.fit_json import fit_document
@@ -17,7 +18,7 @@ from experiments.reports.trust import fit_trust
 from tests.support.fits import synthetic_fit
 
 
-def with_opinion(times: float, held_out: HeldOut | None = None, reported: str = "mle") -> FitResult:
+def with_opinion(times: float, held_out: HeldOut | None = None, reported: ResultMethod = "mle") -> FitResult:
     """A fit whose beta2 lies so many half widths from another method's; beta9 is not compared."""
     plain = synthetic_fit()
     half = 1.5 * plain.half_width
@@ -25,7 +26,7 @@ def with_opinion(times: float, held_out: HeldOut | None = None, reported: str = 
     apart[1], apart[8] = times, np.nan
     other = plain.beta.copy()
     other[1] += times * np.hypot(half[1], plain.half_width[1])
-    method = "shooting" if reported == "mle" else "mle"
+    method: ResultMethod = "shooting" if reported == "mle" else "mle"
     return replace(plain, method=reported, second_opinion=SecondOpinion(method, other, half, apart, held_out))
 
 
