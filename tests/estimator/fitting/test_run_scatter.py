@@ -6,12 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 from scipy.stats import chi2
 
 from daq.dataset import Dataset, FloatArray
 from estimator.fitting.fit import fit
 from estimator.fitting.mle import fit_mle
-from estimator.fitting.run_scatter import DISAGREE, agreement_of, homogeneity, random_effects, robust_covariance
+from estimator.fitting.run_scatter import (
+    DISAGREE,
+    agreement_of,
+    homogeneity,
+    random_effects,
+    robust_covariance,
+    student_quantile,
+)
 from estimator.fitting.run_scores import RunScores
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
@@ -212,3 +220,8 @@ def test_clusters_of_scores_give_the_variance_of_their_sum_and_none_to_what_they
         assert covariance[1, 1] > 1e50
         known.append(abs(slope) < quantile[0] * np.sqrt(covariance[0, 0]))
     assert 0.91 < np.mean(known) < 0.98
+
+
+def test_students_quantile_is_that_of_scipy() -> None:
+    freedom = np.array([1.0, 1.4, 2.0, 2.7, 3.0, 4.2, 7.0, 12.5, 30.0, 1000.0])
+    np.testing.assert_allclose([student_quantile(nu) for nu in freedom], stdtrit(freedom, 0.975), rtol=1e-4)
