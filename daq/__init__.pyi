@@ -13,6 +13,7 @@ from .findings import Steps as Steps
 from .mechanisms import JOINTS as JOINTS
 from .rig import Calibration as Calibration
 from .rig import Column as Column
+from .rig import Disturbance as Disturbance
 from .rig import Limits as Limits
 from .rig import Mechanism as Mechanism
 from .rig import Rig as Rig

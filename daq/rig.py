@@ -106,6 +106,14 @@ class Motor(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """-1: such a drive counts backwards when the knee's angle grows."""
 
 
+class Disturbance(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Coloured torque that disturbs joints: an Ornstein-Uhlenbeck process, of all joints alike or of each by number."""
+
+    torque_nm: NonNegative | tuple[NonNegative, ...]
+    """1 sigma; 0: none."""
+    time_constant_s: Positive | tuple[Positive, ...] = 1.0
+
+
 class Noise(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Known standard deviations; what is absent is estimated from the data."""
 
@@ -117,8 +125,10 @@ class Noise(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Of every driven joint, or of each of them by rising joint."""
     encoder_rad: Positive | tuple[Positive, ...] | None = None
     """Of every encoder, or of each joint's."""
-    passive_nm: Positive | None = None
-    """Torque that the model may lack at a joint without a motor."""
+    passive_nm: Positive | tuple[Positive, ...] | None = None
+    """Torque that the model may lack at a joint without a motor, of all of them or of each by rising joint."""
+    disturbance: Disturbance | None = None
+    """None: estimated where the data ask for one."""
     accel_correlation: Correlation = 0.0
     """Between the accelerometer's x and y noise."""
     torque_correlation: tuple[tuple[Correlation, ...], ...] = ()
@@ -344,11 +354,16 @@ def _check_levels(rig: Rig, where: str) -> None:
     if isinstance(axes, tuple) and len(axes) != 2:
         raise InputError(where, f"noise.accel_mps2 has {len(axes)} levels, the accelerometer 2 axes in the plane",
                          "give one number for both, or one for x and one for y")
-    levels, driven = rig.noise.torque_nm, len(rig.mechanism.actuated)
-    if isinstance(levels, tuple) and len(levels) != driven:
-        raise InputError(where, f"noise.torque_nm has {len(levels)} levels, mechanism.actuated {driven} driven "
-                         f"{'joint' if driven == 1 else 'joints'}",
-                         "give one number for all driven joints, or one for each by rising joint")
+    joints, driven, disturbance = joint_count(rig.mechanism), len(rig.mechanism.actuated), rig.noise.disturbance
+    for name, levels, count, kind in (
+            ("torque_nm", rig.noise.torque_nm, driven, "driven"),
+            ("passive_nm", rig.noise.passive_nm, joints - driven, "passive"),
+            ("disturbance.torque_nm", disturbance and disturbance.torque_nm, joints, ""),
+            ("disturbance.time_constant_s", disturbance and disturbance.time_constant_s, joints, "")):
+        if isinstance(levels, tuple) and len(levels) != count:
+            kind += " joint" if count == 1 else " joints"
+            raise InputError(where, f"noise.{name} has {len(levels)} levels, the mechanism has {count} {kind.strip()}",
+                             f"give one number for all {kind.strip()}, or one for each by rising joint")
 
 
 def _check_correlations(rig: Rig, where: str) -> None:

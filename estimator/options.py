@@ -14,10 +14,10 @@ from estimator.model import HOLDS
 AUTO = "auto"
 """What the likelihood chooses."""
 NOISE_CHANNELS = ("gyro_radps", "accel_mps2", "accel_x_mps2", "accel_y_mps2", "torque_nm", "encoder_rad", "passive_nm")
-OWN_LEVEL = re.compile(r"encoder[1-9][0-9]*_rad|torque[1-9][0-9]*_nm|gyro[1-9][0-9]*_radps|"
-                       r"accel[1-9][0-9]*(_x|_y)?_mps2")
-"""One joint's encoder or torque, or one IMU's sensor, counted from 1: it goes before `encoder_rad`, `torque_nm` and so
-on, which stand for all."""
+OWN_LEVEL = re.compile(r"encoder[1-9][0-9]*_rad|torque[1-9][0-9]*_nm|passive[1-9][0-9]*_nm|gyro[1-9][0-9]*_radps|"
+                       r"accel[1-9][0-9]*(_x|_y)?_mps2|disturbance[1-9][0-9]*_(nm|s)")
+"""One joint's encoder, torque or disturbance, or one IMU's sensor, counted from 1: it goes before `encoder_rad`,
+`torque_nm` and so on, which stand for all."""
 Levels = Mapping[str, float]
 """Known standard deviations by channel."""
 
@@ -29,7 +29,8 @@ def encoder_level(known: Levels, joint: int) -> float | None:
 
 def torque_level(known: Levels, joint: int, driven: bool) -> float | None:
     """Of one joint's torque [N m], or of what the model may lack at a joint that is not driven."""
-    return known.get(f"torque{joint + 1}_nm", known.get("torque_nm")) if driven else known.get("passive_nm")
+    return known.get(f"torque{joint + 1}_nm", known.get("torque_nm")) if driven else \
+        known.get(f"passive{joint + 1}_nm", known.get("passive_nm"))
 
 
 def gyro_level(known: Levels, imu: int = 0) -> float | None:
@@ -131,6 +132,12 @@ class FitOptions:
     def accel_noise(self, axis: int, imu: int = 0) -> float | None:
         """Of axis 0 (x) or 1 (y) of an IMU's accelerometer [m/s^2]."""
         return accel_level(self.noise, axis, imu)
+
+    def disturbance(self, joint: int) -> tuple[float, float] | None:
+        """Known level [N m] and time constant [s] of one joint's coloured disturbance torque, joint 0-based; None where
+        they are to be estimated. A level of 0 says that there is none."""
+        level = self.noise.get(f"disturbance{joint + 1}_nm")
+        return None if level is None else (level, self.noise.get(f"disturbance{joint + 1}_s", 1.0))
 
     def cutoff(self, rate_hz: float) -> float:
         """The low pass in force [Hz]."""

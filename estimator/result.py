@@ -39,6 +39,8 @@ class Trajectory:
     """Sensor column -> (n,) measurement."""
     predicted: Mapping[str, FloatArray]
     """Sensor column -> (n,) prediction from the estimated motion."""
+    disturbance: FloatArray | None = None
+    """(n, joints) estimated coloured disturbance torque [N m]; None where the fit has none."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,8 @@ class RunAgreement:
     """(runs, p) of each run, drawn to the mean by what it does not know."""
     seen: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     """(p,) whether most of a scatter is seen in the runs; else it may belong to another parameter, or be none."""
+    unit: Literal["run", "segment"] = "run"
+    """What is compared: runs, or segments of a single run."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +161,8 @@ class FitResult:
     """(p, p)"""
     noise: Mapping[str, float]
     """1 sigma by channel, where estimated or used: gyro_radps, accel_mps2 (root mean square of accel_x_mps2 and
-    accel_y_mps2), torque_nm (the largest of torque1_nm ...), encoder_rad, passive_joint_nm; and accel_correlation."""
+    accel_y_mps2), torque_nm (the largest of torque1_nm ...), encoder_rad, passive_joint_nm; accel_correlation; and of a
+    coloured disturbance torque disturbance1_nm with its time constant disturbance1_s, and so on by joint."""
     torque_residual_rms: FloatArray
     """(joints,) rms of measured minus modelled torque [N m]."""
     converged: bool

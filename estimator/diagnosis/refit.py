@@ -214,7 +214,7 @@ def run_states(model: Model) -> list[State]:
         length = sum(len(s.time_s) for s in split.runs[i])
         where = slice(begin, begin + length)
         x = model.state.x
-        out.append(replace(model.state, x=Latents(x.q[where], x.v[where], x.u[where])))
+        out.append(replace(model.state, x=x.of(where)))
         begin += length
     return out
 

@@ -15,9 +15,10 @@ from daq import FloatArray
 from estimator.errors import FitError
 from estimator.fitting.correlated_levels import correlation_of, excess_variance
 from estimator.fitting.run_levels import renewed
-from estimator.likelihood import LatentProblem, Linearised, Loudness, Noise, State, effective_samples
+from estimator.likelihood import LatentProblem, Linearised, Loudness, Noise, Process, State, effective_samples
 from estimator.numerics import Swept, eliminate, pseudo_inverse
 from estimator.options import FitOptions
+from estimator.signals import encoder_level
 
 MAX_ITERATIONS = 60
 TOLERANCE = 0.05
@@ -39,6 +40,8 @@ LOOSE = 0.15
 sample makes the last digits swing."""
 TORQUE_SHARE = 0.4
 """Most of a measured torque's spread that may be noise, and ..."""
+SHOWN = 1.2
+"""See `most_noise`."""
 PASSIVE_SHARE = 0.1
 """... the least model error of a passive joint as a share of the driven joints' noise. Without both a model that
 is far wrong ends at beta = 0, where the passive joint's equation holds exactly and all torque is noise."""
@@ -110,7 +113,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
                 effective_dof = effective_samples(problem, point, solved.inverse_diagonal(), state.noise)
             found_rounding = False
             if problem.seeks_rounding and iteration >= ROUGH_STEPS:
-                spread = np.einsum("kii->ki", solved.inverse_diagonal())[:, 2 * problem.n :]
+                spread = np.einsum("kii->ki", solved.inverse_diagonal())[:, 2 * problem.n : 3 * problem.n]
                 same = problem.find_rounding(state.x, state.beta, state.noise, residuals["torque"], spread)
                 found_rounding = same or iteration + 1 >= REST_STEPS
                 problem.seeks_rounding, problem.one_a_passage = not found_rounding, found_rounding
@@ -119,6 +122,8 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
                 change = _update_loudness(problem, state.noise, residuals, effective_dof, options, floors)
             change = max(change, _update_noise(problem, state, effective_dof, residuals, options, floors))
         share_left = np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / problem.torque_variance(state.noise))
+        if problem.disturbed:
+            share_left += Process.of(state.noise, problem.dt).squares(residuals["e"], problem.ends)
         state.misfit = np.minimum(share_left / problem.total, 1.0)
         problem.predicted_misfit = MARGIN * problem.total * state.misfit
         enough = ROUGH if rough else TOLERANCE if iteration < LOOSE_AFTER else LOOSE
@@ -150,14 +155,21 @@ def newton_step(point: Linearised, solved: Swept, index: NDArray[np.intp]
     return -solved.solution(weights), step_beta, information, covariance
 
 
-def most_noise(problem: LatentProblem, joint: int, floors: Noise) -> float:
-    """Highest noise level that a driven joint's measured torque is allowed."""
+def most_noise(problem: LatentProblem, joint: int, floors: Noise, disturbed: bool) -> float:
+    """Highest level of white noise that a driven joint's measured torque is allowed [N m].
+
+    White noise is the sensor's: it does not move the joint. Beside a disturbance it is at most SHOWN times what
+    neighbouring samples show, for whatever is more than that moves the joint, and taken for the sensor's noise it would
+    be explained by a smaller inertia.
+    """
+    if disturbed:
+        return SHOWN * encoder_level(problem.torque[:, joint]) + float(floors.torque[joint])
     return TORQUE_SHARE * float(problem.torque_spread[joint]) + float(floors.torque[joint])
 
 
 def mistakes_torque(problem: LatentProblem, state: State, floors: Noise) -> bool:
     """Whether the fit took as much of a driven joint's torque for noise as it is allowed: no model of the rig."""
-    return any(state.noise.torque[j] > 0.99 * most_noise(problem, j, floors) for j in problem.mechanism.actuated)
+    return any(state.noise.torque[j] > 0.99 * most_noise(problem, j, floors, False) for j in problem.mechanism.actuated)
 
 
 def shortened(angles: FloatArray, share: float) -> float:
@@ -197,7 +209,8 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
             torque[j] = level(np.sqrt(excess[j]) * r, excess[j] * float(effective_dof["torque"][j]), floors.torque[j],
                               old.torque[j], haste, count)
             if j in actuated:
-                torque[j] = min(torque[j], most_noise(problem, j, floors))
+                disturbed = problem.disturbed and bool(old.disturbance[j] > 0.0)
+                torque[j] = min(torque[j], most_noise(problem, j, floors, disturbed))
         if problem.has_encoder[j] and options.encoder_noise(int(j)) is None:
             r = residuals["encoder"][:, j] / (1.0 if problem.spread is None else problem.spread[:, j])
             encoder[j] = level(r, float(effective_dof["encoder"][j]), floors.encoder[j], old.encoder[j])
@@ -226,7 +239,7 @@ def whitened(residuals: Mapping[str, FloatArray], loud: Loudness | None) -> Mapp
     """Residuals over the loudness of their run."""
     if loud is None:
         return residuals
-    return {kind: values / getattr(loud, kind) for kind, values in residuals.items()}
+    return {kind: residuals[kind] / scale for kind, scale in loud._asdict().items() if kind in residuals}
 
 
 def _update_loudness(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatArray],

@@ -67,7 +67,7 @@ def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State
     parts = [cut(s, slice(0, max(LEAST_STRETCH, round(share * len(s.time_s))))) for s in signals]
     index = np.concatenate([start + np.arange(len(s.time_s)) for s, start in
                             zip(parts, fitted.ends - [len(s.time_s) for s in signals], strict=True)])
-    x = Latents(state.x.q[index], state.x.v[index], state.x.u[index])
+    x = state.x.of(index)
     runners = {}
     for hold in HOLDS:
         problem = LatentProblem(parts, mechanism, hold)

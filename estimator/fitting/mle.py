@@ -17,11 +17,20 @@ from numpy.typing import NDArray
 from daq import Dataset, FloatArray
 from estimator.effects import SensorTimeSkew
 from estimator.errors import FitError
+from estimator.fitting.disturbance import (
+    alike,
+    disturbance_likelihood,
+    disturbed_problem,
+    find_disturbance,
+    most_disturbance,
+    of_noise,
+    predicts_worse,
+)
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
-from estimator.fitting.noise_levels import imu_levels, independence, torque_levels
+from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
 from estimator.fitting.run_levels import run_noise
 from estimator.fitting.run_scatter import agreement_of
@@ -33,6 +42,9 @@ from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
 from estimator.result import TWO_SIDED, FitResult, Trajectory
 from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals
+
+DISTURBANCE_ROUNDS = 3
+"""Most times that levels of the disturbance are sought anew at the motion and parameters that followed from them."""
 
 
 def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:
@@ -50,6 +62,7 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         if chosen.hold != FIRST:
             options = replace(options, hold=chosen.hold)
             problem, state = _search(signals, mechanism, options, free, beta, state)
+    problem, state = _with_disturbance(problem, state, signals, free, options)
     bound_s = max(d.clock_bound_s for d in datasets)
     skew, found = None, None
     if bound_s > 0.0 and problem.has_imu:
@@ -98,6 +111,38 @@ def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
     return problem, state
 
 
+def _with_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
+                      options: FitOptions) -> tuple[LatentProblem, State]:
+    """The fit with coloured disturbances at the joints that ask for one.
+
+    The fit stays as it was where no joint asks for one, where one takes as much torque as it may, where a fit with them
+    does not converge, and where its parameters predict worse.
+    """
+    if not state.converged or suits(signals, problem.mechanism, options) or options.torque_correlation:
+        return problem, state
+    begin, plain = of_noise(state.noise), (problem, state)
+    for _ in range(DISTURBANCE_ROUNDS):
+        found = find_disturbance(disturbance_likelihood(signals, problem, state), begin, options)
+        if not found.level.any() or float(found.level.max()) > 0.99 * most_disturbance(problem):
+            return plain
+        if alike(begin, found):
+            break
+        begin = found
+        problem = disturbed_problem(signals, problem)
+        x = state.x if state.x.e is not None else replace(state.x, e=np.zeros_like(state.x.u))
+        state = State(x, state.beta, found.put(state.noise), state.covariance, misfit=state.misfit)
+        try:
+            iterate(problem, state, free, options, noise_floors(problem, problem.mechanism, state.beta))
+        except FitError:
+            return plain
+        if not state.converged:
+            return plain
+    mechanism, hold = problem.mechanism, problem.collocation.hold
+    if problem.disturbed and predicts_worse(signals, mechanism, hold, options, (plain[1].beta, state.beta)):
+        return plain
+    return problem, state
+
+
 def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
                options: FitOptions, floors: Noise, bound_s: float
                ) -> tuple[State, float | None, str]:
@@ -107,7 +152,7 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
     the lines stay as they are, and there is no skew.
     """
-    wide = _skewed(signals, problem.mechanism, options.hold)
+    wide = _skewed(signals, problem.mechanism, options.hold, problem.disturbed)
     wide.stiction_variance, wide.loud = problem.stiction_variance, problem.loud
     again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
     iterate(wide, again, np.append(free, True), options, floors)
@@ -130,11 +175,11 @@ def _late(skew_s: float) -> str:
     return f"{abs(skew_s) * 1e6:.0f} us {'late' if skew_s >= 0.0 else 'early'}"
 
 
-def _skewed(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str) -> ExtendedProblem:
+def _skewed(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, disturbed: bool) -> ExtendedProblem:
     """The likelihood with one parameter more, by which the IMU is late [s]."""
     blank = (0.0,) * len(signals)
     stage = Stage((0,) * len(signals), blank, blank, np.zeros((mechanism.n, 2)))
-    return ExtendedProblem(signals, mechanism, hold, stage, (SensorTimeSkew(),))
+    return ExtendedProblem(signals, mechanism, hold, stage, (SensorTimeSkew(),), disturbed=disturbed)
 
 
 def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
@@ -146,7 +191,8 @@ def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[Sig
     make = LatentProblem if skew is None else _skewed
     beta, free = (state.beta, free) if skew is None else (np.append(state.beta, skew), np.append(free, True))
     try:
-        scores = score_runs(signals, lambda own: make(own, result.mechanism, result.hold), problem, state, beta)
+        scores = score_runs(signals, lambda own: make(own, result.mechanism, result.hold, problem.disturbed), problem,
+                            state, beta)
         covariance, agreement = agreement_of(scores, beta, result.covariance, free)
     except np.linalg.LinAlgError:  # a run that alone determines nothing at all
         return result
@@ -200,6 +246,7 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
         noise["encoder_rad"] = float(np.max(state.noise.encoder[problem.has_encoder]))
     if problem.has_imu:
         noise |= imu_levels(state.noise)
+    noise |= disturbance_levels(state.noise)
     trajectories = []
     for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):
         measured, predicted = dict(s.imu), {}
@@ -209,10 +256,10 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
         if s.imu:
             predicted |= predicted_columns(mechanism, x.q[where], x.v[where], qdd[where])
         trajectories.append(Trajectory(s.run, s.time_s, x.q[where], x.v[where], qdd[where], tau[where], s.torque,
-                                       measured, predicted))
+                                       measured, predicted, None if x.e is None else -x.e[where]))
     assumptions: tuple[str, ...] = (
         f"torque acts between samples by the '{options.hold}' hold",
-        f"all noise is white, Gaussian and {independence(options)}; levels "
+        f"all noise is {colour(state.noise)}, Gaussian and {independence(options)}; levels "
         + ("as given" if _levels_given(mechanism, options) else
            "estimated from the data"),
         "the model's form is right: what it leaves out is counted as torque noise")

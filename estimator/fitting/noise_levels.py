@@ -38,6 +38,19 @@ def imu_levels(noise: Noise) -> dict[str, float]:
     return found | ({"accel_correlation": noise.accel_correlation} if noise.accel_correlation else {})
 
 
+def disturbance_levels(noise: Noise) -> dict[str, float]:
+    """Level [N m] and time constant [s] of each joint's coloured disturbance, of the joints that have one."""
+    return {name: float(value) for j in np.flatnonzero(noise.disturbance) for name, value in
+            ((f"disturbance{j + 1}_nm", noise.disturbance[j]), (f"disturbance{j + 1}_s", noise.time_constant[j]))}
+
+
+def colour(noise: Noise) -> str:
+    """Whether noise is white, in words."""
+    joints = [f"joint {j + 1} ({noise.disturbance[j]:.2g} over {noise.time_constant[j]:.2g} s)"
+              for j in np.flatnonzero(noise.disturbance)]
+    return f"white, with a coloured disturbance torque at {' and '.join(joints)}" if joints else "white"
+
+
 def independence(options: FitOptions) -> str:
     """What is assumed of the channels' noise at one time, in words."""
     declared = [name for name, given in (("the accelerometer's axes", bool(options.accel_correlation)),

@@ -66,7 +66,7 @@ def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, fr
     p_value = probability_of_scatter(homogeneity(white, share), robust**2 / np.maximum(np.sum(root**2, axis=1), 1e-300),
                                      freedom)
     if p_value >= DISAGREE:
-        return covariance, RunAgreement(scores.runs, p_value, own_std)
+        return covariance, RunAgreement(scores.runs, p_value, own_std, unit=scores.unit)
 
     p = len(covariance)
     kept = index < p
@@ -82,7 +82,7 @@ def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, fr
     scatter, seen = np.zeros(p), np.zeros(p, dtype=bool)
     scatter[at] = effects.scatter[kept]
     seen[at] = (effects.unsure < SEEN * effects.scatter**2)[kept]
-    return wide, RunAgreement(scores.runs, p_value, own_std, True, quantile, mean, scatter, by_run, seen)
+    return wide, RunAgreement(scores.runs, p_value, own_std, True, quantile, mean, scatter, by_run, seen, scores.unit)
 
 
 def robust_covariance(score: FloatArray, information: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from itertools import pairwise
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from daq import FloatArray
-from estimator.likelihood import LatentProblem, Latents, State
+from estimator.fitting.warm_start import LEAST_STRETCH, cut
+from estimator.likelihood import LatentProblem, State
 from estimator.numerics import eliminate
 from estimator.signals import SignalSet, by_run
 
+MOST_SEGMENTS, FEWEST_SEGMENTS = 24, 8
+"""Segments of a single run that vote like runs: fewer cannot tell their scatter."""
+SEGMENT_S, TIME_CONSTANTS = 0.5, 4.0
+"""Length of a segment at least [s], and in time constants of a disturbance: what errs alike within it counts once."""
 Problem = Callable[[list[SignalSet]], LatentProblem]
 
 
@@ -19,30 +25,57 @@ class RunScores(NamedTuple):
     """Score and information of R runs at one point, the motion eliminated."""
 
     runs: tuple[str, ...]
-    """Their names."""
+    """Their names; of segments their times."""
     score: FloatArray
     """(R, m) derivative of each run's log-likelihood by the parameters"""
     information: FloatArray
     """(R, m, m)"""
+    unit: Literal["run", "segment"] = "run"
+    """What is scored: runs, or segments of one run."""
 
 
 def score_runs(signals: Sequence[SignalSet], problem_of: Problem, fitted: LatentProblem, state: State,
                beta: FloatArray) -> RunScores:
-    """Each run of `signals` scored at the motion and the noise levels of `state`, and at beta (m,).
+    """Each run of `signals` scored at the motion and the noise levels of `state`, and at beta (m,); of a single run
+    each of its `segments`.
 
     `problem_of` makes a run's problem of its stretches, as `fitted` was made of all. Latents of runs are not coupled,
-    so the scores add up to that of the fit. Costs a Gauss-Newton step.
+    so the scores add up to that of the fit; segments lose the equation of motion between them. Costs a Gauss-Newton
+    step.
     """
     found = []
-    for run, stretches, where in by_run(signals):
+    parts = by_run(signals)
+    for run, stretches, where in parts if len(parts) > 1 else segments(signals, fitted, state):
         problem = problem_of(stretches)
         if fitted.stiction_variance is not None:
             problem.stiction_variance = fitted.stiction_variance[where]
         problem.loud = fitted.loud and fitted.loud.of(where)
         problem.predicted_misfit = np.full(problem.n, np.inf)  # a run's misfit counts as it is
-        x = Latents(state.x.q[where], state.x.v[where], state.x.u[where])
+        x = state.x.of(where)
         point = problem.linearise(x, beta, state.noise)
         product = eliminate(point.chain).product()
         found.append((run, product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:]))
+    if not found:
+        return RunScores((parts[0][0],), np.zeros((1, beta.size)), np.zeros((1, beta.size, beta.size)))
     runs, score, information = zip(*found, strict=True)
-    return RunScores(runs, np.array(score), np.array(information))
+    return RunScores(runs, np.array(score), np.array(information), "run" if len(parts) > 1 else "segment")
+
+
+def segments(signals: Sequence[SignalSet], fitted: LatentProblem, state: State
+             ) -> list[tuple[str, list[SignalSet], slice]]:
+    """Name, stretch and samples of each of up to MOST_SEGMENTS segments of a single run; empty where it is too short.
+
+    A segment is longer than the torque's disturbance is correlated, and than SEGMENT_S.
+    """
+    constants = state.noise.time_constant[state.noise.disturbance > 0.0]
+    least_s = max(SEGMENT_S, TIME_CONSTANTS * float(np.max(constants, initial=0.0)))
+    least = max(LEAST_STRETCH, round(least_s / fitted.dt), fitted.total // MOST_SEGMENTS)
+    found = []
+    for s, end in zip(signals, fitted.ends):
+        count = len(s.time_s)
+        edges = np.linspace(0, count, max(1, count // least) + 1).astype(int)
+        for a, b in pairwise(edges):
+            name = f"{s.time_s[a] - signals[0].time_s[0]:.3g} to {s.time_s[b - 1] - signals[0].time_s[0]:.3g} s"
+            begin = int(end) - count
+            found.append((name, [cut(s, slice(int(a), int(b)))], slice(begin + int(a), begin + int(b))))
+    return found if len(found) >= FEWEST_SEGMENTS else []

@@ -35,7 +35,7 @@ from estimator.fitting.shooting_segments import Segments
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions
-from estimator.result import Combination, FitResult, HeldOut, SecondOpinion
+from estimator.result import Combination, Finding, FitResult, HeldOut, SecondOpinion
 from estimator.signals import split_signals
 
 MOST_DISAGREEMENT = 3.0
@@ -46,8 +46,6 @@ BLOCKS = 4
 """... so many blocks, of which every other one belongs to a half, ..."""
 LEAST_BLOCK_S = 3.0
 """... if they are as long as this."""
-LEAST_ERROR = 1e-8
-"""Squared errors below this share of what the sensor reads are alike."""
 LEAST_SEGMENTS = 6
 """Predicted seconds below which nothing is decided."""
 
@@ -132,8 +130,9 @@ def _of_shooting(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
     return replace(
         motion, method="shooting", beta=shot.beta, covariance=shot.spread, iterations=shot.iterations,
         fixed=result.fixed, at_bound=result.at_bound, hold_margin=result.hold_margin, converged=True,
-        wall_s=result.wall_s, undetermined=missing, agreement=None, inadmissible=faults(mechanism, shot.beta, std, q),
-        warnings=result.warnings,
+        wall_s=result.wall_s, undetermined=missing, agreement=None,
+        findings=(*result.findings, *(Finding("fault", "impossible", text)
+                                      for text in faults(mechanism, shot.beta, std, q))),
         assumptions=(result.assumptions[0],
                      f"multiple shooting over {SEGMENT_S:g} s: errors of different segments, or of different runs where"
                      f" there are {ENOUGH_RUNS} or more, are independent; within one they may have any colour",
@@ -175,12 +174,4 @@ def _errors(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     states = measured_states(datasets, mechanism, options)
     q, v = np.concatenate([s.q for s in states]), np.concatenate([s.qd for s in states])
     segments = Segments(split_signals(datasets, mechanism, options), mechanism, options.hold, SEGMENT_S)
-    variance = segments.variance()
-    out = np.ones((len(segments.first), len(betas)))
-    for k, beta in enumerate(betas):
-        with np.errstate(all="ignore"):
-            *motion, good = segments.simulate(q, v, beta)
-            error = segments.squares(*motion) / segments.size[:, None] / variance
-        good &= np.isfinite(error).all(axis=1)
-        out[good, k] = np.clip(error[good], LEAST_ERROR, 1.0).mean(axis=1)
-    return out
+    return np.stack([segments.errors(q, v, beta) for beta in betas], axis=-1)

@@ -22,6 +22,8 @@ CHUNK = 20_000
 ROUNDS, INNER = 8, 8
 """Most rounds of Newton steps, and steps a round, that bring a simulation to its equation; a round has those segments
 that are not there yet. (Measured: where dry friction turns round a segment may take 60 steps, most take 3.)"""
+LEAST_ERROR = 1e-8
+"""Squared errors below this share of what the sensor reads are alike."""
 SETTLED = 1e-6
 """Share of the torque's spread, or where none acts of the largest term's, by which a simulation may miss its equation.
 (Measured: with 1e-3 the loss does not converge.)"""
@@ -222,6 +224,17 @@ class Segments:
             defect[:, at], slopes[..., at] = tried[0][:, at], tried[1][..., at]
             q[moved], v[moved] = trial_q[moved], trial_v[moved]
         return q, v, norm <= SETTLED * scale
+
+    def errors(self, q: FloatArray, v: FloatArray, beta: FloatArray) -> FloatArray:
+        """(S,) mean squared error of free runs from each segment's first state of q, v (N, n), in the variances of what
+        the sensors read: at most 1, the error of a constant prediction."""
+        with np.errstate(all="ignore"):
+            *motion, good = self.simulate(q, v, beta)
+            error = self.squares(*motion) / self.size[:, None] / self.variance()
+        good &= np.isfinite(error).all(axis=1)
+        out = np.ones(len(self.first))
+        out[good] = np.clip(error[good], LEAST_ERROR, 1.0).mean(axis=1)
+        return out
 
     def squares(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """(S, C) summed squared residuals of a motion."""

@@ -44,7 +44,7 @@ def from_excerpt(problem: LatentProblem, signals: Sequence[SignalSet], options: 
     offsets = problem.ends - [len(s.time_s) for s in signals]
     index = np.concatenate([offsets[i] + np.arange(where.start, where.stop) for i, where in parts])
     small = LatentProblem(chosen, problem.mechanism, options.hold)
-    x = Latents(start.x.q[index], start.x.v[index], start.x.u[index])
+    x = start.x.of(index)
     state = State(x, start.beta, start.noise, start.covariance)
     small.seeks_rounding, small.one_a_passage = problem.seeks_rounding, problem.one_a_passage
     before = from_excerpt(small, chosen, options, free, state) or state

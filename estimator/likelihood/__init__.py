@@ -1,6 +1,7 @@
 """The likelihood of a motion: normal equations, nominal and with effects, batches, free runs."""
 
 from estimator.likelihood.batch_likelihood import BatchProblem, Point, Records
+from estimator.likelihood.disturbance import Process
 from estimator.likelihood.dry_friction import REST_SPREAD, held_variance
 from estimator.likelihood.effective_samples import effective_samples
 from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage
@@ -15,6 +16,6 @@ from estimator.likelihood.trajectory_likelihood import TIGHT, LatentProblem
 
 __all__ = [
     "REST_SPREAD", "TIGHT", "BatchProblem", "Candidate", "ExtendedProblem", "FreeRun", "LatentProblem", "Latents",
-    "Linearised", "Loudness", "Noise", "Point", "Records", "Stage", "State", "compile_kernels", "effective_samples",
-    "even", "free_run", "held_variance", "pull_after"
+    "Linearised", "Loudness", "Noise", "Point", "Process", "Records", "Stage", "State", "compile_kernels",
+    "effective_samples", "even", "free_run", "held_variance", "pull_after",
 ]

@@ -47,7 +47,7 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
         accumulators.square[:] += right @ right.T
     left = np.arange(left.start, left.stop) if isinstance(left, slice) else left
     height, full = 2 * c.mechanism.n, chain.rows.shape[2]
-    _intervals(c.mechanism.n, fixed)(
+    _intervals(c.mechanism.n, chain.block, fixed)(
         z, own, torque, u, left, c.basis, c.torque_weights, np.ascontiguousarray(weight), chain.edge, chain.rows,
         accumulators.square, accumulators.misfit, np.zeros((height, full, STRIP)), np.zeros((height, full)),
         np.zeros((height, chain.edge)))
@@ -90,7 +90,7 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
                 if channel in extra.reading_columns:
                     columns[axis] = extra.reading_columns[channel][:, here]
         precision, rows = noise.accel_precision(k), accel[k, here]
-        _samples(n, _constant(chain.edge))(
+        _samples(n, chain.block, _constant(chain.edge))(
             z[:, :, 0], own[:, 0], reach, by_angle, by_rate, left, columns, precision, chain.edge, chain.rows[here],
             rows, np.zeros((2, chain.edge, STRIP)), np.zeros((2, chain.edge)))
         accumulators.square[:] += _products(rows[:, :, chain.block :], precision)
@@ -115,8 +115,9 @@ def _constant(edge: int) -> int:
 
 
 @cache
-def _intervals(n: int, fixed: int) -> Kernel:
-    """The kernel that adds K intervals of n joints to a chain; `fixed` is the chain's edge if that is a constant.
+def _intervals(n: int, block: int, fixed: int) -> Kernel:
+    """The kernel that adds K intervals of n joints to a chain of so large blocks; `fixed` is the chain's edge if that
+    is a constant.
 
     From z (m, n, 2, K), own (n, 2, 5, n, K), torque (n, 2, K) that motion and effects need, samples u (N, n),
     left (K,), basis (2, 5, 4), holds (2, 2) and weight (n, K) it adds to rows (N, 3 n, f) of the chain, to square
@@ -124,7 +125,7 @@ def _intervals(n: int, fixed: int) -> Kernel:
     share of the squares.
     line (2 n, f, STRIP), transposed (2 n, f) and after (2 n, edge) are zeros to work on.
     """
-    b, height, whole = 3 * n, 2 * n, padded(fixed + 3 * n)
+    b, height, whole = 3 * n, 2 * n, padded(fixed + block)
 
     def run(z: Any, own: Any, torque: Any, u: Any, left: Any, basis: Any, holds: Any, weight: Any, edge: int, rows: Any,
             square: Any, misfit: Any, line: Any, transposed: Any, after: Any) -> None:
@@ -151,18 +152,18 @@ def _intervals(n: int, fixed: int) -> Kernel:
                         k = left[at(start + w)]
                         pull = holds[g, 0] * u[at(k), i] + holds[g, 1] * u[at(k + 1), i]
                         t = weight[i, at(start + w)] * (torque[i, g, at(start + w)] - pull)
-                        line[r, b, w] = t
+                        line[r, block, w] = t
                         misfit[i] += t * t
                     for k in range(width - 1):
                         for w in range(size):
-                            line[r, b + 1 + k, w] = weight[i, at(start + w)] * z[k, i, g, at(start + w)]
+                            line[r, block + 1 + k, w] = weight[i, at(start + w)] * z[k, i, g, at(start + w)]
             if fixed > 0:
                 for c in range(width):
                     for d in range(c, width):
                         t = 0.0
                         for r in range(height):
                             for w in range(size):
-                                t += line[r, b + c, w] * line[r, b + d, w]
+                                t += line[r, block + c, w] * line[r, block + d, w]
                         square[c, d] += t
             for w in range(size):
                 for r in range(height):
@@ -190,13 +191,13 @@ def _intervals(n: int, fixed: int) -> Kernel:
 
 
 @cache
-def _samples(n: int, fixed: int) -> Kernel:
+def _samples(n: int, block: int, fixed: int) -> Kernel:
     """The kernel that adds an accelerometer's two axes at N samples of n joints to a chain's first N rows.
 
     From z (m, n, N), slopes (n, 5, n, N), reach (r, n, N), by how much joints' torques show on the first r axes, the
     derivatives (2, n, N) of both axes by angle and rate at given accelerations, what is left of them (2, N), and the
     derivatives by the last of the m parameters of what effects add to that (2, k, N), it makes the unscaled rows (N, 2,
-    3 n + 1 + m), and adds their products by `precision` (2, 2); line (2, edge, STRIP) and transposed (2, edge) are
+    block + 1 + m), and adds their products by `precision` (2, 2); line (2, edge, STRIP) and transposed (2, edge) are
     zeros to work on.
     """
     b = 3 * n
@@ -214,7 +215,7 @@ def _samples(n: int, fixed: int) -> Kernel:
                     for w in range(size):
                         line[r, j, w], line[r, n + j, w] = angle[r, j, at(start + w)], rate[r, j, at(start + w)]
                 for w in range(size):
-                    line[r, b, w] = left[r, at(start + w)]
+                    line[r, block, w] = left[r, at(start + w)]
             for r in range(felt):
                 for j in range(n):
                     for w in range(size):
@@ -232,9 +233,9 @@ def _samples(n: int, fixed: int) -> Kernel:
                         t = 0.0
                         for i in range(n):
                             t -= reach[r, i, at(start + w)] * z[k, i, at(start + w)]
-                        line[r, b + 1 + k, w] = t
+                        line[r, block + 1 + k, w] = t
             for k in range(extra):
-                place = b + width - extra + k
+                place = block + width - extra + k
                 for w in range(size):
                     line[0, place, w] += columns[0, k, at(start + w)]
                     if felt > 1:
@@ -245,7 +246,7 @@ def _samples(n: int, fixed: int) -> Kernel:
                 for r in range(2):
                     for c in range(edge):
                         transposed[r, c] = line[r, c, w]
-                    for c in range(b + width):
+                    for c in range(block + width):
                         accel[at(start + w), r, c] = transposed[r, c]
                 for i in range(b):
                     f = across * transposed[0, i] + mixed * transposed[1, i]

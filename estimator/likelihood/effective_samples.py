@@ -27,16 +27,23 @@ def effective_samples(problem: LatentProblem, point: Linearised, p_diagonal: Flo
     weight = problem.torque_weight(noise)
     scale = problem.torque_level(noise)
     angles = problem.angle_scale()
-    found = {"torque": by_run(variance[:, 2 * n :] * (weight / scale) ** 2),
+    torque = variance[:, 2 * n : 3 * n]
+    if problem.disturbed:
+        both = np.einsum("kii->ki", p_diagonal[:, 2 * n : 3 * n, 3 * n :])
+        torque = torque + variance[:, 3 * n :] + 2.0 * both
+    found = {"torque": by_run(torque * (weight / scale) ** 2),
              "encoder": by_run(variance[:, :n] if angles is None else variance[:, :n] / angles**2) / noise.encoder**2}
     if noise.torque_correlation is not None:
         shares = weight / scale
-        found["torque_products"] = by_run(shares[:, :, None] * p_diagonal[:, 2 * n :, 2 * n :] * shares[:, None, :])
+        torques = p_diagonal[:, 2 * n : 3 * n, 2 * n : 3 * n]
+        found["torque_products"] = by_run(shares[:, :, None] * torques * shares[:, None, :])
     for channel, slope in (point.extra.by_torque.items() if point.extra is not None else ()):
         j = channel.joint or 0
         u = 2 * n + j
         own = u if channel.kind == "torque" else j
         both = slope**2 * variance[:, u] + 2.0 * slope * p_diagonal[:, own, u]
+        if channel.kind == "torque" and problem.disturbed:
+            both = both + 2.0 * slope * p_diagonal[:, 3 * n + j, u]
         if channel.kind == "torque":
             both = both * (weight[:, j] / scale[:, j]) ** 2
         else:

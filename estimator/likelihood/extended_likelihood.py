@@ -70,8 +70,9 @@ class ExtendedProblem(LatentProblem):
     """`LatentProblem` whose parameter vector goes on after beta; see the module's text."""
 
     def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, stage: Stage,
-                 effects: Sequence[Effect] = (), candidates: Sequence[Candidate] = ()) -> None:
-        super().__init__(signals, mechanism, hold)
+                 effects: Sequence[Effect] = (), candidates: Sequence[Candidate] = (), disturbed: bool = False
+                 ) -> None:
+        super().__init__(signals, mechanism, hold, disturbed)
         self.stage, self.effects, self.candidates = stage, tuple(effects), tuple(candidates)
         lengths = np.diff(np.concatenate([[0], self.ends]))
         index = np.concatenate([np.arange(k) for k in lengths]) * self.dt

@@ -33,6 +33,11 @@ class Noise:
     """Between these two of one IMU, at one sample."""
     torque_correlation: FloatArray | None = None
     """(n, n) between the joints' torque samples at one time; None where they are independent."""
+    disturbance: FloatArray = field(default_factory=_no_gyro)
+    """(n,) standard deviation of each joint's coloured disturbance torque [N m], 0 where a joint has none; empty where
+    no joint has one."""
+    time_constant: FloatArray = field(default_factory=_no_gyro)
+    """(n,) its time constant [s]."""
 
     def accel_precision(self, imu: int = 0) -> FloatArray:
         """(2, 2) inverse covariance of both axes of one IMU at one sample [s^4/m^2]."""

@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from daq import FloatArray
 from estimator.numerics import BlockTridiagonal
 from estimator.signals import Channel
@@ -18,11 +21,19 @@ class Latents:
     q: FloatArray
     v: FloatArray
     u: FloatArray
+    """Torque that acts on the joint, a coloured disturbance included."""
+    e: FloatArray | None = None
+    """Coloured error of the torque reading, minus the disturbance: y = u + e + white noise. None without one."""
 
     def moved(self, step: FloatArray) -> Latents:
-        """Shifted by step (N, 3 n) in the order q, v, u."""
+        """Shifted by step (N, b) in the order q, v, u, e."""
         n = self.q.shape[1]
-        return Latents(self.q + step[:, :n], self.v + step[:, n:2 * n], self.u + step[:, 2 * n:])
+        q, v, u, *e = (step[:, k : k + n] for k in range(0, step.shape[1], n))
+        return Latents(self.q + q, self.v + v, self.u + u, None if self.e is None else self.e + e[0])
+
+    def of(self, where: slice | NDArray[np.intp]) -> Latents:
+        """At some of the samples."""
+        return Latents(self.q[where], self.v[where], self.u[where], None if self.e is None else self.e[where])
 
 
 class Accumulators(NamedTuple):
@@ -73,7 +84,8 @@ class Linearised:
     accel: FloatArray
     """(S, N, 2, b + 1 + p) unscaled accelerometer rows of S IMUs: by the latents, residual, by beta."""
     residuals: dict[str, FloatArray]
-    """Unscaled residuals: torque (N, n), encoder (N, n), and with IMUs gyro (S, N), accel (S, N, 2)."""
+    """Unscaled residuals: torque (N, n), encoder (N, n), with a disturbance e (N, n), with IMUs gyro (S, N), accel
+    (S, N, 2)."""
     extra: Extra | None = None
 
     @property

@@ -48,7 +48,7 @@ def pull_after(problem: LatentProblem, x: Latents, beta: FloatArray, noise: Nois
     n = problem.n
     moved = c.motion(step[:, :n], step[:, n : 2 * n], left)  # features are linear in angles and rates
     z, own = c.fast(*c.motion(x.q, x.v, left), beta)
-    torque = (beta @ z.reshape(len(beta), -1)).reshape(z.shape[1:]) - c.torque(x.u + step[:, 2 * n :], left)
+    torque = (beta @ z.reshape(len(beta), -1)).reshape(z.shape[1:]) - c.torque(x.u + step[:, 2 * n : 3 * n], left)
     if problem.between is not None:
         torque -= problem.between
     if extra is not None:

@@ -1,10 +1,12 @@
 """`LatentProblem`: the joint likelihood of one latent motion and the parameters, linearised.
 
-Unknown at each sample: angle q, rate v and true torque u of every joint (block size b = 3 joints); common:
-beta. Residuals, each over its standard deviation:
+Unknown at each sample: angle q, rate v and acting torque u of every joint (block size b = 3 joints); common:
+beta. Where joints are `disturbed` there is also the coloured error e of each torque reading (b = 4 joints). Residuals,
+each over its standard deviation:
 
     equation of motion at two Gauss points an interval   Z(q, v) beta - hold(u)        sigma_u * TIGHT
-    torque sample (zero on a passive joint)              u - y_u                       sigma_u
+    torque sample (zero on a passive joint)              u + e - y_u                   sigma_u
+    disturbance, of time constant T                      e' - exp(-dt / T) e           s (1 - exp(-2 dt / T))^1/2
     encoder                                              q - y_q                       sigma_q
     gyro of an IMU on a link at angle t q                t v - y_g                     sigma_g
     its accelerometer                                    a(q, v, qdd) - y_a            sigma_a by axis
@@ -26,6 +28,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.likelihood import assembly_numba, correlated_torque
+from estimator.likelihood.disturbance import Process, expected_score
 from estimator.likelihood.dry_friction import REST_SPREAD, held_variance, likeliest_scale, passage_samples
 from estimator.likelihood.loudness import Loudness
 from estimator.likelihood.memory import keep_pages, pieces
@@ -61,11 +64,12 @@ KINK = 2.0
 class LatentProblem:
     """All stretches of all runs on one stack of samples; see the module's text."""
 
-    def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str) -> None:
+    def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, disturbed: bool = False) -> None:
         keep_pages()
         self.mechanism = mechanism
         self.n = mechanism.n
-        self.block = 3 * mechanism.n
+        self.disturbed = disturbed
+        self.block = (4 if disturbed else 3) * mechanism.n
         lengths = [len(s.time_s) for s in signals]
         self.ends = np.cumsum(lengths)
         self.total = int(self.ends[-1])
@@ -194,8 +198,20 @@ class LatentProblem:
         objective += self._node_rows(x, variances, noise, chain.diagonal, gradient, residuals, extra)
         if extra is not None:
             self._node_columns(extra, variances, noise, residuals, border, corner, gradient_beta)
+        if self.disturbed:
+            assert x.e is not None
+            process = Process.of(noise, self.dt)
+            process.add(chain, x.e, self.ends)
+            squares = process.squares(x.e, self.ends)
+            misfit += squares
+            objective += float(squares.sum())
+            residuals["e"] = x.e
         misfit += np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / variances)
         gradient_beta[: self.mechanism.p] -= self._inertia_gradient(beta, misfit)
+        if self.disturbed:
+            freedom = np.minimum(squares, self.total * process.share(noise.torque**2))
+            freedom[list(self.mechanism.passive)] = 0.0  # see _inertia_gradient
+            gradient_beta[: self.mechanism.p] -= expected_score(self.mechanism, x.q, beta, freedom)
         return Linearised(objective, chain, corner, gradient_beta, accel, residuals, extra)
 
     def motion_equations(self, x: Latents, parameters: FloatArray, noise: Noise) -> Linearised:
@@ -305,7 +321,7 @@ class LatentProblem:
         n = self.n
         found: list[tuple[Channel, tuple[int, ...], float | FloatArray]] = []
         if noise.torque_correlation is None:
-            found += [(torque_of(i), (2 * n + i,), variances[:, i]) for i in range(n)]
+            found += [(torque_of(i), tuple(range(2 * n + i, self.block, n)), variances[:, i]) for i in range(n)]
         found += [(encoder_of(i), (i,), self.angle_variance(i, noise)) for i in range(n) if self.has_encoder[i]]
         return found + [(imu_channels(k)[0], tuple(n + j for j in joints), self.gyro_variance(k, noise))
                         for k, joints in enumerate(self.turned_by)]
@@ -319,7 +335,7 @@ class LatentProblem:
                    residuals: dict[str, FloatArray], extra: Extra | None) -> float:
         """Add torque (of `variances`), encoder and gyro samples; returns their part of the objective."""
         n = self.n
-        residuals["torque"] = x.u - self.torque
+        residuals["torque"] = x.u - self.torque if x.e is None else x.u + x.e - self.torque
         residuals["encoder"] = x.q - self.angles
         if self.has_imu:
             residuals["gyro"] = np.array([total(x.v.T, joints) for joints in self.turned_by]) - self.gyro
@@ -334,18 +350,19 @@ class LatentProblem:
                 for other in columns:
                     diagonal[:, column, other] += weight
             if extra is not None and channel in extra.by_torque:
-                (column,) = columns
-                slope, other = extra.by_torque[channel], 2 * n + column % n
+                slope, other = extra.by_torque[channel], 2 * n + columns[0] % n
                 diagonal[:, other, other] += slope**2 * weight
-                diagonal[:, other, column] += slope * weight
-                diagonal[:, column, other] += slope * weight
+                for column in columns:
+                    diagonal[:, other, column] += slope * weight
+                    diagonal[:, column, other] += slope * weight
                 gradient[:, other] += slope * pull
             objective += float(r @ pull)
         loud = self.loud and self.loud.torque
         if noise.torque_correlation is not None:
             precision = noise.torque_precision(variances, loud)
             objective += correlated_torque.add_samples(residuals["torque"], precision, extra,
-                                                       diagonal[:, 2 * n :, 2 * n :], gradient[:, 2 * n :])
+                                                       diagonal[:, 2 * n : 3 * n, 2 * n : 3 * n],
+                                                       gradient[:, 2 * n : 3 * n])
         return objective
 
     def _node_columns(self, extra: Extra, variances: FloatArray, noise: Noise, residuals: dict[str, FloatArray],
@@ -359,21 +376,24 @@ class LatentProblem:
             for column in columns:
                 border[:, column, p:] += c.T
             if channel in extra.by_torque:
-                border[:, 2 * self.n + column % self.n, p:] += (extra.by_torque[channel] * c).T
+                border[:, 2 * self.n + columns[0] % self.n, p:] += (extra.by_torque[channel] * c).T
             corner[p:, p:] += c @ extra.reading_columns[channel].T
             gradient_beta[p:] += c @ of_channel(residuals, channel)
         loud = self.loud and self.loud.torque
         if noise.torque_correlation is not None:
             correlated_torque.add_columns(residuals["torque"], noise.torque_precision(variances, loud), extra,
-                                          border[:, 2 * self.n :, p:], corner[p:, p:], gradient_beta[p:])
+                                          border[:, 2 * self.n : 3 * self.n, p:], corner[p:, p:], gradient_beta[p:])
 
     def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,
                         index: NDArray[np.intp]) -> dict[str, FloatArray]:
         """Sensor residuals `step` (N, b) and `step_beta` (on columns `index`) away from `point`, to first order.
         """
         n, p = self.n, self.mechanism.p
-        out = {"torque": point.residuals["torque"] + step[:, 2 * n:],
+        out = {"torque": point.residuals["torque"] + step[:, 2 * n : 3 * n],
                "encoder": point.residuals["encoder"] + step[:, :n]}
+        if self.disturbed:
+            out["torque"] += step[:, 3 * n :]
+            out["e"] = point.residuals["e"] + step[:, 3 * n :]
         if self.has_imu:
             turned = step[:, n : 2 * n].T
             out["gyro"] = point.residuals["gyro"] + np.array([total(turned, joints) for joints in self.turned_by])

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator import Finding, FitResult
 from experiments.reports.residual_tests import STRONG, autocorrelation, residuals_of, torque_fit, torque_step
-from experiments.reports.run_agreement import disputed
+from experiments.reports.run_agreement import disputed, units
 from experiments.reports.second_opinion import disagreement
 
 STRUCTURE = 0.3
@@ -42,7 +42,7 @@ def _doubts(result: FitResult) -> list[Finding]:
     apart = disagreement(result)
     found = [] if apart is None else [Finding("doubt", "estimators_disagree", apart)]
     if result.method in ("mle", "shooting"):
-        allowed = "; the intervals allow for what runs disagree about" if _disputes(result) else \
+        allowed = f"; the intervals allow for what {units(result)} disagree about" if _disputes(result) else \
             "" if result.method == "shooting" else " and the intervals are too narrow"
         found += [Finding("doubt", "torque_residual", f"the torque left over at joint {j} has structure (correlation "
                           f"{r:.2f}, {STRUCTURE:g} allowed), so something is missing in the model{allowed}: see legid "
@@ -59,7 +59,8 @@ def _facts(result: FitResult) -> list[Finding]:
     fits = "; ".join(f"torque of joint {j} {share:.1f} %" for j, share in torque_fits(result).items())
     disputes, loose = _disputes(result), _loose(result)
     return [*([Finding("fact", "torque_fit", f"Fit: {fits} ({GOOD_FIT:g} wanted)")] if fits else []),
-            *([Finding("fact", "runs_disagree", f"Runs disagree about {disputes}: the next run may differ as much")]
+            *([Finding("fact", "runs_disagree", f"{units(result).capitalize()} disagree about {disputes}: the next run may differ as "
+                      "much")]
               if disputes else []),
             *([Finding("fact", "loose", f"Known loosely: {', '.join(loose)}")] if loose else []),
             Finding("fact", "not_shown", "What no residual shows: a wrong scale of a sensor passes for other "

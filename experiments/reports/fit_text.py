@@ -40,6 +40,7 @@ NOISE_NAMES = {"gyro_radps": "gyro", "accel_mps2": "accelerometer", "accel_x_mps
                "accel_y_mps2": "accelerometer y", "accel_correlation": "their correlation, as given",
                "torque_nm": "torque", "encoder_rad": "encoder", "passive_joint_nm": "passive joint, model error"}
 OF_ONE_JOINT = re.compile(r"(torque|encoder)([0-9]+)_(?:nm|rad)")
+OF_DISTURBANCE = re.compile(r"disturbance([0-9]+)_(nm|s)")
 OF_ONE_IMU = re.compile(r"(gyro|accel)([0-9]+)(_[xy])?(_radps|_mps2)")
 
 
@@ -61,6 +62,10 @@ def _channel(result: FitResult, name: str) -> tuple[str, str]:
     force, length = result.mechanism.force_unit, result.mechanism.length_unit
     units = {"gyro_radps": "rad/s", "accel_mps2": "m/s^2", "accel_x_mps2": "m/s^2", "accel_y_mps2": "m/s^2",
              "torque_nm": force, "encoder_rad": length, "passive_joint_nm": force}
+    disturbance = OF_DISTURBANCE.fullmatch(name)
+    if disturbance:
+        told, unit = {"nm": ("disturbance", force), "s": ("its time constant", "s")}[disturbance[2]]
+        return (f"{told} of joint {disturbance[1]}" if disturbance[2] == "nm" else told), unit
     joint = OF_ONE_JOINT.fullmatch(name)
     if joint:
         return f"{joint[1]} {joint[2]}", units[f"{joint[1]}_{'nm' if joint[1] == 'torque' else 'rad'}"]

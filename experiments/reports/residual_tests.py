@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator import FitResult, Trajectory
-from estimator.likelihood import held_variance
+from estimator.likelihood import Noise, Process, held_variance
 
 LAGS = 25
 SHARE = 0.99
@@ -128,13 +128,27 @@ def torque_fit(result: FitResult, j: int, paths: Sequence[Trajectory] | None = N
     return fit_percent(np.where(judged, measured, np.nan), modelled)
 
 
+def torque_innovations(result: FitResult, path: Trajectory, j: int) -> FloatArray:
+    """(n,) measured less modelled torque of joint `j`, from 0 [N m]; with a coloured disturbance what of that its past
+    does not predict."""
+    error = path.tau_measured[:, j] - path.tau[:, j]
+    level = result.noise.get(f"disturbance{j + 1}_nm")
+    if level is None:
+        return error
+    white = torque_level(result, j, 0.0) if j in result.mechanism.actuated else result.noise["passive_joint_nm"]
+    dt = float(path.time_s[1] - path.time_s[0])
+    process = Process.of(Noise(np.array([white]), np.ones(1), disturbance=np.array([level]),
+                               time_constant=np.array([result.noise[f"disturbance{j + 1}_s"]])), dt)
+    return process.innovations(error, 0, white)
+
+
 def residuals_of(result: FitResult) -> dict[str, list[FloatArray]]:
     """Channel -> measured less estimated, by stretch: sensors, and the torque of every joint, NaN where it is open;
     a channel without any is left out."""
     def left(path: Trajectory) -> Mapping[str, FloatArray]:
         sensors = {name: path.measured[name] - path.predicted[name] for name in path.measured if name in path.predicted}
         return sensors | {
-            f"torque {j + 1}": np.where(open_torque(result, path, j), np.nan, path.tau_measured[:, j] - path.tau[:, j])
+            f"torque {j + 1}": np.where(open_torque(result, path, j), np.nan, torque_innovations(result, path, j))
             for j in range(result.mechanism.n)}
 
     found: dict[str, list[FloatArray]] = {}

@@ -24,6 +24,11 @@ def disputed(result: FitResult) -> list[int]:
     return [] if found is None or not found.disagree else [int(k) for k in np.flatnonzero(found.seen)]
 
 
+def units(result: FitResult) -> str:
+    """What may disagree: runs, or segments of a single run."""
+    return f"{'run' if result.agreement is None else result.agreement.unit}s"
+
+
 def agreement_lines(result: FitResult) -> list[str]:
     """One line about all, then one for each parameter that the runs disagree about; none where nobody asked."""
     found = result.agreement
@@ -31,14 +36,14 @@ def agreement_lines(result: FitResult) -> list[str]:
         return []
     if found.p_value is None:
         return ["one run cannot tell whether runs agree: intervals are by its noise alone"]
-    count = len(found.runs)
+    count, unit = len(found.runs), f"{found.unit}s"
     if not found.disagree:
-        return [f"{count} runs agree within their noise ({_p(found.p_value)})"]
-    lines = [f"{count} runs disagree by more than their noise ({_p(found.p_value)}): {_widened(result)}"]
+        return [f"{count} {unit} agree within their noise ({_p(found.p_value)})"]
+    lines = [f"{count} {unit} disagree by more than their noise ({_p(found.p_value)}): {_widened(result)}"]
     for k in disputed(result):
         parameter, scatter = result.mechanism.parameters[k], float(found.scatter[k])
         low, high = float(found.by_run[:, k].min()), float(found.by_run[:, k].max())
-        lines.append(f"runs disagree about {parameter.name} ({parameter.meaning}): {number(low, scatter)} .. "
+        lines.append(f"{unit} disagree about {parameter.name} ({parameter.meaning}): {number(low, scatter)} .. "
                      f"{number(high, scatter)}, scatter {number(scatter, scatter)} about "
                      f"{number(float(found.mean[k]), scatter)}; interval widened {result.widening[k]:.1f} times")
     return lines
@@ -50,11 +55,11 @@ def agreement_section(result: FitResult) -> list[Section]:
     if found is None:
         return []
     if not found.disagree:
-        return [Section("Do the runs agree?", [f"{lines[0][:1].upper()}{lines[0][1:]}."])]
+        return [Section(f"Do the {found.unit}s agree?", [f"{lines[0][:1].upper()}{lines[0][1:]}."])]
     text = [f"{lines[0][:1].upper()}{lines[0][1:]}.",
-            "Mean and scatter are those of runs that each have parameters of their own, to first order at the values "
-            "above. A run's own value is drawn to the mean by what that run does not know. Where the scatter stands in "
-            "brackets, most of it is not seen: it may belong to another parameter."]
+            f"Mean and scatter are those of {found.unit}s that each have parameters of their own, to first order at "
+            f"the values above. A {found.unit}'s own value is drawn to the mean by what it does not know. Where the "
+            "scatter stands in brackets, most of it is not seen: it may belong to another parameter."]
     each = len(found.runs) <= MOST_RUNS
     over, by_run = [], []
     for k, p in enumerate(result.mechanism.parameters):
@@ -67,10 +72,12 @@ def agreement_section(result: FitResult) -> list[Section]:
                      f"{result.widening[k]:.1f} times", p.unit, p.meaning])
         by_run.append([p.name, *(number(float(x), scatter) for x in own), p.unit])
     runs = list(found.runs) if each else ["lowest", "highest"]
-    return [Section("Do the runs agree?", text, [
-        Table(["parameter", "mean", "scatter", "interval widened", "unit", "meaning"], over, "Over all runs",
+    return [Section(f"Do the {found.unit}s agree?", text, [
+        Table(["parameter", "mean", "scatter", "interval widened", "unit", "meaning"], over,
+              f"Over all {found.unit}s",
               frozenset({1, 2, 3})),
-        Table(["parameter", *runs, "unit"], by_run, "Run by run" if each else "The runs furthest apart",
+        Table(["parameter", *runs, "unit"], by_run,
+              f"{found.unit.capitalize()} by {found.unit}" if each else f"The {found.unit}s furthest apart",
               frozenset(range(1, len(runs) + 1)))])]
 
 
@@ -84,7 +91,8 @@ def agreement_document(result: FitResult) -> dict[str, Any] | None:
          "by_run": [float(x) for x in found.by_run[:, k]], "widened": float(result.widening[k])}
         for k, p in enumerate(result.mechanism.parameters)
         if p.name not in {*result.fixed, *result.at_bound, *result.open_parameters}]
-    return {"runs": list(found.runs), "p_value": found.p_value, "disagree": found.disagree, "parameters": parameters}
+    return {"unit": found.unit, "runs": list(found.runs), "p_value": found.p_value, "disagree": found.disagree,
+            "parameters": parameters}
 
 
 def _widened(result: FitResult) -> str:

@@ -18,6 +18,7 @@ from experiments.models import GYRO, SHORT_S, MechanismSettings, Prediction
 from experiments.reports.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
 from experiments.reports.html import Level, VerdictBox
 from experiments.reports.residual_tests import fit_percent
+from experiments.reports.run_agreement import units
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,8 @@ def fit_trust(result: FitResult) -> Trust:
     doubts += [f"the rig file contradicts a run: {one}" for one in findings if one.kind == "rig_contradiction"]
     facts = tuple(f"{one}." for one in findings if one.role == "fact")
     torque = list(torque_fits(result).values())
-    disputes, tested = any(one.kind == "runs_disagree" for one in findings), result.method in (
-        "mle", "shooting")
+    disputes = any(one.kind == "runs_disagree" for one in findings)
+    tested = result.method in ("mle", "shooting")
     apart = [one.text for one in findings if one.kind == "estimators_disagree"]
     if apart and result.method == "shooting":  # which allows for errors of any colour
         reasons = [f"{one[:1].upper()}{one[1:]}." for one in doubts if one not in apart]
@@ -70,8 +71,8 @@ def fit_trust(result: FitResult) -> Trust:
     if min(torque) < GOOD_FIT:
         return Trust("caution", "TRUST the parameters within their intervals; the model's torque is rough.", facts)
     if disputes:
-        return Trust("caution", "TRUST the parameters within their intervals, which are wide because runs disagree, "
-                     "and the model's torque.", facts)
+        return Trust("caution", f"TRUST the parameters within their intervals, which are wide because {units(result)} "
+                     "disagree, and the model's torque.", facts)
     return Trust("good", "TRUST the parameters within their intervals, and the model's torque.", facts)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from daq import Dataset, InputError, Rig, joint_count
+from daq import Dataset, Disturbance, InputError, Rig, joint_count
 from daq.runs import imu_columns_of
 from estimator import FitOptions
 from estimator.calibration import find_zeros, subtract, zeros_text
@@ -100,6 +100,8 @@ def fit_options(rig: Rig, sensors: str, fixed: Mapping[str, float], latent: str 
     """What the rig file knows, as the estimator's options."""
     of_each = {"accel_mps2": ("accel_x_mps2", "accel_y_mps2"),
                "torque_nm": tuple(f"torque{j}_nm" for j in sorted(rig.mechanism.actuated)),
+               "passive_nm": tuple(f"passive{j}_nm" for j in range(1, joint_count(rig.mechanism) + 1)
+                                   if j not in rig.mechanism.actuated),
                "encoder_rad": tuple(f"encoder{j + 1}_rad" for j in range(joint_count(rig.mechanism)))}
     noise: dict[str, float] = {}
     for name in ("gyro_radps", "accel_mps2", "torque_nm", "passive_nm", "encoder_rad"):
@@ -112,9 +114,20 @@ def fit_options(rig: Rig, sensors: str, fixed: Mapping[str, float], latent: str 
         own = k + 1 if len(rig.imus) > 1 else ""
         given = {f"gyro{own}_radps": imu.gyro_radps, f"accel{own}_mps2": imu.accel_mps2}
         noise |= {name: level for name, level in given.items() if level is not None}
+    if rig.noise.disturbance is not None:
+        noise |= disturbance_levels(rig.noise.disturbance, joint_count(rig.mechanism))
     rounding = "auto" if rig.terms.friction_velocity_radps is None else "given"
     joints = rig.mechanism.encoders
     encoders = None if joints is None else tuple(j - 1 for j in sorted(joints))
     return FitOptions(sensors=sensors, encoders=encoders, hold=rig.sampling.hold, rounding=rounding, noise=noise,
                       accel_correlation=rig.noise.accel_correlation, torque_correlation=rig.noise.torque_correlation,
                       cutoff_hz=rig.filter.cutoff_hz, filter_order=rig.filter.order, fixed=dict(fixed), latent=latent)
+
+
+def disturbance_levels(declared: Disturbance, joints: int) -> dict[str, float]:
+    """Level [N m] and time constant [s] of each joint's disturbance, as the estimator's options name them."""
+    found: dict[str, float] = {}
+    for name, values in (("nm", declared.torque_nm), ("s", declared.time_constant_s)):
+        each = values if isinstance(values, tuple) else (values,) * joints
+        found |= {f"disturbance{j + 1}_{name}": value for j, value in enumerate(each)}
+    return found

@@ -3,7 +3,8 @@
 `make coverage PLANT=...` writes a page. Nothing in a rig says how the torque acts between samples. Plants: `stickslip`,
 `tests.support.stick_slip_leg`, set-valued friction, reversals and rest located by root finding, the motor driven at
 1 kHz; and `mujoco`, the leg of `tests.evidence.blind.servo` under its position servo, whose solver takes a joint
-through rest with a time constant of its own.
+through rest with a time constant of its own. `wander` is `tests.support.ornstein_uhlenbeck`, MuJoCo's leg with a
+coloured disturbance torque at the knee.
 """
 
 from __future__ import annotations
@@ -20,16 +21,21 @@ import numpy as np
 from daq import Dataset
 from estimator import FitError, FitOptions, Method, fit
 from estimator.model import leg2
+from estimator.result import TWO_SIDED
 from experiments.studies import machine
 from tests.evidence.blind import servo
 from tests.evidence.registry import Evidence, shares
 from tests.support.mujoco_leg import Leg, random_leg
+from tests.support.ornstein_uhlenbeck import disturbed_record
 from tests.support.stick_slip_leg import PEAK_NM, move, sample
 
 FRICTION = (0.02, 0.05, 0.10)
 RATES = (50, 100, 250, 500)
 PIVOT_NM = 0.01
 """Least Coulomb level of the pivot."""
+WANDER, SHUNT_NM = (0.3, 1.0), 0.02
+"""Levels of a disturbance torque over the shunt's noise, and that noise."""
+TIME_CONSTANTS_S = (0.02, 0.1, 0.5)
 MUJOCO_NM = (0.03, 0.12)
 """Coulomb levels of the knee of MuJoCo's legs; their pivots have a tenth."""
 Case = Callable[[int], tuple[Leg, list[Dataset]]]
@@ -66,8 +72,15 @@ def _recorded(seed: int, runs: int) -> tuple[Leg, list[dict[str, np.ndarray]]]:
     return replace(leg, coulomb=(0.1 * dry, dry)), fine
 
 
+def wandering_case(seed: int, ratio: float, constant_s: float) -> tuple[Leg, list[Dataset]]:
+    """A leg whose knee feels a disturbance of so many times the shunt's noise."""
+    rng = np.random.default_rng(seed)
+    leg = random_leg(rng)
+    return leg, [disturbed_record(leg, rng, ratio * SHUNT_NM, constant_s)]
+
+
 def scores(seeds: range, made: Case, sensors: str, method: Method) -> np.ndarray:
-    """(fits, 9) error of each parameter over its standard deviation; rows of fits that fail are missing."""
+    """(fits, 9) error of each parameter over half its interval, times 1.96; rows of fits that fail are missing."""
     found = []
     for seed in seeds:
         leg, data = made(seed)
@@ -77,7 +90,7 @@ def scores(seeds: range, made: Case, sensors: str, method: Method) -> np.ndarray
         except FitError:
             continue
         if result.converged:
-            found.append((result.beta - leg.beta()) / result.std)
+            found.append((result.beta - leg.beta()) / (result.half_width / TWO_SIDED))
     return np.array(found)
 
 
@@ -102,6 +115,15 @@ def stickslip_rows(seeds: range, rates: Sequence[int]) -> Iterator[str]:
                     yield _row(f"{drive} | {100 * friction:g} % | {rate} | {method}-{sensors}", z, len(seeds))
 
 
+def wandering_rows(seeds: range, rates: Sequence[int]) -> Iterator[str]:
+    """A knee motor that wanders, by level over the shunt's noise and by time constant, at 100 Hz."""
+    for ratio in (0.0, *WANDER) if 100 in rates else ():
+        for constant_s in TIME_CONSTANTS_S if ratio else (1.0,):
+            z = scores(seeds, partial(wandering_case, ratio=ratio, constant_s=constant_s), "imu", "mle")
+            name = f"{ratio:g} times the shunt's noise over {1e3 * constant_s:g} ms" if ratio else "no disturbance"
+            yield _row(f"torque, {name} | 0.03 and 0.04 to 0.06 N m | 100 | mle-imu", z, len(seeds))
+
+
 def _row(head: str, z: np.ndarray, tried: int) -> str:
     if not len(z):
         return f"| {head} | 0/{tried} | | | |"
@@ -111,6 +133,8 @@ def _row(head: str, z: np.ndarray, tried: int) -> str:
 
 
 PLANTS = {
+    "wander": (wandering_rows, "MuJoCo's leg under a multisine of torque; an Ornstein-Uhlenbeck torque disturbs the "
+                               "knee, which its shunt\ndoes not read."),
     "mujoco": (mujoco_rows, "MuJoCo's leg, its friction that of MuJoCo's solver, under a position servo at 1 kHz."),
     "stickslip": (stickslip_rows, "a leg with set-valued dry friction, reversals and rest by root finding, driven at "
                                   "1 kHz by an open-loop\nmultisine of torque, or a position controller.")}

@@ -30,6 +30,8 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
     """Add the equation of motion on `intervals`, which begin at samples `left`, each row times its joint's weight."""
     b, n = accumulators.chain.block, c.mechanism.n
     rows = motion_rows(c, x, beta, weight, intervals, left, extra, between)
+    own = 3 * n  # a disturbance has no part in the equation of motion
+    rows = np.insert(rows, np.repeat([own, 2 * own], b - own), 0.0, axis=1)
     columns = rows[:, 2 * b :]
     accumulators.square[:] += np.sum(columns @ columns.swapaxes(1, 2), axis=0)
     accumulators.misfit[:] += np.sum(columns[:, 0] ** 2, axis=-1).reshape(n, 2).sum(axis=1)
@@ -51,7 +53,9 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
     b = accumulators.chain.block
     correlation = np.array([[1.0, noise.accel_correlation], [noise.accel_correlation, 1.0]])
     for k, levels in enumerate(noise.accel):
-        transposed = accel[k, here] = _transposed(accelerometer_rows(c, x, beta, measured[k], here, extra, imu=k))
+        rows = accelerometer_rows(c, x, beta, measured[k], here, extra, imu=k)
+        rows = np.insert(rows, np.repeat([3 * c.mechanism.n], b - 3 * c.mechanism.n), 0.0, axis=1)
+        transposed = accel[k, here] = _transposed(rows)
         precision = np.linalg.inv(np.outer(levels, levels) * correlation)
         own, columns = transposed[:, :, :b], transposed[:, :, b:]
         weighted = precision @ columns

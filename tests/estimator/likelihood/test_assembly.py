@@ -41,7 +41,8 @@ def latents(mechanism: Mechanism, rng: np.random.Generator) -> Latents:
 def noise_of(mechanism: Mechanism) -> Noise:
     count = len(mechanism.imus)
     return Noise(np.linspace(0.02, 0.05, mechanism.n), np.full(mechanism.n, 1e-3), np.linspace(0.01, 0.02, count),
-                 np.outer(np.linspace(1.0, 1.5, count), [0.1, 0.07]))
+                 np.outer(np.linspace(1.0, 1.5, count), [0.1, 0.07]), disturbance=np.full(mechanism.n, 0.03),
+                 time_constant=np.linspace(0.05, 0.5, mechanism.n))
 
 
 def both(problem: LatentProblem, x: Latents, beta: np.ndarray, monkeypatch: pytest.MonkeyPatch,
@@ -73,6 +74,15 @@ def test_every_mechanism(mechanism: Mechanism, imu: bool, monkeypatch: pytest.Mo
     beta = np.abs(rng.normal(size=mechanism.p)) + np.array([2.0 * (p.term == "inertia" and p.at[0] == p.at[1])
                                                             for p in mechanism.parameters])
     assert_alike(*both(problem, latents(mechanism, rng), beta, monkeypatch))
+
+
+@pytest.mark.parametrize("imu", [False, True], ids=["encoder", "imu"])
+def test_a_disturbed_leg(imu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(12)
+    mechanism = leg2(lever_arm=0.2)
+    problem = LatentProblem(stretches(mechanism, imu, rng), mechanism, "linear", disturbed=True)
+    x = latents(mechanism, rng)
+    assert_alike(*both(problem, replace(x, e=0.3 * x.u[::-1]), BETA, monkeypatch))
 
 
 def staged(effects: list[Effect], candidates: list[Candidate], rng: np.random.Generator) -> ExtendedProblem:

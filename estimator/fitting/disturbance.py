@@ -1,0 +1,239 @@
+"""Level and time constant of each joint's coloured disturbance torque, by marginal likelihood.
+
+What a model lacks is seldom white: friction wanders, cables pull, gears turn. As white noise it is explained by a
+smaller inertia, and intervals become too narrow. So each joint may have a disturbance of standard deviation s and time
+constant T (`estimator.likelihood.disturbance`). The motion and the disturbance are integrated out around the fitted
+motion (Laplace): with H the matrix of the latents and R the covariance of all residuals,
+
+    -2 log p = least weighted squares + log det H + log det R
+
+A joint gets a disturbance where that raises log p by more than the two parameters cost (Schwarz, Ann. Stat. 6, 1978).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.fitting.gauss_newton import TORQUE_SHARE, most_noise
+from estimator.fitting.initial_guess import noise_floors
+from estimator.fitting.run_scatter import student_quantile
+from estimator.fitting.shooting import SEGMENT_S
+from estimator.fitting.shooting_segments import Segments
+from estimator.fitting.warm_start import LEAST_STRETCH, cut
+from estimator.likelihood import LatentProblem, Latents, Noise, Process, State
+from estimator.model import Mechanism
+from estimator.numerics import BlockTridiagonal, eliminate
+from estimator.options import FitOptions
+from estimator.signals import SignalSet, differentiate
+
+TIME_CONSTANTS = (3.0, 10.0, 40.0, 160.0)
+"""Time constants that are screened, in samples."""
+SCREENED = 0.35
+"""Disturbance that is screened for, as a share of the noise: where one that small is unlikely there is none."""
+STEPS, STEPS_AGAIN = 50, 24
+"""Most likelihoods evaluated for one joint, and for one whose disturbance is nearly known."""
+SIMPLEX = ((0.7, 0.7, -0.3), (0.2, 0.3, -0.1))
+"""First steps in the logarithms of level, time constant and white noise, and likewise."""
+LONGEST_S = 10.0
+SHORTEST = 0.5
+"""Bounds of a time constant [s] and [samples]: a longer one is a constant, a shorter one is white."""
+WORSE = 0.02
+"""Growth of the rms error a second ahead that is material."""
+SAME = 0.1
+"""Relative change of a level or a time constant that ends their search: a tenth of what a record tells of them."""
+EXCERPT = 3000
+"""Most samples by which they are sought."""
+SMALLEST = 1e-3
+"""Least disturbance and white noise, as a share of their sum."""
+
+
+class Disturbance(NamedTuple):
+    """What was found for the n joints."""
+
+    level: FloatArray
+    """(n,) [N m], 0 where there is none"""
+    time_constant: FloatArray
+    """(n,) [s]"""
+    white: FloatArray
+    """(n,) level of the white noise beside it [N m]"""
+
+    def put(self, noise: Noise) -> Noise:
+        """`noise` with these levels."""
+        return replace(noise, torque=self.white, disturbance=self.level, time_constant=self.time_constant)
+
+
+def of_noise(noise: Noise) -> Disturbance:
+    """The disturbance in force."""
+    n = noise.torque.size
+    if not noise.disturbance.size:
+        return Disturbance(np.zeros(n), np.ones(n), noise.torque)
+    return Disturbance(noise.disturbance, noise.time_constant, noise.torque)
+
+
+class MarginalLikelihood:
+    """log p of the torque's noise and disturbance, linearised at one motion; see the module's text."""
+
+    def __init__(self, problem: LatentProblem, x: Latents, beta: FloatArray, noise: Noise) -> None:
+        """`problem` is a disturbed one. Its equation of motion and the other sensors keep the levels of `noise`."""
+        self.problem, self.noise = problem, noise
+        self.floors = noise_floors(problem, problem.mechanism, beta)
+        begin = replace(noise, disturbance=noise.torque, time_constant=np.full(problem.n, 10.0 * problem.dt))
+        point = problem.motion_equations(x, beta, begin)
+        self.residual, self.e = point.residuals["torque"], point.residuals["e"]
+        self.base = point.chain.first(1)
+        self.others = point.objective + self._add(self.base, begin, -1.0)
+
+    def _add(self, chain: BlockTridiagonal, noise: Noise, sign: float) -> float:
+        """Add torque samples and disturbances to `chain`, `sign` times; returns their part of the objective."""
+        p, n = self.problem, self.problem.n
+        weight = sign / p.torque_variance(noise)
+        process = Process.of(noise, p.dt)
+        process.add(chain, self.e, p.ends, sign)
+        for j in range(n):
+            u, e = 2 * n + j, 3 * n + j
+            for row, other in ((u, e), (e, u)):
+                chain.diagonal[:, row, row] += weight[:, j]
+                chain.diagonal[:, row, other] += weight[:, j]
+                chain.right[:, row, 0] += weight[:, j] * self.residual[:, j]
+        return sign * float(process.squares(self.e, p.ends).sum()) + float(np.vdot(weight, self.residual**2))
+
+    def __call__(self, found: Disturbance) -> float:
+        """log p up to a constant; -inf where the equations cannot be solved."""
+        p, noise = self.problem, found.put(self.noise)
+        chain = BlockTridiagonal(self.base.rows.copy(), 1)
+        squares = self.others + self._add(chain, noise, 1.0)
+        try:
+            solved = eliminate(chain)
+        except np.linalg.LinAlgError:
+            return -np.inf
+        of_rows = float(np.sum(np.log(p.torque_variance(noise)))) + Process.of(noise, p.dt).log_determinant(p.ends)
+        return -0.5 * (squares - float(solved.product()[0, 0]) + solved.log_determinant() + of_rows)
+
+
+def disturbed_problem(signals: Sequence[SignalSet], plain: LatentProblem) -> LatentProblem:
+    """The problem `plain` of the same `signals`, with a disturbance at every joint."""
+    if plain.disturbed:
+        return plain
+    out = LatentProblem(signals, plain.mechanism, plain.collocation.hold, disturbed=True)
+    out.stiction_variance, out.one_a_passage = plain.stiction_variance, plain.one_a_passage
+    out.loud, out.loud_channels, out.seeks_loudness = plain.loud, plain.loud_channels, plain.seeks_loudness
+    return out
+
+
+def disturbance_likelihood(signals: Sequence[SignalSet], problem: LatentProblem, state: State) -> MarginalLikelihood:
+    """At a fit's motion and parameters; of a long record the first part of each stretch, EXCERPT samples in all."""
+    share = min(1.0, EXCERPT / problem.total)
+    parts = [cut(s, slice(0, max(LEAST_STRETCH, round(share * len(s.time_s))))) for s in signals]
+    starts = problem.ends - [len(s.time_s) for s in signals]
+    where = np.concatenate([start + np.arange(len(s.time_s)) for s, start in zip(parts, starts, strict=True)])
+    own = LatentProblem(parts, problem.mechanism, problem.collocation.hold, disturbed=True)
+    if problem.stiction_variance is not None:
+        own.stiction_variance = problem.stiction_variance[where]
+    own.loud = problem.loud and problem.loud.of(where)
+    x = state.x.of(where)
+    return MarginalLikelihood(own, x if x.e is not None else replace(x, e=np.zeros_like(x.u)), state.beta, state.noise)
+
+
+def predicts_worse(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, options: FitOptions,
+                   betas: tuple[FloatArray, FloatArray]) -> bool:
+    """Whether parameters betas[1] predict a second ahead materially worse than betas[0], for sure.
+
+    A disturbance that stands for structure of the model may favour parameters that no longer simulate the machine. Free
+    runs begin in states by filtered differences, which are of no model; their rms errors are compared in pairs.
+    """
+    rate = signals[0].rate_hz
+    motions = [differentiate(s, mechanism, min(10.0, 0.2 * rate), options.filter_order, fused=True) for s in signals]
+    q, v = np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions])
+    segments = Segments(signals, mechanism, hold, SEGMENT_S)
+    errors = np.stack([segments.errors(q, v, beta) for beta in betas])
+    ratio = 0.5 * np.log(errors[1] / errors[0])
+    half = student_quantile(len(ratio) - 1) * float(ratio.std(ddof=1)) / len(ratio) ** 0.5 if len(ratio) > 1 else np.inf
+    return float(ratio.mean()) - half > np.log(1.0 + WORSE)
+
+
+def alike(before: Disturbance, after: Disturbance) -> bool:
+    """Whether all levels and time constants are the same within SAME."""
+    pairs = [(before.level, after.level), (before.time_constant, after.time_constant)]
+    return np.array_equal(before.level > 0.0, after.level > 0.0) and all(
+        bool(np.all(np.abs(np.log(a[after.level > 0.0] / b[after.level > 0.0])) < SAME)) for a, b in pairs)
+
+
+def most_disturbance(problem: LatentProblem) -> float:
+    """Highest level of a disturbance [N m]; with more the model explains too little of the torque to be one."""
+    return TORQUE_SHARE * max(float(np.max(problem.torque_spread)), 1e-300)
+
+
+def find_disturbance(likelihood: MarginalLikelihood, begin: Disturbance, options: FitOptions) -> Disturbance:
+    """The likeliest disturbance of every joint, 0 where it is not worth its two parameters; from `begin`.
+
+    What `options` give stays as given.
+    """
+    found, problem = begin, likelihood.problem
+    cost = np.log(problem.total)
+    known_white = [options.torque_noise(j, j in problem.mechanism.actuated) is not None for j in range(problem.n)]
+    for j in range(problem.n):
+        given = options.disturbance(j)
+        if given is not None:
+            found = _with(found, j, *given, found.white[j])
+            continue
+        none = _with(found, j, 0.0, found.time_constant[j], np.hypot(found.white[j], found.level[j])
+                     if not known_white[j] else found.white[j])
+        again = bool(found.level[j] > 0.0)
+        best = found if again else _screened(likelihood, none, j)
+        if best is None:
+            found = none
+            continue
+        best, reached = _climbed(likelihood, best, j, known_white[j], again)
+        found = best if reached > likelihood(none) + cost else none
+    return found
+
+
+def _screened(likelihood: MarginalLikelihood, none: Disturbance, joint: int) -> Disturbance | None:
+    """The likeliest of a few time constants; None where all are less likely than no disturbance."""
+    plain, p = likelihood(none), likelihood.problem
+    tried = [_with(none, joint, SCREENED * none.white[joint], T * p.dt, none.white[joint])
+             for T in TIME_CONSTANTS if T * p.dt < LONGEST_S]
+    values = [likelihood(one) for one in tried]
+    best = int(np.argmax(values))
+    return tried[best] if values[best] > plain else None
+
+
+def _climbed(likelihood: MarginalLikelihood, begin: Disturbance, joint: int, known_white: bool,
+             again: bool) -> tuple[Disturbance, float]:
+    """The likeliest level, time constant and white noise of one joint near `begin`, and their log p."""
+    from scipy.optimize import minimize
+
+    p = likelihood.problem
+    most = most_disturbance(p)
+    whole = float(np.hypot(begin.level[joint], begin.white[joint]))
+    low = np.log([SMALLEST * whole, SHORTEST * p.dt, SMALLEST * whole])
+    white = most_noise(p, joint, likelihood.floors, True) if joint in p.mechanism.actuated else most
+    high = np.log([max(most, 2.0 * SMALLEST * whole), LONGEST_S, max(white, 2.0 * SMALLEST * whole)])
+    free = 2 if known_white else 3
+
+    def at(theta: FloatArray) -> Disturbance:
+        level, constant, *white = np.exp(theta)
+        return _with(begin, joint, float(level), float(constant), float(white[0]) if white else begin.white[joint])
+
+    start = np.log([begin.level[joint], begin.time_constant[joint], begin.white[joint]])
+    start = np.clip(start, low, high)[:free]
+    simplex = np.array([start, *(start + step * np.eye(free)[i] for i, step in enumerate(SIMPLEX[again][:free]))])
+    limits = list(zip(low[:free].tolist(), high[:free].tolist(), strict=True))
+    def unlikely(theta: FloatArray) -> float:
+        return -likelihood(at(theta))
+
+    options: Any = {"initial_simplex": simplex, "maxfev": STEPS_AGAIN if again else STEPS, "xatol": 0.03, "fatol": 0.05}
+    found = minimize(unlikely, np.asarray(start), method="Nelder-Mead", bounds=limits, options=options)
+    return at(found.x), -float(found.fun)
+
+
+def _with(found: Disturbance, joint: int, level: float, constant: float, white: float) -> Disturbance:
+    """`found` with one joint's values."""
+    out = Disturbance(*(values.copy() for values in found))
+    out.level[joint], out.time_constant[joint], out.white[joint] = level, constant, white
+    return out
