@@ -59,8 +59,8 @@ def _facts(result: FitResult) -> list[Finding]:
     fits = "; ".join(f"torque of joint {j} {share:.1f} %" for j, share in torque_fits(result).items())
     disputes, loose = _disputes(result), _loose(result)
     return [*([Finding("fact", "torque_fit", f"Fit: {fits} ({GOOD_FIT:g} wanted)")] if fits else []),
-            *([Finding("fact", "runs_disagree", f"{units(result).capitalize()} disagree about {disputes}: the next run may differ as "
-                      "much")]
+            *([Finding("fact", "runs_disagree", f"{units(result).capitalize()} disagree about {disputes}: the next run "
+                       "may differ as much")]
               if disputes else []),
             *([Finding("fact", "loose", f"Known loosely: {', '.join(loose)}")] if loose else []),
             Finding("fact", "not_shown", "What no residual shows: a wrong scale of a sensor passes for other "
