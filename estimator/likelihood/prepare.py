@@ -32,21 +32,24 @@ def compile_kernels(workers: int | None = None) -> Path:
     if not os.access(folder, os.W_OK):
         raise OSError(f"{folder} cannot be written; set {jit.HOME_VARIABLE} to a folder that can")
     mechanisms = usual()
-    parallel_map(lambda i: _use(mechanisms[i]), len(mechanisms), cores() if workers is None else workers)
+    each = [*((m, False) for m in mechanisms), *((m, True) for m in (mechanisms[0], mechanisms[3]))]
+    parallel_map(lambda i: _use(*each[i]), len(each), cores() if workers is None else workers)
     return folder
 
 
-def _use(mechanism: Mechanism) -> None:
-    """One step of a fit at any point."""
+def _use(mechanism: Mechanism, disturbed: bool) -> None:
+    """One step of a fit at any point, and of a search for the motion alone."""
     rng = np.random.default_rng(0)
     shape = (COUNT, mechanism.n)
     imu = {name: rng.normal(size=COUNT) for name in IMU_COLUMNS} if mechanism.lever_arm else {}
     signals = SignalSet("made up", 100.0, np.arange(COUNT) / 100.0, rng.normal(size=shape), rng.normal(size=shape), imu)
-    problem = LatentProblem([signals], mechanism, "linear")
+    problem = LatentProblem([signals], mechanism, "linear", disturbed)
     beta = np.array([3.0 if p.term == "inertia" and p.at[0] == p.at[1] else 0.1 for p in mechanism.parameters])
-    point = problem.linearise(Latents(*rng.normal(size=(3, *shape))), beta,
-                              Noise(np.ones(mechanism.n), np.ones(mechanism.n), np.ones(problem.imu_count),
-                                    np.ones((problem.imu_count, 2))))
+    ones = np.ones(mechanism.n)
+    point = problem.linearise(Latents(*rng.normal(size=(3 + disturbed, *shape))), beta,
+                              Noise(ones, ones, np.ones(problem.imu_count), np.ones((problem.imu_count, 2)),
+                                    disturbance=ones, time_constant=ones))
+    eliminate(point.chain.first(1)).product()
     solved = eliminate(point.chain)
     solved.solution(np.zeros(1 + mechanism.p))
     solved.inverse_diagonal()
