@@ -10,7 +10,7 @@ LOCKED := $(BIN)/python -m pip install --quiet --disable-pip-version-check --req
 # Makes lock files and the bill of materials; apart, so that neither lists its own tools.
 TOOLS  := build/tools
 
-.PHONY: install demo test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs untuned \
+.PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs untuned \
 	table5 replication seven-links imu-links walker bench blind family port port-faults fuzz tutorial screenshots wheel arm64 \
 	lock sbom docs clean
 
@@ -84,6 +84,9 @@ fixtures: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.tools.fixtures
 
 # Every fault at every moment on virtual time, ten minutes: how long the torque outlives it.
+drives: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence drives --out docs/drives-measured.md
+
 faults: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence faults --out docs/faults.md
 

@@ -219,6 +219,8 @@ class MoteusDrive(PolledDrive[Frames]):
         return [Received(self.hello, host_ns)]
 
     def _faults(self, mode: int, code: int) -> int:
+        if self._latched and mode not in (FAULT, TIMEOUT):
+            return 0  # stopping has cleared it there; the words stay until it is acknowledged here
         name = NAMES.get(code, "")
         self.words = f"moteus firmware {self._version}"
         if mode == FAULT:
@@ -299,7 +301,7 @@ def open_link(wiring: Wiring) -> Link[Frames]:
     from drivers.can_link import CanFilter, CanLink  # python-can takes a while to load
 
     mine = CanFilter(wiring.node << 8 | HOST, 0xFFFF if wiring.node else 0xFF, None)  # 0: whoever answers
-    return CanLink(wiring.node, accept=mine, fd=True, **wiring.can)
+    return CanLink(wiring.node, accept=mine, **{**wiring.can, "fd": True})
 
 
 def attach(link: Link[Frames], wiring: Wiring, now_ns: Callable[[], int],

@@ -213,7 +213,7 @@ class OdriveDrive(PolledDrive[Frames]):
                     self._phase, self._phase_ns = "arming", now
                     self._write((message(self.wiring.node, Msg.CLEAR_ERRORS, 0),))
                     self._close_loop()
-                elif waited > self._watchdog_ns + PROOF_NS:
+                elif waited > self._watchdog_ns + max(PROOF_NS, self._watchdog_ns // 4):
                     self._refuse("did not act in time")
             elif self._phase == "arming" and not errors and self._axis == CLOSED_LOOP:
                 self._phase = "on"

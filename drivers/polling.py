@@ -35,6 +35,8 @@ from drivers.protocol import (
 Chunk = TypeVar("Chunk")
 ANSWER_NS = 20_000_000
 """An answer that takes longer is lost."""
+CATCH_UP = 3
+"""Requests that a poll that came late makes up for, at most."""
 ASK_AGAIN_NS = 100_000_000
 """While a drive is being identified."""
 
@@ -173,7 +175,7 @@ class PolledDrive(ABC, Generic[Chunk]):
             self._read()  # an answer that came too late is nobody's
             self._unsure = False
             now = self._now_ns()
-        self._due_ns = max(self._due_ns + self._period_ns, now + self._period_ns // 2)
+        self._due_ns = max(self._due_ns + self._period_ns, now - CATCH_UP * self._period_ns)
         self._request = (self._request + 1) % 65536
         with self._lock:
             self._asked_ns = self._now_ns()

@@ -53,8 +53,8 @@ class BenchDrive(ABC):
         """Set to False: its processor hangs. It answers nothing, and its power stage goes on as it is."""
         self.powered = True
         self.bus_v, self.degc = settings.bus_v, settings.ambient_degc
-        self.current_gain = 1.0
-        """What the drive makes of a torque: 0 is a dead power stage, -1 a reversed one."""
+        self.stage_gain = 1.0
+        """What the power stage makes of a torque: 0 where it is dead, -1 where it is reversed."""
         self.answered = 0
         self._rng = np.random.default_rng(seed)
         self._advance, self._lock = advance, lock or threading.RLock()
@@ -115,8 +115,8 @@ class BenchDrive(ABC):
         self._t_ns = t0_ns
         if self.alive and self.powered:
             self._check(t0_ns)
-        asked = self.torque_nm * self.wiring.turns * self.current_gain if self.powered else 0.0
-        return self.settings.torque_gain * self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, asked)
+        asked = self.torque_nm * self.wiring.turns if self.powered else 0.0
+        return self.settings.torque_gain * self.stage_gain * self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, asked)
 
     def observe(self, segment: Segment) -> None:
         """What the sensors see of a step; the motor warms up."""
@@ -152,7 +152,7 @@ class BenchDrive(ABC):
     def current_a(self) -> float:
         """Measured motor current [A], in the drive's direction."""
         s = self.settings
-        joint = self.motor.last_mean_nm / s.torque_constant_nm_per_a + s.shunt_offset_a
+        joint = self.stage_gain * self.motor.last_mean_nm / s.torque_constant_nm_per_a + s.shunt_offset_a
         return (joint + s.current_noise_a * float(self._rng.standard_normal())) * math.copysign(1.0, self.wiring.turns)
 
     @property

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from heapq import merge
 from pathlib import Path
@@ -34,8 +35,8 @@ from daq.recording import (
     program_facts,
 )
 from daq.runs import RawRun, RunWriter, read_run
-from daq.timing import configured, recorded_rig
-from drivers import Hello, ImuConfig, LegController, Lsm9ds1, Message, PivotReading, ShuntReading
+from daq.timing import configured, is_polled, recorded_rig
+from drivers import Hello, ImuConfig, LegController, Lsm9ds1, Message, PivotReading, Received, ShuntReading, Telemetry
 from drivers.mock import ReplayBus, ReplayLink, VirtualClock, fault_report, frames, pong, rebooted
 
 LEAD_NS = 10_000_000_000
@@ -100,6 +101,9 @@ class _Player:
         self._raw, self._rig = raw, rig
         self.first_ns = min([int(raw.streams["/leg/telemetry"]["host_ns"][0]), *(n.host_ns for n in raw.config)])
         self._hello = _hello(raw)
+        self._polled = is_polled(raw)
+        self._asked_ns = {int(row["host_rx_ns"]): int(row["host_tx_ns"]) for row in raw.streams["/leg/clock"]} \
+            if self._polled else {}
         self._clock = VirtualClock(max(0, self.first_ns - LEAD_NS))
         self._link = ReplayLink(self._hello, self._clock)
         self._link.facts = configured(raw, "link")
@@ -111,12 +115,17 @@ class _Player:
         now_ns, rig = self._clock.now_ns, self._rig
         with LegController(self._link, now_ns) as controller:
             hello = controller.open()
+            if self._polled:
+                controller.capabilities = replace(controller.capabilities, polled=True,
+                                                  current=configured(self._raw, "drive").get("current", "instant"))
+                controller.poll = partial(self._answers, controller.poll)  # type: ignore[method-assign]
             imu, bus = self._open_imu()
             self._clock.advance_to(self.first_ns)
             leg = ControllerIntake(controller, writer, rig.calibration, now_ns)
             samples = None if imu is None else ImuIntake(imu, writer, rig.calibration, now_ns)
             others = self._others(writer)
-            senses = Senses(rig, hello, leg, samples, imu.config.rate_hz if imu else 1.0, now_ns(), others)
+            senses = Senses(rig, hello, leg, samples, imu.config.rate_hz if imu else 1.0, now_ns(), others,
+                            self._polled)
             describe_devices(writer, controller, imu, now_ns())
             steps = [self._polls(leg), self._pings(leg), self._commands(controller, writer, senses),
                      self._notes(writer), self._readings(others)]
@@ -130,6 +139,11 @@ class _Player:
                 trip = trip or watch.check(step.t_ns)
             slow = self._raw.streams["/imu/slow"].size
             return Replayed(writer.messages, samples.samples if samples else 0, slow, trip)
+
+    def _answers(self, poll: Callable[[], list[Received]]) -> list[Received]:
+        """What a poll of the drive brought, with the times of the requests."""
+        return [one._replace(asked_ns=self._asked_ns.get(one.host_ns)) if isinstance(one.message, Telemetry) else one
+                for one in poll()]
 
     def _open_imu(self) -> tuple[Lsm9ds1, ReplayBus] | tuple[None, None]:
         facts = configured(self._raw, "imu")
@@ -164,7 +178,7 @@ class _Player:
         arrived: dict[int, list[tuple[str, Any]]] = {}
         for row in self._raw.streams["/leg/telemetry"]:
             arrived.setdefault(int(row["host_ns"]), []).append(("telemetry", row))
-        for row in self._raw.streams["/leg/clock"]:
+        for row in () if self._polled else self._raw.streams["/leg/clock"]:
             arrived.setdefault(int(row["host_rx_ns"]), []).append(("pong", row))
         for note in self._raw.events:
             if note.kind in ("fault", "reboot"):
@@ -196,7 +210,7 @@ class _Player:
     def _pings(self, leg: ControllerIntake) -> Iterator[Step]:
         """Clock probes that were answered; those before them that were not go out with them."""
         last = -1
-        for row in self._raw.streams["/leg/clock"]:
+        for row in () if self._polled else self._raw.streams["/leg/clock"]:
             last += (int(row["ping_id"]) - last - 1) % 65536 + 1
             yield Step(int(row["host_tx_ns"]), 3, partial(self._ping, leg, last))
 
