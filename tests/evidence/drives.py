@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from daq import load_run, parse_rig
+from daq import parse_rig
 from drivers import DriverError, attach, drive_kinds
 from drivers.can_frame import CanFrame, padded
 from drivers.fdcanusb_link import FdcanusbCodec
@@ -31,6 +31,7 @@ from drivers.moteus_drive import QUERY
 from estimator import FitOptions, fit
 from estimator.model import leg2
 from experiments.emulation import LegBody, record_emulated, rig_with_drive
+from experiments.exchange import load_any_run
 from experiments.excite import random_multisine
 from tests.evidence.drive_faults import FAULTS, MOMENTS, strike
 from tests.evidence.drive_rates import at_rate
@@ -222,13 +223,13 @@ def legs(count: int) -> Results:
             rng = np.random.default_rng(seed)
             usual, drawn = vars(LegBody()), dict[str, Any]()
             for name in DRAWN:
-                value, by = usual[name], rng.uniform(0.85, 1.15, 2)
+                value, by = usual[name], rng.uniform(0.85, 1.15, 2).tolist()
                 drawn[name] = (value[0] * by[0], value[1] * by[1]) if isinstance(value, tuple) else value * by[0]
             body = LegBody(**drawn)
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / f"leg{seed}.mcap"
                 record_emulated(path, rig, named, random_multisine(50 + seed, SECONDS, PEAK_NM), seed, body)
-                data = load_run(path, rig)
+                data = load_any_run(path, rig)
             found = fit([data], leg2(lever_arm=0.2, gravity_mps2=9.81), FitOptions(sensors="imu"))
             truth, std = np.array(body.beta()), np.array([e.std for e in _estimates(found)])
             errors.append(np.abs(np.array(found.beta) / truth - 1.0)[:5])
@@ -280,14 +281,14 @@ def page(r: Results) -> str:
         out += [f"| {v['kind']} | {v['over']} | {v['seconds'] / 60:.0f} | {v['rate']:.1f} | {v['lost']} | "
                 f"{100 * v['share']:.0f} % | {v['wait_ms']:.2f} |" for v in r["rates"]["rows"]] + [""]
     if "legs" in r:
-        out += ["## Parameters", "", f"One run of {SECONDS:g} s on each of {LEGS} emulated legs, masses, centres, inertias and "
-                "frictions drawn within 0.85 to 1.15 of the demo's. Largest relative error of the inertial and gravity "
-                "parameters (beta1 to beta5); the share of all nine 95 % intervals that hold.", "",
+        out += ["## Parameters", "", f"One run of {SECONDS:g} s on each of {LEGS} emulated legs, masses, centres, "
+                "inertias and frictions drawn within 0.85 to 1.15 of the demo's. Largest relative error of the "
+                "inertial and gravity parameters (beta1 to beta5); the share of all nine 95 % intervals that hold.", "",
                 "| drive | legs within 1 % | worst error | intervals that hold |", "| --- | ---: | ---: | ---: |"]
         out += [f"| {kind} | {v[1]} of {v[2]} | {100 * v[0]:.2f} % | {100 * v[3]:.1f} % |"
                 for kind, v in r["legs"].items()] + [""]
     if "springs" in r:
-        out += ["## The hidden spring", "", "`legid demo --drive KIND --seconds 8`, a spring at the hip that the rig "
+        out += ["## The hidden spring", "", "`legid demo --drive KIND --seconds 8`, a spring at the knee that the rig "
                 "file does not know.", "", "| drive | diagnosis |", "| --- | --- |"]
         out += [f"| {kind} | {text} |" for kind, text in r["springs"].items()] + [""]
     if "lines" in r:
