@@ -16,8 +16,8 @@ from daq.rig import parse_rig
 from drivers import Lsm9ds1
 from drivers.errors import DriverError
 from drivers.lsm9ds1 import ImuConfig
-from drivers.mock.faults import FaultyI2C, FaultyLink, FaultyWire, WireFaults
 from experiments.emulation.plant import LegPlant
+from tests.support.device_faults import FaultyI2C, FaultyLink, FaultyWire, WireFaults
 from tests.support.drive_bench import DriveBench
 from tests.support.fault_bench import PLAN, RAMP_AT_S
 
@@ -113,7 +113,7 @@ def stuck(name: str) -> Fault:
 def imu_reads(change: Callable[[list[int]], list[int]]) -> Fault:
     def strike(bench: DriveFaultBench) -> None:
         push = bench.rig.imu.push
-        bench.rig.imu.push = lambda raw: push(change(list(raw)))  # type: ignore[method-assign]
+        bench.rig.imu.push = lambda raw: push(change(list(raw)))
     return strike
 
 
@@ -123,18 +123,18 @@ def hangs(bench: DriveFaultBench) -> None:
 
 
 def nothing_down(bench: DriveFaultBench) -> None:
-    bench.wire.write = lambda data: None  # type: ignore[method-assign]
+    bench.wire.write = lambda data: None
 
 
 def crash(bench: DriveFaultBench) -> None:
     def crashing() -> Any:
         raise ZeroDivisionError("crashed on purpose")
-    bench.drive.poll = crashing  # type: ignore[method-assign]
+    bench.drive.poll = crashing
 
 
 def killed(bench: DriveFaultBench) -> None:
     """SIGKILL: the host is gone without a word, the bus lives."""
-    bench.wire.write = lambda data: None  # type: ignore[method-assign]
+    bench.wire.write = lambda data: None
     raise DriverError("the host was killed")
 
 
