@@ -4,7 +4,6 @@ from .effects.base import Effect as Effect
 from .errors import FitError as FitError
 from .errors import GapError as GapError
 from .fitting.fit import fit as fit
-from .fitting.validation import validate as validate
 from .methods import METHODS as METHODS
 from .methods import Method as Method
 from .options import FitOptions as FitOptions

@@ -13,7 +13,7 @@ from daq import Dataset, FloatArray, WorkError
 from daq.recording import Plan
 from estimator import FitResult
 from estimator.diagnosis import Diagnosis, SensorGain, Signature
-from estimator.fitting import Validation
+from estimator.prediction import Validation
 from experiments.reports import BLUE, GREEN, GREY, ORANGE, Comparison, window
 from experiments.workflows import Tuning
 

@@ -19,7 +19,7 @@ from daq import Dataset as PlainDataset
 from daq import Rig, WorkError
 from estimator import FitResult as PlainFit
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
-from estimator.fitting import Validation as PlainValidation
+from estimator.prediction import Validation as PlainValidation
 from experiments.reports import (
     PARAMETER_HEADER,
     Source,

@@ -12,7 +12,6 @@ from scipy.special import stdtrit
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.decision_rule import ALPHA, BLOCK_S, CHANGED, CONFUSABLE, DRAWS, FEW_RUNS, SHORT_S
-from estimator.diagnosis.parametric_bootstrap import draw_replicate
 from estimator.diagnosis.refit import Model, SmoothedRun, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, SensorGain, ShortRuns, SizeEstimate, Trace
@@ -22,6 +21,7 @@ from estimator.fitting import imu_levels, torque_levels
 from estimator.likelihood import ExtendedProblem, FreeRun, free_run
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
+from estimator.prediction import draw_replicate
 from estimator.signals import Channel, encoder_of, imu_channels, imu_columns
 
 ATTEMPTS = 10

@@ -10,7 +10,6 @@ import numpy as np
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import BAD_REPLICATE, LENT_BIAS, REPLICATED_SAMPLES, REPLICATES
-from estimator.diagnosis.parametric_bootstrap import draw_replicate, simulate_run
 from estimator.diagnosis.score_statistics import RunScore, Tests, project, score_alone, score_run
 from estimator.effects import Effect
 from estimator.errors import FitError
@@ -26,6 +25,7 @@ from estimator.fitting import (
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
+from estimator.prediction import draw_replicate, simulate_run
 from estimator.signals import SignalSet
 
 SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))

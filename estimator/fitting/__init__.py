@@ -1,4 +1,4 @@
-"""The estimators mle, mle-free, wls, rls and hekf, their starts, their bounds, their validation."""
+"""The estimators mle, mle-free, wls, rls and hekf, their starts and their bounds."""
 
 from estimator.fitting.admissibility import faults, fit_admissible
 from estimator.fitting.fit import between_samples, fit
@@ -8,36 +8,16 @@ from estimator.fitting.initial_guess import gentle_start, noise_floors, start_st
 from estimator.fitting.latent_motion import settle_motion
 from estimator.fitting.mle import rounding_words
 from estimator.fitting.noise_levels import imu_levels, torque_levels
-from estimator.fitting.prediction import (
-    HORIZONS_S,
-    Horizons,
-    Measured,
-    Predicted,
-    measured_states,
-    predict,
-    prediction_score,
-    smoothed_states,
-)
 from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.scale import has_torque, require_scale
 from estimator.fitting.second_opinion import MOST_DISAGREEMENT, with_second_opinion
-from estimator.fitting.validation import Validation, validate
-from estimator.fitting.walking import StepsAhead, WalkAhead, Whole, walk_ahead
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 
 __all__ = [
-    "HORIZONS_S",
     "MAX_ITERATIONS",
     "MOST_DISAGREEMENT",
     "PASSIVE_SHARE",
     "TORQUE_SHARE",
-    "Horizons",
-    "Measured",
-    "Predicted",
-    "StepsAhead",
-    "Validation",
-    "WalkAhead",
-    "Whole",
     "between_samples",
     "design_rows",
     "faults",
@@ -50,19 +30,13 @@ __all__ = [
     "imu_levels",
     "iterate",
     "known_noise",
-    "measured_states",
     "mistakes_torque",
     "noise_floors",
-    "predict",
-    "prediction_score",
     "require_scale",
     "rounding_words",
     "settle_motion",
-    "smoothed_states",
     "start_state",
     "torque_levels",
-    "validate",
-    "walk_ahead",
     "weighted_least_squares",
-    "with_second_opinion"
+    "with_second_opinion",
 ]

@@ -23,13 +23,13 @@ from estimator.fitting.gauss_newton import TORQUE_SHARE, most_noise
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.run_scatter import student_quantile
 from estimator.fitting.shooting import SEGMENT_S
-from estimator.fitting.shooting_segments import Segments
+from estimator.fitting.shooting_segments import Segments, filtered_motion
 from estimator.fitting.warm_start import LEAST_STRETCH, cut
 from estimator.likelihood import LatentProblem, Latents, Noise, Process, State
 from estimator.model import Mechanism
 from estimator.numerics import BlockTridiagonal, eliminate
 from estimator.options import FitOptions
-from estimator.signals import SignalSet, differentiate
+from estimator.signals import SignalSet
 
 TIME_CONSTANTS = (3.0, 10.0, 40.0, 160.0)
 """Time constants that are screened, in samples."""
@@ -146,9 +146,7 @@ def predicts_worse(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str
     A disturbance that stands for structure of the model may favour parameters that no longer simulate the machine. Free
     runs begin in states by filtered differences, which are of no model; their rms errors are compared in pairs.
     """
-    rate = signals[0].rate_hz
-    motions = [differentiate(s, mechanism, min(10.0, 0.2 * rate), options.filter_order, fused=True) for s in signals]
-    q, v = np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions])
+    q, v = filtered_motion(signals, mechanism, options)
     segments = Segments(signals, mechanism, hold, SEGMENT_S)
     errors = np.stack([segments.errors(q, v, beta) for beta in betas])
     ratio = 0.5 * np.log(errors[1] / errors[0])

@@ -81,7 +81,8 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         state.iterations = iteration + 1
         if finds_rest and (iteration < REST_STEPS or found_rounding):
             problem.stiction_variance = problem.find_stiction_variance(state.x.v, state.beta)
-        point = problem.linearise(state.x, state.beta, state.noise)
+        linearise = problem.linearise if index.size else problem.motion_equations
+        point = linearise(state.x, state.beta, state.noise)
         try:
             solved = eliminate(point.chain)
         except np.linalg.LinAlgError:

@@ -28,10 +28,9 @@ from estimator.errors import FitError
 from estimator.fitting.admissibility import faults
 from estimator.fitting.fit import estimate
 from estimator.fitting.identifiability import undetermined
-from estimator.fitting.prediction import measured_states
 from estimator.fitting.run_scatter import student_quantile
 from estimator.fitting.shooting import ENOUGH_RUNS, SEGMENT_S, Shot, shoot
-from estimator.fitting.shooting_segments import Segments
+from estimator.fitting.shooting_segments import Segments, filtered_motion
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -171,7 +170,7 @@ def _errors(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
             ) -> FloatArray:
     """(S, M) mean squared error of free runs over each second by each of M parameters, in the variances of what the
     sensors read: at most 1, the error of a constant prediction."""
-    states = measured_states(datasets, mechanism, options)
-    q, v = np.concatenate([s.q for s in states]), np.concatenate([s.qd for s in states])
-    segments = Segments(split_signals(datasets, mechanism, options), mechanism, options.hold, SEGMENT_S)
+    signals = split_signals(datasets, mechanism, options)
+    q, v = filtered_motion(signals, mechanism, options)
+    segments = Segments(signals, mechanism, options.hold, SEGMENT_S)
     return np.stack([segments.errors(q, v, beta) for beta in betas], axis=-1)

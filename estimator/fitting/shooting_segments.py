@@ -15,7 +15,8 @@ from daq import FloatArray
 from estimator.likelihood import LatentProblem
 from estimator.model import Mechanism
 from estimator.numerics import propagate
-from estimator.signals import SignalSet, accelerometer_slopes
+from estimator.options import FitOptions
+from estimator.signals import SignalSet, accelerometer_slopes, differentiate
 
 CHUNK = 20_000
 """Samples, about, whose sensitivities are in memory at a time."""
@@ -262,3 +263,11 @@ def _by_segment(part: Part, columns: FloatArray) -> FloatArray:
     rows = np.minimum(part.first[:, None] + index, columns.shape[1] - 1)
     padded = columns[:, rows] * (index < part.size[:, None])[:, :, None]
     return (padded.swapaxes(-1, -2) @ padded).swapaxes(0, 1)
+
+
+def filtered_motion(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions
+                    ) -> tuple[FloatArray, FloatArray]:
+    """Angles and rates (N, n) by filtered differences: of no model, so that models can be compared from them."""
+    rate = signals[0].rate_hz
+    motions = [differentiate(s, mechanism, min(10.0, 0.2 * rate), options.filter_order, fused=True) for s in signals]
+    return np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions])

@@ -5,7 +5,7 @@ from estimator.likelihood.disturbance import Process
 from estimator.likelihood.dry_friction import REST_SPREAD, held_variance
 from estimator.likelihood.effective_samples import effective_samples
 from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage
-from estimator.likelihood.free_run import FreeRun, free_run
+from estimator.likelihood.free_run import LOST_RAD, FreeRun, free_run, pieces, read_motion
 from estimator.likelihood.loudness import Loudness, even
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents, Linearised
@@ -15,7 +15,7 @@ from estimator.likelihood.state import State
 from estimator.likelihood.trajectory_likelihood import TIGHT, LatentProblem
 
 __all__ = [
-    "REST_SPREAD", "TIGHT", "BatchProblem", "Candidate", "ExtendedProblem", "FreeRun", "LatentProblem", "Latents",
-    "Linearised", "Loudness", "Noise", "Point", "Process", "Records", "Stage", "State", "compile_kernels",
-    "effective_samples", "even", "free_run", "held_variance", "pull_after",
+    "LOST_RAD", "REST_SPREAD", "TIGHT", "BatchProblem", "Candidate", "ExtendedProblem", "FreeRun", "LatentProblem",
+    "Latents", "Linearised", "Loudness", "Noise", "Point", "Process", "Records", "Stage", "State", "compile_kernels",
+    "effective_samples", "even", "free_run", "held_variance", "pieces", "pull_after", "read_motion",
 ]

@@ -254,7 +254,8 @@ class ExtendedProblem(LatentProblem):
 
     def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
         """`beta` is the whole parameter vector here; what is believed of sizes beforehand is in."""
-        point = super().linearise(x, beta[: self.mechanism.p], noise, self.extra(x, beta))
+        extra = self.extra(x, beta) if self.effects or self.candidates else None
+        point = super().linearise(x, beta[: self.mechanism.p], noise, extra)
         p, own = self.mechanism.p, self._precision.size
         sizes = beta[p : p + own]
         point.corner[range(p, p + own), range(p, p + own)] += self._precision
@@ -263,7 +264,8 @@ class ExtendedProblem(LatentProblem):
 
     def motion_equations(self, x: Latents, parameters: FloatArray, noise: Noise) -> Linearised:
         """`linearise` for a search of the motion alone: its corner and border are of no use."""
-        point = super().linearise(x, parameters[: self.mechanism.p], noise, self.extra(x, parameters, columns=False))
+        extra = self.extra(x, parameters, columns=False) if self.effects else None
+        point = super().linearise(x, parameters[: self.mechanism.p], noise, extra)
         return replace(point, objective=point.objective + self._disbelief(parameters))
 
     def _disbelief(self, parameters: FloatArray) -> float:

@@ -42,38 +42,53 @@ class FreeRun:
     v: FloatArray
     readings: Mapping[Channel, FloatArray]
     """(N,), noise free."""
+    lost: int = 0
+    """Pieces that diverged and stay where they began."""
 
 
 def free_run(problem: ExtendedProblem, state: State, drive: FloatArray | None = None,
-             horizon_s: float = np.inf, or_still: bool = False) -> FreeRun | None:
+             horizon_s: float = np.inf, or_still: bool = False,
+             near: tuple[FloatArray, FloatArray] | None = None) -> FreeRun | None:
     """Simulate every stretch, or each piece of it of `horizon_s`, from its first state; None where it diverges.
 
-    With `or_still` a piece that diverges among others stays where it began: what one does says little of the others.
+    With `or_still` a piece that diverges stays where it began: what one does says little of the others.
 
     `drive` (N, n) is the torque, by default the true one in `state`. What effects with a memory add to the equation of
-    motion is found by repeated simulation, each with their torque of the one before.
+    motion is found by repeated simulation, each with their torque of the one before. The search begins at the motion
+    `near` (q, v), by default that in `state`.
     """
     m = problem.mechanism
     u = problem.motor_torque(state.x, state.beta) if drive is None else drive
     parts = pieces(problem, horizon_s)
     plant = _Plant(problem, state, u, or_still)
-    found = _relaxed(plant, parts)
+    found = _relaxed(plant, parts, near)
     if found is None and plant.memory:
         found = _marched(plant, parts)
     if found is None:
         return None
     q, v, taken = found
     q, v = q[:, : m.n], v[:, : m.n]
-    view = plant.view(q, v, taken)
-    s = view.samples
-    readings = {torque_of(j): u[:, j].copy() for j in range(m.n)}
-    readings |= {encoder_of(j): q[:, j].copy() for j in range(m.n)}
-    readings |= imu_readings(m, s.q, s.v, s.a)
-    for channel, value in added(plant.pairs, view)[2].items():
-        readings[channel] = readings[channel] + value
+    readings = _readings(plant, q, v, taken)
     if not all(np.isfinite(values).all() for values in readings.values()):  # an effect on a motion that is far off
         return None
-    return FreeRun(q, v, readings)
+    return FreeRun(q, v, readings, plant.lost)
+
+
+def read_motion(problem: ExtendedProblem, state: State) -> dict[Channel, FloatArray]:
+    """(N,) what each sensor would read, without noise, on the motion in `state`."""
+    plant = _Plant(problem, state, problem.motor_torque(state.x, state.beta))
+    return _readings(plant, state.x.q, state.x.v, plant.at_samples(state.x.q, state.x.v))
+
+
+def _readings(plant: _Plant, q: FloatArray, v: FloatArray, taken: FloatArray) -> dict[Channel, FloatArray]:
+    n, view = plant.problem.n, plant.view(q, v, taken)
+    s = view.samples
+    readings = {torque_of(j): plant.u[:, j].copy() for j in range(n)}
+    readings |= {encoder_of(j): q[:, j].copy() for j in range(n)}
+    readings |= imu_readings(plant.problem.mechanism, s.q, s.v, s.a)
+    for channel, value in added(plant.pairs, view)[2].items():
+        readings[channel] = readings[channel] + value
+    return readings
 
 
 def pieces(problem: ExtendedProblem, horizon_s: float) -> list[slice]:
@@ -98,6 +113,7 @@ class _Plant:
         self.memory = [p for p in self.pairs if not p[0].instant and not isinstance(p[0], SensorEffect | BodyEffect)]
         """Effects whose torque depends on the motion before: found by iteration, the others by Newton's method."""
         self.or_still = or_still and not self.memory  # an iteration in which a piece is lost leads nowhere
+        self.lost = 0
         self.alone: set[int] = set()
         """First samples of the stretches whose parts do not settle together."""
         view = self.view(state.x.q, state.x.v)
@@ -145,9 +161,11 @@ class _Plant:
                 return found[0], found[1]
             self.alone.add(whole.start)
         each = [self.run(p, near_q, near_v, (near_q[p.start], near_v[p.start]), taken) for p in parts]
-        if self.or_still and len(parts) > 1:
-            each = [e if self.is_kept(e[0], p) else (near_q[p.start] + np.zeros_like(e[0]), np.zeros_like(e[1]))
-                    for p, e in zip(parts, each)]
+        if self.or_still:
+            kept = [self.is_kept(e[0], p) for p, e in zip(parts, each)]
+            self.lost += kept.count(False)
+            each = [e if k else (near_q[p.start] + np.zeros_like(e[0]), np.zeros_like(e[1]))
+                    for k, p, e in zip(kept, parts, each)]
         return np.concatenate([e[0] for e in each]), np.concatenate([e[1] for e in each])
 
     def all_taken(self, taken: FloatArray) -> FloatArray:
@@ -189,10 +207,12 @@ _Run = tuple[FloatArray, FloatArray, FloatArray]
 """q, v (N, n), and what effects take at the samples (n, N)"""
 
 
-def _relaxed(plant: _Plant, parts: Sequence[slice]) -> _Run | None:
+def _relaxed(plant: _Plant, parts: Sequence[slice], near: tuple[FloatArray, FloatArray] | None) -> _Run | None:
     """All parts, effects with a memory by fixed-point iteration; None where it diverges."""
     problem = plant.problem
     q, v = plant.start.q.copy(), plant.start.v.copy()
+    if near is not None:
+        q[:, : problem.n], v[:, : problem.n] = near
     edge = problem.n * 2 * problem.left.size
     taken = np.zeros(edge + problem.n * problem.total)
     stretches = [[p for p in parts if begin <= p.start < end]

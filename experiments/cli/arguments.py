@@ -56,6 +56,23 @@ def chosen_rig(args: argparse.Namespace, runs: Sequence[str]) -> ChosenRig:
     return chosen
 
 
+def add_horizons(parser: argparse.ArgumentParser) -> None:
+    """`--horizons`, None where it was not given."""
+    parser.add_argument("--horizons", type=seconds, metavar="S,S,...",
+                        help="lengths of the pieces that are simulated [s], besides whole runs; default: 0.1,0.5,1,5")
+
+
+def seconds(text: str) -> tuple[float, ...]:
+    """A reader of lengths of time [s], by commas."""
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = (0.0,)
+    if not all(0.0 < value < float("inf") for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r} is not lengths of time in seconds, such as 0.25,1")
+    return values
+
+
 def assignment(text: str) -> tuple[str, float]:
     """NAME=VALUE."""
     name, _, value = text.partition("=")

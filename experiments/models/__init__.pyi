@@ -1,10 +1,6 @@
 from .effect_library import effects_document as effects_document
 from .effect_library import effects_text as effects_text
 from .effect_library import known_effects as known_effects
-from .free_runs import GYRO as GYRO
-from .free_runs import SHORT_S as SHORT_S
-from .free_runs import FreeRuns as FreeRuns
-from .free_runs import Prediction as Prediction
 from .gains import Gains as Gains
 from .gains import Tolerances as Tolerances
 from .gains import gain_rows as gain_rows
@@ -24,5 +20,5 @@ from .schema import Model as Model
 from .schema import ParameterValue as ParameterValue
 from .schema import Provenance as Provenance
 from .with_effects import effect_value as effect_value
+from .with_effects import predictor_of as predictor_of
 from .with_effects import simulate_extended as simulate_extended
-from .with_effects import validate_extended as validate_extended

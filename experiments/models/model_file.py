@@ -8,7 +8,6 @@ from pathlib import Path
 import msgspec
 
 from daq import InputError
-from estimator import TWO_SIDED
 from experiments.console import write_json
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import SCHEMA, Model
@@ -21,16 +20,6 @@ def values_of(model: Model) -> dict[str, tuple[float, float]]:
         variance = model.covariance[k][k]
         found[parameter.name] = (parameter.value, math.inf if variance is None else math.sqrt(max(variance, 0.0)))
     return found
-
-
-def widening_of(model: Model) -> list[float]:
-    """How many times as wide as by its standard deviation alone the 95 % interval of each parameter and size is."""
-    out = [1.0] * len(model.covariance)
-    for k, (parameter, interval) in enumerate(zip(model.parameters, model.ci95)):
-        variance = model.covariance[k][k]
-        if interval is not None and variance and interval[0] < parameter.value:
-            out[k] = (interval[1] - interval[0]) / (2.0 * TWO_SIDED * math.sqrt(variance))
-    return out
 
 
 def save_model(model: Model, path: Path | str) -> None:

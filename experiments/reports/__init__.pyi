@@ -3,9 +3,10 @@ from .comparison import Comparison as Comparison
 from .comparison import HorizonError as HorizonError
 from .comparison import ParameterPair as ParameterPair
 from .comparison import comparison_document as comparison_document
-from .comparison import comparison_sections as comparison_sections
 from .comparison import comparison_text as comparison_text
 from .comparison import comparison_trust as comparison_trust
+from .comparison import horizon_errors as horizon_errors
+from .comparison_page import comparison_sections as comparison_sections
 from .diagnosis_figures import error_bars as error_bars
 from .diagnosis_figures import signature_limits as signature_limits
 from .diagnosis_figures import signature_plot as signature_plot

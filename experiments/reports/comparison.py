@@ -1,28 +1,19 @@
-"""Two models side by side, as text, page and document: `legid compare`."""
+"""Two models side by side, as text and document: `legid compare`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from matplotlib.axes import Axes
-
-from daq import FloatArray
+from estimator.prediction import PredictionTable
 from experiments.console import text_table
-from experiments.models import Prediction
-from experiments.reports.chart import Line
-from experiments.reports.diagnosis_figures import axis_label, draw
-from experiments.reports.figures import BLUE, GREEN, GREY, HEIGHT_IN, INK, ORANGE, finish, picture_lines
-from experiments.reports.html import Picture, Section, Table
 from experiments.reports.numbers import Estimate, number
 from experiments.reports.trust import Trust
 from experiments.session import SetAside
 
 SCHEMA = "legid.comparison/1"
-FIGURE_SECONDS = 12.0
 CHANCE = 0.1
 """Share of sensors and horizons at which one of two equal models may come out better: 95 % intervals, and several of
 them of the same errors."""
@@ -60,7 +51,7 @@ class HorizonError:
     a: float
     b: float
     ci95: tuple[float, float] | None
-    """Of B / A, over resampled pieces of runs; None where there are too few."""
+    """Of B / A, by the scatter between runs, or between blocks of few runs; None where there are too few."""
 
     @property
     def better(self) -> str:
@@ -70,6 +61,14 @@ class HorizonError:
         return "" if self.ci95 is None else "B" if self.ci95[1] < 1.0 else "A" if self.ci95[0] > 1.0 else ""
 
 
+def horizon_errors(table: PredictionTable) -> Iterator[HorizonError]:
+    """One a horizon and sensor of a table of A and B."""
+    for horizon_s in table.horizons_s:
+        for column in table.judged:
+            a, b = (table.rms(k, column, horizon_s) for k in (0, 1))
+            yield HorizonError(horizon_s, column, a, b, table.compared(1, 0, column, horizon_s).ci95)
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Everything that `legid compare` found."""
@@ -77,8 +76,8 @@ class Comparison:
     files: tuple[str, str]
     parameters: tuple[ParameterPair, ...]
     errors: tuple[HorizonError, ...]
-    traces: tuple[Prediction, Prediction]
-    """The first run under each model."""
+    table: PredictionTable
+    """Of A and B"""
     runs: tuple[str, ...]
     doubts: tuple[str, ...]
     """What limits the answer: runs that were fitted, rigs that differ."""
@@ -181,58 +180,3 @@ def comparison_document(found: Comparison) -> dict[str, Any]:
                     "ratio_ci95": None if e.ci95 is None else list(e.ci95), "better": e.better or None}
                    for e in found.errors],
         "trust": comparison_trust(found).document, "set_aside": [run.document for run in found.set_aside]}
-
-
-def comparison_sections(found: Comparison) -> list[Section]:
-    """Errors, figures of the first run, parameters."""
-    return [
-        Section("Free-run errors over horizons",
-                [f"A is {found.files[0]}, B is {found.files[1]}. Each piece starts from the motion that the model "
-                 "itself estimates there from all sensors, and is then driven by the measured torque alone; sensors "
-                 "are compared with what they read. Intervals are those of the ratio over resampled pieces of two "
-                 "seconds; one is better where its interval leaves 1 out."],
-                [Table(ERROR_HEADER, error_rows(found), right=frozenset({2, 3, 4, 5}))],
-                [Picture(ratio_plot(found.errors), "Rms error of B over that of A with 95 % intervals: below 1, B is "
-                         "better.")]),
-        *_traces(found),
-        Section("Parameters", ["z is the difference over its standard deviation, as if the two were independent: "
-                               "beyond +-2 they differ. Where both were fitted to the same runs it is too small."],
-                [Table(PARAMETER_HEADER, parameter_rows(found), right=frozenset({1, 2, 3, 4, 5}))])]
-
-
-def _traces(found: Comparison) -> list[Section]:
-    a, b = found.traces
-    pictures = []
-    for column, measured in a.measured.items():
-        sides: list[tuple[str, Mapping[str, FloatArray] | None, str]] = [("A", a.whole, GREEN), ("B", b.whole, ORANGE)]
-        known = [(name, values[column], colour) for name, values, colour in sides if values is not None]
-        pictures += [
-            picture_lines(a.time_s, [Line("measured", measured, BLUE, 2.2),
-                                     *(Line(name, values, colour) for name, values, colour in known)],
-                          axis_label(column), f"{column}: measured, and as simulated by both.", FIGURE_SECONDS),
-            picture_lines(a.time_s, [Line(f"{name} less measured", values - measured, colour)
-                                     for name, values, colour in known],
-                          f"error of {axis_label(column)}", f"{column}: the errors.", FIGURE_SECONDS)] if known else []
-    return [Section(f"Run {a.run}", ["Whole stretches, from the first state."], (), pictures)] if pictures else []
-
-
-def ratio_plot(errors: Sequence[HorizonError]) -> str:
-    """B / A with intervals by sensor and horizon."""
-    shown = [e for e in errors if math.isfinite(e.a + e.b) and e.a > 0.0]
-    horizons = list(dict.fromkeys(e.horizon_s for e in errors))
-    columns = list(dict.fromkeys(e.column for e in errors))
-
-    def paint(axes: Axes) -> None:
-        axes.axhline(1.0, color=INK, linewidth=0.8)
-        for k, (column, colour) in enumerate(zip(columns, (BLUE, ORANGE, GREEN, GREY) * len(columns))):
-            some = [e for e in shown if e.column == column]
-            x = np.array([horizons.index(e.horizon_s) for e in some]) + 0.12 * (k - (len(columns) - 1) / 2)
-            y = np.array([e.b / e.a for e in some])
-            low, high = np.array([e.ci95 or (r, r) for e, r in zip(some, y)]).reshape(-1, 2).T
-            axes.errorbar(x, y, [np.maximum(y - low, 0.0), np.maximum(high - y, 0.0)], fmt="o", color=colour,
-                          markersize=4.0, label=column)
-        axes.set_yscale("log")
-        axes.set_xticks(range(len(horizons)), [horizon_text(h) for h in horizons])
-        finish(axes, len(columns), "horizon", "error of B / error of A")
-
-    return draw("ratio", HEIGHT_IN + 0.4, paint)

@@ -1,67 +1,100 @@
-"""How far ahead a model predicts, as text, section of a page and JSON: `Horizons` of a validation."""
+"""How far ahead a model predicts, as text, section of a page and JSON: the horizons of a prediction table."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
-from estimator.fitting import Horizons
+import numpy as np
+
+from estimator.prediction import PredictionTable
 from experiments.console import text_table
 from experiments.reports.html import Section, Table
 
+TITLE = "Free runs over pieces of a horizon, each from the model's smoothed state (rms):"
 
-def horizons_rows(found: Horizons) -> tuple[list[str], list[list[str]]]:
+
+class _Row(NamedTuple):
+    """One horizon."""
+
+    horizon_s: float
+    """Of the table"""
+    length_s: float
+    """The same, or that of the longest stretch where the horizon is whole stretches"""
+    pieces: int
+
+
+def _rows(table: PredictionTable) -> Iterator[_Row]:
+    longest = max(run.longest_s for run in table.runs)
+    for h, pieces in zip(table.horizons_s, table.pieces):
+        yield _Row(h, longest if np.isinf(h) else h, int(pieces))
+
+
+def _lost(table: PredictionTable, row: _Row) -> list[int]:
+    """Pieces that diverged, one a model."""
+    return [int(x) for x in table.lost[:, table.horizons_s.index(row.horizon_s)]]
+
+
+def horizons_rows(table: PredictionTable) -> tuple[list[str], list[list[str]]]:
     """Header and rows: one row a horizon, for every joint the error of the model, of another one, of the last velocity
-    kept, and of the readings alone."""
-    against = found.against
-    header = ["horizon", "pieces", "blown up"]
-    kinds = ("model", *["against"] * bool(against), "last velocity")
-    header += [f"{column} {kind}" for column in found.columns for kind in kinds]
+    kept, and of the smoothed motion itself."""
+    models = range(len(table.squares))
+    kinds = ("model", "against")[: len(models)]
+    header = ["horizon", "pieces", "diverged"]
+    header += [f"{column} {kind}" for column in table.angles for kind in (*kinds, "last velocity")]
     rows = []
-    for k, p in enumerate(found.model):
-        blown = [str(x.blown) for x in (p, *against[k : k + 1])]
-        cells = [f"{p.horizon_s:.3g} s", str(p.pieces), " / ".join(blown)]
-        for j in range(len(found.columns)):
-            cells += [f"{x.rmse[j]:.3g}" for x in (p, *against[k : k + 1])] + [f"{p.baseline[j]:.3g}"]
+    for row in _rows(table):
+        cells = [f"{row.length_s:.3g} s", str(row.pieces), " / ".join(map(str, _lost(table, row)))]
+        for column in table.angles:
+            errors = [table.rms(m, column, row.horizon_s) for m in models]
+            cells += [f"{x:.3g}" for x in (*errors, table.rms_kept(column, row.horizon_s))]
         rows.append(cells)
-    rows.append(["noise alone", "", "", *(cell for level in found.noise for cell in
-                                          (f"{level:.2g}", *[""] * bool(against), ""))])
+    rows.append(["noise alone", "", "", *(cell for column in table.angles for cell in
+                                          (f"{table.rms_residual(column):.2g}", *[""] * len(models)))])
     return header, rows
 
 
-def horizons_doubts(found: Horizons) -> list[str]:
+def horizons_doubts(table: PredictionTable) -> list[str]:
     """What of it is not to be relied on."""
-    doubts = [f"at {p.horizon_s:g} s {p.blown} of {p.pieces} simulations of {name} blew up; they are not in its errors"
-              for name, table in (("the model", found.model), ("the other model", found.against))
-              for p in table if p.blown]
-    worse = [p for p in found.model if p.horizon_s <= 1.0 and not bool((p.rmse < p.baseline).all())]
-    doubts += [f"at {p.horizon_s:g} s the last velocity, kept, predicts a joint better than the model" for p in worse]
+    doubts = [f"at {row.length_s:.3g} s {lost} of {row.pieces} simulations of {name} diverged; they count as if the "
+              "joints had stayed where they were" for row in _rows(table) if np.isfinite(row.horizon_s)
+              for name, lost in zip(("the model", "the other model"), _lost(table, row)) if lost]
+    worse = [h for h in table.horizons_s if h <= 1.0 and any(
+        not table.rms(0, c, h) < table.rms_kept(c, h) for c in table.angles)]
+    doubts += [f"at {h:g} s the last velocity, kept, predicts a joint better than the model" for h in worse]
     return doubts
 
 
-def horizons_text(found: Horizons) -> str:
+def horizons_text(table: PredictionTable) -> str:
     """What a person reads."""
-    header, rows = horizons_rows(found)
-    return "\n".join(["", "Free runs over pieces of a horizon, each from the measured state (rms):",
-                      text_table(header, rows, right=set(range(1, len(header)))),
-                      *(f"warning: {doubt}" for doubt in horizons_doubts(found))])
+    header, rows = horizons_rows(table)
+    return "\n".join(["", TITLE, text_table(header, rows, right=set(range(1, len(header)))),
+                      *(f"warning: {doubt}" for doubt in horizons_doubts(table))])
 
 
-def horizons_section(found: Horizons) -> Section:
+def horizons_section(table: PredictionTable) -> Section:
     """The same for a page."""
-    header, rows = horizons_rows(found)
+    header, rows = horizons_rows(table)
     return Section(
         "How far ahead the model predicts",
-        ["Free runs over pieces of a horizon, each from the measured state: rms errors in the unit of the column, "
-         "beside those of the last velocity kept, and the readings' own noise."],
-        [Table(header, rows, right=frozenset(range(1, len(header))))], notes=[*horizons_doubts(found)])
+        ["Free runs over pieces of a horizon, each from the model's own smoothed state: rms errors in the unit of the "
+         "column, next to those of the last velocity kept. Noise alone: the readings about the smoothed motion."],
+        [Table(header, rows, right=frozenset(range(1, len(header))))], notes=[*horizons_doubts(table)])
 
 
-def horizons_document(found: Horizons) -> list[dict[str, Any]]:
-    """`horizons` of `legid.validation/1`, one entry a horizon."""
-    def by_joint(values: Any) -> dict[str, float]:
-        return dict(zip(found.columns, map(float, values)))
+def horizons_document(table: PredictionTable) -> list[dict[str, Any]]:
+    """`horizons` of `legid.validation/1`, one entry a horizon; null where a whole stretch diverges."""
+    def by_joint(value: Callable[[str], float]) -> dict[str, float]:
+        return {column: float(value(column)) for column in table.angles}
 
-    return [{"horizon_s": float(p.horizon_s), "pieces": p.pieces, "blown_up": p.blown, "rmse": by_joint(p.rmse),
-             "last_velocity": by_joint(p.baseline), "noise": by_joint(found.noise),
-             **({"against": {"rmse": by_joint(found.against[k].rmse), "blown_up": found.against[k].blown}}
-                if found.against else {})} for k, p in enumerate(found.model)]
+    def entry(row: _Row) -> dict[str, Any]:
+        h, lost = row.horizon_s, _lost(table, row)
+        found: dict[str, Any] = {
+            "horizon_s": float(row.length_s), "pieces": row.pieces, "blown_up": lost[0],
+            "rmse": by_joint(lambda c: table.rms(0, c, h)), "last_velocity": by_joint(lambda c: table.rms_kept(c, h)),
+            "noise": by_joint(table.rms_residual)}
+        if len(lost) > 1:
+            found["against"] = {"rmse": by_joint(lambda c: table.rms(1, c, h)), "blown_up": lost[1]}
+        return found
+
+    return [entry(row) for row in _rows(table)]

@@ -5,19 +5,18 @@ The thresholds stand here and in docs/trust.md, which says what they were held a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from daq import FloatArray
 from estimator import Finding, FitResult
 from estimator.model import VELOCITY_SCALE
-from experiments.models import GYRO, SHORT_S, MechanismSettings, Prediction
+from estimator.prediction import SHORT_S, PredictionTable
+from experiments.models import MechanismSettings
 from experiments.reports.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
 from experiments.reports.html import Level, VerdictBox
-from experiments.reports.residual_tests import fit_percent
 from experiments.reports.run_agreement import units
 
 
@@ -84,28 +83,29 @@ def _fault(faults: Sequence[Finding]) -> str:
             "columns": f"the columns cannot be right ({texts})"}.get(kind, texts)
 
 
-def judged(prediction: Prediction) -> list[str]:
-    """Columns that decide: every encoder, and the gyros where the pivot has none."""
-    angles = [name for name in prediction.measured if not name.startswith(GYRO)]
-    return angles if any(name.startswith("q1") for name in angles) else list(prediction.measured)
+def deciding(table: PredictionTable) -> list[str]:
+    """Channels that decide: every encoder, and the gyros where the pivot has none."""
+    angles = [name for name in table.judged if not name.startswith("gyro")]
+    return angles if any(name.startswith("q1") for name in angles) else list(table.judged)
 
 
-def fits_of(prediction: Prediction, simulated: Mapping[str, FloatArray] | None) -> dict[str, float]:
-    """Column -> fit [%]; minus infinity where the simulation ran away."""
-    return {name: -np.inf if simulated is None else fit_percent(values, simulated[name])
-            for name, values in prediction.measured.items()}
+def fits_of(table: PredictionTable, run: int, horizon_s: float, model: int = 0) -> dict[str, float]:
+    """Channel that the run's sensors read -> fit [%]; minus infinity where a whole stretch diverges. A horizon that no
+    stretch exceeds is as the whole."""
+    horizon_s = horizon_s if horizon_s in table.horizons_s else np.inf
+    found = {name: table.fit_percent(model, name, horizon_s, run) for name in table.judged}
+    return {name: share for name, share in found.items() if not np.isnan(share)}
 
 
-def validation_trust(predictions: Sequence[Prediction], seen: Sequence[str] = (),
-                     contradictions: Sequence[str] = ()) -> Trust:
+def validation_trust(table: PredictionTable, seen: Sequence[str] = (), contradictions: Sequence[str] = ()) -> Trust:
     """Of free runs: over whole runs, or over pieces of a second at least. `seen` are runs that the model was fitted
     to."""
-    def worst(simulated: str) -> tuple[float, str]:
-        return min((share, f"{name} in {p.run}") for p in predictions
-                   for name, share in fits_of(p, getattr(p, simulated)).items() if name in judged(p))
+    def worst(horizon_s: float) -> tuple[float, str]:
+        return min((share, f"{name} in {one.run}") for k, one in enumerate(table.runs)
+                   for name, share in fits_of(table, k, horizon_s).items() if name in deciding(table))
 
-    (whole, where), (short, where_short) = worst("whole"), worst("short")
-    seconds = min(p.longest_s for p in predictions)
+    (whole, where), (short, where_short) = worst(np.inf), worst(SHORT_S)
+    seconds = min(one.longest_s for one in table.runs)
     level, sentence = _for_what(whole, where, short, where_short, seconds)
     doubts = [f"run {run} was fitted, so it shows nothing of other motion" for run in seen]
     doubts += list(contradictions)

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from estimator.fitting import Validation
+from estimator.prediction import SHORT_S, PredictionTable, Validation, validations_of
 from experiments.console import text_table
-from experiments.models import SHORT_S, Prediction
 from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_lines, window
 from experiments.reports.html import Section, Table
@@ -20,16 +19,15 @@ FIGURE_SECONDS = 20.0
 PICTURE_SECONDS = 10.0
 
 
-def validation_document(validations: Sequence[Validation], sensors: str, predictions: Sequence[Prediction] = ()
-                        ) -> dict[str, Any]:
-    """`legid.validation/1`: summed squared errors (Table V of the paper) and RMSE by run and signal; of `predictions`
-    the fit by sensor [%], null where the simulation ran away."""
+def validation_document(table: PredictionTable, sensors: str) -> dict[str, Any]:
+    """`legid.validation/1`: summed squared errors (Table V of the paper) and RMSE by run and signal, and the fit by
+    sensor [%], null where the simulation diverges."""
     return {"schema": SCHEMA, "sensors": sensors,
-            "fit_percent": [{"run": p.run, "whole": fits_of(p, p.whole), "short": fits_of(p, p.short),
-                             "short_s": SHORT_S} for p in predictions],
+            "fit_percent": [{"run": one.run, "whole": fits_of(table, k, np.inf), "short": fits_of(table, k, SHORT_S),
+                             "short_s": SHORT_S} for k, one in enumerate(table.runs)],
             "runs": [{"run": v.run, "samples": int(v.time_s.shape[0]), "horizon_s": float(v.horizon_s),
                       "diverged": bool(v.diverged), "summed_squared_error": _floats(v.sums), "rmse": _floats(v.rmse)}
-                     for v in validations]}
+                     for v in validations_of(table)]}
 
 
 def _floats(values: Any) -> dict[str, float]:
@@ -52,26 +50,31 @@ def validation_rows(validations: Sequence[Validation]) -> tuple[list[str], list[
 FIT_HEADER = ["run", "sensor", "fit, whole run", f"fit, pieces of {SHORT_S:g} s", "95 % band by parameters"]
 
 
-def fit_rows(predictions: Sequence[Prediction]) -> list[list[str]]:
+def fit_rows(table: PredictionTable) -> list[list[str]]:
     """One row of FIT_HEADER a sensor of a run; the band as its rms half width, in the sensor's unit."""
     def share(value: float) -> str:
         return f"{value:.1f} %" if np.isfinite(value) else "ran away"
 
-    return [[p.run, name, share(fits_of(p, p.whole)[name]), share(fits_of(p, p.short)[name]),
-             "" if p.band is None else f"+-{np.sqrt(np.mean(p.band[name] ** 2)):.2g}"]
-            for p in predictions for name in p.measured]
+    rows = []
+    for k, one in enumerate(table.runs):
+        band = one.bands[0] if one.bands else None
+        short = fits_of(table, k, SHORT_S)
+        rows += [[one.run, name, share(value), share(short[name]), "" if band is None else
+                  f"+-{np.sqrt(np.mean(band[table.channels.index(name)] ** 2)):.2g}"]
+                 for name, value in fits_of(table, k, np.inf).items()]
+    return rows
 
 
-def validation_text(validations: Sequence[Validation], predictions: Sequence[Prediction] = ()) -> str:
+def validation_text(table: PredictionTable) -> str:
     """What a person reads after `legid validate`."""
+    validations = validations_of(table)
     header, rows = validation_rows(validations)
     unit = length_unit(validations[0])
-    lines = [text_table(header, rows, right=set(range(1, len(header)))), ""]
-    if predictions:
-        lines += [text_table(FIT_HEADER, fit_rows(predictions), right={2, 3, 4}), "",
-                  "fit: 100 % is exact, 0 % no better than the mean. Band: by how much the parameters' own uncertainty "
-                  "moves the simulation; an error far beyond it is something that the model lacks."]
-    lines += [f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s."]
+    lines = [text_table(header, rows, right=set(range(1, len(header)))), "",
+             text_table(FIT_HEADER, fit_rows(table), right={2, 3, 4}), "",
+             "fit: 100 % is exact, 0 % no better than the mean. Band: by how much the parameters' own uncertainty "
+             "moves the simulation; an error far beyond it is something that the model lacks.",
+             f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s."]
     lines += [f"{v.run}: the simulation ran away from the measurement" for v in validations if v.diverged]
     return "\n".join(lines)
 
@@ -93,18 +96,18 @@ def validation_picture(validation: Validation) -> str:
     return plot_lines(validation.time_s[part] - validation.time_s[0], lines, label)
 
 
-def validation_section(validations: Sequence[Validation], predictions: Sequence[Prediction] = ()) -> Section:
-    """Table of all runs, figures of the first, with their bands where `predictions` are given."""
+def validation_section(table: PredictionTable) -> Section:
+    """Table of all runs, figures of the first, with their bands where the table has them."""
+    validations = validations_of(table)
     header, rows = validation_rows(validations)
     first = validations[0]
     unit = length_unit(first)
-    bands = next((p.band for p in predictions if p.run == first.run and p.band is not None), {})
+    band = table.runs[0].bands[0] if table.runs[0].bands else None
     pictures = []
     for j in range(first.q.shape[1]):
-        name = f"q{j + 1}_{unit}"
         q = first.q[:, j]
         lines = [Line("measured", first.reference_q[:, j], BLUE, 2.2), Line("simulated", q, ORANGE, 0.9)]
-        half = bands[name][:first.time_s.size] if name in bands else None
+        half = None if band is None else band[j, : first.time_s.size]
         shade = "" if half is None else "; shaded, its 95 % band by the parameters' uncertainty"
         shaded = [] if half is None else [Band("95 % by parameters", q - half, q + half, ORANGE)]
         pictures += [
@@ -117,10 +120,9 @@ def validation_section(validations: Sequence[Validation], predictions: Sequence[
                                                         if half is not None else "."), FIGURE_SECONDS,
                           bands=[] if half is None else [Band("95 % by parameters", -half, half, GREY)])]
     notes = [f"{v.run}: the simulation ran away from the measurement." for v in validations if v.diverged]
-    tables = [Table(header, rows, right=frozenset(range(1, len(header))))]
-    if predictions:
-        tables.insert(0, Table(FIT_HEADER, fit_rows(predictions), "Fit: 100 % is exact, 0 % no better than the mean; "
-                               "the band is the rms of its half width, in the sensor's unit", frozenset({2, 3, 4})))
+    tables = [Table(FIT_HEADER, fit_rows(table), "Fit: 100 % is exact, 0 % no better than the mean; the band is the "
+                    "rms of its half width, in the sensor's unit", frozenset({2, 3, 4})),
+              Table(header, rows, right=frozenset(range(1, len(header))))]
     return Section(
         "Free-run simulation against validation data",
         ["The identified model is started in the measured state and then driven by the measured torque alone. Of other "

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.fitting import WalkAhead, Whole
+from estimator.prediction import WalkAhead, Whole
 from experiments.console import text_table
 from experiments.reports.html import Section, Table
 

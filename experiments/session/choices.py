@@ -12,8 +12,9 @@ from msgspec import structs
 from daq import Dataset, Rig
 from estimator import FitError
 from estimator.calibration import find_differing, needed_terms
-from estimator.fitting import measured_states
 from estimator.model import settings_of
+from estimator.prediction import filtered_motion
+from estimator.signals import split_signals
 from experiments.models import MechanismSettings, build_mechanism
 from experiments.session.setup import Setup, setup_of
 
@@ -80,7 +81,8 @@ def choose_terms(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = No
 
 def _rounding(setup: Setup) -> Choice:
     speed = float(np.percentile(np.abs(np.concatenate(
-        [s.qd.ravel() for s in measured_states(setup.datasets, setup.mechanism, setup.options)])), 99.0))
+        [k.qd.ravel() for k in filtered_motion(split_signals(setup.datasets, setup.mechanism, setup.options),
+                                               setup.mechanism, setup.options)])), 99.0))
     value = float(f"{max(SPEED_SHARE * speed, 1e-9):.1g}")
     return Choice("terms", "friction_velocity_radps", value, f"a slide that moves at {speed:.2g} m/s",
                   "friction's sign is rounded over a thousandth of that")

@@ -20,12 +20,12 @@ from daq import InputError, WorkError, load_rig
 from estimator import CAUSED, FitError, FitResult, Method
 from estimator.calibration import SIGNALS, EncoderFit
 from estimator.diagnosis import Diagnosis
-from estimator.fitting import Validation
+from estimator.prediction import Validation, validations_of
 from estimator.signals import torque_column
 from experiments.calibrate import compare, read_moving
 from experiments.reports import pieces, rmse
 from experiments.session import Setup, load_runs, prepare
-from experiments.workflows import diagnose_prepared, fit_runs, validate_setup
+from experiments.workflows import diagnose_prepared, fit_runs, fitted_predictor, predict_setup
 
 T = TypeVar("T")
 RIGS = Path(__file__).parent / "rigs"
@@ -231,11 +231,10 @@ def _fit(task: FitTask, home: Path) -> Fitted:
     result, refusal = _attempt(estimate)
     if result is None or not task.validate:
         return Fitted(task, result, refusal)
-    mechanism, beta, hold = result.mechanism, result.beta, result.hold
 
     def simulate() -> list[Validation]:
-        prepared = prepare([home / run for run in task.validate], rig, fixed=task.fix, beta=beta)
-        return validate_setup(prepared.setup, mechanism, beta, hold)
+        prepared = prepare([home / run for run in task.validate], rig, fixed=task.fix, beta=result.beta)
+        return validations_of(predict_setup([fitted_predictor(result)], prepared.setup))
 
     validations, problem = _attempt(simulate)
     return Fitted(task, result, refusal, validations or (), problem)

@@ -22,10 +22,8 @@ from .tune import tuning_rows as tuning_rows
 from .tune import tuning_text as tuning_text
 from .tune import write_choices as write_choices
 from .validate import ValidationReport as ValidationReport
-from .validate import foretell as foretell
-from .validate import foretell_steps as foretell_steps
-from .validate import predict_runs as predict_runs
+from .validate import fitted_predictor as fitted_predictor
+from .validate import predict_setup as predict_setup
 from .validate import seen_in_fit as seen_in_fit
+from .validate import validate_model as validate_model
 from .validate import validate_prepared as validate_prepared
-from .validate import validate_runs as validate_runs
-from .validate import validate_setup as validate_setup

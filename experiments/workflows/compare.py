@@ -3,80 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from daq import Dataset, FloatArray, InputError, Rig
+from daq import Dataset, Rig
+from estimator.prediction import HORIZONS_S, predict
 from experiments.console import progress
-from experiments.models import FreeRuns, Model, build_mechanism, known_effects
-from experiments.reports import Comparison, Estimate, HorizonError, ParameterPair, model_contradictions, normal
-from experiments.session import Prepared, prepare, require_sound
-
-HORIZONS_S = (0.25, 0.5, 1.0, 2.0, 5.0, np.inf)
-BLOCK_S = 2.0
-"""Errors further apart than this count as independent."""
-LEAST_BLOCKS = 5
-DRAWS = 2000
+from experiments.models import Model, known_effects, predictor_of
+from experiments.reports import Comparison, Estimate, ParameterPair, horizon_errors, model_contradictions, normal
+from experiments.session import prepare, require_sound
+from experiments.workflows.validate import require_mechanism
 
 
 def compare_models(models: tuple[Model, Model], files: tuple[str, str], runs: Sequence[Dataset], rig: Rig,
-                   sensors: str | None = None) -> Comparison:
+                   sensors: str | None = None, horizons_s: Sequence[float] = HORIZONS_S) -> Comparison:
     """Compare `models`, read from `files`, on `runs` of `rig`. Raises `InputError` for models of other mechanisms,
     `FitError` where no motion can be estimated."""
     prepared = [prepare(runs, rig, sensors=sensors, beta=np.array(model.beta)) for model in models]
-    sides = [_free_runs(model, file, one) for model, file, one in zip(models, files, prepared)]
-    names = [data.name for data in prepared[0].setup.datasets]
-    traces = sides[0][0].prediction(), sides[1][0].prediction()
-    errors = [error for horizon in HORIZONS_S if np.isinf(horizon) or any(p.longest_s > horizon for p in traces)
-              for error in _errors(sides, horizon)]
-    return Comparison(files, parameter_pairs(models), tuple(errors), traces, tuple(names),
-                      (*prepared[0].warnings, *_doubts(models, files, names)), _notes(models),
-                      prepared[0].set_aside)
-
-
-def _free_runs(model: Model, file: str, prepared: Prepared) -> list[FreeRuns]:
-    setup = prepared.setup
-    mechanism = build_mechanism(model.mechanism)
-    if (setup.settings.model, setup.mechanism.n) != (model.mechanism.model, mechanism.n):
-        raise InputError(file, f"is a {model.mechanism.model}, the rig file says {setup.settings.model}",
-                         "give the rig that the model was fitted on")
-    require_sound(setup)
-    options, found, session_s = replace(setup.options, hold=model.hold), [], 0.0
-    for data in progress(setup.datasets, f"simulating {file}", unit="run"):
-        found.append(FreeRuns(model, mechanism, options, data, session_s))
-        session_s += found[-1].seconds
-    return found
-
-
-def _errors(sides: Sequence[Sequence[FreeRuns]], horizon_s: float) -> list[HorizonError]:
-    """One a column that all runs have."""
-    squares: list[dict[str, list[FloatArray] | None]] = []
-    columns = [c for c in sides[0][0].measured if all(c in runs.measured for side in sides for runs in side)]
-    for side in sides:
-        blocks: dict[str, list[FloatArray] | None] = {c: [] for c in columns}
-        for runs in side:
-            simulated = runs.simulated(horizon_s)
-            parts = max(1, round(runs.seconds / BLOCK_S))
-            for c in columns:
-                kept = blocks[c]
-                if simulated is None or kept is None:
-                    blocks[c] = None
-                    continue
-                kept += np.array_split((simulated[c] - runs.measured[c]) ** 2, parts)
-        squares.append(blocks)
-    return [_error(horizon_s, c, squares[0][c], squares[1][c]) for c in columns]
-
-
-def _error(horizon_s: float, column: str, a: list[FloatArray] | None, b: list[FloatArray] | None) -> HorizonError:
-    rms = [np.inf if x is None else float(np.sqrt(np.nanmean(np.concatenate(x)))) for x in (a, b)]
-    if a is None or b is None or len(a) < LEAST_BLOCKS:
-        return HorizonError(horizon_s, column, rms[0], rms[1], None)
-    means = np.array([[np.nanmean(x), np.nanmean(y)] for x, y in zip(a, b) if np.isfinite(x).any()])
-    rng = np.random.default_rng(0)
-    drawn = means[rng.integers(0, len(means), (DRAWS, len(means)))].mean(axis=1)
-    low, high = np.quantile(np.sqrt(drawn[:, 1] / np.maximum(drawn[:, 0], 1e-300)), [0.025, 0.975])
-    return HorizonError(horizon_s, column, rms[0], rms[1], (float(low), float(high)))
+    for model, file, one in zip(models, files, prepared):
+        require_mechanism(model, one.setup, file)
+    require_sound(prepared[0].setup)
+    a, b = (predict([predictor_of(model)], progress(one.setup.datasets, f"simulating {file}", unit="run"),
+                    one.setup.options, horizons_s, reader=0) for model, file, one in zip(models, files, prepared))
+    table, names = a.beside(b), [data.name for data in prepared[0].setup.datasets]
+    return Comparison(files, parameter_pairs(models), tuple(horizon_errors(table)), table, tuple(names),
+                      (*prepared[0].warnings, *_doubts(models, files, names)), _notes(models), prepared[0].set_aside)
 
 
 def parameter_pairs(models: tuple[Model, Model]) -> tuple[ParameterPair, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from estimator import FitResult
+from estimator.prediction import validations_of
 from experiments.console import command_line, write_json, write_text
 from experiments.models import save_model
 from experiments.provenance import origin_of, source_of
@@ -47,7 +48,7 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult | None) -> dict[st
     write_json(written["fit"], with_origin(fit_document(result, setup.settings), origin))
     write_json(written["diagnosis"], with_origin(diagnosis_document(demo.diagnosis), origin))
     write_json(written["validation"], with_origin(validation_document(demo.after, setup.options.sensors), origin))
-    write_text(written["picture"], standalone(validation_picture(demo.after[0])))
+    write_text(written["picture"], standalone(validation_picture(validations_of(demo.after)[0])))
     sections = fit_sections(result, benchmark)
     sections[1:1] = [truth_section(result.mechanism, estimates_of(result), demo.truth)]
     sections[-3:-3] = [validation_section(demo.before)]

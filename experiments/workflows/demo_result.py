@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from estimator import FitResult
 from estimator.diagnosis import Diagnosis
-from estimator.fitting import Validation
+from estimator.prediction import PredictionTable
 from experiments.emulation import Hidden
 from experiments.models import Model
 from experiments.reports import Estimate, estimates_of, normal
@@ -26,8 +25,8 @@ class Demo:
     diagnosis: Diagnosis
     model: Model
     """Extended, or nominal where the diagnosis extended nothing."""
-    before: Sequence[Validation]
-    after: Sequence[Validation]
+    before: PredictionTable
+    after: PredictionTable
     """Free runs of the confirm runs by the nominal model, and by `model`."""
     truth: dict[str, float]
     files: dict[str, Path]

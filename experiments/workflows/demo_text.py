@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import numpy as np
 
-from estimator.fitting import Validation
+from estimator.prediction import PredictionTable
 from experiments.console import text_table
 from experiments.reports import gap_text, number, size_rows
 from experiments.workflows.demo_result import Demo
@@ -35,8 +35,8 @@ def demo_text(demo: Demo) -> str:
     return "\n".join([*lines, "", f"Open {demo.files['report']} in a browser. ({demo.wall_s:.0f} s)"])
 
 
-def _free_run(which: str, validations: Sequence[Validation]) -> str:
-    runs = ", ".join(dict.fromkeys(v.run for v in validations))
-    worst = {name: max(v.rmse[name] for v in validations) for name in ("q1_rad", "q2_rad")}
+def _free_run(which: str, table: PredictionTable) -> str:
+    runs = ", ".join(one.run for one in table.runs)
+    worst = {name: max(table.rms(0, name, np.inf, k) for k in range(len(table.runs))) for name in ("q1_rad", "q2_rad")}
     return (f"Free-run simulation of {runs} by the {which} model: rms error at most {worst['q1_rad']:.4f} rad at the "
             f"pivot, {worst['q2_rad']:.4f} rad at the knee.")

@@ -11,8 +11,9 @@ from msgspec import structs
 
 from daq import InputError, Rig
 from estimator import Finding, FitError, FitResult, Method
-from estimator.fitting import fit_admissible, measured_states, prediction_score, with_second_opinion
+from estimator.fitting import fit_admissible, with_second_opinion
 from estimator.model import Mechanism
+from estimator.prediction import SHORT_S, Predictor, predict_filtered
 from experiments.reports import fit_document
 from experiments.session import (
     Choice,
@@ -162,8 +163,7 @@ def encoder_error(setup: Setup, result: FitResult
     share = noise_share(result)
     if share < NOISY or "encoder_rad" not in result.noise:
         return None
-    states = measured_states(setup.datasets, setup.mechanism, setup.options)
-    first = best = prediction_score(states, result.mechanism, result.beta, result.hold)
+    first = best = _score(setup, result)
     shown, found = result.noise["encoder_rad"], None
     for times in LEVELS:
         level = float(f"{times * shown:.1g}")
@@ -172,7 +172,7 @@ def encoder_error(setup: Setup, result: FitResult
             tried, wrong = _checked(trial)
         except FitError:
             continue
-        score = prediction_score(states, tried.mechanism, tried.beta, tried.hold)
+        score = _score(setup, tried)
         faulty = any(one.role == "fault" for one in (*tried.findings, *wrong))
         if tried.converged and not faulty and score < best + np.log(1.0 - BETTER):
             best = score
@@ -182,6 +182,12 @@ def encoder_error(setup: Setup, result: FitResult
             choice = Choice("noise", "encoder_rad", level, why, f"the next second is predicted {gain}")
             found = choice, trial, tried, wrong
     return found
+
+
+def _score(setup: Setup, result: FitResult) -> float:
+    """Log of the error of a fit's free runs over a second from filtered motion, over that of the last velocity kept."""
+    model = Predictor(result.mechanism, result.hold, result.beta)
+    return predict_filtered([model], setup.datasets, setup.options, SHORT_S).score(SHORT_S)
 
 
 def _found_smoothing(stated: Mechanism, found: Mechanism) -> list[Choice]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ from msgspec import structs
 from daq import Dataset, FloatArray, InputError, Rig, set_values, write_file
 from daq.runs import read_csv
 from estimator import FitError
-from estimator.fitting import fit_admissible, measured_states, predict
+from estimator.fitting import fit_admissible
+from estimator.prediction import SHORT_S, Predictor, predict_filtered
 from experiments.console import text_table
 from experiments.session import Choice, SetAside, load_runs, prepare, setup_of, with_choices
 from experiments.workflows.fit import LEVELS
@@ -23,7 +24,6 @@ MOST_SAMPLES = 60_000
 """Of all runs together, on the finest grid that is tried."""
 FINEST_SEEN_HZ = 200.0
 """Grid on which predictions are held against the record, whatever grid the fit was on."""
-HORIZON_S = 1.0
 GAIN = 0.03
 """Share by which the prediction of runs not fitted must get better for an entry to change."""
 SAME = 0.01
@@ -40,7 +40,7 @@ class Trial:
     score: float
     """Mean over the joints of the log of error over that of the last velocity kept; infinite where it blew up."""
     rmse: FloatArray
-    """(n,) error after up to `HORIZON_S` on runs not fitted [rad]."""
+    """(n,) error after up to `SHORT_S` on runs not fitted [rad]."""
     rigid: Mapping[str, float]
     """Inertias and gravity terms, mean of the fits."""
     encoder: float | None
@@ -141,14 +141,14 @@ class _Bench:
                 setup = setup_of(train, rig, self.sensors)
                 found = fit_admissible(setup.datasets, setup.mechanism, setup.options)
                 other = setup_of(held, rig, self.sensors, beta=found.beta)
-                states = measured_states(other.datasets, other.mechanism, replace(other.options, hold="linear"))
-                ahead = predict(states, found.mechanism, found.beta, "linear", HORIZON_S)
+                ahead = predict_filtered([Predictor(found.mechanism, "linear", found.beta)], other.datasets,
+                                         other.options, SHORT_S)
             except (FitError, np.linalg.LinAlgError):
                 return Trial(np.inf, np.array([np.inf]), {}, None)
-            if not found.converged or found.inadmissible or ahead.blown or not ahead.pieces:
+            if not found.converged or found.inadmissible or not np.isfinite(ahead.score(SHORT_S)):
                 return Trial(np.inf, np.array([np.inf]), {}, found.noise.get("encoder_rad"))
-            squares.append(ahead.rmse**2)
-            plain.append(ahead.baseline**2)
+            squares.append(np.array([ahead.rms(0, c, SHORT_S) ** 2 for c in ahead.angles]))
+            plain.append(np.array([ahead.rms_kept(c, SHORT_S) ** 2 for c in ahead.angles]))
             levels += [found.noise["encoder_rad"]] if "encoder_rad" in found.noise else []
             for p, value in zip(found.mechanism.parameters, found.beta):
                 if p.term in RIGID:
@@ -229,7 +229,7 @@ def tuning_text(found: Tuning) -> str:
     lines = [text_table(["entry", "chosen", "why", "what it changes"], rows, set())] if rows else [
         "rig.toml as it is predicts best: nothing to change"]
     if found.before is not None and found.after is not None:
-        lines += ["", f"error over pieces of {HORIZON_S:g} s of runs not fitted (rms, by joint): "
+        lines += ["", f"error over pieces of {SHORT_S:g} s of runs not fitted (rms, by joint): "
                       f"{_errors(found.before)} before, {_errors(found.after)} after"]
     lines += [f"warning: {run}" for run in found.aside]
     lines += [f"warning: {doubt}" for doubt in found.doubts]
@@ -243,7 +243,7 @@ def tuning_document(found: Tuning) -> dict[str, Any]:
             "tried": [{"entry": entry, "value": value, "error": error} for entry, value, error in found.tried],
             "error_before": None if found.before is None else found.before.rmse.tolist(),
             "error_after": None if found.after is None else found.after.rmse.tolist(),
-            "horizon_s": HORIZON_S, "doubts": found.doubts,
+            "horizon_s": SHORT_S, "doubts": found.doubts,
             "set_aside": [run.document for run in found.aside]}
 
 

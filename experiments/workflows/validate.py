@@ -1,27 +1,27 @@
-"""A saved model put to runs, and how far ahead it predicts them."""
+"""A saved model put to runs: the table of its free-run errors, and how many steps ahead a walker's goes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from daq import FloatArray, InputError
-from estimator.fitting import (
+from daq import Dataset, InputError
+from estimator import FitResult
+from estimator.prediction import (
     HORIZONS_S,
-    Horizons,
+    SHORT_S,
+    PredictionTable,
+    Predictor,
+    SmoothedRun,
     Validation,
     WalkAhead,
     predict,
-    smoothed_states,
-    validate,
+    validations_of,
     walk_ahead,
 )
-from estimator.model import Mechanism
 from experiments.console import progress
-from experiments.models import FreeRuns, Model, Prediction, build_mechanism, validate_extended
+from experiments.models import Model, build_mechanism, predictor_of
 from experiments.provenance import Source
 from experiments.reports import (
     Trust,
@@ -39,102 +39,84 @@ class ValidationReport:
     """Everything that a validation says, for a terminal, a page, a document or a notebook."""
 
     prepared: Prepared
-    validations: list[Validation]
-    predictions: list[Prediction]
-    horizons: Horizons | None
+    table: PredictionTable
     steps: WalkAhead | None
     seen: tuple[str, ...]
     """Runs that the model was fitted to."""
     trust: Trust
 
     @property
+    def validations(self) -> list[Validation]:
+        """The whole free runs of the model, one a gap-free stretch."""
+        return validations_of(self.table)
+
+    @property
     def document(self) -> dict[str, Any]:
         """`legid.validation/1` of docs/formats.md."""
-        found = validation_document(self.validations, self.prepared.setup.options.sensors, self.predictions)
-        found |= {"trust": self.trust.document, "fitted_to": list(self.seen),
+        found = validation_document(self.table, self.prepared.setup.options.sensors)
+        found |= {"trust": self.trust.document, "fitted_to": list(self.seen), "horizons": horizons_document(self.table),
                   "set_aside": [run.document for run in self.prepared.set_aside]}
-        found |= {} if self.horizons is None else {"horizons": horizons_document(self.horizons)}
         return found | ({} if self.steps is None else {"walk": walk_document(self.steps)})
 
 
 def validate_prepared(model: Model, prepared: Prepared, where: str, files: Sequence[Source] = (),
-                      against: Model | None = None) -> ValidationReport:
-    """Free runs of `model`, named `where` in errors, on the runs of `prepared`, which were read from `files`.
-
-    Raises `InputError` for a model of another mechanism, `FitError` for runs whose columns contradict themselves.
-    """
+                      against: Model | None = None, horizons_s: Sequence[float] = HORIZONS_S, bands: bool = False
+                      ) -> ValidationReport:
+    """As `validate_model`, on the runs of `prepared`, which were read from `files`, with what it is worth."""
     setup, seen = prepared.setup, seen_in_fit(model, files)
-    validations, predictions = validate_runs(model, setup, where), predict_runs(model, setup)
+    table, steps = validate_model(model, setup, where, against, horizons_s, bands)
     against_rig = [*contradictions(prepared.doubts), *model_contradictions(model.mechanism, setup.settings)]
-    trust = validation_trust(predictions, seen, against_rig)
-    return ValidationReport(prepared, validations, predictions, foretell(model, setup, against),
-                            foretell_steps(model, setup), seen, trust)
+    return ValidationReport(prepared, table, steps, seen, validation_trust(table, seen, against_rig))
 
 
-def validate_runs(model: Model, setup: Setup, where: str) -> list[Validation]:
-    """Free-run simulation of `model` against the runs of `setup`; `where` names the model in errors.
+class Validated(NamedTuple):
+    """What a validation measured."""
 
+    table: PredictionTable
+    """Of the model, then of the other one it is held against"""
+    steps: WalkAhead | None
+    """Of a walker"""
+
+
+def validate_model(model: Model, setup: Setup, where: str, against: Model | None = None,
+                   horizons_s: Sequence[float] = HORIZONS_S, bands: bool = False) -> Validated:
+    """Free runs of `model` on the runs of `setup`, next to those of the model `against`; `where` names it in errors.
+
+    The horizon `SHORT_S` and whole stretches are always among the horizons. `bands` by the covariance of `model`.
     Raises `InputError` for a model of another mechanism, `FitError` for runs whose columns contradict themselves.
     """
+    require_mechanism(model, setup, where)
+    require_sound(setup)
+    models = [predictor_of(m) for m in (model, against) if m is not None]
+    walked: list[tuple[Dataset, SmoothedRun]] = []
+    table = predict_setup(models, setup, horizons_s, bands, walked)
+    return Validated(table, walk_ahead(walked) if models[0].mechanism.exchanged and not models[0].effects else None)
+
+
+def predict_setup(models: Sequence[Predictor], setup: Setup, horizons_s: Sequence[float] = HORIZONS_S,
+                  bands: bool = False, walked: list[tuple[Dataset, SmoothedRun]] | None = None) -> PredictionTable:
+    """The table of free-run errors of `models` on the runs of `setup`; the first reads what no sensor does. `walked`
+    takes each run with the first model's smoothed motion. Raises `FitError`."""
+    others = [replace(model, covariance=None) for model in models[1:]]
+
+    def seen(data: Dataset, smoothed: Sequence[SmoothedRun]) -> None:
+        if walked is not None:
+            walked.append((data, smoothed[0]))
+
+    return predict([models[0], *others], progress(setup.datasets, "simulating", unit="run"), setup.options,
+                   {*horizons_s, SHORT_S}, bands, reader=0, seen=seen)
+
+
+def fitted_predictor(result: FitResult) -> Predictor:
+    """The model of a fit, with the friction smoothing velocity and the hold that it was fitted under."""
+    return Predictor(result.mechanism, result.hold, result.beta, covariance=result.covariance)
+
+
+def require_mechanism(model: Model, setup: Setup, where: str) -> None:
+    """Raises `InputError` for a model of another mechanism than the rig's."""
     if (setup.settings.model, setup.mechanism.n) != (model.mechanism.model, build_mechanism(model.mechanism).n):
         raise InputError(where, f"is a {model.mechanism.model}, the rig file says {setup.settings.model}",
                          "give the rig that the model was fitted on")
-    require_sound(setup)
-    mechanism = build_mechanism(model.mechanism)
-    if model.effects:
-        return validate_extended(model, mechanism, replace(setup.options, hold=model.hold), setup.datasets)
-    return validate_setup(setup, mechanism, np.array(model.beta), model.hold)
-
-
-def predict_runs(model: Model, setup: Setup) -> list[Prediction]:
-    """Free runs of `model` over whole runs and over pieces, with their bands; session time starts at the first run.
-
-    For the runs of `validate_runs`, which says whether the model fits the rig. Raises `FitError`.
-    """
-    mechanism, options = build_mechanism(model.mechanism), replace(setup.options, hold=model.hold)
-    found, session_s = [], 0.0
-    for data in progress(setup.datasets, "predicting", unit="run"):
-        runs = FreeRuns(model, mechanism, options, data, session_s)
-        found.append(runs.prediction())
-        session_s += runs.seconds
-    return found
-
-
-def validate_setup(setup: Setup, mechanism: Mechanism, beta: FloatArray, hold: str) -> list[Validation]:
-    """Free-run simulation with parameters `beta` (p,), and the mechanism (its friction's rounding) and the hold that
-    they were fitted under, against every gap-free stretch of every run of `setup`."""
-    options = replace(setup.options, hold=hold)
-    return [found for data in progress(setup.datasets, "simulating", unit="run")
-            for found in validate(data, mechanism, beta, options)]
-
-
-def foretell(model: Model, setup: Setup, against: Model | None = None) -> Horizons | None:
-    """Free runs of `model`, and of `against` from the same states, over pieces of 0.1, 0.5, 1, 5 s and the whole.
-
-    None for a model with effects, whose states a piece does not begin in. Raises `FitError`.
-    """
-    models = [m for m in (model, against) if m is not None]
-    if any(m.effects for m in models):
-        return None
-    mechanism = build_mechanism(model.mechanism)
-    options = replace(setup.options, hold=model.hold)
-    states = smoothed_states(setup.datasets, mechanism, np.array(model.beta), options)
-    tables = [tuple(predict(states, build_mechanism(m.mechanism), np.array(m.beta), m.hold, horizon)
-                    for horizon in (*HORIZONS_S, None)) for m in models]
-    residual = np.concatenate([s.reference - s.q for s in states])
-    columns = tuple(f"q{j + 1}_{mechanism.length_unit}" for j in range(mechanism.n))
-    return Horizons(columns, tuple(t for t in tables[0] if t.pieces),
-                    tuple(t for t in tables[1] if t.pieces) if against is not None else (),
-                    np.sqrt(np.mean(residual**2, axis=0)))
-
-
-def foretell_steps(model: Model, setup: Setup) -> WalkAhead | None:
-    """Free runs of a walker's `model` across touchdowns; None for what does not walk, and for a model with effects,
-    whose states a step does not begin in. Raises `FitError`."""
-    mechanism = build_mechanism(model.mechanism)
-    if not mechanism.exchanged or model.effects:
-        return None
-    return walk_ahead(setup.datasets, mechanism, np.array(model.beta), replace(setup.options, hold=model.hold))
 
 
 def seen_in_fit(model: Model, files: Sequence[Source]) -> tuple[str, ...]:

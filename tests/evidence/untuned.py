@@ -21,7 +21,8 @@ from daq.rig import Rig, parse_rig
 from daq.runs.csv_run import write_csv
 from estimator.calibration.encoder_zeros import find_zeros, subtract
 from estimator.fitting.fit import fit
-from estimator.fitting.prediction import measured_states, predict
+from estimator.options import FitOptions
+from estimator.prediction import SHORT_S, Predictor, predict_filtered
 from experiments import cli
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.session import load_runs, setup_of, with_choices
@@ -106,15 +107,20 @@ def left_out(folder: str) -> str:
         ways = ((plain.mechanism, before), (fitted.setup.mechanism, fitted.result.beta),
                 (setup_of([run], stated).mechanism, published))
         for way, (mechanism, beta) in enumerate(ways):
-            states = measured_states([run], mechanism, plain.options)
-            squares[way] += predict(states, mechanism, beta, "linear", 1.0).rmse ** 2
+            model = Predictor(mechanism, "linear", beta)
+            squares[way] += squared(model, [run], plain.options)
             if way > 0 and mechanism.n > 1:
                 zeros = find_zeros([run], mechanism, plain.options, (0, 1), beta)
-                states = measured_states(subtract([run], mechanism, zeros), mechanism, plain.options)
-                squares[way + 2] += predict(states, mechanism, beta, "linear", 1.0).rmse ** 2
+                squares[way + 2] += squared(model, subtract([run], mechanism, zeros), plain.options)
     errors = np.sqrt(squares[: 5 if squares.shape[1] > 1 else 3] / len(pieces))
     cells = [" ".join(f"{x:.3g}" for x in row) for row in errors]
     return f"| {known.title} | {' | '.join([*cells, *[''] * (5 - len(cells))])} |"
+
+
+def squared(model: Predictor, runs: Sequence[Dataset], options: FitOptions) -> FloatArray:
+    """(n,) mean squared error over a second [rad^2]."""
+    table = predict_filtered([model], runs, options, SHORT_S)
+    return np.array([table.rms(0, c, SHORT_S) ** 2 for c in table.angles])
 
 
 Spoil = Callable[[Dataset], Mapping[str, FloatArray]]

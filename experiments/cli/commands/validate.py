@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from experiments.cli.arguments import add_force, add_output, add_rig, chosen_rig
+from experiments.cli.arguments import add_force, add_horizons, add_output, add_rig, chosen_rig
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -20,6 +20,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="what the pivot's angle is compared with; default: imu where all runs have its columns")
     parser.add_argument("--against", metavar="MODEL.json",
                         help="another model, such as a published one, whose errors stand beside")
+    add_horizons(parser)
     add_output(parser, "--json", "legid.validation/1", help="write the errors as JSON (schema legid.validation/1)")
     add_output(parser, "--html", "page", help="write a report page")
     add_force(parser)
@@ -31,6 +32,7 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from daq import InputError
+    from estimator.prediction import HORIZONS_S
     from experiments.console import command_line, warn, write_json
     from experiments.models import load_model
     from experiments.provenance import origin_of
@@ -60,12 +62,9 @@ def run(args: argparse.Namespace) -> int:
     seen = seen_in_fit(model, origin.runs)
     if seen:
         warn(f"{args.model} was fitted to {', '.join(seen)}: what it says of them is no validation; give other runs")
-    found = validate_prepared(model, prepared, args.model, origin.runs, against)
-    validations, predictions, trust = found.validations, found.predictions, found.trust
-    horizons, steps = found.horizons, found.steps
-    print("\n".join([trust.sentence, *trust.reasons, "", validation_text(validations, predictions)]))
-    if horizons is not None:
-        print(horizons_text(horizons))
+    found = validate_prepared(model, prepared, args.model, origin.runs, against, args.horizons or HORIZONS_S, True)
+    table, steps, trust = found.table, found.steps, found.trust
+    print("\n".join([trust.sentence, *trust.reasons, "", validation_text(table), horizons_text(table)]))
     if steps is not None:
         print(walk_text(steps))
     if args.json:
@@ -75,10 +74,9 @@ def run(args: argparse.Namespace) -> int:
 
         write_page(args.html, f"Validation of {args.model}",
                    f"{model.mechanism.model}, fitted by {model.provenance.method} to "
-                   f"{', '.join(model.provenance.runs)}, simulated against {len(validations)} "
-                   f"run{'s' * (len(validations) != 1)}.",
-                   [validation_section(validations, predictions),
-                    *([horizons_section(horizons)] if horizons is not None else []),
+                   f"{', '.join(model.provenance.runs)}, simulated against {len(table.runs)} "
+                   f"run{'s' * (len(table.runs) != 1)}.",
+                   [validation_section(table), horizons_section(table),
                     *([walk_section(steps)] if steps is not None else []),
                     origin_section(origin, setup.datasets)], origin, trust.verdict())
     return 0

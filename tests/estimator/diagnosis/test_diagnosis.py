@@ -16,7 +16,6 @@ from estimator.diagnosis import refit
 from estimator.diagnosis.conclusion import base
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.error_table import extend_errors, measure_errors
-from estimator.diagnosis.parametric_bootstrap import draw_replicate
 from estimator.diagnosis.procedure import diagnose
 from estimator.diagnosis.refit import fit_nominal
 from estimator.diagnosis.result import Diagnosis
@@ -32,6 +31,7 @@ from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.model.mechanism import joint1, leg2
 from estimator.options import FitOptions
+from estimator.prediction.replicate import draw_replicate
 from estimator.signals.segments import SignalSet, split_signals
 from tests.support.mujoco_leg import Leg, record
 

@@ -16,8 +16,9 @@ from daq.rig import parse_rig
 from estimator.model import leg2
 from estimator.result import RunAgreement
 from experiments.models.mechanism_settings import build_mechanism, mechanism_settings
-from experiments.models.model_file import load_model, save_model, widening_of
+from experiments.models.model_file import load_model, save_model
 from experiments.models.schema import MechanismSettings, Model
+from experiments.models.with_effects import widening_of
 from experiments.reports.fit_json import fit_document, model_of
 from experiments.reports.fit_text import noise_rows
 from experiments.session.setup import choose_sensors

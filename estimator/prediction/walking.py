@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
-from estimator.fitting.smoothing import estimate_motion
 from estimator.model import Mechanism, land, simulate
-from estimator.options import FitOptions
+from estimator.prediction.smoothing import SmoothedRun
 from estimator.signals import SINCE, STANCE, angle_column, torque_column
 
 MOST_STEPS = 5
@@ -85,24 +84,26 @@ def walking(data: Dataset, mechanism: Mechanism) -> Walking:
     return Walking(data.time_s, angles, torque, first, data.time_s[first] - data[SINCE][first])
 
 
-def walk_ahead(datasets: Sequence[Dataset], mechanism: Mechanism, beta: FloatArray, options: FitOptions) -> WalkAhead:
-    """Free runs of a walker from the smoothed state in which each step begins. Raises `FitError`."""
+def walk_ahead(runs: Sequence[tuple[Dataset, SmoothedRun]]) -> WalkAhead:
+    """Free runs of a walker from the smoothed state in which each step begins; each run with its smoothed motion."""
+    mechanism = runs[0][1].problem.mechanism
     squares = np.zeros((MOST_STEPS, mechanism.n))
     samples, pieces, fell = (np.zeros(MOST_STEPS, dtype=int) for _ in range(3))
     whole = []
-    for data in datasets:
-        record = walking(data, mechanism)
-        motions = estimate_motion([data], mechanism, beta, options)
-        begin = [int(np.searchsorted(record.time_s, m.time_s[0] - 1e-9)) for m in motions]
-        end = [b + len(m.time_s) for b, m in zip(begin, motions)]
-        for k, motion in enumerate(motions):
-            last = len(motions) if k == 0 else min(k + MOST_STEPS, len(motions))
-            q = carry(record, mechanism, beta, options.hold, (begin[k], end[last - 1]), motion.q[0], motion.qd[0])
+    for data, smoothed in runs:
+        record, x, steps = walking(data, mechanism), smoothed.state.x, len(smoothed.signals)
+        first = [0, *map(int, smoothed.problem.ends[:-1])]
+        begin = [int(np.searchsorted(record.time_s, s.time_s[0] - 1e-9)) for s in smoothed.signals]
+        end = [b + len(s.time_s) for b, s in zip(begin, smoothed.signals)]
+        for k in range(steps):
+            last = steps if k == 0 else min(k + MOST_STEPS, steps)
+            q = carry(record, mechanism, smoothed.state.beta, smoothed.problem.collocation.hold,
+                      (begin[k], end[last - 1]), x.q[first[k]], x.v[first[k]])
             up = np.asarray(np.isfinite(q).all(axis=1))
             if k == 0:
                 down = None if up.all() else begin[0] + int(np.argmin(up))
-                whole.append(Whole(data.name, len(motions), None, 0) if down is None else Whole(
-                    data.name, len(motions), float(record.time_s[down] - record.time_s[begin[0]]),
+                whole.append(Whole(data.name, steps, None, 0) if down is None else Whole(
+                    data.name, steps, float(record.time_s[down] - record.time_s[begin[0]]),
                     1 + int(np.searchsorted(end, down, side="right"))))
             for n in range(min(last - k, MOST_STEPS)):
                 where = slice(begin[k + n] - begin[k], end[k + n] - begin[k])

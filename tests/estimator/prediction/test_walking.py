@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from estimator import FitOptions, fit
-from estimator.fitting import walk_ahead
-from estimator.fitting.walking import Walking, carry, walking
 from estimator.model import biped3
+from estimator.prediction import Predictor, smooth, walk_ahead
+from estimator.prediction.walking import Walking, carry, walking
 from estimator.signals import cut_steps
 from tests.support.walker_plant import Gait, Plant, Sensors, Walk, Walker, record, roles, walk
 
@@ -61,7 +61,7 @@ def test_a_free_run_goes_over_touchdowns() -> None:
 
 def test_without_the_impact_it_is_another_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     record_, q, v = exact()
-    monkeypatch.setattr("estimator.fitting.walking.land", lambda m, b, q, v: (q[[0, 2, 1]], v[[0, 2, 1]]))
+    monkeypatch.setattr("estimator.prediction.walking.land", lambda m, b, q, v: (q[[0, 2, 1]], v[[0, 2, 1]]))
     stop = int(record_.first[1]) - 1
     found = carry(record_, HIPS, Walker().beta, "zero", (0, stop), q[0], v[0])
     assert not np.abs(found - q[:stop]).max() < 0.1
@@ -70,7 +70,7 @@ def test_without_the_impact_it_is_another_motion(monkeypatch: pytest.MonkeyPatch
 def test_a_walker_that_falls_has_no_error() -> None:
     data, _ = cut_steps(record("walk", walked(), np.random.default_rng(1)))
     weak = Walker().beta * np.array([1, 1, 1, 1, 1, 1.02, 1, 1])
-    found = walk_ahead([data], HIPS, weak, OPTIONS)
+    found = walk_ahead([(data, smooth(Predictor(HIPS, "zero", weak), data, OPTIONS))])
     last = found.ahead[-1]
     assert last.fell == last.pieces and np.isnan(last.rmse).all()
     first = found.ahead[0]

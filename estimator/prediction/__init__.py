@@ -1,0 +1,32 @@
+"""How far free runs of models are off: one table under every verb, verdict and page.
+
+Definitions, once for all:
+
+- A *free run* starts from the model's own smoothed state and is driven by the measured torque alone. That state is of
+  the likeliest motion given all sensors of the run, the model's parameters held, noise levels estimated from that run.
+- A *horizon* h cuts each gap-free stretch into pieces of about h, each with its own start. Infinity is one piece a
+  stretch.
+- An *error* is what the sensor read less what the simulation reads, squared and averaged. An angle that no encoder
+  measures, and every rate, is compared with the smoothed motion of one model, the *reader*.
+- A piece that diverges among others stays in its first state and is counted. A whole stretch that diverges has an
+  infinite error.
+- The *noise floor* is the same error of records that the model itself would have given, with its noise.
+- Baselines: the last velocity kept; a constant prediction at the sensor's mean.
+"""
+
+from estimator.prediction.floor import floor_errors
+from estimator.prediction.free_runs import HORIZONS_S, SHORT_S, PredictedRun, predict_run
+from estimator.prediction.predict import predict, predict_filtered
+from estimator.prediction.predictor import Predictor
+from estimator.prediction.replicate import draw_replicate, simulate_run
+from estimator.prediction.smoothing import SmoothedRun, filtered_motion, log_volume, per_value, smooth, smooth_under
+from estimator.prediction.table import BLOCK_S, PredictionTable, Ratio, tabulate
+from estimator.prediction.validation import Validation, validations_of
+from estimator.prediction.walking import StepsAhead, WalkAhead, Whole, walk_ahead
+
+__all__ = [
+    "BLOCK_S", "HORIZONS_S", "SHORT_S", "PredictedRun", "PredictionTable", "Predictor", "Ratio", "SmoothedRun",
+    "StepsAhead", "Validation", "WalkAhead", "Whole", "draw_replicate", "filtered_motion", "floor_errors",
+    "log_volume", "per_value", "predict", "predict_filtered", "predict_run", "simulate_run", "smooth",
+    "smooth_under", "tabulate", "validations_of", "walk_ahead",
+]

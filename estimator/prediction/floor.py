@@ -1,0 +1,54 @@
+"""`floor_errors`: the error that noise alone leaves, from records that the model itself would have given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.errors import FitError
+from estimator.likelihood import ExtendedProblem, free_run
+from estimator.prediction.free_runs import channel_names, rows_of
+from estimator.prediction.replicate import draw_replicate
+from estimator.prediction.smoothing import SmoothedRun, smooth_under
+from estimator.signals import SignalSet
+
+ATTEMPTS = 10
+"""Replicates, one after the other, until one does not diverge: their noise is drawn."""
+
+
+def floor_errors(one: SmoothedRun, rng: np.random.Generator, horizons_s: Sequence[float],
+                 problem_of: Callable[[Sequence[SignalSet]], ExtendedProblem]) -> FloatArray:
+    """(H, C, N) squared free-run errors of a parametric-bootstrap replicate of the run.
+
+    The replicate has the model's motion, noise levels and quantisers; `problem_of` gives the likelihood of its signals.
+    Pieces start from the motion that would be fitted to it, whole stretches from the true one. Raises `FitError`
+    where the model's own simulation diverges.
+    """
+    problem, state = one.problem, one.state
+    truth = free_run(problem, state)
+    if truth is None:
+        raise FitError("the free run diverges")
+    for _ in range(ATTEMPTS):
+        signals = draw_replicate(problem, state, one.signals, rng)
+        again = problem_of(signals)
+        begin = state if np.isinf(horizons_s).all() else smooth_under(again, state, near=True)
+        drive = again.torque - problem.torque_readings(state.x, state.beta)
+        found = [free_run(again, state if np.isinf(h) else begin, drive, h) for h in horizons_s]
+        measured = _measured(again, truth.q, truth.v)
+        errors = [(rows_of(problem, f.v, f.readings) - measured) ** 2 for f in found if f is not None]
+        if len(errors) == len(found):
+            return np.stack(errors)
+    raise FitError("the replicates diverge")
+
+
+def _measured(problem: ExtendedProblem, q: FloatArray, v: FloatArray) -> FloatArray:
+    """(C, N) as the replicate's sensors read; the true motion where it has none."""
+    n = problem.n
+    out = np.zeros((len(channel_names(problem)), problem.total))
+    out[:n], out[n : 2 * n] = np.where(problem.has_encoder[:, None], problem.angles.T, q.T), v.T
+    readings = list(problem.imu_readings().values())
+    if readings:
+        out[2 * n :] = readings
+    return out

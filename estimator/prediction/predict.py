@@ -1,0 +1,51 @@
+"""`predict`: the table of free-run errors of models on runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from daq import Dataset
+from estimator.options import FitOptions
+from estimator.prediction.free_runs import HORIZONS_S, PredictedRun, predict_run
+from estimator.prediction.predictor import Predictor
+from estimator.prediction.smoothing import SmoothedRun, filtered, smooth
+from estimator.prediction.table import PredictionTable, tabulate
+
+
+def predict(models: Sequence[Predictor], runs: Iterable[Dataset], options: FitOptions,
+            horizons_s: Iterable[float] = HORIZONS_S, bands: bool = False, reader: int | None = None,
+            seen: Callable[[Dataset, Sequence[SmoothedRun]], None] = lambda data, smoothed: None) -> PredictionTable:
+    """Free-run errors of `models` on `runs`, given in the order in which they were recorded.
+
+    Each run is smoothed once a model. Session time, on which friction that drifts depends, begins at the first run.
+    `bands`: with the 95 % band by the models' covariances. `reader`: see `tabulate`; where one is given the densities
+    of the runs are left out. `seen` is told of each run's smoothed motions. Raises `FitError` where no motion can be
+    estimated.
+    """
+    found: list[PredictedRun] = []
+    session_s = 0.0
+    for data in runs:
+        smoothed = [smooth(model, data, options, session_s) for model in models]
+        covariances = [model.covariance for model in models] if bands else []
+        found.append(predict_run(smoothed, with_whole(horizons_s), data, covariances, reader is None))
+        session_s += smoothed[0].problem.total * smoothed[0].problem.dt
+        seen(data, smoothed)
+    return tabulate(found, reader)
+
+
+def predict_filtered(models: Sequence[Predictor], runs: Iterable[Dataset], options: FitOptions,
+                     horizon_s: float) -> PredictionTable:
+    """As `predict`, with every piece begun in filtered motion, which favours none of the `models`.
+
+    For the choice between set-ups, whose smoothers believe their own model. Raises `FitError`.
+    """
+    found = [predict_run([filtered(model, data, options) for model in models], (horizon_s, np.inf), misfits=False)
+             for data in runs]
+    return tabulate(found, 0)
+
+
+def with_whole(horizons_s: Iterable[float]) -> tuple[float, ...]:
+    """Rising, each once, the whole stretch last."""
+    return tuple(sorted({*map(float, horizons_s), np.inf}))

@@ -1,0 +1,44 @@
+"""`Predictor`: a model as a prediction takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.effects import Effect
+from estimator.likelihood import ExtendedProblem, Stage
+from estimator.model import Mechanism
+from estimator.signals import SignalSet
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """Everything that a free run needs of a model; a plain model is one with no effects."""
+
+    mechanism: Mechanism
+    hold: str
+    parameters: FloatArray
+    """(m,) beta (p,), then the sizes and shapes of each effect"""
+    effects: tuple[Effect, ...] = ()
+    covariance: FloatArray | None = None
+    """(m, m) of the parameters, NaN where not determined; None where it is not known"""
+    angle_range: FloatArray | None = None
+    """(n, 2) smallest and largest angle of each joint in the runs fitted [rad]; effects may depend on it"""
+    gear_ratio: float = 1.0
+
+    @property
+    def beta(self) -> FloatArray:
+        """(p,)"""
+        return self.parameters[: self.mechanism.p]
+
+    def problem(self, signals: Sequence[SignalSet], session_s: float = 0.0) -> ExtendedProblem:
+        """Likelihood of the stretches of one run, which begins at `session_s` [s] of its session."""
+        begin = tuple(float(s.time_s[0] - signals[0].time_s[0]) for s in signals)
+        reach = np.zeros((self.mechanism.n, 2)) if self.angle_range is None else self.angle_range
+        stage = Stage((0,) * len(begin), tuple(session_s + b for b in begin), begin, reach, self.gear_ratio)
+        problem = ExtendedProblem(signals, self.mechanism, self.hold, stage, self.effects)
+        problem.one_a_passage = True  # the friction smoothing velocity is the model's
+        return problem

@@ -1,0 +1,146 @@
+"""The smoother: the likeliest motion of one run under a model, all parameters held."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq import Dataset, FloatArray
+from estimator.errors import FitError
+from estimator.fitting import iterate, noise_floors, settle_motion, start_state
+from estimator.likelihood import ExtendedProblem, Latents, Noise, State
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+from estimator.prediction.predictor import Predictor
+from estimator.signals import Kinematics, SignalSet, differentiate, split_signals
+
+SETTLE_STEPS = 15
+"""Steps in which a motion converges whose noise levels still creep."""
+SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
+"""Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
+LONGER = ((1000.0, 6), (200.0, 6), (40.0, 6), (16.0, 6), (8.0, 6), (4.0, 6), (2.0, 8), (1.4, 8), (1.0, 30))
+"""... and where that leads to a motion that fits badly."""
+LOOSE_ENCODER = 16.0
+"""Most that an encoder's noise grows by together with a law that is less steep than found, and fits it worse."""
+BAD = 3.0
+"""Sum of squares over samples times channels above which a motion is tried again: about 1 where all is well."""
+
+
+@dataclass(frozen=True)
+class SmoothedRun:
+    """The likeliest motion of one run."""
+
+    run: str
+    signals: tuple[SignalSet, ...]
+    """Its gap-free stretches"""
+    problem: ExtendedProblem
+    state: State
+
+    @property
+    def drive(self) -> FloatArray:
+        """(N, n) measured torque, less what the model's effects add to its reading [N m]."""
+        return self.problem.torque - self.problem.torque_readings(self.state.x, self.state.beta)
+
+    def misfit(self, noise: Noise | None = None) -> float:
+        """-2 log density of readings and motion at this motion, up to a constant that all models of the run share.
+
+        Under `noise`, by default the run's own levels. The density is that of the likeliest motion, not integrated
+        over motions.
+        """
+        noise = self.state.noise if noise is None else noise
+        objective = self.problem.motion_equations(self.state.x, self.state.beta, noise).objective
+        return objective + 2.0 * log_volume(self.problem, noise)
+
+
+def smooth(model: Predictor, data: Dataset, options: FitOptions, session_s: float = 0.0) -> SmoothedRun:
+    """Likeliest motion of `data` under `model`, its parameters held, noise levels estimated from this run alone.
+
+    Raises `FitError` where the equations cannot be solved.
+    """
+    mechanism, options = model.mechanism, replace(options, hold=model.hold)
+    signals = split_signals([data], mechanism, options)
+    problem = model.problem(signals, session_s)
+    begin = start_state(problem, signals, mechanism, options, np.zeros(mechanism.p, dtype=bool), model.beta)
+    state = _state(begin.x, model.parameters, begin.noise)
+    held = np.zeros(state.beta.size, dtype=bool)
+    iterate(problem, state, held, options, noise_floors(problem, mechanism, model.beta))
+    if not state.converged:  # levels that still creep, such as that of a passive joint whose model is exact
+        settle_motion(problem, state, SETTLE_STEPS)
+    return SmoothedRun(data.name, tuple(signals), problem, state)
+
+
+def filtered(model: Predictor, data: Dataset, options: FitOptions) -> SmoothedRun:
+    """Motion of `data` by filtered differences: it belongs to no model, so that set-ups can be compared."""
+    mechanism, options = model.mechanism, replace(options, hold=model.hold)
+    signals = split_signals([data], mechanism, options)
+    motions = filtered_motion(signals, mechanism, options)
+    problem = model.problem(signals)
+    x = Latents(np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions]), problem.torque.copy())
+    return SmoothedRun(data.name, tuple(signals), problem, _state(x, model.parameters, problem.shown))
+
+
+def filtered_motion(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> list[Kinematics]:
+    """Angles and rates of each stretch by filtered differences."""
+    return [differentiate(s, mechanism, min(10.0, 0.2 * s.rate_hz), options.filter_order, fused=True) for s in signals]
+
+
+def _state(x: Latents, parameters: FloatArray, noise: Noise) -> State:
+    return State(x, parameters.copy(), noise, np.zeros((parameters.size, parameters.size)))
+
+
+def smooth_under(problem: ExtendedProblem, begin: State, near: bool = False) -> State:
+    """Likeliest motion of `problem` with the parameters and the noise of `begin` held, sought from the motion in it.
+
+    A small model error, enforced at once from far off, does not converge: it comes down by the factors of `SLACK`. A
+    motion that is `near`, such as that of which `problem` holds a replicate, needs none. Sets
+    `problem.stiction_variance` where it is not known. Raises `FitError`.
+    """
+    known, tried = problem.stiction_variance, []
+    steep = not np.array_equal(problem.relaxed(begin.beta, np.inf), begin.beta)
+    for path in (SLACK[-1:] if near else LONGER if steep else SLACK, LONGER):
+        try:
+            state = _converged(problem, begin, path, known)
+        except FitError as error:
+            failure = error
+            continue
+        tried.append((per_value(problem, state), problem.stiction_variance, state))
+        if tried[-1][0] < BAD or (steep and path is LONGER):
+            break
+    if not tried:
+        raise failure
+    _, problem.stiction_variance, state = min(tried, key=lambda t: t[0])
+    return state
+
+
+def _converged(problem: ExtendedProblem, begin: State, path: Sequence[tuple[float, int]], known: FloatArray | None
+               ) -> State:
+    """The motion that is reached from `begin` along a path of slacks, of the passive joint and of steep laws."""
+    noise = begin.noise
+    state = State(begin.x, begin.beta.copy(), noise, begin.covariance)
+    for slack, limit in path:
+        problem.stiction_variance = known
+        torque = noise.torque.copy()
+        torque[list(problem.mechanism.passive)] *= slack
+        state.beta = problem.relaxed(begin.beta, slack)
+        steep = not np.array_equal(state.beta, begin.beta)
+        encoder = noise.encoder * min(slack, LOOSE_ENCODER) if steep else noise.encoder
+        state.noise = replace(noise, torque=torque, encoder=encoder)
+        settle_motion(problem, state, limit)
+    return state
+
+
+def per_value(problem: ExtendedProblem, state: State) -> float:
+    """Sum of squares over samples times channels; inf where it is no number."""
+    channels = problem.n + int(problem.has_encoder.sum()) + 3 * problem.imu_count
+    value = problem.motion_equations(state.x, state.beta, state.noise).objective / (channels * problem.total)
+    return value if np.isfinite(value) else np.inf
+
+
+def log_volume(problem: ExtendedProblem, noise: Noise) -> float:
+    """Sum over samples of the log standard deviations of all channels."""
+    levels = [*noise.torque, *noise.encoder[np.isfinite(noise.encoder)]]
+    if problem.has_imu:
+        levels += [*noise.gyro, *noise.accel.ravel()]
+    return problem.total * float(np.sum(np.log(levels)))

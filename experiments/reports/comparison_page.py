@@ -1,0 +1,81 @@
+"""Two models side by side as sections of a page: `legid compare --html`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from experiments.reports.chart import Line
+from experiments.reports.comparison import (
+    ERROR_HEADER,
+    PARAMETER_HEADER,
+    Comparison,
+    HorizonError,
+    error_rows,
+    horizon_text,
+    parameter_rows,
+)
+from experiments.reports.diagnosis_figures import axis_label, draw
+from experiments.reports.figures import BLUE, GREEN, GREY, HEIGHT_IN, INK, ORANGE, finish, picture_lines
+from experiments.reports.html import Picture, Section, Table
+
+FIGURE_SECONDS = 12.0
+
+
+def comparison_sections(found: Comparison) -> list[Section]:
+    """Errors, figures of the first run, parameters."""
+    return [
+        Section("Free-run errors over horizons",
+                [f"A is {found.files[0]}, B is {found.files[1]}. Each piece starts from the motion that the model "
+                 "itself estimates there from all sensors, and is then driven by the measured torque alone; sensors "
+                 "are compared with what they read. Intervals are those of the ratio by its scatter between runs, or "
+                 "between pieces of two seconds of few runs; one is better where its interval leaves 1 out."],
+                [Table(ERROR_HEADER, error_rows(found), right=frozenset({2, 3, 4, 5}))],
+                [Picture(ratio_plot(found.errors), "Rms error of B over that of A with 95 % intervals: below 1, B is "
+                         "better.")]),
+        *_traces(found),
+        Section("Parameters", ["z is the difference over its standard deviation, as if the two were independent: "
+                               "beyond +-2 they differ. Where both were fitted to the same runs it is too small."],
+                [Table(PARAMETER_HEADER, parameter_rows(found), right=frozenset({1, 2, 3, 4, 5}))])]
+
+
+def _traces(found: Comparison) -> list[Section]:
+    table, first = found.table, found.table.runs[0]
+    pictures = []
+    for column in table.judged:
+        measured = first.measured[table.channels.index(column)]
+        sides = [("A", first.trace(column, 0), GREEN), ("B", first.trace(column, 1), ORANGE)]
+        known = [(name, values, colour) for name, values, colour in sides if np.isfinite(values).all()]
+        pictures += [
+            picture_lines(first.time_s, [Line("measured", measured, BLUE, 2.2),
+                                         *(Line(name, values, colour) for name, values, colour in known)],
+                          axis_label(column), f"{column}: measured, and as simulated by both.", FIGURE_SECONDS),
+            picture_lines(first.time_s, [Line(f"{name} less measured", values - measured, colour)
+                                         for name, values, colour in known],
+                          f"error of {axis_label(column)}", f"{column}: the errors.", FIGURE_SECONDS)] if known else []
+    return [Section(f"Run {first.run}", ["Whole stretches, from the first state."], (), pictures)] if pictures else []
+
+
+def ratio_plot(errors: Sequence[HorizonError]) -> str:
+    """B / A with intervals by sensor and horizon."""
+    shown = [e for e in errors if math.isfinite(e.a + e.b) and e.a > 0.0]
+    horizons = list(dict.fromkeys(e.horizon_s for e in errors))
+    columns = list(dict.fromkeys(e.column for e in errors))
+
+    def paint(axes: Axes) -> None:
+        axes.axhline(1.0, color=INK, linewidth=0.8)
+        for k, (column, colour) in enumerate(zip(columns, (BLUE, ORANGE, GREEN, GREY) * len(columns))):
+            some = [e for e in shown if e.column == column]
+            x = np.array([horizons.index(e.horizon_s) for e in some]) + 0.12 * (k - (len(columns) - 1) / 2)
+            y = np.array([e.b / e.a for e in some])
+            low, high = np.array([e.ci95 or (r, r) for e, r in zip(some, y)]).reshape(-1, 2).T
+            axes.errorbar(x, y, [np.maximum(y - low, 0.0), np.maximum(high - y, 0.0)], fmt="o", color=colour,
+                          markersize=4.0, label=column)
+        axes.set_yscale("log")
+        axes.set_xticks(range(len(horizons)), [horizon_text(h) for h in horizons])
+        finish(axes, len(columns), "horizon", "error of B / error of A")
+
+    return draw("ratio", HEIGHT_IN + 0.4, paint)
