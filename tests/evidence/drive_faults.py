@@ -113,7 +113,7 @@ def stuck(name: str) -> Fault:
 def imu_reads(change: Callable[[list[int]], list[int]]) -> Fault:
     def strike(bench: DriveFaultBench) -> None:
         push = bench.rig.imu.push
-        bench.rig.imu.push = lambda raw: push(change(list(raw)))
+        bench.rig.imu.push = lambda raw: push(change(list(raw)))  # type: ignore[method-assign]
     return strike
 
 
@@ -123,18 +123,18 @@ def hangs(bench: DriveFaultBench) -> None:
 
 
 def nothing_down(bench: DriveFaultBench) -> None:
-    bench.wire.write = lambda data: None
+    bench.wire.write = lambda data: None  # type: ignore[method-assign]
 
 
 def crash(bench: DriveFaultBench) -> None:
     def crashing() -> Any:
         raise ZeroDivisionError("crashed on purpose")
-    bench.drive.poll = crashing
+    bench.drive.poll = crashing  # type: ignore[method-assign]
 
 
 def killed(bench: DriveFaultBench) -> None:
     """SIGKILL: the host is gone without a word, the bus lives."""
-    bench.wire.write = lambda data: None
+    bench.wire.write = lambda data: None  # type: ignore[method-assign]
     raise DriverError("the host was killed")
 
 
