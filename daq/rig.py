@@ -14,7 +14,7 @@ from msgspec import Meta, Struct, structs
 from daq.errors import InputError, did_you_mean
 from daq.imu_mount import check_accelerometer, check_mount
 from daq.mechanisms import check_mechanism, joints_of
-from daq.rig_devices import Devices
+from daq.rig_devices import NODES, Devices
 from daq.rig_types import (
     IDENTITY3,
     Angle,
@@ -343,6 +343,10 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
         raise InputError(where, *wrong)
     if not rig.imus:
         raise InputError(where, "imu is an empty list", "give a table [[imu]] for each IMU, or take the key out")
+    controller = rig.devices.controller
+    if controller.node >= NODES and controller.kind == "legid":
+        raise InputError(where, f"devices.controller.node is {controller.node}, a leg controller's are 0 to {NODES - 1}",
+                         "give the node that its firmware has")
     _check_levels(rig, where)
     _check_correlations(rig, where)
     return rig

@@ -22,6 +22,10 @@ class ImuDevice(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Its address: 0x1E or 0x1C."""
 
 
+NODES = 64
+"""Addresses of our own firmware on CAN."""
+
+
 class ControllerDevice(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     kind: Annotated[str, Meta(pattern="^[a-z][a-z0-9_]*$", max_length=40)] = "legid"
     """Which drive: legid (our own firmware) | moteus | odrive | dynamixel, or one of one's own; see `drivers.drive`."""

@@ -70,6 +70,11 @@ QUERY = (read(Kind.INT8, Register.MODE) + read(Kind.F32, Register.POSITION, 4) +
          read(Kind.INT16, Register.MOTOR_TEMPERATURE) + read(Kind.INT16, Register.VOLTAGE, 2) +
          read(Kind.INT8, Register.FAULT) + read(Kind.F32, Register.CONTROL_TORQUE) +
          read(Kind.INT32, Register.MILLISECONDS))
+ANSWERED = {Register.MODE, Register.POSITION, Register.Q_CURRENT, Register.MOTOR_TEMPERATURE, Register.VOLTAGE,
+            Register.TEMPERATURE, Register.FAULT, Register.CONTROL_TORQUE}
+"""What an answer to QUERY must hold; the counter is not in every firmware."""
+WHOLE = (Register.MODE, Register.FAULT, Register.MILLISECONDS)
+IDENTIFIED = (Register.MODE, Register.FAULT, Register.FIRMWARE_VERSION, Register.REGISTER_MAP_VERSION)
 STOP = write(Kind.INT8, Register.MODE, [STOPPED])
 IDENTITY = (read(Kind.INT8, Register.MODE) + read(Kind.INT8, Register.FAULT) + STOP +
             read(Kind.INT32, Register.MODEL, 3))
@@ -129,7 +134,8 @@ class MoteusDrive(PolledDrive[Frames]):
 
     def _identity(self, frames: Frames) -> dict[int, float] | None:
         found = self._registers(frames)
-        return found if Register.REGISTER_MAP_VERSION in found and Register.FAULT in found else None
+        whole = all(math.isfinite(found.get(register, math.nan)) for register in IDENTIFIED)
+        return found if whole else None
 
     def _read_settings(self) -> dict[str, float]:
         """The settings on which safety rests, over the console."""
@@ -175,7 +181,10 @@ class MoteusDrive(PolledDrive[Frames]):
     def _hear(self, chunk: Frames) -> Reading | None:
         self._found |= self._registers(chunk)
         found = self._found
-        if Register.CONTROL_TORQUE not in found or Register.MODE not in found:
+        if not found.keys() >= ANSWERED:
+            return None
+        if not all(math.isfinite(found[register]) for register in WHOLE if register in found):
+            self._bad, self._found = self._bad + 1, {}
             return None
         mode, code = int(found[Register.MODE]), int(found[Register.FAULT])
         faults = self._faults(mode, code)

@@ -17,7 +17,7 @@ from drivers.mock.plant import StillPlant
 from drivers.mock.pty_server import PtyServer
 from drivers.mock.rig import MockRig, drive_maker, on_serial
 from drivers.moteus_drive import QUERY, MoteusDrive
-from drivers.multiplex import WRITE, Register, parse
+from drivers.multiplex import WRITE, Kind, Register, parse, write
 from drivers.protocol import Reaction
 from tests.support.drive_bench import DriveBench, telemetry
 
@@ -199,3 +199,16 @@ def test_the_vendors_parser_reads_our_emulators_answer() -> None:
 def registers(data: bytes) -> dict[int, float]:
     """What a frame writes."""
     return {part.start + k: value for part in parse(data) if part.op == WRITE for k, value in enumerate(part.values)}
+
+
+def test_an_answer_that_is_not_whole_is_none() -> None:
+    """Found by broken frames: registers missing, or a mode that is no number."""
+    bench = DriveBench("moteus")
+    bench.drive.open()
+    drive = bench.drive
+    assert isinstance(drive, MoteusDrive)
+    for data in (write(Kind.INT8, Register.MODE, [0]) + write(Kind.F32, Register.CONTROL_TORQUE, [0.0]),
+                 write(Kind.F32, Register.MODE, [math.nan])):
+        answer = bytes([data[0] | 0x20]) + data[1:]
+        assert drive._hear((CanFrame(0x100, answer, False, True),)) is None
+    assert len(telemetry(bench.run(0.1))) > 40
