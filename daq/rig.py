@@ -345,8 +345,8 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
         raise InputError(where, "imu is an empty list", "give a table [[imu]] for each IMU, or take the key out")
     controller = rig.devices.controller
     if controller.node >= NODES and controller.kind == "legid":
-        raise InputError(where, f"devices.controller.node is {controller.node}, a leg controller's are 0 to {NODES - 1}",
-                         "give the node that its firmware has")
+        raise InputError(where, f"devices.controller.node is {controller.node}, a leg controller's are 0 to "
+                         f"{NODES - 1}", "give the node that its firmware has")
     _check_levels(rig, where)
     _check_correlations(rig, where)
     return rig
