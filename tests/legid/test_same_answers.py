@@ -182,6 +182,8 @@ def same_tuning(case: Case, folder: Path) -> None:
 VERBS: dict[str, Callable[[Case, Path], None]] = {
     "fit": same_fit, "validate": same_validation, "compare": same_comparison, "diagnose": same_diagnosis,
     "tune": same_tuning}
+SHORT = ("fit", "validate", "compare")
+"""Verbs that answer on a public record within a minute."""
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -189,13 +191,13 @@ def test_a_fit_of_a_fixture(name: str, folder: Path) -> None:
     same_fit(FIXTURE_CASES[name], folder)
 
 
-@pytest.mark.parametrize("verb", ["fit", "validate", "compare"])
+@pytest.mark.parametrize("verb", SHORT)
 def test_a_verb_on_runs_of_which_one_is_bad(verb: str, folder: Path) -> None:
     VERBS[verb](leg_with_bad_run(folder), folder)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", SHORT)
 @pytest.mark.parametrize("name", FIXTURE_CASES)
 def test_every_verb_on_every_fixture(name: str, verb: str, folder: Path) -> None:
     VERBS[verb](FIXTURE_CASES[name], folder)
@@ -203,7 +205,7 @@ def test_every_verb_on_every_fixture(name: str, verb: str, folder: Path) -> None
 
 @pytest.mark.slow
 @needs_records
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", SHORT)
 @pytest.mark.parametrize("name", ["axis", "pendulum", "servo", "arm"])
 def test_every_verb_on_public_records(name: str, verb: str, folder: Path) -> None:
     case = records()[name]
