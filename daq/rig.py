@@ -344,7 +344,7 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     if not rig.imus:
         raise InputError(where, "imu is an empty list", "give a table [[imu]] for each IMU, or take the key out")
     controller = rig.devices.controller
-    if controller.node >= NODES and controller.kind == "legid":
+    if controller is not None and controller.node >= NODES and controller.kind == "legid":
         raise InputError(where, f"devices.controller.node is {controller.node}, a leg controller's are 0 to "
                          f"{NODES - 1}", "give the node that its firmware has")
     _check_levels(rig, where)

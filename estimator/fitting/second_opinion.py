@@ -130,7 +130,7 @@ def _of_shooting(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
         motion, method="shooting", beta=shot.beta, covariance=shot.spread, iterations=shot.iterations,
         fixed=result.fixed, at_bound=result.at_bound, hold_margin=result.hold_margin, converged=True,
         wall_s=result.wall_s, undetermined=missing, agreement=None,
-        findings=(*result.findings, *(Finding("fault", "impossible", text)
+        findings=(*(one for one in result.findings if one.role != "fault"), *(Finding("fault", "impossible", text)
                                       for text in faults(mechanism, shot.beta, std, q))),
         assumptions=(result.assumptions[0],
                      f"multiple shooting over {SEGMENT_S:g} s: errors of different segments, or of different runs where"

@@ -75,7 +75,7 @@ ARM = '[mechanism]\nmodel = "leg2"\nactuated = [2, 1]\n[noise]\n'
 @pytest.mark.parametrize(("text", "named"), [
     ("accel_mps2 = [0.05]", "noise.accel_mps2 has 1 levels"), ("accel_mps2 = [0.05, 0.0]", "noise.accel_mps2"),
     ("accel_mps2 = [0.1, 0.1, 0.1]", "noise.accel_mps2 has 3 levels"), ("accel_mps2 = [0.1, nan]", "noise.accel_mps2"),
-    ("torque_nm = [0.02]", "noise.torque_nm has 1 levels, mechanism.actuated 2 driven joints"),
+    ("torque_nm = [0.02]", "noise.torque_nm has 1 levels, the mechanism has 2 driven joints"),
     ("torque_nm = [0.02, -0.02]", "noise.torque_nm"), ("accel_correlation = 1.0", "noise.accel_correlation is 1"),
     ("accel_correlation = 2", "noise.accel_correlation"), ("accel_correlation = nan", "noise.accel_correlation"),
     ("torque_correlation = [[1.0]]", "noise.torque_correlation is not 2 by 2"),
@@ -92,7 +92,7 @@ def test_noise_that_no_rig_has_is_refused(text: str, named: str) -> None:
 
 
 def test_a_leg_s_hip_has_no_torque_level() -> None:
-    with pytest.raises(InputError, match=r"noise\.torque_nm has 2 levels, mechanism\.actuated 1 driven joint"):
+    with pytest.raises(InputError, match=r"noise\.torque_nm has 2 levels, the mechanism has 1 driven joint"):
         parse_rig(LEG + "[noise]\ntorque_nm = [0.01, 0.02]")
     assert parse_rig(LEG + "[noise]\ntorque_nm = [0.02]").noise.torque_nm == (0.02,)
 

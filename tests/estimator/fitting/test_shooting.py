@@ -116,8 +116,8 @@ def test_a_geared_pendulum_is_found_whatever_noise_its_encoder_is_said_to_have(l
     options = replace(ENCODER, hold="auto", rounding="auto", noise={"encoder_rad": level})
     mle = fit_admissible([run], joint1(), options)
     found = with_second_opinion([run], joint1(), options, mle)
-    assert found.second_opinion is not None
     if level < 1e-3:  # the inertia of mle is down to 84 and 3 % of the truth
+        assert found.second_opinion is not None
         assert mle.beta[0] < 0.9 * truth.inertia and found.second_opinion.largest > MOST_DISAGREEMENT
         held_out = found.second_opinion.held_out
         assert found.method == "shooting" and held_out is not None and held_out.ci95[0] > 0.0
@@ -125,10 +125,10 @@ def test_a_geared_pendulum_is_found_whatever_noise_its_encoder_is_said_to_have(l
         np.testing.assert_array_equal(found.second_opinion.beta, mle.beta)
         assert not found.inadmissible and found.trajectories
     else:
-        assert found.method == "mle" and found.second_opinion.largest < MOST_DISAGREEMENT
-    shooting = found.beta if found.method == "shooting" else found.second_opinion.beta
-    np.testing.assert_allclose(shooting[:2], truth.beta()[:2], rtol=0.04)
-    np.testing.assert_allclose(shooting[2:], truth.beta()[2:], rtol=0.15)
+        assert found.method == "mle" and "disturbance1_nm" in found.noise
+        assert found.second_opinion is None or found.second_opinion.largest < MOST_DISAGREEMENT
+    np.testing.assert_allclose(found.beta[:2], truth.beta()[:2], rtol=0.04)
+    np.testing.assert_allclose(found.beta[2:], truth.beta()[2:], rtol=0.15)
 
 
 def test_a_run_that_is_too_short_leaves_mle_as_it_is() -> None:

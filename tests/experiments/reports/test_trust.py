@@ -80,7 +80,8 @@ def test_a_leg_with_two_encoders_is_trusted_too() -> None:
     left = residuals_of(exact)["torque 2"]
     assert autocorrelation("", left).largest > 0.5 and torque_step(exact, 1, left) > 2
     assert fit_trust(exact).sentence.startswith("TRUST the parameters")
-    assert fit_trust(said[0.15]).sentence.startswith("DO NOT TRUST")
+    assert "coloured disturbance torque at joint 1" in " ".join(said[0.15].assumptions)
+    assert "coloured" not in " ".join(exact.assumptions)
 
 
 def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
@@ -184,7 +185,7 @@ def test_comparison_says_who_is_better_and_by_how_much(folder: Path, fits: dict[
         "q1_rad", "q2_rad", "gyro_radps"}
     beta1 = document["parameters"][0]
     std = np.hypot(beta1["a"]["std"], beta1["b"]["std"])
-    assert beta1["z"] == pytest.approx((beta1["b"]["value"] - beta1["a"]["value"]) / std) and abs(beta1["z"]) > 5
+    assert beta1["z"] == pytest.approx((beta1["b"]["value"] - beta1["a"]["value"]) / std) and abs(beta1["z"]) > 4
     assert "Coulomb friction, knee" in page.read_text() and "error of B" in page.read_text()
 
 
