@@ -154,7 +154,8 @@ class MockDynamixel(BenchDrive):
         turns = self.turns
         position = round(turns * dxl.COUNTS) if math.isfinite(turns) else 0
         position = (position + 2**31) % 2**32 - 2**31
-        current = max(-32768, min(32767, round(self.current_a / self.unit_a)))
+        amperes = self.current_a if math.isfinite(self.current_a) else 0.0  # an integer cannot say that it is none
+        current = max(-32768, min(32767, round(amperes / self.unit_a)))
         struct.pack_into("<H", self.table, Address.REALTIME_TICK, tick % dxl.TICK_WRAP)
         struct.pack_into("<h", self.table, Address.PRESENT_CURRENT, current)
         struct.pack_into("<i", self.table, Address.PRESENT_VELOCITY, round(self.turns_per_s * 60.0 / dxl.VELOCITY_RPM))

@@ -48,6 +48,11 @@ class FaultyWire:
         self._faults, self._rng = faults, rng
         self._held: deque[Any] = deque()
 
+    @property
+    def sound(self) -> bool:
+        """Nothing is done to any frame."""
+        return not any(getattr(self._faults, kind) for kind in KINDS)
+
     def pass_on(self, frame: Any) -> list[Any]:
         """What arrives instead of this frame: nothing, itself, or worse."""
         kind = self._dice()
@@ -137,6 +142,8 @@ class FaultyLink:
             return data[:0]
         while self._kept:
             data = self._kept.pop() + data
+        if self.wire.sound:
+            return data  # as it is: not every protocol on a serial line ends its frames with a NUL
         if isinstance(data, tuple):
             return tuple(frame for whole in data for frame in self.wire.pass_on(whole))
         return b"".join(part for whole in data.split(b"\0")[:-1] for part in self.wire.pass_on(whole + b"\0"))

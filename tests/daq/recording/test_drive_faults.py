@@ -5,7 +5,7 @@ import pytest
 from tests.evidence.drive_faults import strike
 
 
-@pytest.mark.parametrize("kind", ["moteus", "odrive"])
+@pytest.mark.parametrize("kind", ["moteus", "odrive", "dynamixel"])
 @pytest.mark.parametrize(("name", "within_ms", "said"), [
     ("host killed", 110.0, "killed"), ("motor gives no torque", 110.0, "torque_s tripped"),
     ("gate driver fault", 10.0, "gate driver")])
