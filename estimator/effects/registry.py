@@ -26,11 +26,11 @@ def classes() -> tuple[type[Effect], ...]:
     """Every effect: the library's, then those that installed packages add under the entry point group."""
     from importlib.metadata import entry_points
 
-    return (*_own(), *(point.load() for point in entry_points(group=ENTRY_POINT)))
+    return (*library_classes(), *(point.load() for point in entry_points(group=ENTRY_POINT)))
 
 
 @cache
-def _own() -> tuple[type[Effect], ...]:
+def library_classes() -> tuple[type[Effect], ...]:
     """The classes that have a sentence for a person in the modules beside this one, in the order of files and lines."""
     package = __name__.rpartition(".")[0]
     modules = [import_module(f"{package}.{info.name}") for info in iter_modules([str(Path(__file__).parent)])]
