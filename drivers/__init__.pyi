@@ -17,6 +17,7 @@ from .drive import attach as attach
 from .drive import drive_kinds as drive_kinds
 from .drive import drive_rate_hz as drive_rate_hz
 from .drive import find_nodes as find_nodes
+from .drive import hello_of as hello_of
 from .drive import open_drive as open_drive
 from .errors import DeviceAbsent as DeviceAbsent
 from .errors import DriverError as DriverError

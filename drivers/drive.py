@@ -148,6 +148,13 @@ class Drive(Protocol):
     def __exit__(self, *exception: object) -> None: ...
 
 
+def hello_of(controller: Drive) -> Hello:
+    """Who is there. Raises ValueError where the drive has not been opened."""
+    if controller.hello is None:
+        raise ValueError("open the leg controller first")
+    return controller.hello
+
+
 @dataclass(frozen=True)
 class Wiring:
     """Where a drive is and how it sits on the joint; all that a driver is told of a rig file."""

@@ -17,7 +17,6 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 
 from drivers import dynamixel as dxl
 from drivers.drive import Capabilities, Lack, Received, Wiring
@@ -204,10 +203,7 @@ class DynamixelDrive(PolledDrive[bytes]):
         self._counted.clear()
         self._boot_id = (self._boot_id + 1) % 2**32
         self.stop()
-        if self.hello is None:
-            return []
-        self.hello = replace(self.hello, boot_id=self._boot_id)
-        return [Received(self.hello, host_ns)]
+        return self._greet_again(host_ns)
 
     def _faults(self, ram: bytes) -> int:
         error = ram[Address.HARDWARE_ERROR_STATUS - FIRST]

@@ -14,7 +14,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 
 from drivers.can_frame import CanFrame, Frames, padded
 from drivers.drive import Capabilities, Lack, Received, Wiring
@@ -222,10 +221,7 @@ class MoteusDrive(PolledDrive[Frames]):
         self._boot_id = (self._boot_id + 1) % 2**32
         self._counted.clear()
         self.stop()  # a command of ours may have reached it before it was known
-        if self.hello is None:
-            return []
-        self.hello = replace(self.hello, boot_id=self._boot_id)
-        return [Received(self.hello, host_ns)]
+        return self._greet_again(host_ns)
 
     def _faults(self, mode: int, code: int) -> int:
         if self._latched and mode not in (FAULT, TIMEOUT):

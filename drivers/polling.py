@@ -14,6 +14,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 from drivers.drive import Capabilities, LinkStats, Received, Wiring
@@ -145,6 +146,13 @@ class PolledDrive(ABC, Generic[Chunk]):
         except BaseException:
             self.close()
             raise
+
+    def _greet_again(self, host_ns: int) -> list[Received]:
+        """The hello of a drive that has started anew, by the number of its boot; none before it was greeted at all."""
+        if self.hello is None:
+            return []
+        self.hello = replace(self.hello, boot_id=self._boot_id)
+        return [Received(self.hello, host_ns)]
 
     def poll(self) -> list[Received]:
         self._attend()

@@ -24,6 +24,7 @@ from drivers import (
     Received,
     Telemetry,
     describe_faults,
+    hello_of,
     lsm9ds1_registers,
 )
 
@@ -68,9 +69,7 @@ class ControllerIntake:
 
     def __init__(self, controller: Drive, sink: Sink, calibration: Calibration,
                  now_ns: Callable[[], int]) -> None:
-        if controller.hello is None:
-            raise ValueError("open the leg controller before recording")
-        self.hello = controller.hello
+        self.hello = hello_of(controller)
         """As it was when the recording began."""
         self.boot_id = self.first_boot_id = self.hello.boot_id
         self.heard_ns = now_ns()

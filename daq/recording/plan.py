@@ -15,7 +15,7 @@ from daq.files import write_file
 from daq.rig import Rig
 from daq.rig_devices import ControllerDevice
 from daq.runs import read_csv
-from drivers import Drive, Lsm9ds1
+from drivers import Drive, Lsm9ds1, hello_of
 
 COLUMN = "tau2_cmd_nm"
 SLEW_S = 0.01
@@ -87,9 +87,7 @@ def write_plan(plan: Plan, path: Path | str) -> None:
 
 def check_plan(plan: Plan, rig: Rig, controller: Drive) -> None:
     """Raises `InputError` when the plan or rig.toml asks for more than rig and firmware allow."""
-    hello = controller.hello
-    if hello is None:
-        raise ValueError("open the leg controller first")
+    hello = hello_of(controller)
     limits = {"limits.torque_nm of the rig": rig.limits.torque_nm, "the firmware's limit": hello.torque_limit_nm}
     for name, bound in limits.items():
         if plan.peak_nm > bound:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from daq import ControllerDevice, InputError, Rig
 from daq.recording import check_drive
-from drivers import VERSION, Drive, Reaction, State, describe_faults, fault_remedy
+from drivers import VERSION, Drive, Reaction, State, describe_faults, fault_remedy, hello_of
 from experiments.doctor.check import Check
 from experiments.reports import GOOD_TIMER_MS
 
@@ -100,9 +100,7 @@ def can_interface(channel: str, config: dict[str, str | int | float | bool]) -> 
 
 def after_opening(controller: Drive, rig: Rig, device: ControllerDevice, told: bool) -> list[Check]:
     """Firmware, settings that both sides must agree on (where `told`: a rig file says them), timer, faults."""
-    hello = controller.hello
-    if hello is None:
-        raise ValueError("open the leg controller first")
+    hello = hello_of(controller)
     words = controller.words or f"speaks protocol version {hello.version}, as this program does"
     checks = [Check("firmware version", "ok", words)]
     if hello.version != VERSION:  # opening refuses it too
