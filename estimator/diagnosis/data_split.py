@@ -43,7 +43,7 @@ class RunSplit:
     workers: int = 1
     """Processes that may work on independent fits and runs."""
     stiction: dict[int, FloatArray] = field(default_factory=dict)
-    """Run to `LatentProblem.stiction_variance`, as its first fit found it: all explanations are compared on the same
+    """Run to `Noise.stiction`, as its first fit found it: all explanations are compared on the same
     weights."""
 
     @property
@@ -87,17 +87,15 @@ class RunSplit:
                       angle_range, self.gear_ratio)
         problem = ExtendedProblem(self.signals(which) if signals is None else signals, self.mechanism,
                                   self.options.hold, stage, effects, candidates)
-        problem.one_a_passage = True  # as in a fit whose speeds of rounding are known
-        if all(i in self.stiction for i in which):
-            problem.stiction_variance = np.concatenate([self.stiction[i] for i in which])
-        return problem
+        known = [self.stiction[i] for i in which if i in self.stiction]
+        return problem.with_stiction(np.concatenate(known)) if len(known) == len(which) else problem
 
-    def keep_stiction(self, which: Sequence[int], problem: ExtendedProblem) -> None:
-        """Remember where the joints of these runs rest, unless that is known already."""
-        if problem.stiction_variance is None:
+    def keep_stiction(self, which: Sequence[int], stiction: FloatArray | None) -> None:
+        """Remember where the joints of these runs rest (N, 2, n), unless that is known already."""
+        if stiction is None:
             return
         lengths = [sum(len(s.time_s) for s in self.runs[i]) for i in which]
-        for i, part in zip(which, np.split(problem.stiction_variance, np.cumsum(lengths)[:-1])):
+        for i, part in zip(which, np.split(stiction, np.cumsum(lengths)[:-1])):
             self.stiction.setdefault(i, part)
 
 

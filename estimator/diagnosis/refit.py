@@ -108,15 +108,17 @@ def fit_nominal(split: RunSplit) -> Model:
         floors = split.floors(blank, state.beta)
         try:
             for freed in steps:
-                iterate(blank, state, freed, split.options, floors, MAX_ITERATIONS if freed is steps[-1] else FIRST)
+                steps_left = MAX_ITERATIONS if freed is steps[-1] else FIRST
+                state = iterate(blank, state, freed, split.options, floors, steps_left)
         except FitError:
             continue
         if state.converged and not mistakes_torque(blank, state, floors):
             break
-    if not np.isfinite(state.beta).all() or blank.stiction_variance is None or not np.isfinite(state.x.q).all():
+    rest = blank.stiction(state.noise)
+    if not np.isfinite(state.beta).all() or rest is None or not np.isfinite(state.x.q).all():
         raise FitError("the nominal fit leads nowhere, so nothing can be said about what it leaves over")
-    split.keep_stiction(split.discover, blank)
-    settle_motion(blank, state, SETTLE_STEPS)
+    split.keep_stiction(split.discover, rest)
+    state = settle_motion(blank.with_stiction(rest), replace(state, noise=state.noise.levels()), SETTLE_STEPS)
     if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
@@ -152,10 +154,10 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
         held = hold_shapes or effect.whole_shapes or (effect.at_limits(size) if hold_limits else False)
         free[place.stop - len(effect.shapes) : place.stop] = ~np.asarray(held)
     floors = None if noise is not None else split.floors(problem, state.beta[:p])
-    iterate(problem, state, free, split.options, floors, limit)
+    state = iterate(problem, state, free, split.options, floors, limit)
     if floors is not None and mistakes_torque(problem, state, floors):
         raise FitError("the fit takes the torque for noise")
-    settle_motion(problem, state, SETTLE_STEPS)
+    state = settle_motion(problem, state, SETTLE_STEPS)
     return Model(split, tuple(e for e, _ in effects), state, problem)
 
 
@@ -166,13 +168,12 @@ def likeliest_rounding(model: Model, stated: Mechanism) -> Mechanism:
     """
     split = replace(model.split, mechanism=stated, stiction={})
     problem = split.problem(split.discover, model.problem.stage.angle_range, model.effects)
-    problem.seeks_rounding, problem.one_a_passage = True, False  # until it is found: a passage may be anything
-    x = model.state.x
-    state = replace(model.state, x=Latents(x.q.copy(), x.v.copy(), x.u.copy()), beta=model.state.beta.copy())
+    state = model.state
     free = np.ones(state.beta.size, dtype=bool)
     free[: stated.p] = free_mask(stated, split.options)[0]
-    iterate(problem, state, free, split.options, split.floors(problem, state.beta[: stated.p]), ROUNDING_STEPS)
-    return problem.mechanism
+    floors = split.floors(problem, state.beta[: stated.p])
+    found = iterate(problem, state, free, split.options, floors, ROUNDING_STEPS, seeks_smoothing=True)
+    return problem.smoothed_over(found.smoothing).mechanism
 
 
 def misfit(model: Model) -> float:
@@ -230,42 +231,41 @@ def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequen
                             np.zeros(split.mechanism.p, dtype=bool), model.state.beta[: split.mechanism.p])
         start = begin.x
     # a small model error, enforced at once from far off, does not settle; a replicate starts at its own motion
-    known, tried = problem.stiction_variance, []
+    tried = []
     steep = not np.array_equal(problem.relaxed(model.state.beta, np.inf), model.state.beta)
     for path in (SLACK[-1:] if signals is not None else LONGER if steep else SLACK, LONGER):
         try:
-            state = _settle(model, problem, start, path, known)
+            state = _settle(model, problem, start, path)
         except FitError as error:
             failure = error
             continue
-        tried.append((per_value(problem, state), problem.stiction_variance, state))
+        tried.append((per_value(problem, state), state))
         if tried[-1][0] < BAD or (steep and path is LONGER):
             break
     if not tried:
         raise failure
-    _, problem.stiction_variance, state = min(tried, key=lambda t: t[0])
+    state = min(tried, key=lambda t: t[0])[1]
+    rest = problem.stiction(state.noise)
     if signals is None:
-        split.keep_stiction([run], problem)
-    return SmoothedRun(model, run, problem, state)
+        split.keep_stiction([run], rest)
+    return SmoothedRun(model, run, problem.with_stiction(rest), replace(state, noise=state.noise.levels()))
 
 
-def _settle(model: Model, problem: ExtendedProblem, start: Latents, path: Sequence[tuple[float, int]],
-            known: FloatArray | None) -> State:
+def _settle(model: Model, problem: ExtendedProblem, start: Latents, path: Sequence[tuple[float, int]]) -> State:
     """The motion that is reached from `start` along a path of slacks, of the passive joint and of steep laws.
 
-    Parameters, noise and `known` rest are held.
+    Parameters, noise and rest that `problem` knows are held.
     """
     noise = model.state.noise
     state = State(start, model.state.beta.copy(), noise, model.state.covariance)
     for slack, limit in path:
-        problem.stiction_variance = known
         torque = noise.torque.copy()
         torque[list(problem.mechanism.passive)] *= slack
         state.beta = problem.relaxed(model.state.beta, slack)
         steep = not np.array_equal(state.beta, model.state.beta)
         encoder = noise.encoder * min(slack, LOOSE_ENCODER) if steep else noise.encoder
         state.noise = replace(noise, torque=torque, encoder=encoder)
-        settle_motion(problem, state, limit)
+        state = settle_motion(problem, state, limit)
     return state
 
 

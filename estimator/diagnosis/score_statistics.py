@@ -17,7 +17,7 @@ from scipy.special import chdtri, fdtrc, fdtri  # scipy.stats takes a second mor
 
 from daq import FloatArray
 from estimator.diagnosis.decision_rule import HIDDEN, PRIOR_RUNS
-from estimator.likelihood import Candidate, ExtendedProblem, State, pull_after
+from estimator.likelihood import Candidate, ExtendedProblem, State, weighted_residuals_after
 from estimator.numerics import eliminate, pseudo_inverse
 
 
@@ -44,8 +44,8 @@ def score_alone(problem: ExtendedProblem, state: State) -> FloatArray:
     point = plain.linearise(state.x, state.beta, state.noise)
     step = eliminate(point.chain.first(1)).solution(np.ones(1))
     own = np.asarray(point.chain.flat_right(slice(1, None)).T @ step.ravel() - point.gradient_beta)
-    pull = pull_after(plain, state.x, state.beta[: plain.mechanism.p], state.noise, point, -step)
-    return np.concatenate([own, -problem.candidate_gradient(state.x, state.beta, pull)])
+    weighted = weighted_residuals_after(plain, state.x, state.beta[: plain.mechanism.p], state.noise, point, -step)
+    return np.concatenate([own, -problem.candidate_gradient(state.x, state.beta, weighted)])
 
 
 @dataclass(frozen=True)

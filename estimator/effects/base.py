@@ -196,12 +196,11 @@ class Effect(ABC):
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
     """Sizes from which a re-fit begins, too, where the nominal fit is bad: its slopes say little of large ones."""
 
-    slide: bool = False
-    """Whether its joint is prismatic; see `WHEEL_M`."""
-
-    def __init__(self, joint: int | None = None) -> None:
+    def __init__(self, joint: int | None = None, slide: bool = False) -> None:
         self.joint = joint
         """0-based; None for effects of the whole rig."""
+        self.slide = slide
+        """Whether its joint is prismatic; see `WHEEL_M`."""
 
     @property
     def parts(self) -> tuple[Joined, ...]:

@@ -66,9 +66,7 @@ def placed(kind: type[Effect], joint: int | None, mechanism: Mechanism) -> Effec
     """An effect of this kind on this rig, at a joint (0-based), of a walker at the hip of a leg."""
     if joint is not None and joint in mechanism.exchanged:
         return hip_effect(kind, joint, mechanism.exchanged)
-    effect = kind(joint)
-    effect.slide = mechanism.length_unit == "m"
-    return effect
+    return kind(joint, mechanism.length_unit == "m")
 
 
 def _walking(effect: Effect, mechanism: Mechanism) -> str:

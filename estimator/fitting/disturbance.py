@@ -119,10 +119,7 @@ def disturbed_problem(signals: Sequence[SignalSet], plain: LatentProblem) -> Lat
     """The problem `plain` of the same `signals`, with a disturbance at every joint."""
     if plain.disturbed:
         return plain
-    out = LatentProblem(signals, plain.mechanism, plain.collocation.hold, disturbed=True)
-    out.stiction_variance, out.one_a_passage = plain.stiction_variance, plain.one_a_passage
-    out.loud, out.loud_channels, out.seeks_loudness = plain.loud, plain.loud_channels, plain.seeks_loudness
-    return out
+    return LatentProblem(signals, plain.mechanism, plain.collocation.hold, disturbed=True)
 
 
 def disturbance_likelihood(signals: Sequence[SignalSet], problem: LatentProblem, state: State) -> MarginalLikelihood:
@@ -132,11 +129,9 @@ def disturbance_likelihood(signals: Sequence[SignalSet], problem: LatentProblem,
     starts = problem.ends - [len(s.time_s) for s in signals]
     where = np.concatenate([start + np.arange(len(s.time_s)) for s, start in zip(parts, starts, strict=True)])
     own = LatentProblem(parts, problem.mechanism, problem.collocation.hold, disturbed=True)
-    if problem.stiction_variance is not None:
-        own.stiction_variance = problem.stiction_variance[where]
-    own.loud = problem.loud and problem.loud.of(where)
     x = state.x.of(where)
-    return MarginalLikelihood(own, x if x.e is not None else replace(x, e=np.zeros_like(x.u)), state.beta, state.noise)
+    return MarginalLikelihood(own, x if x.e is not None else replace(x, e=np.zeros_like(x.u)), state.beta,
+                              state.noise.at(where))
 
 
 def predicts_worse(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, options: FitOptions,

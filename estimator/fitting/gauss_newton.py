@@ -15,7 +15,16 @@ from daq import FloatArray
 from estimator.errors import FitError
 from estimator.fitting.correlated_levels import correlation_of, excess_variance
 from estimator.fitting.run_levels import renewed
-from estimator.likelihood import LatentProblem, Linearised, Loudness, Noise, Process, State, effective_samples
+from estimator.likelihood import (
+    LatentProblem,
+    Linearised,
+    Noise,
+    NoiseScale,
+    Process,
+    State,
+    effective_samples,
+    unit_scale,
+)
 from estimator.numerics import Swept, eliminate, pseudo_inverse
 from estimator.options import FitOptions
 from estimator.signals import encoder_level
@@ -51,13 +60,13 @@ ROUGH_STEPS = 2
 """Steps whose noise levels are too rough to tell over which speed friction is rounded off."""
 PASSIVE_WAIT = 1
 STEEP, SLOW = 0.985, 1.1
-PASSIVE_HASTE = 4.0
+PASSIVE_EXPONENT = 4.0
 """Where a passive joint's model error is nil its level falls by a constant factor a step; after PASSIVE_WAIT
 steps a fall steeper than STEEP is taken to this power. (Measured on legs of 10 s: with a gyro of 0.02 or 0.05 rad/s the
 level falls by 4 % a step, and 2 of 8 or 7 of 8 fits had not settled in 60 steps; all do within 12 to 51.) So is a rise
 slower than SLOW where runs have levels of their own, which come late: a level that fell too far came back by 5 % a
 step. (Elsewhere it keeps a leg with a hidden spring from settling.) Not where no joint is driven: two levels that are
-hastened swing against each other."""
+accelerated swing against each other."""
 MARGIN = 1.1
 """On the misfit that a step foresees at the samples: the Gauss points add to it, and it may still grow."""
 
@@ -65,24 +74,32 @@ RAN_AWAY = "the fit ran away; the starting values are too far from the data"
 
 
 def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions,
-            floors: Noise | None, limit: int = MAX_ITERATIONS, rough: bool = False) -> None:
-    """Gauss-Newton on latents and the `free` parameters together, noise levels renewed each step.
+            floors: Noise | None, limit: int = MAX_ITERATIONS, rough: bool = False, seeks_smoothing: bool = False,
+          levels_by_run: bool = False) -> State:
+    """Where Gauss-Newton on latents and the `free` parameters together ends, noise levels renewed each step.
 
-    `floors` None keeps the noise levels; `rough` ends the search at ROUGH. Sets `state.converged`; raises `FitError`.
+    Begins at `state`, which it leaves as it is. `floors` None keeps the noise levels; `rough` ends the search at ROUGH.
+    `seeks_smoothing`: friction's smoothing velocity is estimated, too; until it is found, what dry friction leaves open
+    is one draw a sample. `levels_by_run`: runs may have noise levels of their own. Stiction that neither the problem
+    nor the state knows is found on the way. Raises `FitError`.
     """
+    state, problem = replace(state), problem.smoothed_over(state.smoothing)
     index = np.flatnonzero(free)
     settled, share, lowest, change, objective = 0, 1.0, np.inf, 0.0, np.inf
     before = np.zeros(index.size)
     effective_dof: Mapping[str, FloatArray] | None = None
-    finds_rest = problem.stiction_variance is None
-    found_rounding = False
-    problem.predicted_misfit = None if state.misfit is None else MARGIN * problem.total * state.misfit
+    finds_stiction = problem.stiction(state.noise) is None
+    one_per_crossing, found_smoothing = not seeks_smoothing, False
     for iteration in range(limit):
         state.iterations = iteration + 1
-        if finds_rest and (iteration < REST_STEPS or found_rounding):
-            problem.stiction_variance = problem.find_stiction_variance(state.x.v, state.beta)
-        linearise = problem.linearise if index.size else problem.motion_equations
-        point = linearise(state.x, state.beta, state.noise)
+        if finds_stiction and (iteration < REST_STEPS or found_smoothing):
+            stiction = problem.find_stiction(state.x.v, state.beta, one_per_crossing)
+            state.noise = replace(state.noise, stiction=stiction)
+        predicted = None if state.misfit is None else MARGIN * problem.total * state.misfit
+        if index.size:
+            point = problem.linearise(state.x, state.beta, state.noise, predicted_misfit=predicted)
+        else:
+            point = problem.motion_equations(state.x, state.beta, state.noise)
         try:
             solved = eliminate(point.chain)
         except np.linalg.LinAlgError:
@@ -112,31 +129,32 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         if floors is not None:
             if effective_dof is None or change > SAME_NOISE:
                 effective_dof = effective_samples(problem, point, solved.inverse_diagonal(), state.noise)
-            found_rounding = False
-            if problem.seeks_rounding and iteration >= ROUGH_STEPS:
+            found_smoothing = False
+            if seeks_smoothing and iteration >= ROUGH_STEPS:
                 spread = np.einsum("kii->ki", solved.inverse_diagonal())[:, 2 * problem.n : 3 * problem.n]
-                same = problem.find_rounding(state.x, state.beta, state.noise, residuals["torque"], spread)
-                found_rounding = same or iteration + 1 >= REST_STEPS
-                problem.seeks_rounding, problem.one_a_passage = not found_rounding, found_rounding
+                found = problem.find_smoothing(state.x, state.beta, state.noise, residuals["torque"], spread)
+                same = np.array_equal(found, problem.mechanism.velocity_scales)
+                state.smoothing, problem = found, problem.smoothed_over(found)
+                found_smoothing = same or iteration + 1 >= REST_STEPS
+                seeks_smoothing, one_per_crossing = not found_smoothing, found_smoothing
             change = 0.0
-            if problem.seeks_loudness and (problem.loud is not None or moved < ROUGH):
-                change = _update_loudness(problem, state.noise, residuals, effective_dof, options, floors)
+            if levels_by_run and (state.noise.scale is not None or moved < ROUGH):
+                state.noise, change = _with_scale(problem, state.noise, residuals, effective_dof, options, floors)
             change = max(change, _update_noise(problem, state, effective_dof, residuals, options, floors))
         share_left = np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / problem.torque_variance(state.noise))
         if problem.disturbed:
             share_left += Process.of(state.noise, problem.dt).squares(residuals["e"], problem.ends)
         state.misfit = np.minimum(share_left / problem.total, 1.0)
-        problem.predicted_misfit = MARGIN * problem.total * state.misfit
         enough = ROUGH if rough else TOLERANCE if iteration < LOOSE_AFTER else LOOSE
         overshot = point.objective > RISE * objective and iteration < LOOSE_AFTER
-        still = moved < enough and change < (0.1 if rough else 0.01) and not problem.seeks_rounding and not overshot
+        still = moved < enough and change < (0.1 if rough else 0.01) and not seeks_smoothing and not overshot
         objective = point.objective
         settled = settled + 1 if still else 0
         del point, solved  # before the next ones are made: they are large
         if settled >= (1 if rough else 2):
             state.converged = True
             break
-    problem.predicted_misfit = None
+    return state
 
 
 def newton_step(point: Linearised, solved: Swept, index: NDArray[np.intp]
@@ -188,16 +206,16 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
     """
     weight = problem.torque_weight(state.noise)
     effective_dof = {kind: values.sum(axis=0) for kind, values in effective_dof.items()}
-    residuals = whitened(residuals, problem.loud)
+    residuals = whitened(residuals, state.noise.scale)
     old, actuated = state.noise, problem.mechanism.actuated
 
-    def level(r: FloatArray, gamma: float, floor: float, previous: float, haste: float = 1.0,
+    def level(r: FloatArray, gamma: float, floor: float, previous: float, exponent: float = 1.0,
               count: float | None = None) -> float:
         size = r.size if count is None else count
         freedom = max(size - gamma, 0.002 * size)
         ratio = float(np.sqrt(np.vdot(r, r) / freedom)) / previous
-        rises = problem.loud is not None and 1.0 / STEEP < ratio < SLOW
-        value = previous * ratio ** (haste if ratio < STEEP or rises else 1.0)
+        rises = old.scale is not None and 1.0 / STEEP < ratio < SLOW
+        value = previous * ratio ** (exponent if ratio < STEEP or rises else 1.0)
         return max(floor, float(np.clip(value, previous / 2.0, previous * 3.0)))
 
     torque, encoder = old.torque.copy(), old.encoder.copy()
@@ -206,16 +224,16 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
         if options.torque_noise(j, j in actuated) is None:
             r, count = weight[:, j] * residuals["torque"][:, j], float(weight[:, j].sum())
             waits = j in actuated or not actuated or state.iterations <= PASSIVE_WAIT
-            haste = 1.0 if waits else PASSIVE_HASTE
+            exponent = 1.0 if waits else PASSIVE_EXPONENT
             torque[j] = level(np.sqrt(excess[j]) * r, excess[j] * float(effective_dof["torque"][j]), floors.torque[j],
-                              old.torque[j], haste, count)
+                              old.torque[j], exponent, count)
             if j in actuated:
                 disturbed = problem.disturbed and bool(old.disturbance[j] > 0.0)
                 torque[j] = min(torque[j], most_noise(problem, j, floors, disturbed))
         if problem.has_encoder[j] and options.encoder_noise(int(j)) is None:
             r = residuals["encoder"][:, j] / (1.0 if problem.spread is None else problem.spread[:, j])
             encoder[j] = level(r, float(effective_dof["encoder"][j]), floors.encoder[j], old.encoder[j])
-    quietest = np.ones(problem.n) if problem.loud is None else problem.loud.torque.min(axis=0)
+    quietest = np.ones(problem.n) if old.scale is None else old.scale.torque.min(axis=0)
     driven = [torque[j] * quietest[j] for j in actuated]
     most = max((TORQUE_SHARE * float(problem.torque_spread[j]) for j in actuated), default=np.inf) or np.inf
     for j in problem.mechanism.passive:
@@ -236,26 +254,27 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
     return max(float(np.max(np.abs(np.log(a[np.isfinite(a)] / b[np.isfinite(a)])), initial=0.0)) for a, b in pairs)
 
 
-def whitened(residuals: Mapping[str, FloatArray], loud: Loudness | None) -> Mapping[str, FloatArray]:
-    """Residuals over the loudness of their run."""
-    if loud is None:
+def whitened(residuals: Mapping[str, FloatArray], scale: NoiseScale | None) -> Mapping[str, FloatArray]:
+    """Residuals over the noise scale of their run."""
+    if scale is None:
         return residuals
-    return {kind: residuals[kind] / scale for kind, scale in loud._asdict().items() if kind in residuals}
+    return {kind: residuals[kind] / values for kind, values in scale.by_kind() if kind in residuals}
 
 
-def _update_loudness(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatArray],
-                     effective_dof: Mapping[str, FloatArray], options: FitOptions, floors: Noise) -> float:
-    """Renew what sets runs apart in noise; returns the largest relative change."""
-    before = problem.loud
-    problem.loud, problem.loud_channels = renewed(problem, noise, residuals, effective_dof, options, floors)
-    if problem.loud is None:
-        return 0.0
+def _with_scale(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatArray],
+                effective_dof: Mapping[str, FloatArray], options: FitOptions, floors: Noise) -> tuple[Noise, float]:
+    """`noise` with the noise scales of its runs renewed, and the largest relative change of one."""
+    scale = renewed(problem, noise, residuals, effective_dof, options, floors)
+    if scale is None:
+        return replace(noise, scale=None), 0.0
     driven = list(problem.mechanism.actuated)
     if driven:  # a passive joint's level stays as far below the torque's in each run as it is in all
-        quietest = np.min(noise.torque[driven] * problem.loud.torque[:, driven], axis=1)
-        problem.loud.torque[:, list(problem.mechanism.passive)] = (quietest / np.min(quietest))[:, None]
-    return max(float(np.max(np.abs(np.log(new / (1.0 if before is None else old))), initial=0.0))
-               for new, old in zip(problem.loud, before or problem.loud, strict=True))
+        quietest = np.min(noise.torque[driven] * scale.torque[:, driven], axis=1)
+        scale.torque[:, list(problem.mechanism.passive)] = (quietest / np.min(quietest))[:, None]
+    before = noise.scale or unit_scale(problem.total, problem.n, problem.imu_count)
+    change = max(float(np.max(np.abs(np.log(new / old)), initial=0.0))
+                 for (_, new), (_, old) in zip(scale.by_kind(), before.by_kind(), strict=True))
+    return replace(noise, scale=scale), change
 
 
 def accel_excess(levels: FloatArray, rho: float, residual: FloatArray, by_latents: FloatArray) -> FloatArray:

@@ -71,11 +71,8 @@ def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State
     runners = {}
     for hold in HOLDS:
         problem = LatentProblem(parts, mechanism, hold)
-        if fitted.stiction_variance is not None:
-            problem.stiction_variance = fitted.stiction_variance[index]
-        problem.loud = fitted.loud and fitted.loud.of(index)
         problem.curve(x.u)
-        runners[hold] = _Runner(problem, x, state.beta.copy(), state.noise, np.flatnonzero(free))
+        runners[hold] = _Runner(problem, x, state.beta.copy(), state.noise.at(index), np.flatnonzero(free))
     found = {hold: runner.step() for hold, runner in runners.items()}
     ahead = max(found.values()) - LOST
     found |= {hold: runners[hold].step() for hold in HOLDS if found[hold] > ahead}

@@ -7,6 +7,8 @@ models alike. So a step that raises the objective is followed by a shorter one.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from estimator.errors import FitError
@@ -20,20 +22,20 @@ FREE_STEPS = 3
 """Steps that are not shortened: they come from far off."""
 
 
-def settle_motion(problem: LatentProblem, state: State, limit: int) -> None:
-    """Move `state` to the likeliest motion, in up to `limit` steps.
+def settle_motion(problem: LatentProblem, state: State, limit: int) -> State:
+    """`state` with the likeliest motion, sought from its own in up to `limit` steps.
 
-    Where the problem does not know yet what dry friction leaves open at rest, it is found on the way. Raises `FitError`
-    where the equations become singular.
+    Where neither the problem nor the state knows what dry friction leaves open at rest, it is found on the way. Raises
+    `FitError` where the equations become singular.
     """
-    x, best, lowest = state.x, state.x, np.inf
+    x, best, lowest, noise = state.x, state.x, np.inf, state.noise
     settled, share, before = 0, 1.0, np.inf
-    seeks_rest = problem.stiction_variance is None
+    seeks_rest = problem.stiction(noise) is None
     for iteration in range(limit + 1):
         if seeks_rest and iteration < REST_STEPS:
-            problem.stiction_variance = problem.find_stiction_variance(x.v, state.beta)
+            noise = replace(noise, stiction=problem.find_stiction(x.v, state.beta))
             lowest = before = np.inf  # that was by other weights
-        point = problem.motion_equations(x, state.beta, state.noise)
+        point = problem.motion_equations(x, state.beta, noise)
         if point.objective < lowest:
             lowest, best = point.objective, x
         fall, before = before - point.objective, point.objective
@@ -47,4 +49,4 @@ def settle_motion(problem: LatentProblem, state: State, limit: int) -> None:
         except np.linalg.LinAlgError:
             raise FitError("the equations of the motion became singular") from None
         x = x.moved(shortened(step[:, : problem.n], share) * step)
-    state.x = best
+    return replace(state, x=best, noise=noise)

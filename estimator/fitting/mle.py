@@ -92,9 +92,7 @@ def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
             beta: FloatArray, near: State | None = None) -> tuple[LatentProblem, State]:
     """The likeliest motion, parameters and noise levels under one hold, from those `near` where there are any."""
     problem = LatentProblem(signals, mechanism, options.hold)
-    problem.seeks_rounding = options.rounding == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
-    problem.one_a_passage = not problem.seeks_rounding
-    problem.seeks_loudness = True
+    seeks_smoothing = options.rounding == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
     if suits(signals, mechanism, options):
         noise = known_noise(mechanism, options)
         spread = None if problem.spread is None else problem.spread[None]
@@ -103,12 +101,13 @@ def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
     if near is None:
         state = start_state(problem, signals, mechanism, options, free, beta)
         floors = noise_floors(problem, mechanism, state.beta)
-        state = from_excerpt(problem, signals, options, free, state) or state
+        state = from_excerpt(problem, signals, options, free, state, seeks_smoothing) or state
     else:
-        state, floors = replace(near, converged=False), noise_floors(problem, mechanism, near.beta)
-    iterate(problem, state, free, options, floors)
+        state = replace(near, noise=near.noise.levels(), converged=False)
+        floors = noise_floors(problem, mechanism, near.beta)
+    state = iterate(problem, state, free, options, floors, seeks_smoothing=seeks_smoothing, levels_by_run=True)
     _refuse_collapse(problem, state, mechanism)
-    return problem, state
+    return problem.smoothed_over(state.smoothing), state
 
 
 def _with_disturbance(problem: LatentProblem, state: State, signals: list[SignalSet], free: NDArray[np.bool_],
@@ -132,7 +131,8 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
         x = state.x if state.x.e is not None else replace(state.x, e=np.zeros_like(state.x.u))
         state = State(x, state.beta, found.put(state.noise), state.covariance, misfit=state.misfit)
         try:
-            iterate(problem, state, free, options, noise_floors(problem, problem.mechanism, state.beta))
+            floors = noise_floors(problem, problem.mechanism, state.beta)
+            state = iterate(problem, state, free, options, floors, levels_by_run=True)
         except FitError:
             return plain
         if not state.converged:
@@ -153,9 +153,8 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
     the lines stay as they are, and there is no skew.
     """
     wide = _skewed(signals, problem.mechanism, options.hold, problem.disturbed)
-    wide.stiction_variance, wide.loud = problem.stiction_variance, problem.loud
     again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
-    iterate(wide, again, np.append(free, True), options, floors)
+    again = iterate(wide, again, np.append(free, True), options, floors)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
     if not again.converged or std > bound_s:
         return state, None, (f"the IMU's time line is taken as it is, though known to {bound_s * 1e6:.0f} us only; the "

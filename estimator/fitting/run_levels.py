@@ -19,13 +19,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.likelihood import LatentProblem, Loudness, Noise, even
+from estimator.likelihood import LatentProblem, Noise, NoiseScale, unit_scale
 from estimator.options import FitOptions
 from estimator.result import RunNoise
 from estimator.signals import SignalSet, by_run
@@ -57,7 +58,7 @@ class Column(NamedTuple):
     taken: FloatArray
     """(R,) degrees of freedom that the latents took of each run"""
     kind: str
-    """Of `Loudness`, and the channel in it: a joint, an IMU, or an IMU and its axis."""
+    """Of `NoiseScale`, and the channel in it: a joint, an IMU, or an IMU and its axis."""
     at: int | tuple[int, int]
     level: float
     floor: float
@@ -103,15 +104,16 @@ def imu_names(problem: LatentProblem, imu: int) -> tuple[str, str, str]:
 
 
 def renewed(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatArray], taken: Mapping[str, FloatArray],
-            options: FitOptions, floors: Noise) -> tuple[Loudness | None, frozenset[str]]:
-    """The runs' levels over those of all, and the channels that have them; None where runs are alike, or one.
+            options: FitOptions, floors: Noise) -> NoiseScale | None:
+    """The runs' levels over those of all; None where runs are alike, or one.
 
     `residuals` are after a step, not weighted, `taken` is of `effective_samples`. A channel that had levels of its runs
     before keeps them, whatever the test says now.
     """
-    asked, loud = set(problem.loud_channels), even(problem.total, problem.n, problem.imu_count)
     if len(problem.run_starts) < 2:
-        return None, frozenset()
+        return None
+    old = noise.scale
+    asked, scale = set(old.channels if old else ()), unit_scale(problem.total, problem.n, problem.imu_count)
     lengths = np.diff(np.append(problem.run_starts, problem.total))
     for column in columns(problem, noise, residuals, taken, options, floors):
         found = run_levels(column, problem.run_starts, lengths)
@@ -119,16 +121,16 @@ def renewed(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatA
             continue
         asked.add(column.name)
         ratio = found.ratio
-        if problem.loud is not None:
-            before = _of(problem.loud, column)[problem.run_starts]
+        if old is not None:
+            before = _of(old, column)[problem.run_starts]
             ratio = before * np.clip(ratio / before, 1.0 / STEP, STEP)
         ratio = np.maximum(ratio, column.floor / column.level)
-        _of(loud, column)[:] = np.repeat(ratio, lengths)
-    return (loud if asked else None), frozenset(asked)
+        _of(scale, column)[:] = np.repeat(ratio, lengths)
+    return replace(scale, channels=frozenset(asked)) if asked else None
 
 
 def run_levels(column: Column, starts: IntArray, lengths: IntArray) -> RunLevels:
-    """How loud the runs are, which begin at samples `starts` (R,) and have so many, `lengths` (R,)."""
+    """Noise levels of the runs, which begin at samples `starts` (R,) and have so many, `lengths` (R,)."""
     size = max(LEAST_PIECE, int(np.mean(lengths)) // PIECES)
     counts = np.maximum(lengths // size, 1)
     begin = np.concatenate([s + (np.arange(c) * n) // c for s, n, c in zip(starts, lengths, counts, strict=True)])
@@ -157,21 +159,21 @@ def run_levels(column: Column, starts: IntArray, lengths: IntArray) -> RunLevels
 
 def run_noise(problem: LatentProblem, signals: Sequence[SignalSet], noise: Noise) -> RunNoise | None:
     """The runs' own levels, of the channels that have them."""
-    if problem.loud is None:
+    if noise.scale is None:
         return None
-    of_run = problem.loud.of(problem.run_starts)
+    of_run = noise.scale.at(problem.run_starts)
     found = {f"torque{j + 1}_nm": noise.torque[j] * of_run.torque[:, j] for j in range(problem.n)}
     found |= {f"encoder{j + 1}_rad": noise.encoder[j] * of_run.encoder[:, j] for j in range(problem.n)}
     for k in range(problem.imu_count):
         levels = noise.gyro[k] * of_run.gyro[k], *(noise.accel[k] * of_run.accel[k]).T
         found |= dict(zip(imu_names(problem, k), levels))
     return RunNoise(tuple(run for run, _, _ in by_run(signals)),
-                    {name: levels for name, levels in found.items() if name in problem.loud_channels})
+                    {name: levels for name, levels in found.items() if name in of_run.channels})
 
 
-def _of(loud: Loudness, column: Column) -> FloatArray:
+def _of(scale: NoiseScale, column: Column) -> FloatArray:
     """(N,) a view."""
-    values: FloatArray = getattr(loud, column.kind)
+    values: FloatArray = getattr(scale, column.kind)
     if isinstance(column.at, tuple):
         imu, axis = column.at
         return values[imu, :, axis]

@@ -47,12 +47,8 @@ def score_runs(signals: Sequence[SignalSet], problem_of: Problem, fitted: Latent
     parts = by_run(signals)
     for run, stretches, where in parts if len(parts) > 1 else segments(signals, fitted, state):
         problem = problem_of(stretches)
-        if fitted.stiction_variance is not None:
-            problem.stiction_variance = fitted.stiction_variance[where]
-        problem.loud = fitted.loud and fitted.loud.of(where)
-        problem.predicted_misfit = np.full(problem.n, np.inf)  # a run's misfit counts as it is
-        x = state.x.of(where)
-        point = problem.linearise(x, beta, state.noise)
+        as_it_is = np.full(problem.n, np.inf)  # no bound on a run's misfit
+        point = problem.linearise(state.x.of(where), beta, state.noise.at(where), predicted_misfit=as_it_is)
         product = eliminate(point.chain).product()
         found.append((run, product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:]))
     if not found:

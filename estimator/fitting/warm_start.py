@@ -35,7 +35,7 @@ OUTLIER = 4.0
 
 
 def from_excerpt(problem: LatentProblem, signals: Sequence[SignalSet], options: FitOptions, free: NDArray[np.bool_],
-                 start: State) -> State | None:
+                 start: State, seeks_smoothing: bool) -> State | None:
     """`start` with parameters and noise levels of an excerpt; None where that was not to be had."""
     parts = excerpt(problem, signals, start.x)
     if not parts:
@@ -46,16 +46,16 @@ def from_excerpt(problem: LatentProblem, signals: Sequence[SignalSet], options: 
     small = LatentProblem(chosen, problem.mechanism, options.hold)
     x = start.x.of(index)
     state = State(x, start.beta, start.noise, start.covariance)
-    small.seeks_rounding, small.one_a_passage = problem.seeks_rounding, problem.one_a_passage
-    before = from_excerpt(small, chosen, options, free, state) or state
+    before = from_excerpt(small, chosen, options, free, state, seeks_smoothing) or state
     try:
-        iterate(small, before, free, options, noise_floors(small, problem.mechanism, start.beta), STEPS, rough=True)
+        before = iterate(small, before, free, options, noise_floors(small, problem.mechanism, start.beta), STEPS,
+                         rough=True, seeks_smoothing=seeks_smoothing)
     except FitError:
         return None
     if not before.converged or undetermined(problem.mechanism, before.beta, before.covariance, free):
         return None
-    problem.round_over(small.mechanism.velocity_scales)
-    return State(start.x, before.beta, before.noise, start.covariance, misfit=before.misfit)
+    return State(start.x, before.beta, before.noise.levels(), start.covariance, misfit=before.misfit,
+                 smoothing=before.smoothing)
 
 
 def excerpt(problem: LatentProblem, signals: Sequence[SignalSet], x: Latents) -> list[tuple[int, slice]]:

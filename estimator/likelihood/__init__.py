@@ -6,16 +6,16 @@ from estimator.likelihood.dry_friction import REST_SPREAD, held_variance
 from estimator.likelihood.effective_samples import effective_samples
 from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage
 from estimator.likelihood.free_run import LOST_RAD, FreeRun, free_run, pieces, read_motion
-from estimator.likelihood.loudness import Loudness, even
+from estimator.likelihood.kernels import compile_kernels
 from estimator.likelihood.noise import Noise
+from estimator.likelihood.noise_scale import NoiseScale, unit_scale
 from estimator.likelihood.normal_equations import Latents, Linearised
-from estimator.likelihood.prepare import compile_kernels
-from estimator.likelihood.pull import pull_after
 from estimator.likelihood.state import State
 from estimator.likelihood.trajectory_likelihood import TIGHT, LatentProblem
+from estimator.likelihood.weighted_residuals import weighted_residuals_after
 
 __all__ = [
     "LOST_RAD", "REST_SPREAD", "TIGHT", "BatchProblem", "Candidate", "ExtendedProblem", "FreeRun", "LatentProblem",
-    "Latents", "Linearised", "Loudness", "Noise", "Point", "Process", "Records", "Stage", "State", "compile_kernels",
-    "effective_samples", "even", "free_run", "held_variance", "pieces", "pull_after", "read_motion",
+    "Latents", "Linearised", "Noise", "NoiseScale", "Point", "Process", "Records", "Stage", "State", "compile_kernels",
+    "effective_samples", "free_run", "held_variance", "pieces", "read_motion", "unit_scale", "weighted_residuals_after",
 ]

@@ -42,10 +42,10 @@ def add_samples(residual: FloatArray, precision: FloatArray, extra: Extra | None
         for i in range(residual.shape[1]):
             residual[:, i] += extra.readings.get(torque_of(i), 0.0)
     slope = _slope(residual, extra)
-    pull = np.einsum("kij,kj->ki", np.broadcast_to(precision, diagonal.shape), residual)
+    weighted = np.einsum("kij,kj->ki", np.broadcast_to(precision, diagonal.shape), residual)
     diagonal += precision * slope[:, :, None] * slope[:, None, :]
-    gradient += slope * pull
-    return float(np.vdot(residual, pull))
+    gradient += slope * weighted
+    return float(np.vdot(residual, weighted))
 
 
 def add_columns(residual: FloatArray, precision: FloatArray, extra: Extra, border: FloatArray, corner: FloatArray,

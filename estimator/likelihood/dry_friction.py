@@ -35,7 +35,7 @@ def held_variance(v: FloatArray, level: float, scale: float) -> FloatArray:
     return np.asarray((level * (1.0 - np.abs(smooth_sign(v, REST_SPREAD * scale)))) ** 2)
 
 
-def passage_samples(v: FloatArray, scale: float, ends: NDArray[np.int64]) -> FloatArray:
+def crossing_samples(v: FloatArray, scale: float, ends: NDArray[np.int64]) -> FloatArray:
     """(N,) samples of the passage through rest that each of v (N,) belongs to; 1 beside them.
 
     `ends` are those of the stretches that v consists of.
@@ -47,7 +47,7 @@ def passage_samples(v: FloatArray, scale: float, ends: NDArray[np.int64]) -> Flo
     return np.where(inside, np.repeat(size, size), 1).astype(float)
 
 
-def likeliest_scale(v: FloatArray, level: float, stated: float, now: float, sigma: float, residual: FloatArray,
+def likeliest_smoothing(v: FloatArray, level: float, stated: float, now: float, sigma: float, residual: FloatArray,
                     spread: FloatArray) -> float:
     """Least speed [rad/s], of RATIOS times the one `stated`, that fits one joint's friction about as well as any.
 

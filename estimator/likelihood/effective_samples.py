@@ -26,7 +26,7 @@ def effective_samples(problem: LatentProblem, point: Linearised, p_diagonal: Flo
     variance = np.einsum("kii->ki", p_diagonal)
     weight = problem.torque_weight(noise)
     scale = problem.torque_level(noise)
-    angles = problem.angle_scale()
+    angles = problem.angle_scale(noise)
     torque = variance[:, 2 * n : 3 * n]
     if problem.disturbed:
         both = np.einsum("kii->ki", p_diagonal[:, 2 * n : 3 * n, 3 * n :])
@@ -47,15 +47,15 @@ def effective_samples(problem: LatentProblem, point: Linearised, p_diagonal: Flo
         if channel.kind == "torque":
             both = both * (weight[:, j] / scale[:, j]) ** 2
         else:
-            both = both / (noise.encoder[j] * (1.0 if problem.loud is None else problem.loud.encoder[:, j])) ** 2
+            both = both / (noise.encoder[j] * (1.0 if noise.scale is None else noise.scale.encoder[:, j])) ** 2
         found[channel.kind][:, j] += by_run(both)
     if problem.has_imu:
         found["gyro"], found["accel"] = np.zeros((len(starts), s)), np.zeros((len(starts), s, 2, 2))
     for k, joints in enumerate(problem.turned_by):
         rates = np.sum([p_diagonal[:, n + i, n + j] for i in joints for j in joints], axis=0)
         rows = point.accel_rows[k]
-        if problem.loud is not None:
-            rates, rows = rates / problem.loud.gyro[k] ** 2, rows / problem.loud.accel[k][:, :, None]
+        if noise.scale is not None:
+            rates, rows = rates / noise.scale.gyro[k] ** 2, rows / noise.scale.accel[k][:, :, None]
         found["gyro"][:, k] = by_run(rates) / noise.gyro[k] ** 2
         spread, products = rows @ p_diagonal, found["accel"][:, k]
         for i in range(2):

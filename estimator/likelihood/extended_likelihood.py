@@ -26,8 +26,8 @@ from estimator.effects import (
 )
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Extra, Latents, Linearised
-from estimator.likelihood.pull import Pull
 from estimator.likelihood.trajectory_likelihood import LatentProblem
+from estimator.likelihood.weighted_residuals import WeightedResiduals
 from estimator.model import ACCEL, ANGLE, GAUSS, RATE, Mechanism, mean_sign, smooth_sign
 from estimator.signals import GYRO, Channel, SignalSet, encoder_of, lowpass, torque_of
 
@@ -201,10 +201,10 @@ class ExtendedProblem(LatentProblem):
                 view = braked(free, inverse, at_samples)
         return view, torque, at_samples, readings
 
-    def candidate_gradient(self, x: Latents, parameters: FloatArray, pull: Pull) -> FloatArray:
-        """(c,) derivative of half the objective by the candidates' sizes, where the residuals `pull` as they do."""
+    def candidate_gradient(self, x: Latents, parameters: FloatArray, residuals: WeightedResiduals) -> FloatArray:
+        """(c,) derivative of half the objective by the candidates' sizes, at these `residuals`."""
         view = self._acting(x, parameters)[0]
-        return np.array([pull.along(d) for candidate in self.candidates for d in slopes_at_zero(candidate, view)])
+        return np.array([residuals.along(d) for candidate in self.candidates for d in slopes_at_zero(candidate, view)])
 
     def without_candidates(self) -> ExtendedProblem:
         """The same with effects alone."""
@@ -252,10 +252,11 @@ class ExtendedProblem(LatentProblem):
                 out[j, RATE, j] += found["sign"] * np.maximum(1.0 - at.sign[j] ** 2, 0.0) ** 1.5 / scale[j]
         return at_gauss, at_samples
 
-    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
+    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None,
+                  predicted_misfit: FloatArray | None = None) -> Linearised:
         """`beta` is the whole parameter vector here; what is believed of sizes beforehand is in."""
         extra = self.extra(x, beta) if self.effects or self.candidates else None
-        point = super().linearise(x, beta[: self.mechanism.p], noise, extra)
+        point = super().linearise(x, beta[: self.mechanism.p], noise, extra, predicted_misfit)
         p, own = self.mechanism.p, self._precision.size
         sizes = beta[p : p + own]
         point.corner[range(p, p + own), range(p, p + own)] += self._precision

@@ -1,12 +1,14 @@
-"""`Noise`: the standard deviations in force, the correlations that a rig declares, and the weights that follow."""
+"""`Noise`: standard deviations of all channels, what single samples add to them, and the correlations of a rig."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.likelihood.noise_scale import NoiseScale
 
 
 def _no_gyro() -> FloatArray:
@@ -38,6 +40,24 @@ class Noise:
     no joint has one."""
     time_constant: FloatArray = field(default_factory=_no_gyro)
     """(n,) its time constant [s]."""
+    scale: NoiseScale | None = None
+    """Of each of the N samples of one record, where runs differ in noise."""
+    stiction: FloatArray | None = None
+    """(N, 2, n) variance [N^2 m^2] of the torque that dry friction may hold at each of these samples, and in the
+    interval from it on, where a search found it; see `LatentProblem.find_stiction`."""
+
+    def at(self, samples: slice | NDArray[np.intp]) -> Noise:
+        """At some of the samples of its record."""
+        return replace(self, scale=self.scale and self.scale.at(samples),
+                       stiction=None if self.stiction is None else self.stiction[samples])
+
+    def levels(self) -> Noise:
+        """Without what belongs to single samples: the noise of any record."""
+        return replace(self, scale=None, stiction=None)
+
+    def with_samples_of(self, other: Noise) -> Noise:
+        """These levels with what single samples have in `other`."""
+        return replace(self, scale=other.scale, stiction=other.stiction)
 
     def accel_precision(self, imu: int = 0) -> FloatArray:
         """(2, 2) inverse covariance of both axes of one IMU at one sample [s^4/m^2]."""
@@ -45,18 +65,17 @@ class Noise:
         mixed = -self.accel_correlation / (own * x * y)
         return np.array([[1.0 / (own * x**2), mixed], [mixed, 1.0 / (own * y**2)]])
 
-    def torque_precision(self, variances: FloatArray, loud: FloatArray | None = None) -> FloatArray:
+    def torque_precision(self, variances: FloatArray) -> FloatArray:
         """(N, n, n), or (1, n, n) where all samples are alike, inverse covariance of torque samples.
 
-        `variances` (N, n) [N^2 m^2] have what dry friction may hold in them, which is each joint's own; `loud` (N, n)
-        are the samples' standard deviations over the levels, where they differ.
+        `variances` (N, n) [N^2 m^2] have what dry friction may hold in them, which is each joint's own.
         """
         assert self.torque_correlation is not None
         shared = np.outer(self.torque, self.torque) * self.torque_correlation
         diagonal = np.arange(self.torque.size)
         alike = variances.strides[0] == 0  # one level, broadcast
         out = np.repeat(shared[None], 1 if alike else len(variances), axis=0)
-        if loud is not None:
-            out = out * loud[:, :, None] * loud[:, None, :]
+        if self.scale is not None:
+            out = out * self.scale.torque[:, :, None] * self.scale.torque[:, None, :]
         out[:, diagonal, diagonal] = variances[: len(out)]
         return np.asarray(np.linalg.inv(out), dtype=np.float64)

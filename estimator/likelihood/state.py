@@ -1,4 +1,4 @@
-"""`State`: where a fit stands."""
+"""`State`: where a fit stands, and all that a step of it changes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from estimator.likelihood.normal_equations import Latents
 
 @dataclass
 class State:
-    """Where a fit stands."""
+    """Where a fit stands. Its noise holds what single samples add: a noise scale of their run, and stiction."""
 
     x: Latents
     beta: FloatArray
@@ -20,4 +20,7 @@ class State:
     converged: bool = False
     iterations: int = 0
     misfit: FloatArray | None = None
-    """(n,) of each joint's torque at a sample, in variances of its noise, as the last step foresaw it."""
+    """(n,) of each joint's torque at a sample, in variances of its noise, as the last step predicted it."""
+    smoothing: FloatArray | None = None
+    """(n,) velocity [rad/s] over which each joint's sign of friction is smoothed, where a search found it; None: that
+    of the problem's mechanism."""

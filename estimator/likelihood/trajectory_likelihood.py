@@ -20,8 +20,10 @@ beta; cost grows linearly with samples.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +31,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.likelihood import assembly_numba, correlated_torque
 from estimator.likelihood.disturbance import Process, expected_score
-from estimator.likelihood.dry_friction import REST_SPREAD, held_variance, likeliest_scale, passage_samples
-from estimator.likelihood.loudness import Loudness
+from estimator.likelihood.dry_friction import REST_SPREAD, crossing_samples, held_variance, likeliest_smoothing
 from estimator.likelihood.memory import keep_pages, pieces
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents, Linearised
@@ -58,11 +59,14 @@ interval's two points then add half a per cent to the variance of its torque."""
 CURVED = 0.15
 """Share of the rate below which the measured torque's curve is its own and not its noise's."""
 KINK = 2.0
-"""See `find_stiction_variance`."""
+"""See `find_stiction`."""
 
 
 class LatentProblem:
-    """All stretches of all runs on one stack of samples; see the module's text."""
+    """All stretches of all runs on one stack of samples; see the module's text.
+
+    A search changes nothing of it: what a step finds is in the `State`, with the noise of each sample.
+    """
 
     def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, disturbed: bool = False) -> None:
         keep_pages()
@@ -87,25 +91,12 @@ class LatentProblem:
         """(N, n) of `SignalSet`, where angles of a channel are not all read alike well"""
         self.run_starts = np.array([where.start for _, _, where in by_run(signals)])
         """First sample of each run."""
-        self.loud: Loudness | None = None
-        """Where runs differ in noise, ..."""
-        self.loud_channels: frozenset[str] = frozenset()
-        """... those that do, and ..."""
-        self.seeks_loudness = False
-        """... whether a search finds them."""
         self.has_encoder = np.isfinite(self.angles).all(axis=0)
         self.has_imu = bool(signals[0].imu)
-        self.stiction_variance: FloatArray | None = None
-        """(N, 2, n) variance [N^2 m^2] of the torque that dry friction may hold at each sample, and in the interval
-        from it on; see `find_stiction_variance`."""
+        self.known_stiction: FloatArray | None = None
+        """(N, 2, n) as `Noise.stiction`, where it is known beforehand."""
         self.sharpest = mechanism.velocity_scales
-        """(n,) speed [rad/s] over which a rig says that friction's sign is rounded; see `find_rounding`"""
-        self.seeks_rounding = False
-        """Whether a search finds it."""
-        self.one_a_passage = False
-        """Whether friction is one draw a passage through rest; else one a sample."""
-        self.predicted_misfit: FloatArray | None = None
-        """(n,) misfit of each joint's torque that the last step of a search foresaw; see `_inertia_gradient`."""
+        """(n,) velocity [rad/s] over which a rig says that friction's sign is smoothed; see `likeliest_smoothing`"""
         self.imu_count = len(mechanism.imus) if self.has_imu else 0
         self.turned_by = [mechanism.joints_to(place.link) for place in mechanism.imus[: self.imu_count]]
         """Joints whose rates add up to what each IMU's gyro reads."""
@@ -121,11 +112,31 @@ class LatentProblem:
             slow = [lowpass(part, CURVED * rate, rate) for part in np.split(u, self.ends[:-1])]
             self.between = self.collocation.between(np.concatenate(slow), self.ends)
 
-    def find_stiction_variance(self, v: FloatArray, beta: FloatArray) -> FloatArray:
+    def with_stiction(self, known: FloatArray | None) -> Self:
+        """The same, given what dry friction leaves open at each sample (N, 2, n)."""
+        own = copy(self)
+        own.known_stiction = known
+        return own
+
+    def smoothed_over(self, velocity: FloatArray | None) -> Self:
+        """The same with friction's sign smoothed over `velocity` (n,) [rad/s]; None: as it is."""
+        if velocity is None or np.array_equal(velocity, self.mechanism.velocity_scales):
+            return self
+        own = copy(self)
+        own.mechanism = replace(self.mechanism, velocity_scale=tuple(velocity.tolist()))
+        own.collocation = Collocation(own.mechanism, self.dt, self.collocation.hold)
+        return own
+
+    def stiction(self, noise: Noise) -> FloatArray | None:
+        """(N, 2, n) in force: what is known beforehand, else what a search found."""
+        return noise.stiction if self.known_stiction is None else self.known_stiction
+
+    def find_stiction(self, v: FloatArray, beta: FloatArray, one_per_crossing: bool = True) -> FloatArray:
         """(N, 2, n) what dry friction leaves open at each sample, and in the interval from it on, squared [N^2 m^2].
 
-        At samples see `dry_friction`. (Measured on a leg that starts at rest against a spring: without this the
-        spring's preload is 6 % off and five parameters 0.25 %, with it 0.7 % and 0.05 %.)
+        At samples see `dry_friction`; friction is one draw a zero crossing of the velocity, or one a sample.
+        (Measured on a leg that starts at rest against a spring: without this the spring's preload is 6 % off and five
+        parameters 0.25 %, with it 0.7 % and 0.05 %.)
         In an interval at whose ends a joint is slower than what friction can change its rate by in KINK intervals, or
         in which it turns round, it may rest or reverse, nothing says when, and the sums of friction over it are free up
         to F: what such an interval says of beta is little, and wrong. (Measured on an event-driven leg with friction of
@@ -139,8 +150,8 @@ class LatentProblem:
                 j = parameter.at[0]
                 scale = float(m.velocity_scales[j])
                 out[:, 0, j] += held_variance(v[:, j], beta[k], scale)
-                if self.one_a_passage:
-                    out[:, 0, j] *= passage_samples(v[:, j], scale, self.ends)
+                if one_per_crossing:
+                    out[:, 0, j] *= crossing_samples(v[:, j], scale, self.ends)
                 inertia = float(self._inertia[:, j] @ beta[: m.p])
                 slow = REST_SPREAD * self.sharpest[j]
                 slow += KINK * abs(beta[k]) * self.dt / inertia if inertia > 0.0 else 0.0
@@ -149,31 +160,28 @@ class LatentProblem:
                 out[self.left, 1, j] += beta[k] ** 2 * open_
         return out
 
-    def find_rounding(self, x: Latents, beta: FloatArray, noise: Noise, residual: FloatArray, spread: FloatArray
-                      ) -> bool:
-        """Round each joint's friction off over the likeliest speed; whether none differs from before.
+    def find_smoothing(self, x: Latents, beta: FloatArray, noise: Noise, residual: FloatArray, spread: FloatArray
+                       ) -> FloatArray:
+        """(n,) likeliest velocity [rad/s] over which each joint's sign of friction is smoothed.
 
         `residual` and `spread` (N, n) are the torques', and their variance by the latents.
         """
         m = self.mechanism
-        scales = m.velocity_scales.copy()
+        found = m.velocity_scales.copy()
         for k, parameter in enumerate(m.parameters):
             if parameter.term == "coulomb":
                 j = parameter.at[0]
-                scales[j] = likeliest_scale(x.v[:, j], beta[k], self.sharpest[j], scales[j], noise.torque[j],
-                                            residual[:, j], spread[:, j])
-        same = bool(np.array_equal(scales, m.velocity_scales))
-        if not same:
-            self.round_over(scales)
-        return same
+                found[j] = likeliest_smoothing(x.v[:, j], beta[k], self.sharpest[j], found[j], noise.torque[j],
+                                               residual[:, j], spread[:, j])
+        return found
 
-    def round_over(self, scales: FloatArray) -> None:
-        """Round friction's sign off over `scales` (n,) [rad/s]."""
-        self.mechanism = replace(self.mechanism, velocity_scale=tuple(scales.tolist()))
-        self.collocation = Collocation(self.mechanism, self.dt, self.collocation.hold)
+    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None,
+                  predicted_misfit: FloatArray | None = None) -> Linearised:
+        """Residuals, Gauss-Newton blocks and border at (x, beta); columns of `extra` follow those of beta.
 
-    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None) -> Linearised:
-        """Residuals, Gauss-Newton blocks and border at (x, beta); columns of `extra` follow those of beta."""
+        `predicted_misfit` (n,) of each joint's torque is what the last step of a search predicted; see
+        `_inertia_gradient`.
+        """
         b, n, width = self.block, self.n, 1 + self.mechanism.p
         if extra is not None:
             width += extra.sample_columns.shape[0]
@@ -207,7 +215,7 @@ class LatentProblem:
             objective += float(squares.sum())
             residuals["e"] = x.e
         misfit += np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / variances)
-        gradient_beta[: self.mechanism.p] -= self._inertia_gradient(beta, misfit)
+        gradient_beta[: self.mechanism.p] -= self._inertia_gradient(beta, misfit, predicted_misfit)
         if self.disturbed:
             freedom = np.minimum(squares, self.total * process.share(noise.torque**2))
             freedom[list(self.mechanism.passive)] = 0.0  # see _inertia_gradient
@@ -218,19 +226,19 @@ class LatentProblem:
         """`linearise` for a search of the motion alone: its corner is of no use."""
         return self.linearise(x, parameters, noise)
 
-    def _inertia_gradient(self, beta: FloatArray, misfit: FloatArray) -> FloatArray:
+    def _inertia_gradient(self, beta: FloatArray, misfit: FloatArray, predicted: FloatArray | None) -> FloatArray:
         """(p,) what makes a passive joint's misfit count as one of acceleration, not of torque.
 
         Nothing measures a passive joint's torque: its equation is homogeneous in beta, and shrinking beta shrinks
         its misfit r. The density of what drives the joint's acceleration carries the joint's inertia m = a . beta,
         so r / m counts, whose gradient has - r^2 a / m^3 beside r r' / m^2. Without it a wrong model, or a weakly
         excited leg, runs off to beta = 0, and a right one is low by one part in the torque's signal to noise ratio.
-        On the way there a misfit is that of latents which the same step puts right: more than `predicted_misfit`, or at
+        On the way there a misfit is that of latents which the same step puts right: more than was `predicted`, or at
         first more than the samples, to which it sums where the noise level is its own estimate, would overshoot.
         (Measured: counted in full it keeps beta 0.9 % high for the first four steps.)
         """
         out = np.zeros(self.mechanism.p)
-        most = np.full(self.n, self.total) if self.predicted_misfit is None else self.predicted_misfit
+        most = np.full(self.n, self.total) if predicted is None else predicted
         for j in self.mechanism.passive:
             a = self._inertia[:, j]
             m = float(a @ beta)
@@ -246,10 +254,11 @@ class LatentProblem:
 
     def _alike(self, noise: Noise) -> Iterator[tuple[slice, Noise]]:
         """Samples piece by piece, and the accelerometer's noise there."""
-        ends = [*self.run_starts[1:], self.total] if self.loud is not None else [self.total]
+        scale = noise.scale
+        ends = [self.total] if scale is None else [*self.run_starts[1:], self.total]
         start = 0
         for end in ends:
-            own = noise if self.loud is None else replace(noise, accel=noise.accel * self.loud.accel[:, start])
+            own = noise if scale is None else replace(noise, accel=noise.accel * scale.accel[:, start])
             for first in range(start, end, PIECE):
                 yield slice(first, min(first + PIECE, end)), own
             start = end
@@ -272,40 +281,41 @@ class LatentProblem:
     def motion_weight(self, noise: Noise) -> FloatArray:
         """(n, K) of the equation of motion at the Gauss points of every interval [1/(N m)]."""
         level = np.broadcast_to(self.motion_level(noise) ** 2, (self.n, self.left.size))
-        rest = self.stiction_variance
+        rest = self.stiction(noise)
         return np.sqrt(1.0 / (level if rest is None else level + rest[self.left, 1].T))
 
     def motion_level(self, noise: Noise) -> FloatArray:
         """(n, K) standard deviation there by noise, not by rest [N m]; (n, 1) where runs are alike."""
         level = TIGHT * noise.torque[:, None]
-        return level if self.loud is None else level * self.loud.torque[self.left].T
+        return level if noise.scale is None else level * noise.scale.torque[self.left].T
 
     def torque_level(self, noise: Noise) -> FloatArray:
         """(N, n) standard deviation of every torque sample's noise [N m]."""
         level = np.broadcast_to(noise.torque, (self.total, self.n))
-        return level if self.loud is None else level * self.loud.torque
+        return level if noise.scale is None else level * noise.scale.torque
 
     def torque_variance(self, noise: Noise) -> FloatArray:
         """(N, n) of every torque sample [N^2 m^2]."""
         level = np.broadcast_to(noise.torque**2, (self.total, self.n))
-        level = level if self.loud is None else level * self.loud.torque**2
-        return level if self.stiction_variance is None else level + self.stiction_variance[:, 0]
+        level = level if noise.scale is None else level * noise.scale.torque**2
+        rest = self.stiction(noise)
+        return level if rest is None else level + rest[:, 0]
 
     def angle_variance(self, joint: int, noise: Noise) -> float | FloatArray:
         """Of a joint's encoder [rad^2]; (N,) where its readings are not alike."""
-        level, scale = float(noise.encoder[joint]) ** 2, self.angle_scale()
+        level, scale = float(noise.encoder[joint]) ** 2, self.angle_scale(noise)
         return level if scale is None else level * scale[:, joint] ** 2
 
     def gyro_variance(self, imu: int, noise: Noise) -> float | FloatArray:
         """Of an IMU's gyro [rad^2/s^2]; (N,) where runs are not alike."""
         level = float(noise.gyro[imu]) ** 2
-        return level if self.loud is None else level * self.loud.gyro[imu] ** 2
+        return level if noise.scale is None else level * noise.scale.gyro[imu] ** 2
 
-    def angle_scale(self) -> FloatArray | None:
+    def angle_scale(self, noise: Noise) -> FloatArray | None:
         """(N, n) standard deviation of each angle over its channel's level; None where all are alike."""
-        if self.loud is None:
+        if noise.scale is None:
             return self.spread
-        return self.loud.encoder if self.spread is None else self.loud.encoder * self.spread
+        return noise.scale.encoder if self.spread is None else noise.scale.encoder * self.spread
 
     def torque_weight(self, noise: Noise) -> FloatArray:
         """(N, n) share of each torque sample's variance that is noise, not dry friction at rest; see also
@@ -344,9 +354,9 @@ class LatentProblem:
             r, weight = of_channel(residuals, channel), 1.0 / variance
             if extra is not None and channel in extra.readings:
                 r += extra.readings[channel]  # a view: the residual of record moves with it
-            pull = weight * r
+            weighted = weight * r
             for column in columns:
-                gradient[:, column] += pull
+                gradient[:, column] += weighted
                 for other in columns:
                     diagonal[:, column, other] += weight
             if extra is not None and channel in extra.by_torque:
@@ -355,11 +365,10 @@ class LatentProblem:
                 for column in columns:
                     diagonal[:, other, column] += slope * weight
                     diagonal[:, column, other] += slope * weight
-                gradient[:, other] += slope * pull
-            objective += float(r @ pull)
-        loud = self.loud and self.loud.torque
+                gradient[:, other] += slope * weighted
+            objective += float(r @ weighted)
         if noise.torque_correlation is not None:
-            precision = noise.torque_precision(variances, loud)
+            precision = noise.torque_precision(variances)
             objective += correlated_torque.add_samples(residuals["torque"], precision, extra,
                                                        diagonal[:, 2 * n : 3 * n, 2 * n : 3 * n],
                                                        gradient[:, 2 * n : 3 * n])
@@ -379,9 +388,8 @@ class LatentProblem:
                 border[:, 2 * self.n + columns[0] % self.n, p:] += (extra.by_torque[channel] * c).T
             corner[p:, p:] += c @ extra.reading_columns[channel].T
             gradient_beta[p:] += c @ of_channel(residuals, channel)
-        loud = self.loud and self.loud.torque
         if noise.torque_correlation is not None:
-            correlated_torque.add_columns(residuals["torque"], noise.torque_precision(variances, loud), extra,
+            correlated_torque.add_columns(residuals["torque"], noise.torque_precision(variances), extra,
                                           border[:, 2 * self.n : 3 * self.n, p:], corner[p:, p:], gradient_beta[p:])
 
     def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,

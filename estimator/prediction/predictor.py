@@ -39,6 +39,4 @@ class Predictor:
         begin = tuple(float(s.time_s[0] - signals[0].time_s[0]) for s in signals)
         reach = np.zeros((self.mechanism.n, 2)) if self.angle_range is None else self.angle_range
         stage = Stage((0,) * len(begin), tuple(session_s + b for b in begin), begin, reach, self.gear_ratio)
-        problem = ExtendedProblem(signals, self.mechanism, self.hold, stage, self.effects)
-        problem.one_a_passage = True  # the friction smoothing velocity is the model's
-        return problem
+        return ExtendedProblem(signals, self.mechanism, self.hold, stage, self.effects)

@@ -49,7 +49,7 @@ class SmoothedRun:
         Under `noise`, by default the run's own levels. The density is that of the likeliest motion, not integrated
         over motions.
         """
-        noise = self.state.noise if noise is None else noise
+        noise = (noise or self.state.noise).with_samples_of(self.state.noise)
         objective = self.problem.motion_equations(self.state.x, self.state.beta, noise).objective
         return objective + 2.0 * log_volume(self.problem, noise)
 
@@ -65,9 +65,9 @@ def smooth(model: Predictor, data: Dataset, options: FitOptions, session_s: floa
     begin = start_state(problem, signals, mechanism, options, np.zeros(mechanism.p, dtype=bool), model.beta)
     state = _state(begin.x, model.parameters, begin.noise)
     held = np.zeros(state.beta.size, dtype=bool)
-    iterate(problem, state, held, options, noise_floors(problem, mechanism, model.beta))
+    state = iterate(problem, state, held, options, noise_floors(problem, mechanism, model.beta))
     if not state.converged:  # levels that still creep, such as that of a passive joint whose model is exact
-        settle_motion(problem, state, SETTLE_STEPS)
+        state = settle_motion(problem, state, SETTLE_STEPS)
     return SmoothedRun(data.name, tuple(signals), problem, state)
 
 
@@ -94,40 +94,37 @@ def smooth_under(problem: ExtendedProblem, begin: State, near: bool = False) -> 
     """Likeliest motion of `problem` with the parameters and the noise of `begin` held, sought from the motion in it.
 
     A small model error, enforced at once from far off, does not converge: it comes down by the factors of `SLACK`. A
-    motion that is `near`, such as that of which `problem` holds a replicate, needs none. Sets
-    `problem.stiction_variance` where it is not known. Raises `FitError`.
+    motion that is `near`, such as that of which `problem` holds a replicate, needs none. What dry friction leaves open
+    at rest is found anew where `problem` does not know it. Raises `FitError`.
     """
-    known, tried = problem.stiction_variance, []
+    tried = []
     steep = not np.array_equal(problem.relaxed(begin.beta, np.inf), begin.beta)
     for path in (SLACK[-1:] if near else LONGER if steep else SLACK, LONGER):
         try:
-            state = _converged(problem, begin, path, known)
+            state = _converged(problem, begin, path)
         except FitError as error:
             failure = error
             continue
-        tried.append((per_value(problem, state), problem.stiction_variance, state))
+        tried.append((per_value(problem, state), state))
         if tried[-1][0] < BAD or (steep and path is LONGER):
             break
     if not tried:
         raise failure
-    _, problem.stiction_variance, state = min(tried, key=lambda t: t[0])
-    return state
+    return min(tried, key=lambda t: t[0])[1]
 
 
-def _converged(problem: ExtendedProblem, begin: State, path: Sequence[tuple[float, int]], known: FloatArray | None
-               ) -> State:
+def _converged(problem: ExtendedProblem, begin: State, path: Sequence[tuple[float, int]]) -> State:
     """The motion that is reached from `begin` along a path of slacks, of the passive joint and of steep laws."""
-    noise = begin.noise
+    noise = begin.noise.levels()
     state = State(begin.x, begin.beta.copy(), noise, begin.covariance)
     for slack, limit in path:
-        problem.stiction_variance = known
         torque = noise.torque.copy()
         torque[list(problem.mechanism.passive)] *= slack
         state.beta = problem.relaxed(begin.beta, slack)
         steep = not np.array_equal(state.beta, begin.beta)
         encoder = noise.encoder * min(slack, LOOSE_ENCODER) if steep else noise.encoder
         state.noise = replace(noise, torque=torque, encoder=encoder)
-        settle_motion(problem, state, limit)
+        state = settle_motion(problem, state, limit)
     return state
 
 

@@ -238,10 +238,10 @@ def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, li
     leg, data = runs
     split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
 
-    def stuck(problem: ExtendedProblem, state: State, free: NDArray[np.bool_], *rest: Any) -> None:
+    def stuck(problem: ExtendedProblem, state: State, free: NDArray[np.bool_], *rest: Any) -> State:
         if free.any():
             raise FitError("does not settle")
-        iterate(problem, state, free, *rest)
+        return iterate(problem, state, free, *rest)
 
     monkeypatch.setattr(refit, "iterate", stuck)
     nominal = fit_nominal(split)

@@ -10,7 +10,7 @@ import pytest
 from daq import Dataset, FloatArray
 from estimator import FitOptions, FitResult, fit
 from estimator.fitting.run_levels import Column, run_levels
-from estimator.likelihood import LatentProblem, Latents, Loudness, Noise
+from estimator.likelihood import LatentProblem, Latents, Noise, NoiseScale
 from estimator.model import ImuPlace, leg2
 from estimator.signals import imu_columns, split_signals
 from experiments.models import MechanismSettings
@@ -124,7 +124,7 @@ def _column(square: FloatArray) -> Column:
 
 @pytest.mark.parametrize("imus", [1, 2])
 def test_the_likelihood_is_the_sum_of_runs_under_their_own_levels(plant: Plant, imus: int) -> None:
-    """Objective, score and corner of all runs with a loudness each are the sums of single runs with levels so high."""
+    """Objective, score and corner of all runs, each with a noise scale, are sums of those of single runs."""
     rng = np.random.default_rng(8)
     mechanism = leg2(lever_arm=plant[0].lever, velocity_scale=ROUND)
     runs = noisy(plant, rng, TIMES)
@@ -134,26 +134,23 @@ def test_the_likelihood_is_the_sum_of_runs_under_their_own_levels(plant: Plant, 
     signals = split_signals(runs, mechanism, FitOptions())
     problem = LatentProblem(signals, mechanism, "smooth")
     x = Latents(*(rng.normal(size=(problem.total, 2)) for _ in range(3)))
-    problem.stiction_variance = rng.uniform(size=(problem.total, 2, 2))
+    stiction = rng.uniform(size=(problem.total, 2, 2))
     ratio = rng.uniform(0.5, 2.0, size=(RUNS, 2 + 3 * imus))
     by_gyro, by_axis = ratio[:, 2 : 2 + imus], ratio[:, 2 + imus :].reshape(RUNS, imus, 2)
     by_axis[:, :, 1] = by_axis[:, :, 0]
     lengths = [len(s.time_s) for s in signals]
     rows, gyros, axes = (np.repeat(r, lengths, axis=0) for r in (ratio, by_gyro, by_axis))
-    problem.loud = Loudness(rows[:, [0, 0]], rows[:, [1, 1]], gyros.T, axes.swapaxes(0, 1))
+    scale = NoiseScale(rows[:, [0, 0]], rows[:, [1, 1]], gyros.T, axes.swapaxes(0, 1))
     noise = Noise(np.array([0.1, 0.2]), np.array([np.inf, 1e-3]), np.array([0.01, 0.02])[:imus],
                   np.array([[0.05, 0.07], [0.06, 0.04]])[:imus], 0.3, np.array([[1.0, 0.4], [0.4, 1.0]]))
-    beta = plant[0].beta()
-    problem.predicted_misfit = np.zeros(2)
+    beta, nothing = plant[0].beta(), np.zeros(2)
     parts = []
     for k, where in enumerate(np.split(np.arange(problem.total), problem.ends[:-1])):
         alone = LatentProblem([signals[k]], mechanism, "smooth")
-        alone.stiction_variance = problem.stiction_variance[where]
-        alone.predicted_misfit = np.zeros(2)
         own = replace(noise, torque=noise.torque * ratio[k, 0], encoder=noise.encoder * ratio[k, 1],
-                      gyro=noise.gyro * by_gyro[k], accel=noise.accel * by_axis[k])
-        parts.append(alone.linearise(Latents(x.q[where], x.v[where], x.u[where]), beta, own))
-    whole = problem.linearise(x, beta, noise)
+                      gyro=noise.gyro * by_gyro[k], accel=noise.accel * by_axis[k], stiction=stiction[where])
+        parts.append(alone.linearise(x.of(where), beta, own, predicted_misfit=nothing))
+    whole = problem.linearise(x, beta, replace(noise, scale=scale, stiction=stiction), predicted_misfit=nothing)
     assert whole.objective == pytest.approx(sum(p.objective for p in parts), rel=1e-9)
     assert whole.gradient_beta == pytest.approx(sum(p.gradient_beta for p in parts), rel=1e-9)
     assert whole.corner == pytest.approx(sum(p.corner for p in parts), rel=1e-9)

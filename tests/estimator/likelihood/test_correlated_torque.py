@@ -25,7 +25,7 @@ def posed(*effects: Effect) -> tuple[ExtendedProblem, Latents, np.ndarray, Noise
     signals = SignalSet("run", 100.0, np.arange(COUNT) / 100.0, q, torque, {})
     problem = ExtendedProblem([signals], leg2(actuated=(0, 1)), "linear",
                               Stage((0,), (0.0,), (0.0,), np.tile([-2.0, 2.0], (2, 1)), 7.0), effects)
-    problem.stiction_variance = rng.uniform(0.0, 0.01, (COUNT, 2, 2))
+    problem.known_stiction = rng.uniform(0.0, 0.01, (COUNT, 2, 2))
     x = Latents(q + 0.01 * rng.normal(size=q.shape), rng.normal(size=q.shape), torque + 0.1 * rng.normal(size=q.shape))
     sizes = [v for e in effects for v in [s.scale for s in e.sizes] + [s.grid[-1] for s in e.shapes]]
     noise = Noise(np.array([0.05, 0.02]), np.full(2, 1e-3), torque_correlation=CORRELATION)
@@ -34,12 +34,12 @@ def posed(*effects: Effect) -> tuple[ExtendedProblem, Latents, np.ndarray, Noise
 
 def test_the_objective_has_the_inverse_of_the_whole_covariance() -> None:
     problem, x, beta, noise = posed()
-    assert problem.stiction_variance is not None
+    assert problem.known_stiction is not None
     expected = 0.0
     for k, r in enumerate(x.u - problem.torque):
         sigma = np.array([[0.05**2, -0.7 * 0.05 * 0.02], [-0.7 * 0.05 * 0.02, 0.02**2]])
-        alone = sigma * np.eye(2) + np.diag(problem.stiction_variance[k, 0])
-        sigma += np.diag(problem.stiction_variance[k, 0])
+        alone = sigma * np.eye(2) + np.diag(problem.known_stiction[k, 0])
+        sigma += np.diag(problem.known_stiction[k, 0])
         expected += r @ np.linalg.solve(sigma, r) - r @ np.linalg.solve(alone, r)
     independent = replace(noise, torque_correlation=None)
     found, before = (problem.linearise(x, beta, n).objective for n in (noise, independent))

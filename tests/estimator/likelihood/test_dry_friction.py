@@ -7,7 +7,7 @@ import pytest
 
 from daq import Dataset
 from estimator import FitOptions, fit
-from estimator.likelihood.dry_friction import likeliest_scale, passage_samples
+from estimator.likelihood.dry_friction import crossing_samples, likeliest_smoothing
 from estimator.model import leg2
 from tests.evidence.blind import servo
 from tests.support.mujoco_leg import random_leg
@@ -15,7 +15,7 @@ from tests.support.mujoco_leg import random_leg
 
 def test_samples_of_one_passage_count_together() -> None:
     v = np.array([1.0, 0.01, -0.01, -1.0, 0.0, 0.0, 0.0, 1.0])
-    np.testing.assert_array_equal(passage_samples(v, 0.02, np.array([6, 8])), [1, 2, 2, 1, 2, 2, 1, 1])
+    np.testing.assert_array_equal(crossing_samples(v, 0.02, np.array([6, 8])), [1, 2, 2, 1, 2, 2, 1, 1])
 
 
 def test_friction_is_rounded_no_wider_than_the_torque_asks_for() -> None:
@@ -25,7 +25,7 @@ def test_friction_is_rounded_no_wider_than_the_torque_asks_for() -> None:
     def found(true: float) -> float:
         made = level * v / np.sqrt(v * v + true**2) + rng.normal(0.0, 0.01, v.size)
         residual = level * v / np.sqrt(v * v + now**2) - made
-        return likeliest_scale(v, level, 0.005, now, 0.01, residual, np.zeros_like(v))
+        return likeliest_smoothing(v, level, 0.005, now, 0.01, residual, np.zeros_like(v))
 
     sharp, round_, flat = found(0.005), found(0.04), found(0.16)
     assert sharp == 0.005 < round_ < flat < 0.16

@@ -27,7 +27,7 @@ OPTIONS = FitOptions(sensors="imu")
 @pytest.fixture
 def squares_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The sum of squares without the density's other term, which enters the gradient only."""
-    monkeypatch.setattr(LatentProblem, "_inertia_gradient", lambda _, beta, __: np.zeros(beta.size))
+    monkeypatch.setattr(LatentProblem, "_inertia_gradient", lambda _, beta, *__: np.zeros(beta.size))
 
 
 @pytest.fixture(scope="module")
@@ -105,10 +105,9 @@ def test_minimum_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
     leg = Leg(coulomb=(0.0, 0.0))  # dry friction that changes sign beside a sample makes many minima
     run = record(leg, np.random.default_rng(22), seconds=4)
     posed = pose(Recorded(run, leg2(lever_arm=leg.lever), leg.beta(), (leg.m1, leg.m2), leg.l1))
-    state = posed.end
     monkeypatch.setattr(gauss_newton, "TOLERANCE", 1e-6)
     monkeypatch.setattr(gauss_newton, "LOOSE", 1e-6)
-    gauss_newton.iterate(posed.problem, state, np.ones(9, dtype=bool), OPTIONS, None, 100)  # noise levels held
+    state = gauss_newton.iterate(posed.problem, posed.end, np.ones(9, dtype=bool), OPTIONS, None, 100)  # noise held
     assert state.converged
     point = posed.problem.linearise(state.x, state.beta, state.noise)
     found = casadi_ipopt.solve(posed, 1e-14)

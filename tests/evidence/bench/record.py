@@ -86,6 +86,5 @@ def pose(recorded: Recorded) -> Posed:
     problem = LatentProblem(signals, mechanism, OPTIONS.hold)
     free, beta = free_mask(mechanism, OPTIONS)
     start = start_state(problem, signals, mechanism, OPTIONS, free, beta)
-    end = start_state(problem, signals, mechanism, OPTIONS, free, beta)
-    iterate(problem, end, free, OPTIONS, noise_floors(problem, mechanism, end.beta))
+    end = iterate(problem, start, free, OPTIONS, noise_floors(problem, mechanism, start.beta))
     return Posed(problem, start, end)

@@ -1,7 +1,7 @@
-"""`Pull`: the weighted residuals of a motion, as forces on whatever the model may add.
+"""`WeightedResiduals`: residuals of a motion over their variances, for the score of whatever the model may add.
 
-The derivative of half the objective by the size of something that adds `d` is the sum of pull times d. One pull serves
-hundreds of candidates, of none of which a row of the normal equations is made.
+The derivative of half the objective by the size of something that adds `d` is the sum of weighted residuals times d.
+They serve hundreds of candidates without a row of the normal equations for any.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from estimator.signals import Channel, accelerometer_slopes, imu_channels, torqu
 
 
 @dataclass(frozen=True)
-class Pull:
+class WeightedResiduals:
     """Residuals over their variances, by the place at which a `Perturbation` adds to them."""
 
     torque: FloatArray
@@ -40,10 +40,10 @@ class Pull:
                            if channel in self.readings)
 
 
-def pull_after(problem: LatentProblem, x: Latents, beta: FloatArray, noise: Noise, point: Linearised,
-               step: FloatArray) -> Pull:
-    """What pulls at the motion `step` (N, b) away from x, to first order; `point` is the problem at x, where beta (p,)
-    are the mechanism's parameters."""
+def weighted_residuals_after(problem: LatentProblem, x: Latents, beta: FloatArray, noise: Noise, point: Linearised,
+                             step: FloatArray) -> WeightedResiduals:
+    """Those of the motion `step` (N, b) away from x, to first order; `point` is the problem at x, where beta (p,) are
+    the mechanism's parameters."""
     m, c, left, extra = problem.mechanism, problem.collocation, problem.left, point.extra
     n = problem.n
     moved = c.motion(step[:, :n], step[:, n : 2 * n], left)  # features are linear in angles and rates
@@ -77,4 +77,4 @@ def pull_after(problem: LatentProblem, x: Latents, beta: FloatArray, noise: Nois
             readings |= dict(zip(imu_channels(k)[1:], accel))
             felt = accelerometer_slopes(m, place, x.q.T, x.v.T, np.zeros_like(x.v.T))[3]
             at_samples -= np.einsum("rjN,jiN,rN->iN", felt, inverse, accel)
-    return Pull(torque, at_samples, readings)
+    return WeightedResiduals(torque, at_samples, readings)
