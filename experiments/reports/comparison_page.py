@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from experiments.reports.chart import Line
 from experiments.reports.comparison import (
@@ -21,6 +21,9 @@ from experiments.reports.comparison import (
 from experiments.reports.diagnosis_figures import axis_label, draw
 from experiments.reports.figures import BLUE, GREEN, GREY, HEIGHT_IN, INK, ORANGE, finish, picture_lines
 from experiments.reports.html import Picture, Section, Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FIGURE_SECONDS = 12.0
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import to_rgba
-from matplotlib.figure import Figure
 
 from daq import FloatArray
 from estimator import TWO_SIDED
@@ -21,12 +18,14 @@ from experiments.reports.figures import (
     HEIGHT_IN,
     INK,
     ORANGE,
-    STYLE,
-    WIDTH_IN,
+    blank_figure,
     finish,
     to_svg,
     window,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 ROW_IN = 0.3
 TRACE_SECONDS = 12.0
@@ -37,8 +36,7 @@ Limits = tuple[float, float]
 
 def draw(name: str, height_in: float, paint: Callable[[Axes], None]) -> str:
     """One set of axes as an `<svg>` element; `name` keeps its identifiers apart from those of other figures."""
-    with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
-        figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    with blank_figure(name, height_in) as figure:
         paint(figure.add_subplot())
         return to_svg(figure)
 
@@ -141,8 +139,7 @@ def trace_plot(trace: Trace, column: str) -> str:
     part = window(trace.time_s, TRACE_SECONDS)
     time_s = trace.time_s[part] - trace.time_s[0]
     measured, before, after = (trace_of[column][part] for trace_of in (trace.measured, trace.before, trace.after))
-    with mpl.rc_context({**STYLE, "svg.hashsalt": f"trace {column}"}):
-        figure = Figure(figsize=(WIDTH_IN, 1.6 * HEIGHT_IN), layout="constrained")
+    with blank_figure(f"trace {column}", 1.6 * HEIGHT_IN) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         upper.plot(time_s, measured, color=BLUE, linewidth=2.4, label="measured")
         for values, label, colour in ((before, "nominal", GREEN), (after, "extended", ORANGE)):
@@ -174,6 +171,8 @@ def axis_label(column: str) -> str:
 
 def heat_map(labels: Sequence[str], cosines: FloatArray) -> str:
     """Cosines (k, k), lower triangle, as tinted cells with their numbers; rows are named, columns numbered."""
+    from matplotlib.colors import to_rgba
+
     k = len(labels)
 
     def paint(axes: Axes) -> None:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 
 from daq import FloatArray
 from experiments.reports.chart import MOST_SAMPLES, Band, Chart, Line
 from experiments.reports.html import Picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 INK, GRID = "#010203", "#040506"
 """Stand-ins that `_themed` turns into the page's own colours."""
@@ -46,12 +49,24 @@ def picture_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, capti
                    Chart(whole, lines, y_label, group=group, bands=bands, y_range=y_range))
 
 
+@contextmanager
+def blank_figure(name: str, height_in: float = HEIGHT_IN) -> Iterator[Figure]:
+    """A figure in the style of a page; `name` keeps its identifiers apart from those of other figures.
+
+    matplotlib is imported here: a command that draws nothing does not wait for it.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
+        yield Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+
+
 def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label: str = "time [s]",
                bands: Sequence[Band] = (), y_range: tuple[float, float] | None = None) -> str:
     """Curves over time (n,) [s] as an `<svg>` element, over what lies in `bands`; NaN leaves a hole, and `y_range`
     cuts what lies outside."""
-    with mpl.rc_context({**STYLE, "svg.hashsalt": y_label}):
-        figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
+    with blank_figure(y_label) as figure:
         axes = figure.add_subplot()
         for band in bands:
             axes.fill_between(time_s, band.low, band.high, color=band.colour, alpha=0.25, linewidth=0.0,
@@ -69,8 +84,7 @@ def plot_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, x_label:
 def plot_points(x: FloatArray, y: FloatArray, band: float, x_label: str, y_label: str, name: str) -> str:
     """A correlation function (n,) as stems over the band [-band, band], as an `<svg>` element; `name` keeps its
     identifiers apart from those of other figures."""
-    with mpl.rc_context({**STYLE, "svg.hashsalt": name}):
-        figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
+    with blank_figure(name) as figure:
         axes = figure.add_subplot()
         axes.axhspan(-band, band, color=GREY, alpha=0.25, linewidth=0.0, label="99 % band")
         axes.vlines(x, 0.0, y, color=BLUE, linewidth=1.4)
@@ -80,7 +94,7 @@ def plot_points(x: FloatArray, y: FloatArray, band: float, x_label: str, y_label
         return to_svg(figure)
 
 
-def finish(axes: mpl.axes.Axes, entries: int, x_label: str, y_label: str) -> None:
+def finish(axes: Axes, entries: int, x_label: str, y_label: str) -> None:
     """Labels, and a legend of so many entries above the axes."""
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
