@@ -11,6 +11,7 @@ import importlib
 import sys
 import time
 
+from tests.evidence.kept import found_again
 from tests.evidence.registry import INDEX, PACKAGE, evidence, index
 
 
@@ -40,6 +41,9 @@ def main(arguments: list[str]) -> int:
     began = time.monotonic()
     status = module.main(rest)
     print(f"{name}: {(time.monotonic() - began) / 60:.1f} minutes", file=sys.stderr)
+    if found_again:
+        print(f"{name}: {len(found_again)} pieces are of an earlier call; rm -r build/evidence measures them anew",
+              file=sys.stderr)
     return int(status or 0)
 
 

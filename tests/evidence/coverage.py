@@ -24,6 +24,7 @@ from estimator.model import leg2
 from estimator.result import TWO_SIDED
 from experiments.studies import machine
 from tests.evidence.blind import servo
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence, shares
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.ornstein_uhlenbeck import disturbed_record
@@ -79,6 +80,7 @@ def wandering_case(seed: int, ratio: float, constant_s: float) -> tuple[Leg, lis
     return leg, [disturbed_record(leg, rng, ratio * SHUNT_NM, constant_s)]
 
 
+@kept
 def scores(seeds: range, made: Case, sensors: str, method: Method) -> np.ndarray:
     """(fits, 9) error of each parameter over half its interval, times 1.96; rows of fits that fail are missing."""
     found = []

@@ -325,7 +325,7 @@ EVIDENCE = (
              "drives-measured.md", 25, "zero torque within 110 ms, no crash, 500 and 250 samples/s without a loss "
              "below 25 % of a core, parameters within 1 %",
              (r"- (moteus: zero torque after \d+ ms in the median, \d+ ms at most)",
-              r"- (odrive: zero torque after \d+ ms in the median, \d+ ms at most)")),)
+              r"- (odrive: zero torque after \d+ ms in the median, \d+ ms at most)"), resumes="with `--keep FILE`"),)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -34,6 +34,7 @@ from experiments.reports.html import Table
 from experiments.reports.markdown import markdown_table
 from experiments.session import prepare
 from experiments.studies.machine import machine
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 
 WRONG = 0.2
@@ -110,6 +111,7 @@ def plans(bench: Bench, seconds: float) -> dict[str, Candidate]:
     return found
 
 
+@kept
 def refit(plan: Plan, rig: Rig, rig_text: str, seeds: Sequence[int], body: LegBody) -> Refits:
     """Record on the emulated leg and fit, once a seed."""
     truth, std, error = np.array(body.beta()), [], []

@@ -16,6 +16,7 @@ import numpy as np
 from drivers.mock.plant import JointState
 from drivers.mock.settings import FirmwareSettings
 from tests.evidence.fault_list import FAULTS
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 from tests.support.fault_bench import MOMENTS, PEAK_NM, FaultBench, Outcome
 
@@ -102,9 +103,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     args = parser.parse_args(arguments)
     cells = {}
     with tempfile.TemporaryDirectory() as folder:
+
+        @kept
+        def cell(name: str, moment: str) -> Outcome:
+            return strike(name, moment, Path(folder))
+
         for name in FAULTS:
             for moment in MOMENTS if not args.only or args.only in name else ():
-                cells[name, moment] = strike(name, moment, Path(folder))
+                cells[name, moment] = cell(name, moment)
                 print(f"{name}, {moment}: {cells[name, moment]}", flush=True)
     if args.out:
         args.out.write_text(page(cells))

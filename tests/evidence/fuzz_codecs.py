@@ -16,6 +16,7 @@ from fastcrc import crc16
 from drivers import dynamixel
 from drivers.can_codec import CanCodec
 from drivers.protocol import Decoder, Fault, FaultReport, Hello, Message, Pong, Telemetry, encode
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence, shares
 from tests.support.device_faults import KINDS, FaultyWire, WireFaults
 
@@ -68,6 +69,7 @@ def noise(rng: np.random.Generator) -> bytes:
     return b"".join(bytes([len(block) + 1]) + block for block in payload.split(b"\0")) + b"\0"
 
 
+@kept
 def fuzz_serial(frames: int, seed: int) -> Outcome:
     """A third noise, a third valid frames broken by the fault injector, a third whole."""
     rng, decoder, started = np.random.default_rng(seed), Decoder(), time.perf_counter()
@@ -94,6 +96,7 @@ def fuzz_serial(frames: int, seed: int) -> Outcome:
     return Outcome(frames, broken, delivered, wrong, broken * CRC_ODDS, counted, time.perf_counter() - started)
 
 
+@kept
 def fuzz_can(frames: int, seed: int) -> Outcome:
     """Half of all frames dropped, doubled, swapped, shortened, or with a frame of noise in front."""
     rng, codec, started = np.random.default_rng(seed), CanCodec(), time.perf_counter()
@@ -114,6 +117,7 @@ def fuzz_can(frames: int, seed: int) -> Outcome:
     return Outcome(passed, sum(wire.injected.values()), delivered, wrong, odds, counted, time.perf_counter() - started)
 
 
+@kept
 def fuzz_dynamixel(frames: int, seed: int) -> Outcome:
     """A third noise, a third packets broken in every way, a third whole, all in one stream."""
     rng, decoder, started = np.random.default_rng(seed), dynamixel.Decoder(), time.perf_counter()

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.evidence.kept import kept
 from tests.evidence.port_fault_list import FAULTS
 from tests.evidence.registry import Evidence
 from tests.support.fault_bench import MOMENTS, PEAK_NM
@@ -54,6 +55,7 @@ def wrong(name: str, moment: str, cell: Outcome) -> str:
     return ", ".join(found)
 
 
+@kept
 def _cell(work: tuple[str, str, int]) -> tuple[Key, Outcome]:
     name, moment, seed = work
     with tempfile.TemporaryDirectory(prefix="leg_cell_") as folder:

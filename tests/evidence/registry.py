@@ -37,6 +37,8 @@ class Evidence:
     """The result from the page's text: patterns, each a part of the sentence by its groups or its whole match."""
     seeds: str = SEEDS
     date: str = DATE
+    resumes: str = "yes"
+    """Whether the command, stopped and called again, goes on where it stopped; else why not, or what it takes."""
 
     def line(self) -> str:
         """A row of the index. Raises ValueError where the page lacks the result."""
@@ -46,7 +48,7 @@ class Evidence:
             raise ValueError(f"docs/{self.page} has no result of `{self.command}`; correct `result` of its EVIDENCE")
         cells = (self.what, f"`{self.command}`", found(self.date, text) or "not stated",
                  found(self.seeds, text) or "none", "; ".join(filter(None, parts)), self.target,
-                 f"[{self.page.removesuffix('.md')}]({self.page})", f"{self.minutes:g}")
+                 f"[{self.page.removesuffix('.md')}]({self.page})", f"{self.minutes:g}", self.resumes)
         return f"| {' | '.join(cell.replace(' |', ':') for cell in cells)} |"
 
 
@@ -92,6 +94,7 @@ def index() -> str:
         "Everything that is measured, one line each. `python -m tests.evidence --index` generates this page from the "
         "programs below `tests/evidence/` and from the pages that they write. `python -m tests.evidence` lists the "
         "programs, and `python -m tests.evidence NAME --help` says what one takes. The date is that of the page. "
-        "Minutes are rounded, for two idle cores.", "",
-        "| what | command | date | seeds | result | target | page | minutes |",
-        "| --- | --- | --- | --- | --- | --- | --- | ---: |", *(row.line() for row in rows), ""])
+        "Minutes are rounded, for two idle cores. The last column says whether a command that was stopped goes on "
+        "where it stopped. Pieces that are done lie in `build/`.", "",
+        "| what | command | date | seeds | result | target | page | minutes | goes on |",
+        "| --- | --- | --- | --- | --- | --- | --- | ---: | --- |", *(row.line() for row in rows), ""])

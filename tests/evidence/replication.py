@@ -24,6 +24,7 @@ from experiments.studies.biped3.study import (
     run_block,
 )
 from experiments.studies.biped3.table import LABELS, PAPER
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 
 REGULAR = CASES[:4]
@@ -55,6 +56,7 @@ CHOICES: tuple[tuple[str, Protocol, tuple[str, ...]], ...] = (
 )
 
 
+@kept
 def run(protocol: Protocol, method: str, case: int, runs: int) -> BlockResult:
     """Runs of one method in one case, errors and betas of all."""
     parts = [run_block(Block(REGULAR[case], method, first, min(BLOCK, runs - first), SEED, protocol))

@@ -23,6 +23,7 @@ from experiments.studies import machine
 from experiments.workflows import fit_runs
 from tests.evidence.blind import servo
 from tests.evidence.coverage import PIVOT_NM
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence, shares
 from tests.evidence.untuned import RECORDS, paths_of
 from tests.support.mujoco_leg import Leg, random_leg
@@ -77,6 +78,7 @@ CHANGES: dict[str, Change] = {
 }
 
 
+@kept
 def row(what: str, differ: str, sensors: str, cases: Sequence[Case]) -> str:
     """One line: how often runs disagree, coverage by the noise alone and now, and how much wider intervals are."""
     alone, now, wider, told, count = [], [], [], 0, 0
@@ -120,6 +122,7 @@ def beyond(result: FitResult, published: Sequence[float], half: FloatArray) -> s
     return " ".join(f"{abs(b - p) / h:.1f}" for b, p, h in zip(result.beta, published, half))
 
 
+@kept
 def real(folder: str) -> tuple[str, list[str]]:
     """A record's row, and what its runs are seen to disagree about."""
     known = RECORDS[folder]

@@ -21,6 +21,7 @@ from daq import Dataset, FloatArray
 from estimator import FitError, FitOptions, FitResult, fit
 from estimator.model import Mechanism, chain
 from experiments.studies import machine
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 from tests.support.mujoco_leg import GRAVITY, multisine
 
@@ -98,6 +99,7 @@ def record(body: Chain, rng: np.random.Generator) -> Dataset:
     return Dataset("chain", RATE_HZ, time, columns)
 
 
+@kept
 def fit_chain(seed: int) -> tuple[FitResult, FloatArray]:
     """(fit, true beta) of one chain. Raises `FitError`."""
     rng = np.random.default_rng(seed)

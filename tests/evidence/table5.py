@@ -25,6 +25,7 @@ from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.plant import LegBody
 from experiments.excite.multisine import random_multisine
 from experiments.studies import machine
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 from tests.support.mujoco_leg import random_leg
 from tests.support.mujoco_leg import record as record_mujoco
@@ -70,6 +71,7 @@ class Leg:
     checks: tuple[Dataset, ...]
 
 
+@kept
 def emulated(seed: int) -> Leg:
     """Through registers, frames, drivers, recorder and clocks."""
     rng = np.random.default_rng([seed, 1])
@@ -86,6 +88,7 @@ def emulated(seed: int) -> Leg:
     return Leg(np.array(body.beta()), runs[0], tuple(runs[1:]))
 
 
+@kept
 def mujoco(seed: int, **how: float) -> Leg:
     """MuJoCo's dynamics, torque linear between samples."""
     rng = np.random.default_rng(seed)
@@ -106,6 +109,7 @@ def free_run_sums(mechanism: Mechanism, beta: FloatArray, run: Dataset) -> tuple
     return (sums[0], sums[1]) if np.isfinite(sums).all() else (np.nan, np.nan)
 
 
+@kept
 def score(leg: Leg, name: str, cutoff_hz: float | None) -> FloatArray:
     """(2,) mean sums over the checks; NaN for a failure: no fit, none that converged, a free run that ran away."""
     method, sensors, latent = METHODS[name]
@@ -121,6 +125,7 @@ def score(leg: Leg, name: str, cutoff_hz: float | None) -> FloatArray:
         return np.mean([free_run_sums(mechanism, found.beta, run) for run in leg.checks], axis=0)
 
 
+@kept
 def floor(leg: Leg) -> FloatArray:
     """(2,) what the true parameters leave: the noise of the torque that drives the simulation."""
     return np.mean([free_run_sums(leg2(lever_arm=0.2), leg.beta, run) for run in leg.checks], axis=0)

@@ -23,6 +23,7 @@ from experiments.emulation import LegBody, record_emulated
 from experiments.emulation.hidden_effects import Hidden
 from experiments.excite import staircase
 from experiments.studies import machine
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 from tests.support.paths import DEMO_RIG, ROOT
 from tests.support.runs import load_run
@@ -44,7 +45,8 @@ def leg(rng: np.random.Generator) -> LegBody:
     return replace(body, **masses, coulomb=(0.5 * pivot, knee), stribeck=(0.0, stribeck))
 
 
-def measured(seed: int, folder: Path) -> tuple[float, float, float]:
+@kept
+def measured(seed: int) -> tuple[float, float, float]:
     """(true gain, gain found, half of its 95 % interval). Raises `FitError`."""
     rng = np.random.default_rng(seed)
     text = DEMO_RIG.read_text(encoding="utf-8").replace("rate_hz = 1000.0", "rate_hz = 200.0")
@@ -53,11 +55,11 @@ def measured(seed: int, folder: Path) -> tuple[float, float, float]:
     plan = staircase(PEAK * body.m2 * body.c2 * body.gravity / gain, LEVELS, RAMP_S, HOLD_S)
     hidden = Hidden("torque_gain", None, "", torque_gain=gain)
     runs = []
-    for k, carried in enumerate((body, body.carrying(MASS_KG, arm))):
-        path = folder / f"{seed}-{k}.mcap"
-        record_emulated(path, rig, text, plan, 2 * seed + k, carried, hidden)
-        runs.append(load_run(path, rig))
-        path.unlink()
+    with tempfile.TemporaryDirectory() as folder:
+        for k, carried in enumerate((body, body.carrying(MASS_KG, arm))):
+            path = Path(folder) / f"{seed}-{k}.mcap"
+            record_emulated(path, rig, text, plan, 2 * seed + k, carried, hidden)
+            runs.append(load_run(path, rig))
     old = rig.calibration.torque_constant_nm_per_a
     weight = Weight(MASS_KG, ARM_M, MASS_HALF_KG, ARM_HALF_M)
     values = calibrate_torque_constant(runs[:1], runs[1:], rig, weight).values["calibration"]
@@ -68,17 +70,16 @@ def measured(seed: int, folder: Path) -> tuple[float, float, float]:
 def page(seeds: range) -> str:
     """The page."""
     rows, inside, refused = [], [], 0
-    with tempfile.TemporaryDirectory() as folder:
-        for seed in seeds:
-            try:
-                gain, found, half = measured(seed, Path(folder))
-            except FitError as error:
-                refused += 1
-                rows.append(f"| {seed} | | refused: {error} | | |")
-                continue
-            inside.append(abs(found - gain) < half)
-            rows.append(f"| {seed} | {gain:.4f} | {found:.4f} | {half:.4f} | {(found - gain) / half:+.2f} |")
-            print(rows[-1], flush=True)
+    for seed in seeds:
+        try:
+            gain, found, half = measured(seed)
+        except FitError as error:
+            refused += 1
+            rows.append(f"| {seed} | | refused: {error} | | |")
+            continue
+        inside.append(abs(found - gain) < half)
+        rows.append(f"| {seed} | {gain:.4f} | {found:.4f} | {half:.4f} | {(found - gain) / half:+.2f} |")
+        print(rows[-1], flush=True)
     halves = [float(row.split("|")[4]) for row in rows if row.split("|")[4].strip()]
     errors = [float(row.split("|")[5]) for row in rows if row.split("|")[5].strip()]
     return "\n".join([

@@ -28,6 +28,7 @@ from experiments.models.mechanism_settings import build_mechanism
 from experiments.session import load_runs, setup_of, with_choices
 from experiments.workflows import fit_runs
 from experiments.workflows.tune import tune_runs
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 from tests.support.mujoco_leg import random_leg, record
 from tests.support.paths import REAL
@@ -75,6 +76,7 @@ def departures(beta: FloatArray, published: Sequence[float]) -> str:
     return " ".join(f"{100 * (b / p - 1):+.1f}" for b, p in zip(beta, published))
 
 
+@kept
 def accuracy(folder: str) -> str:
     """One row: departure from what is published, as before, by `fit` alone, and after `tune`."""
     known = RECORDS[folder]
@@ -89,6 +91,7 @@ def accuracy(folder: str) -> str:
     return f"| {known.title} | {' | '.join(cells)} |"
 
 
+@kept
 def left_out(folder: str) -> str:
     """One row: error over a second of each run by the parameters of the others, and by the published ones."""
     known = RECORDS[folder]
@@ -224,6 +227,7 @@ def fitted(runs: Sequence[Dataset], rig: str) -> tuple[int, str]:
     return status, out.getvalue().replace(".csv.gz", ".csv")
 
 
+@kept
 def judged(case: Case) -> tuple[str, bool]:
     """A row of the page, and whether the right thing was said."""
     where, what, rig, runs, words = case

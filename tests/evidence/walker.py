@@ -27,6 +27,7 @@ from estimator.model import biped3
 from estimator.signals import find_touchdowns
 from experiments.cli.main import main as legid
 from experiments.studies import machine
+from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
 from tests.support.walker_plant import (
     Gait,
@@ -108,6 +109,7 @@ def bound(found: Walk, beta: FloatArray) -> FloatArray:
     return np.sqrt(np.diag(inverse_information(np.asarray(information))))
 
 
+@kept
 def fit_walk(seed: int) -> Fit:
     """One body, one walk, two records: a contact that changes up to 5 ms early or late, and none."""
     body = random_walker(np.random.default_rng([seed, 1]))
@@ -170,6 +172,7 @@ HIDDEN: dict[str, Hide] = {
     "encoder_offset": _misread(lambda j: (f"q{j}_rad",), 0.01, 0.02, True)}
 
 
+@kept
 def look_ahead(seed: int) -> list[dict[str, Any]]:
     """One body, a fit to one walk, put to another by `legid validate`: its free runs across touchdowns."""
     plant = Plant(random_walker(np.random.default_rng([seed, 1])))
@@ -221,6 +224,7 @@ class Case:
         return (self.verdict, self.causes) == (("named", [(self.hidden, self.joint)]) if self.hidden else ("none", []))
 
 
+@kept
 def diagnose(seed: int, hidden: str) -> Case:
     """Eight runs of seven steps of one body, with something hidden or nothing."""
     rng = np.random.default_rng([seed, 1])
