@@ -182,8 +182,8 @@ def same_tuning(case: Case, folder: Path) -> None:
 VERBS: dict[str, Callable[[Case, Path], None]] = {
     "fit": same_fit, "validate": same_validation, "compare": same_comparison, "diagnose": same_diagnosis,
     "tune": same_tuning}
-SHORT = ("fit", "validate", "compare")
-"""Verbs that answer on a public record within a minute."""
+SHORT, LONG = ("fit", "validate", "compare"), ("diagnose", "tune")
+"""Verbs by whether they answer on a public record within a minute."""
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -213,7 +213,23 @@ def test_every_verb_on_public_records(name: str, verb: str, folder: Path) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("verb", ["diagnose", "tune"])
+@pytest.mark.parametrize("verb", LONG)
+@pytest.mark.parametrize("name", FIXTURE_CASES)
+def test_a_long_verb_on_every_fixture(name: str, verb: str, folder: Path) -> None:
+    VERBS[verb](FIXTURE_CASES[name], folder)
+
+
+@pytest.mark.slow
+@needs_records
+@pytest.mark.parametrize("verb", LONG)
+@pytest.mark.parametrize("name", ["axis", "pendulum", "servo", "arm"])
+def test_a_long_verb_on_public_records(name: str, verb: str, folder: Path) -> None:
+    case = records()[name]
+    VERBS[verb](with_bad_run(case, folder) if case.aside else case, folder)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verb", LONG)
 def test_a_long_verb_on_runs_of_which_one_is_bad(verb: str, folder: Path) -> None:
     VERBS[verb](leg_with_bad_run(folder), folder)
 
