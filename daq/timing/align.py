@@ -17,6 +17,7 @@ from daq.runs import MIN_SAMPLES, RawRun
 from daq.si_units import imu_columns, joint_torque, knee_angle
 from daq.timing.clock import ImuClock, TickClock, fit_answers, fit_samples, fit_ticks
 from daq.timing.doubts import doubts
+from daq.timing.held_torque import split_torque
 from daq.timing.notes import configured, increasing, unusable
 from daq.timing.polled import pivot_channel, shunt_channel
 from daq.timing.resample import TimedColumns, align_channels
@@ -43,6 +44,8 @@ class Decoded(NamedTuple):
     """What cannot be true of one IMU on one leg."""
     clocks: Mapping[str, str]
     """What was timed -> how it ran against the host's clock, in words."""
+    held: tuple[FloatArray, FloatArray] | None = None
+    """Where the torque was sampled at instants: times at which commands were sent [s], and the commands [N m]."""
 
 
 def decode(raw: RawRun, rig: Rig) -> Decoded:
@@ -61,7 +64,8 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
     time_ns, clocks = _telemetry_times(raw, telemetry, epoch_ns, asked)
     if asked:
         time_ns = np.where(_sure(raw, telemetry, rig), time_ns, np.nan)
-    channels = _leg_channels(raw, telemetry, time_ns, rig, configured(raw, "drive").get("current") == "instant")
+    instant = configured(raw, "drive").get("current") == "instant"
+    channels = _leg_channels(raw, telemetry, time_ns, rig, instant)
     distance = raw.streams["/distance"]
     if distance.size:
         channels.append(_distance_channel(distance, epoch_ns))
@@ -84,17 +88,28 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
         words["IMU clock"] = f"{clock.rate_hz:.3f} Hz, within {clock.bound_s * 1e6:.0f} us"
     if any(channel.time_s.size < 2 for channel in channels):
         raise unusable(raw, "is too short for its clocks to be put together")
-    return Decoded(epoch_ns, channels, bound_s, flagged, words)
+    return Decoded(epoch_ns, channels, bound_s, flagged, words, _held(raw, epoch_ns) if instant else None)
 
 
 def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
     """Run on a grid of `rate_hz` (default: the rig's), its columns and times those of `decode`.
 
-    Raises `InputError` when the run is too short to be timed.
+    Between samples of an instantaneous current the torque follows the commands (`held_torque`). Raises `InputError`
+    when the run is too short to be timed.
     """
     found = decode(raw, rig)
     rate = rig.sampling.rate_hz if rate_hz is None else rate_hz
-    dataset = align_channels(raw.name, found.channels, rate)
+    split = None
+    if found.held is not None:
+        (sampled,) = (channel for channel in found.channels if "tau2_nm" in channel.columns)
+        split = split_torque(sampled, *found.held)
+    if split is None:
+        dataset = align_channels(raw.name, found.channels, rate)
+    else:
+        others = [channel for channel in found.channels if channel is not sampled]
+        dataset = align_channels(raw.name, [*others, split.commanded], rate)
+        torque = dataset.columns["tau2_nm"] + split.residual_on(dataset.time_s, 1.0 / rate)
+        dataset = replace(dataset, columns={**dataset.columns, "tau2_nm": torque})
     if len(dataset) < MIN_SAMPLES:
         raise unusable(raw, f"gives {len(dataset)} samples on the grid, at least {MIN_SAMPLES} are needed")
     own, flagged = None, found.doubts
@@ -164,6 +179,14 @@ def _leg_channels(raw: RawRun, telemetry: NDArray[np.void], time_ns: FloatArray,
     current: FloatArray = np.where(np.abs(telemetry["current_a"]) <= MOST, telemetry["current_a"], np.nan)
     torque = {"tau2_nm": joint_torque(current, rig.calibration)}
     return [TimedColumns(time_s, measured), TimedColumns(time_s if instant else time_s - 0.5 * period, torque)]
+
+
+def _held(raw: RawRun, epoch_ns: int) -> tuple[FloatArray, FloatArray]:
+    """Times [s after epoch] and torques [N m] of the commands, in order."""
+    commands = raw.streams["/leg/command"]
+    times: FloatArray = (commands["host_ns"] - epoch_ns).astype(float)
+    rows = increasing(times)
+    return times[rows] * 1e-9, commands["torque_nm"][rows].astype(float)
 
 
 def _imu_channel(raw: RawRun, samples: NDArray[np.void], clock: ImuClock, rig: Rig) -> TimedColumns:

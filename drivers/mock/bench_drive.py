@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from drivers.drive import Wiring
 from drivers.mock.motor import Motor
-from drivers.mock.plant import Segment, StillState, snapshot
+from drivers.mock.plant import Segment, Snapshot, StillState, snapshot
 from drivers.mock.settings import FirmwareSettings
 
 TURNAROUND_NS = 60_000
@@ -61,7 +61,8 @@ class BenchDrive(ABC):
         self._inbox: deque[tuple[int, Any]] = deque()
         self._outbox: deque[tuple[int, Any]] = deque()
         self._now_ns = self._t_ns = self._boot_ns = self._warmed_ns = t_ns
-        self._state = snapshot(StillState())
+        still = snapshot(StillState())
+        self._segment = Segment(t_ns - 1, t_ns, still, still)
 
     @abstractmethod
     def _obey(self, data: Any, t_ns: int) -> None:
@@ -114,13 +115,14 @@ class BenchDrive(ABC):
         self._take_in(t0_ns)
         self._t_ns = t0_ns
         if self.alive and self.powered:
+            self._now_ns = t0_ns
             self._check(t0_ns)
         asked = self.torque_nm * self.wiring.turns if self.powered else 0.0
         return self.settings.torque_gain * self.stage_gain * self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, asked)
 
     def observe(self, segment: Segment) -> None:
         """What the sensors see of a step; the motor warms up."""
-        self._state = segment.after
+        self._segment = segment
         s, span_s = self.settings, (segment.t1_ns - self._warmed_ns) * 1e-9
         if span_s >= 0.01:
             current = self.motor.last_mean_nm / s.torque_constant_nm_per_a
@@ -134,6 +136,12 @@ class BenchDrive(ABC):
         return self.motor.record
 
     # -- sensors, in the drive's units ---------------------------------------------------------------------
+
+    @property
+    def _state(self) -> Snapshot:
+        """The leg when the request came. The physics runs in whole steps, mostly past that time."""
+        segment = self._segment
+        return segment.at(max(segment.t0_ns, min(segment.t1_ns, self._now_ns)))
 
     @property
     def turns(self) -> float:
@@ -152,7 +160,7 @@ class BenchDrive(ABC):
     def current_a(self) -> float:
         """Measured motor current [A], in the drive's direction."""
         s = self.settings
-        joint = self.stage_gain * self.motor.last_mean_nm / s.torque_constant_nm_per_a + s.shunt_offset_a
+        joint = self.stage_gain * self.motor.torque_at(self._now_ns) / s.torque_constant_nm_per_a + s.shunt_offset_a
         return (joint + s.current_noise_a * float(self._rng.standard_normal())) * math.copysign(1.0, self.wiring.turns)
 
     @property

@@ -13,7 +13,7 @@ from drivers.mock.clock import Clock
 COARSE_NS, FINE_NS = 250_000, 20_000
 """How often a waiting read looks: finely while the device may be answering, since a real read returns with the first
 byte of the answer."""
-ANSWER_NS = 60_000
+ANSWER_NS = 150_000
 
 
 class SerialDevice(Protocol):

@@ -14,7 +14,7 @@ class Motor:
 
     def __init__(self, time_constant_s: float) -> None:
         self._tau = time_constant_s
-        self._acting_nm = 0.0
+        self._acting_nm = self._before_nm = self._command_nm = 0.0
         self._t_ns = array("q")
         self._commanded = array("d")
         self._mean = array("d")
@@ -26,6 +26,7 @@ class Motor:
     def step(self, t_ns: int, dt_s: float, command_nm: float) -> float:
         """Mean torque [N m] over the step that starts at `t_ns`."""
         error = self._acting_nm - command_nm
+        self._before_nm, self._command_nm = self._acting_nm, command_nm
         if self._tau > 0:
             decay = math.exp(-dt_s / self._tau)
             mean = command_nm + error * (1 - decay) * self._tau / dt_s
@@ -38,6 +39,13 @@ class Motor:
         self.last_mean_nm = mean
         self.impulse_nms += mean * dt_s
         return mean
+
+    def torque_at(self, t_ns: int) -> float:
+        """Torque [N m] at a time within the last step."""
+        if self._tau <= 0 or not self._t_ns:
+            return self._command_nm
+        since_s = max(0.0, (t_ns - self._t_ns[-1]) * 1e-9)
+        return self._command_nm + (self._before_nm - self._command_nm) * math.exp(-since_s / self._tau)
 
     def forget(self, keep: int) -> None:
         """Drop all of the record but the last `keep` steps: a rig that runs for days must not grow."""
