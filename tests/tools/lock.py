@@ -19,7 +19,8 @@ from tests.support.paths import ROOT
 
 MAIN = "requirements.lock"
 LOCKS = {MAIN: "test", "requirements-bench.lock": "bench", "requirements-blind.lock": "blind",
-         "requirements-docs.lock": "docs", "requirements-release.lock": "release", "requirements-build.lock": ""}
+         "requirements-counterparts.lock": "counterparts", "requirements-docs.lock": "docs",
+         "requirements-release.lock": "release", "requirements-build.lock": ""}
 """Lock file to the extra that it is of; nothing: what building this package needs."""
 ALONE = {"requirements-release.lock", "requirements-build.lock"}
 """Installed by themselves or first; the others come on top of the main one and leave out what it has."""
