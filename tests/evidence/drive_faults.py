@@ -19,7 +19,7 @@ from drivers.lsm9ds1 import ImuConfig
 from experiments.emulation.plant import LegPlant
 from tests.support.device_faults import FaultyI2C, FaultyLink, FaultyWire, WireFaults
 from tests.support.drive_bench import DriveBench
-from tests.support.fault_bench import PLAN, RAMP_AT_S
+from tests.support.fault_bench import DRIVING_AT_S, PLAN, RAMP_AT_S, STOPPING_AFTER_S
 
 RIG = """[mechanism]
 model = "leg2"
@@ -38,21 +38,46 @@ torque_constant_nm_per_a = 0.85
 [limits]
 unchecked = ["encoder_s"]
 """
-MOMENTS = {"ramp": RAMP_AT_S, "driving": 0.85}
+MOMENTS = ("arming", "ramp", "driving", "stopping")
+AT_S = {"ramp": RAMP_AT_S, "driving": DRIVING_AT_S, "stopping": DRIVING_AT_S}
 AFTER_S = 0.4
 
 
 class DriveFaultBench(DriveBench):
-    """One recording of a drive on virtual time; `fault` strikes once, so long after the plan began."""
+    """One recording of a drive on virtual time; `fault` strikes once, at `moment`."""
 
-    def __init__(self, kind: str, fault: Callable[[DriveFaultBench], None], at_s: float, seed: int = 4) -> None:
+    def __init__(self, kind: str, fault: Callable[[DriveFaultBench], None], moment: str, seed: int = 4) -> None:
         super().__init__(kind, LegPlant(), seed)
         self.wire = FaultyLink(self.link, self.clock, FaultyWire(WireFaults(), self.rig_noise(seed)))
         self.drive._link = self.wire  # type: ignore[attr-defined]
         self.bus = FaultyI2C(self.rig.imu, {})
         self.struck_ns = 0
         self.said = ""
-        self._fault, self._at_s = fault, at_s
+        self._fault, self._moment = fault, moment
+        self._due_ns: float = math.inf
+        self._wrap()
+
+    def _wrap(self) -> None:
+        """The clock of the fault runs wherever the recorder reads or sends."""
+        arm, read = self.drive.arm, self.wire.read
+
+        def on_arm(watchdog_ms: int) -> None:
+            arm(watchdog_ms)
+            if self._moment == "arming":
+                self._due_ns = self.clock.now_ns()
+                self._strike()
+
+        def on_read() -> Any:
+            self._strike()
+            return read()
+
+        self.drive.arm = on_arm  # type: ignore[method-assign]
+        self.wire.read = on_read  # type: ignore[method-assign]
+
+    def _strike(self) -> None:
+        if not self.struck_ns and self.clock.now_ns() >= self._due_ns:
+            self.struck_ns = self.clock.now_ns()
+            self._fault(self)
 
     @staticmethod
     def rig_noise(seed: int) -> Any:
@@ -61,12 +86,16 @@ class DriveFaultBench(DriveBench):
         return np.random.default_rng(seed)
 
     def _progress(self, now_s: float, total_s: float) -> None:
-        if not self.struck_ns and now_s >= self._at_s:
-            self.struck_ns = self.clock.now_ns()
-            self._fault(self)
+        if now_s >= AT_S.get(self._moment, math.inf) and self._due_ns == math.inf:
+            self._due_ns = self.clock.now_ns()
+            if self._moment == "stopping":
+                signal.raise_signal(signal.SIGTERM)
+                self._due_ns += STOPPING_AFTER_S * 1e9
+        self._strike()
 
     def zero_ms(self) -> float:
-        """Time [ms] from the fault to the last torque that was asked of the motor."""
+        """Time [ms] from the fault, or from the first torque where that came later, to the last torque that was asked
+        of the motor."""
         imu = Lsm9ds1(self.bus, config=ImuConfig(238.0), now_ns=self.clock.now_ns, sleep=self.clock.sleep)
         with tempfile.TemporaryDirectory() as folder:
             try:
@@ -81,7 +110,9 @@ class DriveFaultBench(DriveBench):
             self.drive.close()
         self.clock.sleep(AFTER_S)
         self.far.transmit(self.clock.now_ns())
-        return 1e3 * self.zero_after(self.struck_ns)
+        t_ns, commanded, _ = self.far.record
+        on = t_ns[commanded != 0.0]
+        return 1e3 * self.zero_after(max(self.struck_ns, int(on[0]))) if self.struck_ns and on.size else 0.0
 
 
 Fault = Callable[[DriveFaultBench], None]
@@ -172,5 +203,5 @@ a knee's only encoder that stands still without the drive's own fault."""
 
 def strike(kind: str, name: str, moment: str) -> tuple[float, str]:
     """(time to zero torque [ms], what was said)."""
-    bench = DriveFaultBench(kind, FAULTS[name], MOMENTS[moment])
+    bench = DriveFaultBench(kind, FAULTS[name], moment)
     return bench.zero_ms(), bench.said

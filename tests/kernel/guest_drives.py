@@ -1,5 +1,4 @@
-"""In the guest: bought drives on the kernel's SocketCAN, CAN FD and classic on one bus. Collected by tests/kernel/uml.py
-only."""
+"""In the guest: bought drives on the kernel's SocketCAN, CAN FD and classic on one bus. Collected by uml.py only."""
 
 import time
 from collections.abc import Callable, Iterator

@@ -18,7 +18,7 @@ from experiments.exchange import load_any_run
 from experiments.excite import random_multisine
 from experiments.rig import confirm_estop
 
-KINDS = ("moteus", "odrive")
+KINDS = ("moteus", "odrive", "dynamixel")
 
 
 def rig_text(kind: str) -> str:
@@ -40,7 +40,7 @@ def test_a_run_on_it_is_recorded_looked_at_fitted_and_played_back(kind: str, tmp
     assert main(["fit", str(run), "--rig", str(rig), "--json", str(tmp_path / "fit.json")]) == 0
     found = json.loads((tmp_path / "fit.json").read_text())
     value = np.array([p["value"] for p in found["parameters"]])
-    assert np.abs(value / np.array(LegBody().beta()) - 1.0)[:5].max() < 0.015
+    assert np.abs(value / np.array(LegBody().beta()) - 1.0)[:5].max() < 0.01
     again = tmp_path / "again.mcap"
     assert main(["record", "--replay", str(run), "--out", str(again)]) == 0
     assert "by the limits" not in capsys.readouterr().out
