@@ -75,7 +75,8 @@ def poll(kind: str, port: str, can: str, seconds: float) -> dict[str, Any]:
         span = time.monotonic() - began
         return {"kind": kind, "over": WIRES[f"{kind} {wire}"], "seconds": seconds,
                 "rate": count / span, "lost": drive.stats.lost - lost, "share": (_used() - used) / span,
-                "wait_ms": float(np.median(waits)) * 1e-6, "armed": drive.armed}
+                "wait_ms": float(np.median(waits)) * 1e-6, "armed": drive.armed,
+                "words": drive.words}
 
 
 def _used() -> float:
@@ -97,7 +98,7 @@ def at_rate(seconds: float) -> dict[str, Any]:
         out, _ = polling.communicate(timeout=seconds + 120.0)
         rows.append(json.loads(out))
         server.communicate(timeout=30.0)
-    return {"rows": rows, "load": load}
+    return {"rows": rows, "load": load, "load_after": os.getloadavg()[1]}
 
 
 def _child(*arguments: str) -> subprocess.Popen[str]:
