@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from daq.dataset import Dataset
-from daq.recording.plan import Plan
 from daq.rig import load_rig
 from daq.runs.mcap_run import RunWriter, read_run
 from daq.timing.skew import measure_skew
-from experiments.emulation.emulated_rig import record_emulated
 from experiments.reports.run_info import describe_mcap
 from tests.support.paths import DEMO_RIG
 from tests.support.runs import load_run
@@ -84,14 +82,9 @@ def test_info_warns_of_a_loose_clock_and_names_the_latency_timer(tmp_path: Path)
     assert "within 3" in words  # the bound itself stands in the clock's own line
 
 
-def test_an_emulated_run_shows_no_skew_beyond_its_bound(tmp_path: Path) -> None:
-    text = DEMO_RIG.read_text()
-    (tmp_path / "rig.toml").write_text(text)
-    rig = load_rig(tmp_path / "rig.toml")
-    t = np.arange(0, 6, 0.01)
-    record_emulated(tmp_path / "r.mcap", rig, text, Plan(t, 0.3 * np.sin(8 * t)), seed=1)
-    skew = measure_skew(load_run(tmp_path / "r.mcap", rig, 200.0))
+def test_an_emulated_run_shows_no_skew_beyond_its_bound(demo_run: Path) -> None:
+    skew = measure_skew(load_run(demo_run, load_rig(DEMO_RIG), 200.0))
     assert skew is not None
     assert abs(skew.seconds) < 5 * skew.std_s + 0.5e-3
     print(skew)
-    assert "IMU against encoders, by correlation" in describe_mcap(read_run(tmp_path / "r.mcap"))
+    assert "IMU against encoders, by correlation" in describe_mcap(read_run(demo_run))

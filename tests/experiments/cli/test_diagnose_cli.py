@@ -170,13 +170,12 @@ def test_runs_that_do_not_belong_together(runs: list[Path], rig: Path, tmp_path:
     assert not (tmp_path / "d.json").exists()
 
 
-def test_native_runs_of_different_rigs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    texts = (RIG.read_text(), RIG.read_text().replace("lever_arm_m = 0.20", "lever_arm_m = 0.15"))
-    paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
-    for path, text in zip(paths, texts):
-        record_emulated(path, load_rig(RIG), text, random_multisine(1, 4.0, 0.3), 1)
-    assert diagnose(*paths, "--rig", RIG) == 2
-    assert "b.mcap: was recorded on another rig than a.mcap" in capsys.readouterr().err
+def test_native_runs_of_different_rigs(demo_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text, other = RIG.read_text().replace("lever_arm_m = 0.20", "lever_arm_m = 0.15"), tmp_path / "b.mcap"
+    assert text != RIG.read_text()
+    record_emulated(other, load_rig(RIG), text, random_multisine(1, 4.0, 0.3), 1)
+    assert diagnose(demo_run, other, "--rig", RIG) == 2
+    assert f"b.mcap: was recorded on another rig than {demo_run.name}" in capsys.readouterr().err
 
 
 # -- what an emulated leg hides ----------------------------------------------------------------------------
