@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.evidence.blind import records, servo, several_faults, stickslip
+from tests.evidence.blind import geared, records, servo, several_faults, stickslip
 from tests.evidence.blind.page import describe_machine
 from tests.evidence.blind.run import diagnose, parse_seeds
 from tests.evidence.blind.score import PRESENT, Outcome, Rate, load
@@ -27,6 +27,7 @@ from tests.evidence.registry import Evidence
 Maker = Callable[[str, int, Path], None]
 FAMILIES: dict[str, tuple[Maker, Sequence[str]]] = {
     "servo": (servo.make_case, tuple(servo.MAKERS)), "stickslip": (stickslip.make_case, tuple(stickslip.MAKERS)),
+    "geared": (geared.make_case, tuple(geared.MAKERS)),
     "small_faults": (several_faults.make_case, several_faults.NAMES),
     "pairs": (several_faults.make_pair, several_faults.PAIRS), "records": (records.make_case, records.NAMES)}
 
@@ -43,7 +44,7 @@ class FamilyCase:
 def rates(outcomes: Sequence[Outcome]) -> dict[str, Rate]:
     """What a family's cases say, by what was hidden. An effect that the verdict calls present but too small to matter
     counts neither as named nor as wrong."""
-    healthy = [o for o in outcomes if o.truth["name"].startswith("none-")]
+    healthy = [o for o in outcomes if o.truth["name"].startswith("none")]
     outside = [o for o in outcomes if o.truth["name"].startswith("outside_")]
     single, pair = ([o for o in outcomes if len(o.hidden) == n] for n in (1, 2))
 

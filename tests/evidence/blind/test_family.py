@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.evidence.blind import records, servo, several_faults, stickslip
+from tests.evidence.blind import geared, records, servo, several_faults, stickslip
 from tests.evidence.blind.family import FamilyCase, page
 from tests.evidence.blind.run import diagnose
 from tests.evidence.blind.score import Outcome
+from tests.support.mujoco_leg import GRAVITY, Leg
 from tests.support.paths import needs_records
 
 
@@ -117,3 +118,29 @@ def test_ten_small_faults_are_there_beside_what_is_hidden() -> None:
     plant.logged(columns)
     assert np.allclose(columns["gyro_radps"], 0.03)
     assert len(several_faults.TEN) == 10 and set(several_faults.TEN) < set(several_faults.NAMES)
+
+
+def test_a_geared_leg_without_losses_keeps_the_energy_that_its_motor_gives() -> None:
+    leg, ticks = Leg(viscous=(0.0, 0.0)), 3000
+    b1, b2, b3, b4, b5 = leg.beta()[:5]
+    drive = np.array([0.0, 0.0, 1e-7, leg.lever, 2e4, 1e-7, 3e-4, 0.0, 0.0])
+    time = np.arange(ticks) * geared.TICK_S
+    wanted, rate = 0.5 * np.sin(4.0 * time), 2.0 * np.cos(4.0 * time)
+    rows = geared._move(wanted, rate, leg.beta()[:5], drive, np.zeros(len(geared.LAWS)), np.zeros(2), np.zeros(ticks))
+    q1, q2, u = rows[:, 0], rows[:, 1], rows[:, 5]
+    v1, v2 = np.gradient(q1, geared.TICK_S), np.gradient(q2, geared.TICK_S)
+    kinetic = 0.5 * (b1 * v1**2 + b2 * (v1 + v2) ** 2) + b3 * np.cos(q2) * v1 * (v1 + v2) + 0.5 * 3e-4 * v2**2
+    energy = kinetic - GRAVITY * (b4 * np.cos(q1) + b5 * np.cos(q1 + q2))
+    work = np.cumsum(np.interp(time + 5e-4, time, u) * v2) * geared.TICK_S
+    change = energy - energy[10] - (work - work[10])
+    assert np.ptp(energy) > 0.1 and np.abs(change[10:-10]).max() < 0.01 * np.ptp(energy)
+
+
+def test_a_geared_leg_logs_its_faults_and_nothing_else() -> None:
+    time = np.arange(2000) * geared.TICK_S
+    fine = {name: np.sin(3.0 * time) for name in ("q1_rad", "q2_rad", "gyro_radps", "accel_x_mps2", "accel_y_mps2",
+                                                  "tau2_nm")}
+    none = dict.fromkeys(geared.SMALL, 0.0)
+    plain, biased = (geared.as_logged(fine, time, {**none, **more}) for more in ({}, {"gyro_bias": 0.03}))
+    assert np.allclose(biased["gyro_radps"] - plain["gyro_radps"], 0.03)
+    assert all(np.array_equal(plain[name], biased[name]) for name in plain if name != "gyro_radps")
