@@ -59,8 +59,8 @@ class Combination:
 Role = Literal["assumption", "warning", "fault", "remedy", "doubt", "fact"]
 FindingKind = Literal["run_set_aside", "run_doubt", "rig_contradiction", "run_note", "choice", "servo_gain",
                       "noise_share", "level_at_zero", "level_negative", "impossible", "columns", "not_converged",
-                      "undetermined", "torque_residual", "passive_joint", "sensor_residual", "torque_fit",
-                      "runs_disagree", "estimators_disagree", "loose", "not_shown"]
+                      "undetermined", "torque_residual", "passive_joint", "sensor_residual", "repeating_torque",
+                      "torque_fit", "runs_disagree", "estimators_disagree", "loose", "not_shown"]
 
 
 @dataclass(frozen=True)

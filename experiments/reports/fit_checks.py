@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimator import Finding, FitResult
+from estimator.prediction import repeated_share, state_columns, taken
 from experiments.reports.residual_tests import STRONG, autocorrelation, residuals_of, torque_fit, torque_step
 from experiments.reports.run_agreement import disputed, units
 from experiments.reports.second_opinion import disagreement
@@ -18,6 +19,8 @@ NEIGHBOURS = 4
 """Lags at which the estimated motion colours the residuals of sensors, on a right model too: they are not looked at."""
 GOOD_FIT, ROUGH_FIT = 90.0, 70.0
 """Fit [%], 100 (1 - rms error / rms motion about its mean): from here on trusted, from there on roughly."""
+REPEATED, SEGMENTS = 0.5, 8
+"""Share of an unmeasured torque, predicted from other runs, beyond which it is structure; parts of a single run."""
 PRECISE = 0.1
 """Half of a 95 % interval over the value, beyond which a parameter counts as loosely known."""
 
@@ -48,6 +51,7 @@ def _doubts(result: FitResult) -> list[Finding]:
                           f"{r:.2f}, {STRUCTURE:g} allowed), so something is missing in the model{allowed}: see legid "
                           "diagnose") for j, r in _structure(result).items() if r > STRUCTURE]
         found += _sensor_doubts(result)
+        found += _repeating_torques(result)
     if result.undetermined:
         found.append(Finding("doubt", "undetermined",
                              f"these runs do not determine {', '.join(map(str, result.undetermined))}"))
@@ -109,6 +113,30 @@ def _sensor_doubts(result: FitResult) -> list[Finding]:
             if far > STRONG:
                 found.append(Finding("doubt", "sensor_residual", f"what is left over of {name} has structure "
                                      f"(correlation {far:.2f}, {STRONG:g} allowed): see legid diagnose"))
+    return found
+
+
+def _repeating_torques(result: FitResult) -> list[Finding]:
+    """Disturbance torques that are functions of the state: structure that a law is missing for, and no disturbance.
+
+    Structure smaller than the noise of a measured torque is left out. Parts of a single run stand for runs.
+    """
+    paths = result.trajectories
+    if not paths or paths[0].disturbance is None or not (noise := result.noise.get("torque_nm", 0.0)):
+        return []
+    q, v, torque, e = (np.concatenate([getattr(path, name) for path in paths])
+                       for name in ("q", "qd", "tau_measured", "disturbance"))
+    ends = np.cumsum([len(path.q) for path in paths])
+    run = np.repeat(np.arange(len(paths)), np.diff(ends, prepend=0)) if len(paths) > 1 else \
+        np.arange(len(q)) * SEGMENTS // len(q)
+    columns = state_columns(q, v, torque[:, list(result.mechanism.actuated)], ends)
+    found, which = [], taken(len(q))
+    for j, share in enumerate(repeated_share(one[which], columns, run[which]) for one in e.T):
+        size = float(np.sqrt(share * np.mean(e[:, j] ** 2)))
+        if share > REPEATED and size > noise:
+            found.append(Finding("doubt", "repeating_torque", f"an unmeasured torque of {size:.2g} N m (rms) at joint "
+                                 f"{j + 1} repeats as a function of the state, so a law is missing in the model: see "
+                                 "legid diagnose"))
     return found
 
 

@@ -80,7 +80,8 @@ def test_a_leg_with_two_encoders_is_trusted_too() -> None:
     left = residuals_of(exact)["torque 2"]
     assert autocorrelation("", left).largest > 0.5 and torque_step(exact, 1, left) > 2
     assert fit_trust(exact).sentence.startswith("TRUST the parameters")
-    assert "coloured disturbance torque at joint 1" in " ".join(said[0.15].assumptions)
+    told = fit_trust(said[0.15]).sentence
+    assert told.startswith("DO NOT TRUST the parameters") and "at joint 1 repeats as a function of the state" in told
     assert "coloured" not in " ".join(exact.assumptions)
 
 
