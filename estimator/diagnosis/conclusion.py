@@ -12,16 +12,18 @@ from scipy.special import stdtrit
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.decision_rule import ALPHA, BLOCK_S, CHANGED, CONFUSABLE, DRAWS, FEW_RUNS, SHORT_S
+from estimator.diagnosis.noise_check import in_words, noisy_sensors
+from estimator.diagnosis.noise_floor import FloorNoise, white_noise
 from estimator.diagnosis.refit import Model, SmoothedRun, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, SensorGain, ShortRuns, SizeEstimate, Trace
 from estimator.effects import AnonymousReading, AnonymousTorque, Shape, Size
 from estimator.errors import FitError
-from estimator.fitting import imu_levels, torque_levels
+from estimator.fitting import disturbance_levels, imu_levels, torque_levels
 from estimator.likelihood import ExtendedProblem, FreeRun, free_run
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
-from estimator.prediction import draw_replicate
+from estimator.prediction import draw_disturbance, draw_replicate, simulate_run
 from estimator.signals import Channel, encoder_of, imu_channels, imu_columns
 
 ATTEMPTS = 10
@@ -59,6 +61,18 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
         nominal=dict(zip(names, map(float, nominal.state.beta))), nominal_std=dict(zip(names, map(float, std))),
         runs={k: tuple(split.names[i] for i in v) for k, v in groups.items()}, warnings=tuple(warnings), noise=levels,
         angle_range=nominal.problem.stage.angle_range)
+
+
+def with_noise(found: Diagnosis, model: Model, floor: FloorNoise) -> Diagnosis:
+    """With the disturbance torques that count as noise, and a warning for each of them and for each noisy sensor."""
+    unit = model.split.mechanism.unit
+    noise = floor.noise
+    told = [f"an unmeasured torque of {noise.disturbance[j]:.2g} {unit('N m')} (rms, time constant "
+            f"{noise.time_constant[j]:.2g} s) acts at joint {j + 1}; it is no function of the state and counts as noise"
+            for j in map(int, np.flatnonzero(noise.disturbance))]
+    told += [f"{in_words(channel, ratio)}; this is a finding about the sensor, not about the simulation"
+             for channel, ratio in noisy_sensors(model).items()]
+    return replace(found, noise={**found.noise, **disturbance_levels(noise)}, warnings=(*found.warnings, *told))
 
 
 def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tuple[float, float]]) -> list[str]:
@@ -131,19 +145,18 @@ def resimulate(fitted: SmoothedRun, q1: FloatArray, or_still: bool = False, hori
                        drive - problem.motor_torque(state.x, state.beta))
 
 
-def floor_errors(fitted: SmoothedRun, rng: np.random.Generator, horizons_s: Sequence[float] = (np.inf,)
-                 ) -> list[dict[str, FloatArray]]:
-    """For each horizon squared free-run errors by sensor of a replicate of a run: what the model's noise alone leaves.
+def floor_errors(fitted: SmoothedRun, rng: np.random.Generator, horizons_s: Sequence[float],
+                 noise: FloorNoise) -> list[dict[str, FloatArray]]:
+    """For each horizon squared free-run errors by sensor of a replicate of a run with this `noise` alone.
 
     Pieces of a horizon start from the motion that would be fitted to the replicate.
     """
     model, run, split = fitted.model, fitted.run, fitted.model.split
-    problem, state = fitted.problem, fitted.state
-    truth = free_run(problem, state)
-    if truth is None:
-        raise FitError("the free run diverges")
+    problem, state = fitted.problem, replace(fitted.state, noise=noise.noise)
     for _ in range(ATTEMPTS):
-        signals = draw_replicate(problem, state, split.runs[run], rng)
+        disturbance = draw_disturbance(problem, state, noise.rest, rng)
+        truth = simulate_run(problem, state, rng, disturbance)
+        signals = draw_replicate(problem, state, split.runs[run], rng, truth, disturbance)
         again = split.problem([run], model.problem.stage.angle_range, model.effects, signals=signals)
         begin = state if np.isinf(horizons_s).all() else smooth(model, run, state.x, signals).state
         drive = again.torque - problem.torque_readings(state.x, state.beta)
@@ -167,7 +180,8 @@ class Gain:
     traces: tuple[Trace, ...]
 
 
-def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, horizon_s: float = np.inf) -> Gain:
+def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, noise: FloorNoise, horizon_s: float = np.inf
+                 ) -> Gain:
     """Before, after and floor on the confirm runs, with the share of the gap closed and its block bootstrap.
 
     As in `error_table` no error counts for more than that of who takes the sensor's mean.
@@ -180,7 +194,7 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, hori
         fitted = smooth(extended, i)
         q1 = fitted.state.x.q[:, 0]
         return (resimulate(smooth(nominal, i), q1, True, horizon_s), resimulate(fitted, q1, False, horizon_s),
-                floor_errors(fitted, np.random.default_rng(seeds[k]), [horizon_s])[0])
+                floor_errors(fitted, np.random.default_rng(seeds[k]), [horizon_s], noise)[0])
 
     blocks: dict[str, list[tuple[float, float, float]]] = {}
     traces, torque = [], []
@@ -209,10 +223,10 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, hori
                 (tuple(map(float, rms[0])), tuple(map(float, rms[1]))), tuple(traces))
 
 
-def in_pieces(nominal: Model, extended: Model) -> ShortRuns | None:
+def in_pieces(nominal: Model, extended: Model, noise: FloorNoise) -> ShortRuns | None:
     """The gain in pieces of SHORT_S; None where they diverge."""
     try:
-        gain = measure_gain(nominal, extended, np.random.default_rng(0), SHORT_S)
+        gain = measure_gain(nominal, extended, np.random.default_rng(0), noise, SHORT_S)
     except FitError:
         return None
     return ShortRuns(SHORT_S, gain.sensors, gain.closed, gain.ci95)
@@ -265,7 +279,7 @@ def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
                "resembles none of the terms tried" if not lower else
                f"{after:.1f} with what is there below what matters: these runs leave open whether that is chance")
         found = replace(found, warnings=(*found.warnings, (
-            f"free runs err {before:.1f} times what white noise alone leaves, {why}")))
+            f"free runs err {before:.1f} times what the rig's noise leaves, {why}")))
         called = "None is called for where that error does not matter"
     return replace(found, verdict="none", sentence=sentence + ".", immaterial=immaterial,
                    next_experiment=f"{called}. To look for smaller effects, record more runs like these: the smallest "
@@ -273,13 +287,13 @@ def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
 
 
 def unexplained(found: Diagnosis, nominal: Model, best: Explanation | None, why: str,
-                rng: np.random.Generator | None = None) -> Diagnosis:
+                rng: np.random.Generator | None = None, noise: FloorNoise | None = None) -> Diagnosis:
     """Verdict `unexplained`: the closest explanation, if any, is kept but not named as a finding."""
     sentence = f"Something is wrong with the model, and no listed effect accounts for it: {why}."
     causes: tuple[Cause, ...] = ()
     if best is not None:
         causes = tuple(causes_of(best, 1.0, found))
-        found = with_gain(found, nominal, best, rng)
+        found = with_gain(found, nominal, best, noise or white_noise(best.model), rng)
         sentence = (f"Something is wrong with the model, and no listed effect accounts for it; the closest, "
                     f"{' with '.join(label(c.effect, c.joint) for c in causes)}, does not suffice: {why}.")
     return replace(found, verdict="unexplained", sentence=sentence, causes=causes, effects=(),
@@ -288,10 +302,10 @@ def unexplained(found: Diagnosis, nominal: Model, best: Explanation | None, why:
 
 
 def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explanation], p_value: float,
-            rng: np.random.Generator, partial: bool = False) -> Diagnosis:
+            rng: np.random.Generator, partial: bool = False, noise: FloorNoise | None = None) -> Diagnosis:
     """Verdict `named`, or `one_of` where several explanations fit alike; `partial` where what is left matters."""
     best = indistinguishable[0]
-    found = with_gain(found, nominal, best, rng)
+    found = with_gain(found, nominal, best, noise or white_noise(best.model), rng)
     causes = {c.effect + str(c.joint): c for t in indistinguishable for c in causes_of(t, p_value, found)}
     rivals = [causes_of(t, p_value, found) for t in indistinguishable]
     if len(indistinguishable) == 1:
@@ -318,9 +332,9 @@ def _where(found: Diagnosis) -> str:
     return "" if left is None else f": it shows in {left.channel}, as a function of {left.depends_on}"
 
 
-def with_gain(found: Diagnosis, nominal: Model, best: Explanation,
+def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorNoise,
               rng: np.random.Generator | None) -> Diagnosis:
-    """With the gain, the extended parameters and the pictures of `best`."""
+    """With the gain over what `noise` leaves, the extended parameters and the pictures of `best`."""
     model, mechanism = best.model, best.model.split.mechanism
     p, names = mechanism.p, mechanism.names
     covariance = best.covariance()
@@ -331,12 +345,12 @@ def with_gain(found: Diagnosis, nominal: Model, best: Explanation,
         extended_covariance=covariance,
         signatures=tuple(s for e in model.named if (s := signature(nominal, model, e)) is not None))
     try:
-        gain = measure_gain(nominal, model, rng or np.random.default_rng(0))
+        gain = measure_gain(nominal, model, rng or np.random.default_rng(0), noise)
     except FitError as error:
         return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
     if gain.ci95 is None or gain.ci95[0] <= 0.0:
         doubt = () if found.rotations else (NO_GAP if gain.closed is None else UNSURE_GAP,)  # all runs have said
-        found = replace(found, warnings=(*found.warnings, *doubt), short=in_pieces(nominal, model))
+        found = replace(found, warnings=(*found.warnings, *doubt), short=in_pieces(nominal, model, noise))
     return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
 

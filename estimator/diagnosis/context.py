@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import ALPHA, LEAST_GAIN, LEAST_GAIN_CLEAR
-from estimator.diagnosis.noise_check import Ratios, excess_noise, hidden_motion, noise_dominated, ratios
+from estimator.diagnosis.noise_check import Ratios, excess_noise, noise_dominated, ratios
 from estimator.diagnosis.refit import Model, begin_afresh, deviance
 from estimator.diagnosis.score_statistics import RunScore, Tests
 from estimator.likelihood import Candidate
@@ -88,10 +88,6 @@ class DiagnosisContext:
     def excess_noise(self, model: Model) -> str:
         """What `model` leaves to the noise levels, in words; empty where that is in order."""
         return excess_noise(model, None if model is self.nominal else self.levels)
-
-    def hidden_motion(self, model: Model) -> str:
-        """Which sensor of motion `model` takes for louder than it is, in words; empty where none is."""
-        return hidden_motion(model)
 
     @cached_property
     def noise_dominated(self) -> str:

@@ -79,14 +79,15 @@ class RunSplit:
         return [s for i in which for s in self.runs[i]]
 
     def problem(self, which: Sequence[int], angle_range: FloatArray, effects: Sequence[Effect] = (),
-                candidates: Sequence[Candidate] = (), signals: Sequence[SignalSet] | None = None) -> ExtendedProblem:
-        """Likelihood of these runs; `signals` stand in for their own (a replicate of them)."""
+                candidates: Sequence[Candidate] = (), signals: Sequence[SignalSet] | None = None,
+                disturbed: bool = False) -> ExtendedProblem:
+        """Likelihood of these runs; `signals` stand in for their own (a replicate of them, or a part)."""
         run = [i for i in which for _ in self.runs[i]]
         begin = [s.time_s[0] - self.runs[i][0].time_s[0] for i in which for s in self.runs[i]]
         stage = Stage(tuple(run), tuple(self.starts_s[i] + b for i, b in zip(run, begin)), tuple(map(float, begin)),
                       angle_range, self.gear_ratio)
         problem = ExtendedProblem(self.signals(which) if signals is None else signals, self.mechanism,
-                                  self.options.hold, stage, effects, candidates)
+                                  self.options.hold, stage, effects, candidates, disturbed)
         known = [self.stiction[i] for i in which if i in self.stiction]
         return problem.with_stiction(np.concatenate(known)) if len(known) == len(which) else problem
 

@@ -130,11 +130,14 @@ GENERIC_TERMS = 4
 """Most terms without a name that stand for what a library does not list."""
 SHORTLIST, SHORTLIST_EACH = 6, 2
 """Explanations whose free runs are measured, and how many of each number of effects at least: the likeliest."""
-EDGE = 3.0
-"""Error of the nominal free run, in units of what white noise alone leaves, beyond which it is not put down to a
-disturbance with memory: such a disturbance adds up over a free run. Beyond it explanations are sought even where no
-term is detected, and where none lowers the error the verdict is `unexplained`; below it `none`, with a warning. What
-surely errs more beside a cause, and by more than what matters, leaves it `partial`."""
+EDGE = 1.5
+"""Error of a free run, in units of what the rig's noise leaves, up to which it is put down to that noise (see
+`noise_floor`). Beyond it explanations are sought even where no term is detected. A nominal model that errs more and is
+not explained is `unexplained`; a cause that leaves more is `partial`."""
+
+FAR_WRONG = 3.0
+"""Error of the nominal free run beyond which its fit may have hidden the one cause that there is. Then all other
+effects are fitted, too, where none of the best closes."""
 
 # What is told beside a verdict
 

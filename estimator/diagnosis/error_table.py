@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.diagnosis.conclusion import PIVOT, floor_errors, resimulate, sensors_of
 from estimator.diagnosis.decision_rule import BLOCK_S, DRAWS, HORIZONS_S
+from estimator.diagnosis.noise_floor import FloorNoise, white_noise
 from estimator.diagnosis.refit import Model, SmoothedRun, smooth
 from estimator.parallel import parallel_map
 
@@ -27,6 +28,8 @@ class Unit:
     """What errors are counted in: the noise alone of one model; and what is taken for measured."""
 
     reference: Model
+    noise: FloorNoise
+    """Under which its replicates are drawn"""
     floor: FloatArray
     """(C,) mean squared error that noise alone leaves in each column"""
     reader: Model
@@ -100,9 +103,10 @@ class Measured(NamedTuple):
 
 
 def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.int64],
-                   readers: Sequence[int] | None = None) -> ErrorTable:
-    """Errors of `models`, the nominal one first, on their confirm runs, one of `seeds` each, in units of the noise of
-    `reference`. One of `readers`, by default of all models, reads the pivot's angle.
+                   readers: Sequence[int] | None = None, noise: FloorNoise | None = None) -> ErrorTable:
+    """Errors of `models`, the nominal one first, on their confirm runs, one of `seeds` each, in units of what `noise`,
+    by default the reference's own, leaves of the `reference`. One of `readers`, by default of all models, reads the
+    pivot's angle.
 
     No error counts for more than that of who takes every sensor's mean: a simulation that strays from the motion, once
     it has, says nothing more. Raises `FitError` where the reference's simulation runs off.
@@ -111,13 +115,13 @@ def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.
     best = next((k for k, m in enumerate(models) if m is reference), len(models))
     every = [*models, *([reference] if best == len(models) else [])]
     could = list(range(len(models)) if readers is None else readers)
+    drawn = white_noise(reference) if noise is None else noise
 
     def measured(k: int) -> Measured:
         run = split.confirm[k]
         fitted = [smooth(model, run) for model in every]
         pivots = np.stack([fitted[r].state.x.q[:, 0] for r in could])
-        floors = floor_errors(fitted[best], np.random.default_rng(seeds[k]), HORIZONS_S)
-        floor = np.array([f[c].mean() for f in floors for c in sorted(f)])
+        floor = _floor(fitted[best], seeds[k], drawn)
         return Measured(_squares(fitted[: len(models)], pivots), floor, _moments(fitted[best]),
                         _misfits(fitted, reference)[: len(models)], pivots, split.stiction.get(run))
 
@@ -132,7 +136,8 @@ def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.
     floor = np.minimum(floor, bound)
     misfits = np.stack([p.misfits for p in parts], axis=-1)
     reader = int(np.argmin(misfits.sum(axis=1)[could]))
-    unit = Unit(reference, floor, models[could[reader]], tuple(p.pivots[reader] for p in parts), bound, misfits[0])
+    unit = Unit(reference, drawn, floor, models[could[reader]], tuple(p.pivots[reader] for p in parts), bound,
+                misfits[0])
     return ErrorTable(_columns_of(reference), _bounded([p.squares[reader] for p in parts], floor, bound),
                       misfits[0] - misfits, np.repeat(np.arange(len(parts)), lengths), tuple(models), unit)
 
@@ -153,6 +158,28 @@ def extend_errors(table: ErrorTable, more: Sequence[Model]) -> ErrorTable:
     agreement = np.stack([p[1] for p in parts], axis=-1)
     return replace(table, values=np.concatenate([table.values, values]), models=(*table.models, *more),
                    agreement=np.concatenate([table.agreement, agreement]))
+
+
+def with_floor(table: ErrorTable, noise: FloorNoise, seeds: NDArray[np.int64]) -> ErrorTable:
+    """`table` in units of what this `noise` leaves of its reference, with one of `seeds` a confirm run.
+
+    Raises `FitError`."""
+    unit = table.unit
+    split = unit.reference.split
+
+    def measured(k: int) -> FloatArray:
+        return _floor(smooth(unit.reference, split.confirm[k]), seeds[k], noise)
+
+    parts = parallel_map(measured, len(split.confirm), split.workers)
+    lengths = np.bincount(table.runs, minlength=len(parts))
+    floor = np.minimum(np.average(parts, axis=0, weights=lengths), unit.bound)
+    return replace(table, values=table.values * (unit.floor / floor), unit=replace(unit, noise=noise, floor=floor))
+
+
+def _floor(fitted: SmoothedRun, seed: np.int64, noise: FloorNoise) -> FloatArray:
+    """(C,) mean squared errors of a replicate of one run with this `noise` alone."""
+    found = floor_errors(fitted, np.random.default_rng(seed), HORIZONS_S, noise)
+    return np.array([f[c].mean() for f in found for c in sorted(f)])
 
 
 def choose_rows(table: ErrorTable, rows: Sequence[int]) -> ErrorTable:

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from estimator.diagnosis.decision_rule import LOUD_SENSOR, LOUD_TORQUE, LOUD_UNDECLARED, STILL_LOUD
-from estimator.diagnosis.refit import Model
+from estimator.diagnosis.refit import Model, refit
 from estimator.fitting import TORQUE_SHARE, mistakes_torque
 from estimator.options import accel_level, encoder_level, gyro_level, torque_level
-from estimator.signals import GYRO, Channel, encoder_of, imu_channels, torque_of, white_noise_level
+from estimator.signals import Channel, encoder_of, imu_channels, torque_of, white_noise_level
 
 Ratios = Mapping[Channel, tuple[float, float]]
 """Channel to (noise found over its level, most it may be)."""
@@ -76,16 +77,35 @@ def in_words(channel: Channel, ratio: float) -> str:
     return f"what is left in the {name} is {ratio:.1f} times its noise"
 
 
-def hidden_motion(model: Model) -> str:
-    """Which sensor of motion a fit takes for louder than the rig declares, or than its neighbouring samples show, in
-    words; empty where none is.
-
-    Errors of free runs are held against what this noise leaves, and vanish beside it. A torque that wanders is louder
-    on healthy legs, too.
-    """
+def noisy_sensors(model: Model) -> dict[Channel, float]:
+    """Sensors of motion whose fitted noise exceeds its limit: channel to the ratio of that noise to what the rig
+    declares, or neighbouring samples show."""
     found = motion_ratios(model, undeclared=True)
-    channel, (ratio, limit) = max(found.items(), key=lambda f: f[1][0] / f[1][1], default=(GYRO, (0.0, 1.0)))
-    return in_words(channel, ratio) if ratio > limit else ""
+    return {channel: ratio for channel, (ratio, limit) in found.items() if ratio > limit}
+
+
+def with_declared_noise(model: Model) -> Model:
+    """`model` fitted again, its noisy sensors held at the noise that they are known to have. Raises `FitError`."""
+    held: dict[str, float] = {}
+    noise = model.state.noise
+    encoder, gyro, accel = noise.encoder.copy(), noise.gyro.copy(), noise.accel.copy()
+    for channel, ratio in noisy_sensors(model).items():
+        if channel.kind == "encoder":
+            j = channel.joint or 0
+            encoder[j] /= ratio
+            held[f"encoder{j + 1}_rad"] = float(encoder[j])
+            continue
+        k = next(k for k in range(model.problem.imu_count) if channel in imu_channels(k))
+        if channel.kind == "gyro":
+            gyro[k] /= ratio
+            held[f"gyro{k + 1}_radps"] = float(gyro[k])
+        else:
+            axis = ("accel_x", "accel_y").index(channel.kind)
+            accel[k, axis] /= ratio
+            held[f"accel{k + 1}_{'xy'[axis]}_mps2"] = float(accel[k, axis])
+    split = replace(model.split, options=replace(model.split.options, noise=held))
+    state = replace(model.state, noise=replace(noise, encoder=encoder, gyro=gyro, accel=accel))
+    return refit(replace(model, split=split, state=state), list(zip(model.effects, model.sizes())))
 
 
 def noise_dominated(nominal: Model) -> str:

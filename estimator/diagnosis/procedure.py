@@ -21,7 +21,7 @@ from daq import Dataset, FloatArray
 from estimator.diagnosis import conclusion
 from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, MOST_ASSESSED, SUFFICES
+from estimator.diagnosis.decision_rule import ALPHA, EDGE, FAR_WRONG, MATERIAL, MOST_ASSESSED, SUFFICES, SURE
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.error_table import ErrorTable, measure_errors
 from estimator.diagnosis.model_search import (
@@ -34,6 +34,8 @@ from estimator.diagnosis.model_search import (
     fit_singles,
     keys_of,
 )
+from estimator.diagnosis.noise_check import in_words, noisy_sensors, with_declared_noise
+from estimator.diagnosis.noise_floor import FloorNoise, noise_floor
 from estimator.diagnosis.refit import (
     Model,
     bootstrap_scores,
@@ -121,30 +123,41 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     ranked = rank(context, tests)
     base = conclusion.base(nominal, refused, reference)
     base = replace(base, candidates=ranked, separability=separability(context, tests))
-    if not detected(context, tests) and not context.excess_noise(nominal) and not context.hidden_motion(nominal):
+    if not detected(context, tests):
         if context.noise_dominated:
             raise FitError(context.noise_dominated)
         if ordinary is not None:
             return None
-        error = nominal_error(context, rng)
-        if error is None or error <= EDGE:
+        floor = noise_floor(nominal)
+        error = nominal_error(context, floor, rng)
+        hidden = hidden_motion(nominal, material, rng)
+        if (error is None or error <= EDGE) and not hidden:
+            base = conclusion.with_noise(base, nominal, floor)
             return conclusion.nothing(replace(base, error=None if error is None else (error, error)))
     known: list[ErrorTable] = []
-    options, other = search(context, tests, say, stated, lambda found: promise(context, found, material, rng, known))
+
+    def promising(found: Sequence[Explanation]) -> bool:
+        return promise(context, found, material, rng, known)
+
+    def far_wrong() -> bool:
+        return not known or known[-1].error(NOMINAL) > FAR_WRONG
+
+    options, other = search(context, tests, say, stated, promising, far_wrong)
     if other is not None:
         with suppress(FitError):
             again = _diagnose(replace(split, mechanism=other, stiction={}), seed, say, reference, material, None, bias,
                               nominal)
             if again is not None:
                 return again
-        options, _ = search(context, tests, say, None, lambda found: promise(context, found, material, rng, known))
+        options, _ = search(context, tests, say, None, promising, far_wrong)
     say("opening the confirm runs", 0.85)
     concluded = conclude(context, base, tests, options, rng, material, known, ordinary)
     return None if concluded is None else replace(concluded, mechanism=split.mechanism)
 
 
 def search(context: DiagnosisContext, tests: Tests, say: Progress, stated: Mechanism | None,
-           promise: Callable[[Sequence[Explanation]], bool]) -> tuple[list[Explanation], Mechanism | None]:
+           promise: Callable[[Sequence[Explanation]], bool], far_wrong: Callable[[], bool]
+           ) -> tuple[list[Explanation], Mechanism | None]:
     """Fitted explanations; or, as soon as friction has another rounding beside the best, the mechanism with that."""
     say("re-fitting the best explanations", 0.4)
     first = fit_first(context, tests)
@@ -158,7 +171,9 @@ def search(context: DiagnosisContext, tests: Tests, say: Progress, stated: Mecha
         return [], other
     say("looking at what they leave over", 0.6)
     options = assess_residuals(context, options[:MOST_ASSESSED])
-    if not any(e.adequate for e in closing(context, options)):
+    if options and not promise(options):
+        return options, None
+    if far_wrong() and not any(e.adequate for e in closing(context, options)):
         say("re-fitting all others", 0.65)
         every = fit_others(context, tests, options)
         found = likeliest_of([e.model for e in every])
@@ -211,12 +226,34 @@ def separability(context: DiagnosisContext, tests: Tests) -> tuple[tuple[str, ..
     return tuple(context.candidates[i].effect.key for i in order), information / np.outer(scale, scale)
 
 
-def nominal_error(context: DiagnosisContext, rng: np.random.Generator) -> float | None:
-    """rms error of the nominal model's free runs on the confirm runs in units of what noise alone leaves; None where
-    they cannot be carried through."""
+def hidden_motion(model: Model, material: float, rng: np.random.Generator) -> str:
+    """Which sensor's noise hides motion, in words; empty where none does.
+
+    A sensor that errs by more than it is known to do is no fault of the simulation by itself. It is one where the model
+    with the noise that the sensor is known to have predicts held-out runs materially better or worse, or cannot be
+    fitted.
+    """
+    noisy = noisy_sensors(model)
+    if not noisy:
+        return ""
+    text = in_words(*max(noisy.items(), key=lambda one: one[1]))
+    try:
+        models = [model, with_declared_noise(model)]
+        table = measure_errors(models, model, rng.integers(2**63, size=len(model.split.confirm)))
+    except (FitError, np.linalg.LinAlgError):
+        return text
+    draws = table.draws(rng)
+    differs = max(table.lowers(a, b, material, draws, b) for a, b in ((0, 1), (1, 0))) >= SURE
+    return text if differs else ""
+
+
+def nominal_error(context: DiagnosisContext, floor: FloorNoise, rng: np.random.Generator) -> float | None:
+    """rms error of the nominal model's free runs on the confirm runs in units of what the noise `floor` leaves; None
+    where they cannot be carried through."""
     nominal = context.nominal
     try:
-        table = measure_errors([nominal], nominal, rng.integers(2**63, size=len(nominal.split.confirm)))
+        table = measure_errors([nominal], nominal, rng.integers(2**63, size=len(nominal.split.confirm)),
+                               noise=floor)
     except FitError:
         return None
     return table.error(NOMINAL)
@@ -231,7 +268,8 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], material: f
     best = by_likelihood(first_of_each(found))
     models = [context.nominal, *(e.model for e in best)]
     try:
-        table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)))
+        table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)),
+                               noise=noise_floor(models[1]))
     except FitError:
         return True
     known.append(table)
@@ -257,7 +295,11 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
         return None
     if decision is None:
         nominal = context.nominal
-        why = context.excess_noise(nominal) or context.hidden_motion(nominal) or context.noise_dominated
+        floor = noise_floor(nominal)
+        base = conclusion.with_noise(base, nominal, floor)
+        left, hidden = nominal_error(context, floor, rng), hidden_motion(nominal, material, rng)
+        large = "" if left is None or left <= EDGE else f"free runs err {left:.1f} times what the rig's noise leaves"
+        why = large or hidden or context.noise_dominated
         return conclusion.unexplained(base, nominal, None, why) if why else conclusion.nothing(base)
     base = replace(base, material=material, budget=budget(decision.table, decision.row, decision.without,
                                                           decision.best[0].model if decision.best else None,
@@ -267,16 +309,19 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
     if decision.verdict in ("partial", "unexplained") and decision.terms is not None:
         base = replace(base, remainder=conclusion.remainder_of(decision.terms))
     best = decision.best[0] if decision.best else None
-    hidden = context.hidden_motion(best.model if best else context.nominal) if decision.verdict == "none" else ""
+    base = conclusion.with_noise(base, best.model if best else context.nominal, decision.table.unit.noise)
+    hidden = hidden_motion(best.model if best else context.nominal, material, rng) if decision.verdict == "none" else ""
     if decision.verdict == "none" and not hidden:
         return conclusion.nothing(base, best)
     if decision.verdict in ("none", "unexplained") or best is None:
-        return conclusion.unexplained(base, context.nominal, best, hidden or decision.why, rng)
+        return conclusion.unexplained(base, context.nominal, best, hidden or decision.why, rng,
+                                      decision.table.unit.noise)
     if decision.more is not None:
         base = replace(base, immaterial=minor_causes(context, base, decision.more, best))
     p = chance_of(context, best, best.gain, best.model.effects)
     indistinguishable = [with_clock(context, best), *decision.best[1:]]
-    return conclusion.finding(base, context.nominal, indistinguishable, p, rng, decision.verdict == "partial")
+    return conclusion.finding(base, context.nominal, indistinguishable, p, rng, decision.verdict == "partial",
+                              decision.table.unit.noise)
 
 
 def outdoes(decision: Decision | None, ordinary: Model, material: float, rng: np.random.Generator) -> bool:

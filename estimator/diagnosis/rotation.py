@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit, kept_back
 from estimator.diagnosis.error_table import ErrorTable, measure_errors
+from estimator.diagnosis.noise_floor import FloorNoise
 from estimator.diagnosis.refit import Model, fit_nominal, refit
 from estimator.diagnosis.result import Rotation
 from estimator.errors import FitError
@@ -47,8 +48,8 @@ def rotate(split: RunSplit, table: ErrorTable, rng: np.random.Generator) -> tupl
     unit = next(k for k, model in enumerate(table.models) if model is table.unit.reference)
     reader = next((k for k, model in enumerate(table.models) if model is table.unit.reader), unit)
     try:
-        turns = parallel_map(lambda k: turn(split, others[k], table.models, unit, reader, seeds[k]), len(others),
-                             split.workers)
+        turns = parallel_map(lambda k: turn(split, others[k], table.models, unit, reader, seeds[k], table.unit.noise),
+                             len(others), split.workers)
     except (FitError, np.linalg.LinAlgError):
         return None
     first = np.cumsum([table.agreement.shape[1], *(t.agreement.shape[1] for t in turns[:-1])])
@@ -58,14 +59,14 @@ def rotate(split: RunSplit, table: ErrorTable, rng: np.random.Generator) -> tupl
 
 
 def turn(split: RunSplit, confirm: tuple[int, ...], models: Sequence[Model], unit: int, reader: int,
-         seeds: NDArray[np.int64]) -> Turn:
-    """`models` fitted to all runs but `confirm`, tried on those, in units of the noise of the one in `unit`; the one in
-    `reader` reads the pivot's angle. Raises `FitError`."""
+         seeds: NDArray[np.int64], noise: FloorNoise) -> Turn:
+    """`models` fitted to all runs but `confirm`, tried on those, in units of what `noise` leaves of the one in `unit`;
+    the one in `reader` reads the pivot's angle. Raises `FitError`."""
     rest = tuple(k for k in range(len(split.runs)) if k not in confirm)
     other = replace(split, fit=rest, screen=(), confirm=confirm, workers=1)
     nominal = fit_nominal(other)
     fitted = [nominal, *(refit(nominal, list(zip(m.effects, m.sizes()))) for m in models[1:])]
-    found = measure_errors(fitted, fitted[unit], seeds[: len(confirm)], [reader])
+    found = measure_errors(fitted, fitted[unit], seeds[: len(confirm)], [reader], noise)
     return Turn(tuple(split.names[k] for k in confirm), found.values, found.agreement, found.runs,
                 tuple(fitted[1].sizes()))
 

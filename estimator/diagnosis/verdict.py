@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from estimator.diagnosis.context import DiagnosisContext, Explanation
 from estimator.diagnosis.decision_rule import EDGE, SHORTLIST, SHORTLIST_EACH, SUFFICES, SURE
 from estimator.diagnosis.error_budget import generic_extension
-from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors
+from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors, with_floor
 from estimator.diagnosis.model_comparison import indistinguishable_set
 from estimator.diagnosis.model_search import keys_of, presence
+from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.refit import Model, deviance, refit
 from estimator.diagnosis.rotation import Turn, rotate
 from estimator.diagnosis.score_statistics import Tests
@@ -70,16 +71,17 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
     possible = [(o, k) for k, o in enumerate(shortlist, 1) if admissible(o)]
     table = measured_beside(context, models, [NOMINAL, *(k for _, k in possible)], rng, known)
     draws = table.draws(rng)
-    whole = table.error(NOMINAL)
     own = len(models) - 1 if generic is not None else NOMINAL
     if not possible:
-        nameless = generic is not None and matters(table, own, NOMINAL, material, draws)
+        table = over_floor(table, generic or context.nominal, rng)
+        whole = table.error(NOMINAL)
+        nameless = whole > 1.0 + material and own != NOMINAL and matters(table, own, NOMINAL, material, draws)
         closest = tuple(shortlist[:1]) if nameless else ()
         return Decision("unexplained" if nameless or whole > EDGE else "none", closest, table,
                         1 if closest else NOMINAL, (), NOMINAL, own, generic, draws,
                         "a size that makes it what it is could as well be nil, or has a sign that it cannot have")
     begin = Decision("named", (), table, NOMINAL, (), NOMINAL, own, generic, draws)
-    asked = ask(context, begin, choose(possible, table, material, draws), possible)
+    asked = ask(context, begin, choose(possible, table, material, draws), possible, rng)
     found = judge(asked, generic, material)
     # what leaves much has to show on all runs, not on those alone that were kept back
     if found.verdict == "partial" or (found.verdict != "named" and is_open(table, asked.row, NOMINAL, material, draws)):
@@ -90,7 +92,7 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
     second = second_cause(possible, asked, material)
     if second is None:
         return found
-    more = turn_runs(context, ask(context, asked, second, possible), rng, [asked.row])
+    more = turn_runs(context, ask(context, asked, second, possible, rng), rng, [asked.row])
     if more is None:
         return found
     both, place = more
@@ -101,17 +103,27 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
 
 
 def ask(context: DiagnosisContext, begin: Decision, what: tuple[Sequence[Explanation], int],
-        possible: Sequence[tuple[Explanation, int]]) -> Decision:
+        possible: Sequence[tuple[Explanation, int]], rng: np.random.Generator) -> Decision:
     """What is to be judged of explanations that cannot be told apart, and the row of the first: its errors without each
-    of its effects, and with terms without a name beside it."""
+    of its effects, and with terms without a name beside it, in units of what the noise beside all these leaves."""
     (best, row), table = what, begin.table
     beside = generic_extension(context, best[0].model, best[0].left)
     pieces = without_each(context, best[0].model)
     first = len(table.models)
     table = extend_errors(table, [*pieces, *([beside] if beside is not None else [])])
+    table = over_floor(table, beside or best[0].model, rng)
     return replace(begin, best=tuple(best), table=table, row=row, without=tuple(range(first, first + len(pieces))),
                    beside=first + len(pieces) if beside is not None else row, terms=beside or best[0].model,
                    more=with_minor(possible, best[0], row, table, begin.draws))
+
+
+def over_floor(table: ErrorTable, model: Model, rng: np.random.Generator) -> ErrorTable:
+    """`table` in units of what the noise of `model` leaves, a coloured disturbance of each joint included; as it was
+    where that simulation cannot be carried through."""
+    try:
+        return with_floor(table, noise_floor(model), rng.integers(2**63, size=int(table.runs.max()) + 1))
+    except (FitError, np.linalg.LinAlgError):
+        return table
 
 
 def second_cause(possible: Sequence[tuple[Explanation, int]], asked: Decision, material: float
@@ -148,7 +160,7 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
     table, row, more, own, draws = asked.table, asked.row, asked.beside, asked.own, asked.draws
     whole = table.error(NOMINAL)
     if not matters(table, row, NOMINAL, material, draws):
-        if generic is not None and matters(table, own, NOMINAL, material, draws):
+        if whole > 1.0 + material and generic is not None and matters(table, own, NOMINAL, material, draws):
             return replace(asked, verdict="unexplained", terms=generic,
                            why="the error that terms without a name take away stays with it")
         if whole > EDGE:
@@ -158,10 +170,10 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
     left = table.error(row) - min(table.error(more), table.error(own) if own else np.inf)
     if (whole - table.error(row)) < SUFFICES * (whole - table.error(row) + max(left, 0.0)):
         return replace(asked, verdict="unexplained", why="terms without a name take away more of the error than it")
-    beyond = [table.error(row, d) > max(EDGE, 1.0 + material * table.error(NOMINAL, d)) for d in draws]
-    if np.mean(beyond) >= SURE or matters(table, more, row, material, draws, NOMINAL):  # the rest of all
-        if table.excess(row) > SUFFICES * table.excess(NOMINAL):
-            return replace(asked, verdict="unexplained", why="it leaves more of the error than it takes away")
+    if table.error(row) > 1.0 + material and table.excess(row) > SUFFICES * table.excess(NOMINAL):
+        return replace(asked, verdict="unexplained", why="it leaves more of the error than it takes away")
+    beyond = table.error(row) > max(EDGE, 1.0 + material * whole)
+    if beyond or matters(table, more, row, material, draws, NOMINAL):  # the rest of all
         return replace(asked, verdict="partial")
     return asked
 

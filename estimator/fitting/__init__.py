@@ -1,13 +1,20 @@
 """The estimators mle, mle-free, wls, rls and hekf, their starts and their bounds."""
 
 from estimator.fitting.admissibility import faults, fit_admissible
+from estimator.fitting.disturbance import (
+    Disturbance,
+    MarginalLikelihood,
+    disturbance_likelihood,
+    find_disturbance,
+    of_noise,
+)
 from estimator.fitting.fit import between_samples, fit
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, PASSIVE_SHARE, TORQUE_SHARE, iterate, mistakes_torque
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_state
 from estimator.fitting.latent_motion import settle_motion
 from estimator.fitting.mle import rounding_words
-from estimator.fitting.noise_levels import imu_levels, torque_levels
+from estimator.fitting.noise_levels import disturbance_levels, imu_levels, torque_levels
 from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.scale import has_torque, require_scale
 from estimator.fitting.second_opinion import MOST_DISAGREEMENT, with_second_opinion
@@ -18,9 +25,14 @@ __all__ = [
     "MOST_DISAGREEMENT",
     "PASSIVE_SHARE",
     "TORQUE_SHARE",
+    "Disturbance",
+    "MarginalLikelihood",
     "between_samples",
     "design_rows",
+    "disturbance_levels",
+    "disturbance_likelihood",
     "faults",
+    "find_disturbance",
     "fit",
     "fit_admissible",
     "fit_each",
@@ -32,6 +44,7 @@ __all__ = [
     "known_noise",
     "mistakes_torque",
     "noise_floors",
+    "of_noise",
     "require_scale",
     "rounding_words",
     "settle_motion",

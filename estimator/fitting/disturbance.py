@@ -12,7 +12,7 @@ A joint gets a disturbance where that raises log p by more than the two paramete
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -27,7 +27,7 @@ from estimator.fitting.shooting_segments import Segments, filtered_motion
 from estimator.fitting.warm_start import LEAST_STRETCH, cut
 from estimator.likelihood import LatentProblem, Latents, Noise, Process, State
 from estimator.model import Mechanism
-from estimator.numerics import BlockTridiagonal, eliminate
+from estimator.numerics import BlockTridiagonal, Swept, eliminate
 from estimator.options import FitOptions
 from estimator.signals import SignalSet
 
@@ -81,7 +81,7 @@ class MarginalLikelihood:
     def __init__(self, problem: LatentProblem, x: Latents, beta: FloatArray, noise: Noise) -> None:
         """`problem` is a disturbed one. Its equation of motion and the other sensors keep the levels of `noise`."""
         self.problem, self.noise = problem, noise
-        self.floors = noise_floors(problem, problem.mechanism, beta)
+        self.floors = noise_floors(problem, problem.mechanism, beta[: problem.mechanism.p])
         begin = replace(noise, disturbance=noise.torque, time_constant=np.full(problem.n, 10.0 * problem.dt))
         point = problem.motion_equations(x, beta, begin)
         self.residual, self.e = point.residuals["torque"], point.residuals["e"]
@@ -105,14 +105,23 @@ class MarginalLikelihood:
     def __call__(self, found: Disturbance) -> float:
         """log p up to a constant; -inf where the equations cannot be solved."""
         p, noise = self.problem, found.put(self.noise)
-        chain = BlockTridiagonal(self.base.rows.copy(), 1)
-        squares = self.others + self._add(chain, noise, 1.0)
         try:
-            solved = eliminate(chain)
+            solved, squares = self._solved(noise)
         except np.linalg.LinAlgError:
             return -np.inf
         of_rows = float(np.sum(np.log(p.torque_variance(noise)))) + Process.of(noise, p.dt).log_determinant(p.ends)
         return -0.5 * (squares - float(solved.product()[0, 0]) + solved.log_determinant() + of_rows)
+
+
+    def smoothed(self, found: Disturbance) -> FloatArray:
+        """(N, n) most likely disturbance torques on the joints [N m]. Raises `LinAlgError`."""
+        solved, _ = self._solved(found.put(self.noise))
+        return -(self.e - solved.solution(np.ones(1))[:, 3 * self.problem.n :])
+
+    def _solved(self, noise: Noise) -> tuple[Swept, float]:
+        chain = BlockTridiagonal(self.base.rows.copy(), 1)
+        squares = self.others + self._add(chain, noise, 1.0)
+        return eliminate(chain), squares
 
 
 def disturbed_problem(signals: Sequence[SignalSet], plain: LatentProblem) -> LatentProblem:
@@ -122,13 +131,21 @@ def disturbed_problem(signals: Sequence[SignalSet], plain: LatentProblem) -> Lat
     return LatentProblem(signals, plain.mechanism, plain.collocation.hold, disturbed=True)
 
 
-def disturbance_likelihood(signals: Sequence[SignalSet], problem: LatentProblem, state: State) -> MarginalLikelihood:
-    """At a fit's motion and parameters; of a long record the first part of each stretch, EXCERPT samples in all."""
-    share = min(1.0, EXCERPT / problem.total)
+def disturbance_likelihood(signals: Sequence[SignalSet], problem: LatentProblem, state: State,
+                           disturbed: Callable[[Sequence[SignalSet]], LatentProblem] | None = None,
+                           most: float = EXCERPT) -> MarginalLikelihood:
+    """At a fit's motion and parameters; of a long record the first part of each stretch, `most` samples in all.
+
+    `disturbed` makes the disturbed problem of these parts, by default one without effects.
+    """
+    share = min(1.0, most / problem.total)
     parts = [cut(s, slice(0, max(LEAST_STRETCH, round(share * len(s.time_s))))) for s in signals]
     starts = problem.ends - [len(s.time_s) for s in signals]
     where = np.concatenate([start + np.arange(len(s.time_s)) for s, start in zip(parts, starts, strict=True)])
-    own = LatentProblem(parts, problem.mechanism, problem.collocation.hold, disturbed=True)
+    own = (LatentProblem(parts, problem.mechanism, problem.collocation.hold, disturbed=True) if disturbed is None
+           else disturbed(parts))
+    stiction = problem.stiction(state.noise)
+    own = own.with_stiction(None if stiction is None else stiction[where])
     x = state.x.of(where)
     return MarginalLikelihood(own, x if x.e is not None else replace(x, e=np.zeros_like(x.u)), state.beta,
                               state.noise.at(where))

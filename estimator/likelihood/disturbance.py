@@ -73,6 +73,14 @@ class Process(NamedTuple):
         b = a * w / (half + np.sqrt(half**2 - (a * w) ** 2))
         return np.asarray(lfilter([1.0, -a], [1.0, -b], error))
 
+    def draw(self, count: int, joint: int, rng: np.random.Generator) -> FloatArray:
+        """(count,) one joint's process [N m]."""
+        from scipy.signal import lfilter
+
+        w = np.sqrt(self.step[joint]) * rng.normal(size=count)
+        w[0] = np.sqrt(self.first[joint]) * rng.normal()
+        return np.asarray(lfilter([1.0], [1.0, -self.decay[joint]], w))
+
     def add(self, chain: BlockTridiagonal, e: FloatArray, ends: NDArray[np.int64], sign: float = 1.0) -> None:
         """Add the rows of all joints to the last n latents of `chain`, `sign` times."""
         (begin, left), n = _places(ends), e.shape[1]

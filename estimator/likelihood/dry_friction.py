@@ -41,10 +41,23 @@ def crossing_samples(v: FloatArray, scale: float, ends: NDArray[np.int64]) -> Fl
     `ends` are those of the stretches that v consists of.
     """
     inside = np.abs(v) < REST_SPREAD * scale
-    change = np.flatnonzero(np.diff(inside)) + 1
-    bounds = np.unique(np.concatenate([[0], change, ends]))
-    size = np.diff(bounds)
+    size = np.diff(_passages(inside, ends))
     return np.where(inside, np.repeat(size, size), 1).astype(float)
+
+
+def draw_held(v: FloatArray, level: float, scale: float, ends: NDArray[np.int64], rng: np.random.Generator
+              ) -> FloatArray:
+    """(N,) torque [N m] that friction of `level` may hold at rates v (N,), with `held_variance`: one draw a
+    passage through rest."""
+    bounds = _passages(np.abs(v) < REST_SPREAD * scale, ends)
+    share = np.repeat(rng.normal(size=bounds.size - 1), np.diff(bounds))
+    return np.asarray(share * np.sqrt(held_variance(v, level, scale)))
+
+
+def _passages(inside: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Bounds of the passages through rest, where `inside` (N,), and of what lies between them."""
+    change = np.flatnonzero(np.diff(inside)) + 1
+    return np.unique(np.concatenate([[0], change, ends]))
 
 
 def likeliest_smoothing(v: FloatArray, level: float, stated: float, now: float, sigma: float, residual: FloatArray,

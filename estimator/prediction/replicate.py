@@ -13,18 +13,20 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.errors import FitError
-from estimator.likelihood import ExtendedProblem, FreeRun, Noise, State, free_run
+from estimator.likelihood import ExtendedProblem, FreeRun, Noise, Process, State, draw_held, free_run
 from estimator.signals import SignalSet, encoder_of, imu_channels, imu_columns, quantum, torque_of
 
 
-def simulate_run(problem: ExtendedProblem, state: State, rng: np.random.Generator) -> FreeRun:
+def simulate_run(problem: ExtendedProblem, state: State, rng: np.random.Generator,
+                 disturbance: FloatArray | None = None) -> FreeRun:
     """What the model does under the torque in `state`; always the same where no joint is passive.
 
-    Raises `FitError` where its simulation does not stay with the run.
+    `disturbance` (N, n) acts on passive joints. Raises `FitError` where its simulation does not stay with the run.
     """
     drive = problem.motor_torque(state.x, state.beta)
     for j in problem.mechanism.passive:  # what the fit put there is what the model gets wrong
         drive[:, j] = state.noise.torque[j] * rng.normal(size=problem.total)
+        drive[:, j] += 0.0 if disturbance is None else disturbance[:, j]
     run = free_run(problem, state, drive)
     if run is None:
         raise FitError("the fitted model's own simulation diverges")
@@ -32,13 +34,14 @@ def simulate_run(problem: ExtendedProblem, state: State, rng: np.random.Generato
 
 
 def draw_replicate(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet], rng: np.random.Generator,
-             run: FreeRun | None = None) -> list[SignalSet]:
+             run: FreeRun | None = None, disturbance: FloatArray | None = None) -> list[SignalSet]:
     """One synthetic record for each stretch in `signals` of `run`, by default a new one.
 
-    Angles fall on the grid of the real encoder where it shows one; the other noise is white at the levels
-    found. Raises `FitError` as `simulate_run` does.
+    `disturbance` (N, n) is what the torque readings of driven joints do not show. Angles fall on the grid of the real
+    encoder where it shows one; the other noise is white at the levels found. Raises `FitError` as `simulate_run` does.
     """
-    run = run or simulate_run(problem, state, rng)
+    run = run or simulate_run(problem, state, rng, disturbance)
+    hidden = np.zeros_like(problem.torque) if disturbance is None else disturbance
     out = []
     noise = state.noise
     for s, where in zip(signals, np.split(np.arange(problem.total), problem.ends[:-1])):
@@ -56,12 +59,30 @@ def draw_replicate(problem: ExtendedProblem, state: State, signals: Sequence[Sig
         if noise.torque_correlation is not None:
             draws = draws @ np.linalg.cholesky(noise.torque_correlation).T
         for j in problem.mechanism.actuated:
-            torque[:, j] = run.readings[torque_of(j)][where] + noise.torque[j] * draws[:, j]
+            torque[:, j] = run.readings[torque_of(j)][where] + noise.torque[j] * draws[:, j] - hidden[where, j]
         imu = {}
         for k in range(problem.imu_count):
             for column, channel, drawn in zip(imu_columns(k), imu_channels(k), draw_imu(noise, len(where), rng, k)):
                 imu[column] = run.readings[channel][where] + drawn
         out.append(replace(s, angles=angles, torque=torque, imu=imu))
+    return out
+
+
+def draw_disturbance(problem: ExtendedProblem, state: State, rest: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """(N, n) torque that acts on the joints unmeasured [N m]: the coloured disturbance, and friction near rest.
+
+    Of the most that friction leaves open there it is the share `rest` (n,); see `estimator.likelihood.dry_friction`.
+    """
+    noise, out = state.noise, np.zeros((problem.total, problem.n))
+    for k, parameter in enumerate(problem.mechanism.parameters):
+        if parameter.term == "coulomb":
+            j = parameter.at[0]
+            level, scale = rest[j] * state.beta[k], problem.mechanism.velocity_scales[j]
+            out[:, j] += draw_held(state.x.v[:, j], float(level), float(scale), problem.ends, rng)
+    if noise.disturbance.any():
+        process, lengths = Process.of(noise, problem.dt), np.diff(problem.ends, prepend=0)
+        for j in map(int, np.flatnonzero(noise.disturbance)):
+            out[:, j] += np.concatenate([process.draw(int(count), j, rng) for count in lengths])
     return out
 
 

@@ -35,6 +35,7 @@ def test_the_model_under_which_the_runs_are_likeliest_reads_the_pivots_angle(mon
     monkeypatch.setattr(error_table, "resimulate", resimulate)
     monkeypatch.setattr(error_table, "sensors_of", lambda problem, q1: {PIVOT: q1})
     monkeypatch.setattr(error_table, "floor_errors", lambda *_: [{PIVOT: np.full(200, 1e-8)}])
+    monkeypatch.setattr(error_table, "white_noise", lambda _: None)
     monkeypatch.setattr(error_table, "_columns_of", lambda *_: ((PIVOT, np.inf),))
     monkeypatch.setattr(error_table, "_misfits", lambda fitted, _: np.array([MISFIT[f.model.name] for f in fitted]))
     models = cast(Any, [SimpleNamespace(name=name, split=split) for name in TILTED])

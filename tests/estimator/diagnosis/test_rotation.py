@@ -37,7 +37,7 @@ def table_of(*errors: tuple[float, ...]) -> ErrorTable:
     count = len(errors[0])
     return ErrorTable(COLUMNS, values, np.zeros((len(errors), count)), np.repeat(np.arange(count), 2),
                       cast(Any, tuple(range(len(errors)))),
-                      cast(Any, SimpleNamespace(reference=len(errors) - 1, reader=0)))
+                      cast(Any, SimpleNamespace(reference=len(errors) - 1, reader=0, noise=None)))
 
 
 @pytest.mark.parametrize("count", range(2, 14))
@@ -52,7 +52,7 @@ def test_of_four_neighbours_in_excitation_one_is_in_each_group() -> None:
 
 
 def turned(split: Split, table: ErrorTable, monkeypatch: pytest.MonkeyPatch) -> tuple[ErrorTable, tuple[Turn, ...]]:
-    def turn(_: object, confirm: tuple[int, ...], models: list[str], unit: int, reader: int, __: object) -> Turn:
+    def turn(_: object, confirm: tuple[int, ...], models: list[str], unit: int, reader: int, *__: object) -> Turn:
         assert unit == 1  # what the errors on the runs kept back are counted in
         assert reader == 0  # who reads the pivot's angle there
         found = table_of(*[tuple(10.0 * (m + 1) + k for k in confirm) for m in range(len(models))])

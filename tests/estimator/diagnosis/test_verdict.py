@@ -131,12 +131,11 @@ def test_each_set_of_effects_is_measured_once_by_its_likeliest_fit() -> None:
 
 
 @pytest.mark.parametrize(("before", "after", "verdict"), [
-    (9.0, 1.2, "named"), (9.0, 2.9, "named"), (9.0, 4.3, "partial"),
+    (9.0, 1.2, "named"), (9.0, 1.4, "named"), (9.0, 2.2, "partial"), (9.0, 4.3, "partial"),
     (12.1, 9.4, "unexplained"),  # a spring for long bristles: it leaves more than it takes away
     (53.0, 3.6, "named")])  # the prismatic axis: a fifteenth of the error is left
 def test_a_cause_that_leaves_much_is_named_in_part(before: float, after: float, verdict: str) -> None:
-    """Nothing without a name lowers the rest; yet more of it is left than noise and a disturbance with memory make, and
-    more than a tenth of the whole."""
+    """Nothing without a name lowers the residual error; yet it exceeds the noise floor and a tenth of the whole."""
     table = table_of(before, after)
     best = explained(900.0, "drag")
     asked = Decision("named", (best,), table, 1, (), 1, 0, best.model, table.draws(np.random.default_rng(1)))
@@ -159,6 +158,7 @@ def test_what_leaves_much_has_to_show_on_all_runs(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(verdict, "generic_extension", lambda *_: None)
     monkeypatch.setattr(verdict, "without_each", lambda *_: [])
     monkeypatch.setattr(verdict, "extend_errors", lambda table, more: table)
+    monkeypatch.setattr(verdict, "over_floor", lambda table, *_: table)
     context = cast(Any, SimpleNamespace(nominal=None))
     for table, expected in ((first, "unexplained"), (table_of(9.0, 1.2), "named")):
         monkeypatch.setattr(verdict, "measured_beside", lambda *_, table=table: table)
@@ -304,3 +304,29 @@ def test_a_leg_that_no_model_simulates_is_unexplained_and_not_undiagnosed(monkey
     context = cast(DiagnosisContext, SimpleNamespace(split=None, nominal=None))
     found = procedure.conclude(context, Diagnosis("none", ""), cast(Tests, None), [], np.random.default_rng(0))
     assert found.verdict == "unexplained" and "the free run diverges" in found.sentence and not found.causes
+
+
+@pytest.mark.parametrize(("before", "expected"), [(1.05, "none"), (1.3, "unexplained"), (1.9, "unexplained")])
+def test_within_the_noise_floor_nothing_is_unexplained(before: float, expected: str) -> None:
+    """Terms without a name take a fifth of the error away; it counts only where the error is above the floor."""
+    table = table_of(before, before, 0.8 * before)
+    best = explained(900.0, "drag")
+    asked = Decision("named", (best,), table, 1, (), 1, 2, best.model, table.draws(np.random.default_rng(1)))
+    assert judge(asked, cast(Any, best.model), MATERIAL).verdict == expected
+
+
+@pytest.mark.parametrize(("before", "expected"), [(1.4, "none"), (1.9, "unexplained")])
+def test_an_error_beyond_the_noise_floor_is_never_none(before: float, expected: str) -> None:
+    table = table_of(before, before)
+    best = explained(900.0, "drag")
+    asked = Decision("named", (best,), table, 1, (), 1, 0, best.model, table.draws(np.random.default_rng(1)))
+    assert judge(asked, None, MATERIAL).verdict == expected
+
+
+@pytest.mark.parametrize(("after", "expected"), [(1.05, "named"), (1.3, "unexplained")])
+def test_a_name_that_leaves_more_than_it_takes_away_is_refused(after: float, expected: str) -> None:
+    """A cubic spring was named a linear one: 1.53 to 1.30 times the noise floor."""
+    table = table_of(1.53, after)
+    best = explained(900.0, "spring")
+    asked = Decision("named", (best,), table, 1, (), 1, 0, best.model, table.draws(np.random.default_rng(1)))
+    assert judge(asked, None, MATERIAL).verdict == expected

@@ -1,0 +1,101 @@
+"""`noise_floor`: the noise that a rig really has: a coloured disturbance torque of each joint, and friction near rest.
+
+Free runs of replicates with this noise show how large an error is unavoidable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.diagnosis.refit import Model
+from estimator.fitting import Disturbance, MarginalLikelihood, disturbance_likelihood, find_disturbance, of_noise
+from estimator.likelihood import ExtendedProblem, Noise
+from estimator.options import FitOptions
+from estimator.prediction import repeated_share, state_columns, taken
+from estimator.signals import SignalSet
+
+SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares that are compared of the most that dry friction leaves open near rest."""
+
+
+class FloorNoise(NamedTuple):
+    """What replicates are drawn with."""
+
+    noise: Noise
+    rest: FloatArray
+    """(n,) share of the most that each joint's dry friction leaves open near rest"""
+    repeated: FloatArray
+    """(n,) share of each joint's coloured disturbance that is a function of the state: structure, which is not noise"""
+
+
+def noise_floor(model: Model) -> FloorNoise:
+    """The noise of a fitted model, of which a coloured disturbance torque and friction near rest take their parts.
+
+    All are the most likely ones at the fitted motion (`estimator.fitting.disturbance`). Where the equations cannot be
+    solved the noise is the fit's own, white.
+    """
+    try:
+        return _coloured(model)
+    except np.linalg.LinAlgError:
+        return white_noise(model)
+
+
+def _coloured(model: Model) -> FloorNoise:
+    split, state = model.split, model.state
+    signals = split.signals(split.discover)
+
+    def disturbed(parts: Sequence[SignalSet]) -> ExtendedProblem:
+        return split.problem(split.discover, model.problem.stage.angle_range, model.effects, signals=parts,
+                             disturbed=True)
+
+    likelihood = disturbance_likelihood(signals, model.problem, state, disturbed)
+    options: FitOptions = replace(split.options, noise=dict(split.known))
+    found = find_disturbance(likelihood, of_noise(state.noise), options)
+    rest = _share_near_rest(likelihood, found)
+    found = find_disturbance(likelihood, found, options)
+    repeated = _repeated(model, disturbance_likelihood(signals, model.problem, state, disturbed, np.inf), found)
+    found = found._replace(level=found.level * np.sqrt(1.0 - repeated))
+    return FloorNoise(found.put(state.noise), rest, repeated)
+
+
+def _repeated(model: Model, whole: MarginalLikelihood, found: Disturbance) -> FloatArray:
+    """(n,) share of each joint's disturbance that is a function of the state and repeats from run to run."""
+    problem, x = model.problem, model.state.x
+    e = whole.smoothed(found)
+    run = np.repeat(problem.stage.run, np.diff(problem.ends, prepend=0))
+    start = np.concatenate([[0], problem.ends[:-1]])
+    time = (np.arange(problem.total) - np.repeat(start, np.diff(problem.ends, prepend=0))) * problem.dt
+    torques = problem.torque[:, list(problem.mechanism.actuated)]
+    columns, which = state_columns(x.q, x.v, np.column_stack([torques, time]), problem.ends), taken(problem.total)
+    return np.array([repeated_share(e[which, j], columns, run[which]) if found.level[j] > 0.0 else 0.0
+                     for j in range(problem.n)])
+
+
+def _share_near_rest(likelihood: MarginalLikelihood, found: Disturbance) -> FloatArray:
+    """(n,) of SHARES the likeliest, joint after joint; the `likelihood` has them from then on."""
+    n = likelihood.problem.n
+    rest, most = np.zeros(n), likelihood.problem.stiction(likelihood.noise)
+    if most is None:
+        return rest
+    now = most.copy()
+    for j in range(n):
+        values = []
+        for share in SHARES:
+            now[:, 0, j] = share**2 * most[:, 0, j]
+            likelihood.problem = likelihood.problem.with_stiction(now.copy())
+            values.append(likelihood(found))
+        rest[j] = SHARES[int(np.argmax(values))]
+        now[:, 0, j] = rest[j] ** 2 * most[:, 0, j]
+    likelihood.problem = likelihood.problem.with_stiction(now)
+    return rest
+
+
+def white_noise(model: Model) -> FloorNoise:
+    """The fit's own noise levels, all white."""
+    none = np.zeros(model.split.mechanism.n)
+    return FloorNoise(model.state.noise, none, none)
