@@ -76,7 +76,7 @@ blind: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence blind.baselines $(BLIND_OUT)
 	$(BIN)/python -m tests.evidence blind.page $(BLIND_OUT) $(if $(PAGE),--page $(PAGE))
 
-# Plants of another make: FAMILY=servo, stickslip, small_faults (ten of them always there), pairs, or records (real ones
+# Plants of another make: FAMILY=servo, stickslip, geared, small_faults (ten of them always there), pairs, records (real
 # from ../shared/realdata with a fault put in)
 family: $(STAMP)
 	$(BIN)/python -m tests.evidence blind.family --family $(FAMILY) --seeds $(or $(SEEDS),1000-1003) \
