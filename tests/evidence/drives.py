@@ -302,10 +302,10 @@ def page(r: Results) -> str:
         out += [""]
     if "rates" in r:
         out += ["## Rates", "", "The emulator and the polling program are two processes on the real clock, with "
-                "real-time priority. A torque command goes out every 10 ms in addition to the telemetry. All rows ran "
-                "at the same time. The share of a core is the polling program's. The load average was "
+                "real-time priority. A torque command goes out every 10 ms in addition to the telemetry. Two rows ran "
+                "at a time. The share of a core is the polling program's. The load average was "
                 f"{r['rates']['load']:.1f} before and {r['rates']['load_after']:.1f} at the end, on {os.cpu_count()} "
-                "cores; these eight processes make about 2 of it. An answer that takes longer than 20 ms counts as "
+                "cores; these four processes make about 1 of it. An answer that takes longer than 20 ms counts as "
                 "lost.", "",
                 "| drive | over | minutes | samples/s | lost | share of a core | median wait [ms] | armed at the "
                 "end |", "| --- | --- | ---: | ---: | ---: | ---: | ---: | --- |"]
