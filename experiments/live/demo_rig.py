@@ -18,11 +18,12 @@ STARTED_S = 30.0
 
 
 @contextmanager
-def started_demo_rig(folder: Path) -> Iterator[Path]:
-    """The rig file of an emulated rig that is being served. Raises `WorkError` when it does not come up."""
+def started_demo_rig(folder: Path, drive: str = "legid") -> Iterator[Path]:
+    """The rig file of an emulated rig with this `drive`, while it is served. Raises `WorkError` when it does not start."""
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
     child = subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli", "emulate", "--out", str(folder), "--effect", DEFAULT, "--until-eof"],
+        [sys.executable, "-m", "experiments.cli", "emulate", "--out", str(folder), "--effect", DEFAULT,
+         "--drive", drive, "--until-eof"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, env=os.environ | {"PYTHONPATH": path})
     assert child.stdin is not None and child.stdout is not None
     try:

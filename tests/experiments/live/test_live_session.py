@@ -88,3 +88,25 @@ def test_unattended_on_purpose_goes_on_and_a_stuck_dashboard_costs_the_torque_wi
         time.sleep(1.1)  # run files are named by the second
     assert took_s < PROMISED_S, took_s
     print(f"torque zero {took_s * 1e3:.0f} ms after the dashboard got stuck")
+
+
+@pytest.mark.parametrize("kind", ["moteus", "odrive", "dynamixel"])
+def test_a_bought_drive_is_driven_from_the_dashboard(kind: str, tmp_path: Path) -> None:
+    """To the end of the plan, with a page open."""
+    with started_demo_rig(tmp_path / "rig", drive=kind) as rig:
+        t = np.arange(0.0, 2.0, 0.01)
+        write_plan(Plan(t, np.full(t.size, 0.2)), rig.parent / "short.csv")
+
+        async def run() -> Session:
+            session = Session(rig, tmp_path)
+            await driven(session, rig.parent / "short.csv")
+            while session.running:
+                session.page_heard()
+                await asyncio.sleep(0.01)
+            return session
+
+        session = asyncio.run(run())
+    assert session.phase is Phase.FINISHED, session.words
+    assert session.run_path is not None
+    frames = read_run(session.run_path).streams["/leg/telemetry"]
+    assert np.max(np.abs(frames["torque_cmd_nm"])) == pytest.approx(0.2, rel=0.1)
