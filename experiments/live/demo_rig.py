@@ -19,7 +19,7 @@ STARTED_S = 30.0
 
 @contextmanager
 def started_demo_rig(folder: Path, drive: str = "legid") -> Iterator[Path]:
-    """The rig file of an emulated rig with this `drive`, while it is served. Raises `WorkError` when it does not start."""
+    """The rig file of an emulated rig with this `drive`, while it is served. Raises `WorkError` where none starts."""
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
     child = subprocess.Popen(
         [sys.executable, "-m", "experiments.cli", "emulate", "--out", str(folder), "--effect", DEFAULT,
