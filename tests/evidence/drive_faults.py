@@ -10,6 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from daq.errors import WorkError
 from daq.recording.recorder import record_run
 from daq.rig import parse_rig
@@ -19,7 +21,7 @@ from drivers.lsm9ds1 import ImuConfig
 from experiments.emulation.plant import LegPlant
 from tests.support.device_faults import FaultyI2C, FaultyLink, FaultyWire, WireFaults
 from tests.support.drive_bench import DriveBench
-from tests.support.fault_bench import DRIVING_AT_S, PLAN, RAMP_AT_S, STOPPING_AFTER_S
+from tests.support.fault_bench import PLAN, Strikes
 
 RIG = """[mechanism]
 model = "leg2"
@@ -38,60 +40,19 @@ torque_constant_nm_per_a = 0.85
 [limits]
 unchecked = ["encoder_s"]
 """
-MOMENTS = ("arming", "ramp", "driving", "stopping")
-AT_S = {"ramp": RAMP_AT_S, "driving": DRIVING_AT_S, "stopping": DRIVING_AT_S}
 AFTER_S = 0.4
 
 
-class DriveFaultBench(DriveBench):
+class DriveFaultBench(DriveBench, Strikes):
     """One recording of a drive on virtual time; `fault` strikes once, at `moment`."""
 
     def __init__(self, kind: str, fault: Callable[[DriveFaultBench], None], moment: str, seed: int = 4) -> None:
         super().__init__(kind, LegPlant(), seed)
-        self.wire = FaultyLink(self.link, self.clock, FaultyWire(WireFaults(), self.rig_noise(seed)))
+        self.wire = FaultyLink(self.link, self.clock, FaultyWire(WireFaults(), np.random.default_rng(seed)))
         self.drive._link = self.wire  # type: ignore[attr-defined]
         self.bus = FaultyI2C(self.rig.imu, {})
-        self.struck_ns = 0
         self.said = ""
-        self._fault, self._moment = fault, moment
-        self._due_ns: float = math.inf
-        self._wrap()
-
-    def _wrap(self) -> None:
-        """The clock of the fault runs wherever the recorder reads or sends."""
-        arm, read = self.drive.arm, self.wire.read
-
-        def on_arm(watchdog_ms: int) -> None:
-            arm(watchdog_ms)
-            if self._moment == "arming":
-                self._due_ns = self.clock.now_ns()
-                self._strike()
-
-        def on_read() -> Any:
-            self._strike()
-            return read()
-
-        self.drive.arm = on_arm  # type: ignore[method-assign]
-        self.wire.read = on_read  # type: ignore[method-assign]
-
-    def _strike(self) -> None:
-        if not self.struck_ns and self.clock.now_ns() >= self._due_ns:
-            self.struck_ns = self.clock.now_ns()
-            self._fault(self)
-
-    @staticmethod
-    def rig_noise(seed: int) -> Any:
-        import numpy as np
-
-        return np.random.default_rng(seed)
-
-    def _progress(self, now_s: float, total_s: float) -> None:
-        if now_s >= AT_S.get(self._moment, math.inf) and self._due_ns == math.inf:
-            self._due_ns = self.clock.now_ns()
-            if self._moment == "stopping":
-                signal.raise_signal(signal.SIGTERM)
-                self._due_ns += STOPPING_AFTER_S * 1e9
-        self._strike()
+        self.strike_on(lambda: fault(self), moment, self.drive, self.wire)
 
     def zero_ms(self) -> float:
         """Time [ms] from the fault, or from the first torque where that came later, to the last torque that was asked

@@ -35,11 +35,12 @@ from experiments.cli import main as legid
 from experiments.emulation import LegBody, record_emulated, rig_with_drive
 from experiments.exchange import load_any_run
 from experiments.excite import random_multisine
-from tests.evidence.drive_faults import FAULTS, MOMENTS, strike
+from tests.evidence.drive_faults import FAULTS, strike
 from tests.evidence.drive_rates import at_rate
 from tests.evidence.fuzz_codecs import fuzz_dynamixel
 from tests.evidence.registry import Evidence
 from tests.support.drive_bench import DriveBench, telemetry
+from tests.support.fault_bench import MOMENTS
 
 KINDS = ["moteus", "odrive", "dynamixel"]
 ON_CAN = KINDS[:2]

@@ -191,13 +191,13 @@ def test_a_fit_of_a_fixture(name: str, folder: Path) -> None:
     same_fit(FIXTURE_CASES[name], folder)
 
 
-@pytest.mark.parametrize("verb", SHORT)
+@pytest.mark.parametrize("verb", [*SHORT, *(pytest.param(verb, marks=pytest.mark.slow) for verb in LONG)])
 def test_a_verb_on_runs_of_which_one_is_bad(verb: str, folder: Path) -> None:
     VERBS[verb](leg_with_bad_run(folder), folder)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("verb", SHORT)
+@pytest.mark.parametrize("verb", [*SHORT, *LONG])
 @pytest.mark.parametrize("name", FIXTURE_CASES)
 def test_every_verb_on_every_fixture(name: str, verb: str, folder: Path) -> None:
     VERBS[verb](FIXTURE_CASES[name], folder)
@@ -205,33 +205,11 @@ def test_every_verb_on_every_fixture(name: str, verb: str, folder: Path) -> None
 
 @pytest.mark.slow
 @needs_records
-@pytest.mark.parametrize("verb", SHORT)
+@pytest.mark.parametrize("verb", [*SHORT, *LONG])
 @pytest.mark.parametrize("name", ["axis", "pendulum", "servo", "arm"])
 def test_every_verb_on_public_records(name: str, verb: str, folder: Path) -> None:
     case = records()[name]
     VERBS[verb](with_bad_run(case, folder) if case.aside else case, folder)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("verb", LONG)
-@pytest.mark.parametrize("name", FIXTURE_CASES)
-def test_a_long_verb_on_every_fixture(name: str, verb: str, folder: Path) -> None:
-    VERBS[verb](FIXTURE_CASES[name], folder)
-
-
-@pytest.mark.slow
-@needs_records
-@pytest.mark.parametrize("verb", LONG)
-@pytest.mark.parametrize("name", ["axis", "pendulum", "servo", "arm"])
-def test_a_long_verb_on_public_records(name: str, verb: str, folder: Path) -> None:
-    case = records()[name]
-    VERBS[verb](with_bad_run(case, folder) if case.aside else case, folder)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("verb", LONG)
-def test_a_long_verb_on_runs_of_which_one_is_bad(verb: str, folder: Path) -> None:
-    VERBS[verb](leg_with_bad_run(folder), folder)
 
 
 def test_gains_effects_and_an_import(folder: Path) -> None:

@@ -37,6 +37,7 @@ rate_hz = 238.0
 watchdog_ms = 100
 """
 RAMP_AT_S, DRIVING_AT_S, STOPPING_AFTER_S = 0.06, 0.85, 0.02
+AT_S = {"ramp": RAMP_AT_S, "driving": DRIVING_AT_S, "stopping": DRIVING_AT_S}
 SWING_HZ, PEAK_NM = 1.3, 0.5
 AFTER_S = 0.3
 TIMES = np.arange(0.0, 1.5, 0.01)
@@ -54,7 +55,46 @@ class Outcome(NamedTuple):
     """What is in the run file."""
 
 
-class FaultBench:
+class Strikes:
+    """A recording on a virtual `clock` in which `fault` strikes once, at `moment`, wherever the recorder reads or
+    sends."""
+
+    clock: VirtualClock
+
+    def strike_on(self, fault: Callable[[], None], moment: str, controller: Any, link: Any) -> None:
+        """The clock of the fault runs wherever the recorder reads from `link` or arms the `controller`."""
+        self.struck_ns = 0
+        self._fault, self._moment = fault, moment
+        self._due_ns: float = math.inf
+        arm, read = controller.arm, link.read
+
+        def on_arm(watchdog_ms: int) -> None:
+            arm(watchdog_ms)
+            if moment == "arming":
+                self._due_ns = self.clock.now_ns()
+                self._strike()
+
+        def on_read() -> Any:
+            self._strike()
+            return read()
+
+        controller.arm, link.read = on_arm, on_read
+
+    def _strike(self) -> None:
+        if not self.struck_ns and self.clock.now_ns() >= self._due_ns:
+            self.struck_ns = self.clock.now_ns()
+            self._fault()
+
+    def _progress(self, now_s: float, total_s: float) -> None:
+        if now_s >= AT_S.get(self._moment, math.inf) and self._due_ns == math.inf:
+            self._due_ns = self.clock.now_ns()
+            if self._moment == "stopping":
+                signal.raise_signal(signal.SIGTERM)
+                self._due_ns += STOPPING_AFTER_S * 1e9
+        self._strike()
+
+
+class FaultBench(Strikes):
     """One recording; `fault` strikes once, at `moment`."""
 
     def __init__(self, fault: Callable[["FaultBench"], None], moment: str, limits: str = "") -> None:
@@ -71,41 +111,8 @@ class FaultBench:
         self.path = Path()
         self.disk: Any = None
         self.plan = PLAN
-        self.struck_ns = 0
-        self._fault, self._moment, self._limits = fault, moment, limits
-        self._due_ns: float = math.inf
-        self._wrap()
-
-    def _wrap(self) -> None:
-        """The clock of the fault runs wherever the recorder reads or sends."""
-        arm, read = self.controller.arm, self.link.read
-
-        def on_arm(watchdog_ms: int) -> None:
-            arm(watchdog_ms)
-            if self._moment == "arming":
-                self._due_ns = self.clock.now_ns()
-                self._strike()
-
-        def on_read() -> Any:
-            self._strike()
-            return read()
-
-        self.controller.arm = on_arm  # type: ignore[method-assign]
-        self.link.read = on_read  # type: ignore[method-assign]
-
-    def _strike(self) -> None:
-        if not self.struck_ns and self.clock.now_ns() >= self._due_ns:
-            self.struck_ns = self.clock.now_ns()
-            self._fault(self)
-
-    def _progress(self, now_s: float, total_s: float) -> None:
-        at_s = {"ramp": RAMP_AT_S, "driving": DRIVING_AT_S, "stopping": DRIVING_AT_S}.get(self._moment, math.inf)
-        if now_s >= at_s and self._due_ns == math.inf:
-            self._due_ns = self.clock.now_ns()
-            if self._moment == "stopping":
-                signal.raise_signal(signal.SIGTERM)
-                self._due_ns += STOPPING_AFTER_S * 1e9
-        self._strike()
+        self._limits = limits
+        self.strike_on(lambda: fault(self), moment, self.controller, self.link)
 
     def run(self, folder: Path) -> Outcome:
         """Record, then let the rig run on alone for a while."""
