@@ -64,13 +64,14 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
 
 
 def with_noise(found: Diagnosis, model: Model, floor: FloorNoise) -> Diagnosis:
-    """With the disturbance torques that count as noise, a warning for each that lasts longer than a sample, and one for
-    each noisy sensor."""
-    unit = model.split.mechanism.unit
-    noise = floor.noise
-    told = [f"an unmeasured torque of {noise.disturbance[j]:.2g} {unit('N m')} (rms, time constant "
-            f"{noise.time_constant[j]:.2g} s) acts at joint {j + 1}; it is no function of the state and counts as noise"
-            for j in map(int, np.flatnonzero(noise.disturbance)) if noise.time_constant[j] > model.problem.dt]
+    """With the disturbance torques that count as noise, a warning for each that is larger than the noise of a measured
+    torque and lasts longer than a sample, and one for each noisy sensor."""
+    mechanism, noise = model.split.mechanism, floor.noise
+    shunt = max((float(noise.torque[j]) for j in mechanism.actuated), default=0.0)
+    told = [f"an unmeasured torque of {level:.2g} {mechanism.unit('N m')} (rms, time constant {constant_s:.2g} s) acts at "
+            f"joint {j}; it is no function of the state and counts as noise"
+            for j, (level, constant_s) in enumerate(zip(noise.disturbance, noise.time_constant), 1)
+            if level > shunt and constant_s > model.problem.dt]
     told += [f"{in_words(channel, ratio)}; this is a finding about the sensor, not about the simulation"
              for channel, ratio in noisy_sensors(model).items()]
     return replace(found, noise={**found.noise, **disturbance_levels(noise)}, warnings=(*found.warnings, *told))
