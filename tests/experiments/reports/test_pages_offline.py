@@ -159,8 +159,13 @@ def test_two_fingers_zoom_and_two_taps_show_all(folder: Path, browser: Browser) 
 def test_errors_have_axes_of_their_own_below(folder: Path, browser: Browser) -> None:
     browser.resize(LAPTOP)
     browser.driver.get((folder / "diagnosis.html").as_uri())
-    labels = browser.js("[...document.querySelectorAll('figure.chart')].map(f => [...f.querySelectorAll('.u-legend')]"
-                        ".map(l => l.textContent))")
+
+    def drawn() -> list[list[str]]:
+        found = browser.js("[...document.querySelectorAll('figure.chart')].map(f => [...f.querySelectorAll('.u-legend')]"
+                           ".map(l => l.textContent))")
+        return found if all(found) else []
+
+    labels = browser.wait(drawn, "the figures are drawn")
     assert labels
     for upper, lower in labels:
         assert "less measured" not in upper and lower.count("less measured") == 2
