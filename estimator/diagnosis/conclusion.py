@@ -68,8 +68,8 @@ def with_noise(found: Diagnosis, model: Model, floor: FloorNoise) -> Diagnosis:
     torque and lasts longer than a sample, and one for each noisy sensor."""
     mechanism, noise = model.split.mechanism, floor.noise
     shunt = max((float(noise.torque[j]) for j in mechanism.actuated), default=0.0)
-    told = [f"an unmeasured torque of {level:.2g} {mechanism.unit('N m')} (rms, time constant {constant_s:.2g} s) acts at "
-            f"joint {j}; it is no function of the state and counts as noise"
+    told = [f"an unmeasured torque of {level:.2g} {mechanism.unit('N m')} (rms, time constant {constant_s:.2g} s) acts "
+            f"at joint {j}; it is no function of the state and counts as noise"
             for j, (level, constant_s) in enumerate(zip(noise.disturbance, noise.time_constant), 1)
             if level > shunt and constant_s > model.problem.dt]
     told += [f"{in_words(channel, ratio)}; this is a finding about the sensor, not about the simulation"
@@ -213,6 +213,8 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
                                             for a, b, c in zip(*errors))
     spread = {k: float(np.var(np.concatenate([t.measured[k] for t in traces]))) for k in blocks}
     table = {k: np.minimum(v, spread[k]) for k, v in blocks.items()}  # a simulation that strays knows nothing more
+    for v in table.values():  # noise leaves no more than a model of the same runs errs
+        v[:, 2] *= min(1.0, float(v[:, :2].mean(axis=0).min()) / max(float(v[:, 2].mean()), 1e-300))
     sensors = {k: SensorGain(*(float(np.sqrt(m)) for m in v.mean(axis=0))) for k, v in table.items()}
     closed = _closed(table, np.arange(len(next(iter(table.values())))))
     count = len(next(iter(table.values())))

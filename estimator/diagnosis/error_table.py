@@ -133,12 +133,13 @@ def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.
     floor, moments = (np.average(of, axis=0, weights=lengths) for of in ([p.floor for p in parts],
                                                                          [p.moments for p in parts]))
     bound = moments[1] - moments[0] ** 2
-    floor = np.minimum(floor, bound)
     misfits = np.stack([p.misfits for p in parts], axis=-1)
     reader = int(np.argmin(misfits.sum(axis=1)[could]))
+    squares = np.concatenate([p.squares[reader] for p in parts], axis=1)
+    floor = _least(floor, np.minimum(squares, bound))
     unit = Unit(reference, drawn, floor, models[could[reader]], tuple(p.pivots[reader] for p in parts), bound,
                 misfits[0])
-    return ErrorTable(_columns_of(reference), _bounded([p.squares[reader] for p in parts], floor, bound),
+    return ErrorTable(_columns_of(reference), _bounded([squares], floor, bound),
                       misfits[0] - misfits, np.repeat(np.arange(len(parts)), lengths), tuple(models), unit)
 
 
@@ -172,8 +173,16 @@ def with_floor(table: ErrorTable, noise: FloorNoise, seeds: NDArray[np.int64]) -
 
     parts = parallel_map(measured, len(split.confirm), split.workers)
     lengths = np.bincount(table.runs, minlength=len(parts))
-    floor = np.minimum(np.average(parts, axis=0, weights=lengths), unit.bound)
+    floor = _least(np.average(parts, axis=0, weights=lengths), table.values * unit.floor)
     return replace(table, values=table.values * (unit.floor / floor), unit=replace(unit, noise=noise, floor=floor))
+
+
+def _least(floor: FloatArray, squares: FloatArray) -> FloatArray:
+    """(C,) the floor, at most the least mean of the models' `squares` (M, B, C).
+
+    Noise leaves no more than a model of the same runs errs.
+    """
+    return np.asarray(np.fmin(floor, np.fmin.reduce(squares.mean(axis=1))))
 
 
 def _floor(fitted: SmoothedRun, seed: np.int64, noise: FloorNoise) -> FloatArray:

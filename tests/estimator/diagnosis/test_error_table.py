@@ -46,3 +46,9 @@ def test_the_model_under_which_the_runs_are_likeliest_reads_the_pivots_angle(mon
     assert [table.error(k) for k in range(3)] == pytest.approx([1.0, 1.0, 101.0], rel=1e-3)
     told = error_table.measure_errors(models, models[2], seeds, [2])  # who may not read does not
     assert [told.error(k) for k in range(3)] == pytest.approx([99.0, 99.0, 1.0], rel=1e-3)
+
+
+def test_noise_leaves_no_more_than_a_model_of_the_same_runs_errs() -> None:
+    """On the demo's leg the floor of the pivot's angle was four times the extended model's error."""
+    squares = np.array([[[9.0, 4.0], [9.0, 4.0]], [[1.0, 4.0], [3.0, 4.0]], [[np.nan, 8.0], [1.0, 8.0]]])
+    assert error_table._least(np.array([5.0, 1.0]), squares).tolist() == [2.0, 1.0]

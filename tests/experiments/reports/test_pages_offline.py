@@ -161,8 +161,9 @@ def test_errors_have_axes_of_their_own_below(folder: Path, browser: Browser) -> 
     browser.driver.get((folder / "diagnosis.html").as_uri())
 
     def drawn() -> list[list[str]]:
-        found = browser.js("[...document.querySelectorAll('figure.chart')].map(f => [...f.querySelectorAll('.u-legend')]"
-                           ".map(l => l.textContent))")
+        found: list[list[str]] = browser.js(
+            "[...document.querySelectorAll('figure.chart')].map(f => [...f.querySelectorAll('.u-legend')]"
+            ".map(l => l.textContent))")
         return found if all(found) else []
 
     labels = browser.wait(drawn, "the figures are drawn")
