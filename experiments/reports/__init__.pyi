@@ -1,3 +1,5 @@
+from .change import change_document as change_document
+from .change import change_text as change_text
 from .chart import Line as Line
 from .comparison import Comparison as Comparison
 from .comparison import HorizonError as HorizonError

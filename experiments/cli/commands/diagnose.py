@@ -41,6 +41,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="give a parameter, as runs without a torque need for their scale; may be repeated")
     parser.add_argument("--reference", metavar="MODEL.json",
                         help="an earlier model of this rig: parameters that changed are reported, a payload for one")
+    parser.add_argument("--against", metavar="REFERENCE", nargs="+", default=[],
+                        help="earlier runs of this rig, or folders of them: say what changed since")
     parser.set_defaults(run=run)
 
 
@@ -60,6 +62,8 @@ def run(args: argparse.Namespace) -> int:
     from experiments.session import contradictions, prepare
     from experiments.workflows import diagnose_prepared, reference_values
 
+    if args.against:
+        return _run_against(args)
     chosen = chosen_rig(args, args.runs)
     rig = chosen.rig
     origin = origin_of(args.runs, chosen.source, args.reference, args.seed, command=command_line())
@@ -86,4 +90,36 @@ def run(args: argparse.Namespace) -> int:
     if args.model_out:
         model = diagnosed_model(found, setup, rig.motor.gear_ratio)
         save_model(model_with_origin(model, origin, setup.datasets), args.model_out)
+    return 0
+
+
+def _run_against(args: argparse.Namespace) -> int:
+    """Say what changed since the reference runs. Raises `WorkError` with the verdict fit_failed."""
+    from daq import InputError, WorkError
+    from experiments.console import command_line, write_json
+    from experiments.provenance import origin_of, source_of
+    from experiments.reports import change_document, change_text, with_origin
+    from experiments.workflows import find_change, runs_in
+
+    for option, given in (("--html", args.html), ("--model-out", args.model_out), ("--reference", args.reference),
+                          ("--fix", args.fix)):
+        if given:
+            raise InputError(option, "does not go with --against", "leave it out; --json holds the whole answer")
+    runs, against = runs_in(args.runs), runs_in(args.against)
+    for path in against:
+        if path.endswith(".json"):
+            raise InputError(path, "is no run; a model does not hold how much its runs scatter",
+                             "give the runs that it was fitted to")
+    chosen = chosen_rig(args, runs)
+    origin = origin_of(runs, chosen.source, command=command_line())
+    found = find_change(runs, against, chosen.rig, args.damaged)
+    if found.change.verdict != "fit_failed":
+        print(change_text(found.change), flush=True)
+    if args.json:
+        document = change_document(found.change)
+        document["set_aside"] = [run.document for run in found.prepared.set_aside]
+        document["against"]["sources"] = [{"file": s.file, "sha256": s.sha256} for s in map(source_of, against)]
+        write_json(args.json, with_origin(document, origin, found.prepared.setup.datasets))
+    if found.change.verdict == "fit_failed":
+        raise WorkError(found.change.sentence)
     return 0

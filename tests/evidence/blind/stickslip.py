@@ -80,7 +80,7 @@ def make_case(name: str, seed: int, out: Path, strength: float = 1.0) -> None:
     leg = replace(random_leg(rng), coulomb=(0.005 + 0.1 * dry, dry))
 
     def logged(run: int) -> Readings:
-        readings = _read(move(leg, rng, seconds=SECONDS, closed=run % 2 == 1, high=(3.0, 2.0, 1.2, 2.5)[run // 2]))
+        readings = as_read(move(leg, rng, seconds=SECONDS, closed=run % 2 == 1, high=(3.0, 2.0, 1.2, 2.5)[run // 2]))
         change(readings)
         return {k: v[:: round(1.0 / (RATE_HZ * TICK_S))] for k, v in readings.items()}
 
@@ -88,7 +88,7 @@ def make_case(name: str, seed: int, out: Path, strength: float = 1.0) -> None:
     write_case(name, seed, out, map(logged, range(RUNS)), rng, leg, "", hidden, dry)
 
 
-def _read(motion: Motion) -> Readings:
+def as_read(motion: Motion) -> Readings:
     """What faultless sensors would read at every tick."""
     q1, q2, w, _, a, u0, u1 = motion.rows.T
     lever = motion.leg.lever

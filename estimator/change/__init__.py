@@ -1,0 +1,6 @@
+"""What changed on a rig, against runs of the same rig: the rig is its own reference."""
+
+from estimator.change.detect import detect_change
+from estimator.change.result import Change, ChangedCause, ChangeVerdict, Detectable, HeldOut, Size
+
+__all__ = ["Change", "ChangeVerdict", "ChangedCause", "Detectable", "HeldOut", "Size", "detect_change"]

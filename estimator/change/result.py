@@ -1,0 +1,75 @@
+"""`Change`: what differs between test runs and reference runs of one rig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+ChangeVerdict = Literal["no_change", "named", "partial", "one_of", "changed_unexplained", "fit_failed"]
+
+
+@dataclass(frozen=True)
+class Size:
+    """Change of one size with its 95 % interval."""
+
+    name: str
+    unit: str
+    value: float
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Gain on test runs that did not choose the cause or its size."""
+
+    runs: tuple[str, ...]
+    gain: tuple[float, ...]
+    """Fall of -2 log likelihood of each run, to second order; positive where the cause predicts the run better."""
+
+
+@dataclass(frozen=True)
+class ChangedCause:
+    """One change that accounts for the difference, alone or with others."""
+
+    effect: str
+    joint: int | None
+    """1-based; of a payload the link it sits on; None for the whole rig."""
+    sentence: str
+    size: tuple[Size, ...]
+    p_value: float
+    """Over all candidates tried."""
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """Smallest change of one effect that these runs would have shown."""
+
+    effect: str
+    joint: int | None
+    name: str
+    unit: str
+    size: float
+    """Infinite where no run shows it. Found with probability 0.8 at the level of the verdict."""
+    p_value: float
+    """Of this candidate by itself, over all candidates tried."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """The whole answer."""
+
+    verdict: ChangeVerdict
+    sentence: str
+    causes: tuple[ChangedCause, ...] = ()
+    detectable: tuple[Detectable, ...] = ()
+    held_out: HeldOut | None = None
+    scatter: float = 1.0
+    """Median variance of the scores between runs of one session over that of white noise."""
+    p_any: float = 1.0
+    """Probability of the strongest candidate under no change, over all candidates tried."""
+    not_testable: tuple[tuple[str, str], ...] = ()
+    """(effect, why)"""
+    reference: tuple[str, ...] = ()
+    test: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    wall_s: float = 0.0

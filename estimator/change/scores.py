@@ -1,0 +1,95 @@
+"""Score and information of every run at one reference model, over its parameters and every effect of the library."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import Dataset, FloatArray
+from estimator.effects import battery, library
+from estimator.errors import FitError
+from estimator.fitting import between_samples, free_mask, iterate, noise_floors, start_state
+from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage, State
+from estimator.model import Mechanism
+from estimator.numerics import eliminate
+from estimator.options import FitOptions
+from estimator.prediction import smooth_under
+from estimator.signals import SignalSet, split_signals
+
+
+@dataclass(frozen=True)
+class ReferenceFit:
+    """The nominal model of the reference runs."""
+
+    mechanism: Mechanism
+    options: FitOptions
+    beta: FloatArray
+    """(p,)"""
+    free: NDArray[np.bool_]
+    """(p,)"""
+    noise: Noise
+    angle_range: FloatArray
+    """(n, 2)"""
+    gear_ratio: float
+    candidates: tuple[Candidate, ...]
+    """Of the library, then terms without a name."""
+    named: int
+    """The first so many candidates are of the library."""
+    refused: dict[str, str]
+
+
+@dataclass(frozen=True)
+class RunScore:
+    """Of one run at the reference model, its motion eliminated; parameters first, then candidates."""
+
+    score: FloatArray
+    """(m,)"""
+    information: FloatArray
+    """(m, m)"""
+
+
+def fit_reference(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float
+                  ) -> ReferenceFit:
+    """The model that all reference runs share. Raises `FitError` where the fit does not converge."""
+    hold, mechanism = between_samples(datasets, mechanism, options)
+    options = replace(options, hold=hold, rounding="given")
+    signals = split_signals(datasets, mechanism, options)
+    problem = _problem(signals, mechanism, hold, np.zeros((mechanism.n, 2)), gear_ratio)
+    free, beta = free_mask(mechanism, options)
+    state = start_state(problem, signals, mechanism, options, free, beta)
+    state = iterate(problem, state, free, options, noise_floors(problem, mechanism, state.beta))
+    if not state.converged:
+        raise FitError("the fit of the reference runs did not converge")
+    imu, encoders = options.sensors == "imu", options.encoders_of(mechanism.n)
+    effects, refused = library(mechanism, imu, encoders)
+    candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
+    unnamed = [Candidate(e) for e in battery(mechanism, imu, encoders)]
+    reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
+    return ReferenceFit(mechanism, options, state.beta, free, state.noise.levels(), reach, gear_ratio,
+                        (*candidates, *unnamed), len(candidates), refused)
+
+
+def score_run(fit: ReferenceFit, data: Dataset) -> RunScore:
+    """At the likeliest motion of the run under the reference model and its noise. Raises `FitError`."""
+    m, options = fit.mechanism, fit.options
+    signals = split_signals([data], m, options)
+    problem = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio)
+    begin = start_state(problem, signals, m, options, np.zeros(m.p, dtype=bool), fit.beta)
+    state = smooth_under(problem, State(begin.x, fit.beta.copy(), fit.noise, np.zeros((m.p, m.p))))
+    wide = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio, fit.candidates)
+    point = wide.linearise(state.x, state.beta, state.noise)
+    product = eliminate(point.chain).product()
+    score, information = product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:]
+    if not (np.isfinite(score).all() and np.isfinite(information).all()):
+        raise FitError(f"{data.name}: the reference model cannot follow this run")
+    return RunScore(score, information)
+
+
+def _problem(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, angle_range: FloatArray,
+             gear_ratio: float, candidates: Sequence[Candidate] = ()) -> ExtendedProblem:
+    begin = tuple(float(s.time_s[0] - signals[0].time_s[0]) for s in signals)
+    stage = Stage((0,) * len(begin), begin, begin, angle_range, gear_ratio)
+    return ExtendedProblem(signals, mechanism, hold, stage, (), candidates)
