@@ -23,6 +23,8 @@ from estimator.likelihood import (
     Process,
     State,
     effective_samples,
+    find_smoothing,
+    find_stiction,
     unit_scale,
 )
 from estimator.numerics import Swept, eliminate, pseudo_inverse
@@ -93,7 +95,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     for iteration in range(limit):
         state.iterations = iteration + 1
         if finds_stiction and (iteration < REST_STEPS or found_smoothing):
-            stiction = problem.find_stiction(state.x.v, state.beta, one_per_crossing)
+            stiction = find_stiction(problem, state.x.v, state.beta, one_per_crossing)
             state.noise = replace(state.noise, stiction=stiction)
         predicted = None if state.misfit is None else MARGIN * problem.total * state.misfit
         if index.size:
@@ -132,7 +134,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
             found_smoothing = False
             if seeks_smoothing and iteration >= ROUGH_STEPS:
                 spread = np.einsum("kii->ki", solved.inverse_diagonal())[:, 2 * problem.n : 3 * problem.n]
-                found = problem.find_smoothing(state.x, state.beta, state.noise, residuals["torque"], spread)
+                found = find_smoothing(problem, state.x, state.beta, state.noise, residuals["torque"], spread)
                 same = np.array_equal(found, problem.mechanism.velocity_scales)
                 state.smoothing, problem = found, problem.smoothed_over(found)
                 found_smoothing = same or iteration + 1 >= REST_STEPS
