@@ -10,12 +10,13 @@ import numpy as np
 from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext, Explanation
 from estimator.diagnosis.decision_rule import COMPARED, HOPELESS
-from estimator.diagnosis.refit import Model, deviance, log_volume, misfit, misfit_by_run, refit
+from estimator.diagnosis.refit import Model, deviance, misfit, misfit_by_run, refit
 from estimator.diagnosis.score_statistics import Tests
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.likelihood import State
 from estimator.parallel import parallel_map
+from estimator.prediction import log_volume
 
 Start = list[tuple[Effect, FloatArray]]
 """Effects with the sizes at which a fit begins."""
