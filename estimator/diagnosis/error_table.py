@@ -98,7 +98,6 @@ class Measured(NamedTuple):
     """(M,)"""
     pivots: FloatArray
     """(readers, N)"""
-    stiction: FloatArray | None
 
 
 def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.int64],
@@ -123,12 +122,9 @@ def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.
         floor = floor_of(reference, run, fitted[best], seeds[k], HORIZONS_S, drawn).mean(axis=-1).ravel()
         squares, moments = _squares(sensors_of(reference), fitted[: len(models)], pivots)
         return Measured(squares, floor, moments,
-                        _misfits(fitted, reference)[: len(models)], pivots, split.stiction.get(run))
+                        _misfits(fitted, reference)[: len(models)], pivots)
 
     parts = parallel_map(measured, len(split.confirm), split.workers)
-    for run, part in zip(split.confirm, parts):  # another process found it; later rows are to have the same weights
-        if part.stiction is not None:
-            split.stiction.setdefault(run, part.stiction)
     lengths = [p.squares.shape[2] for p in parts]
     floor, moments = (np.average(of, axis=0, weights=lengths) for of in ([p.floor for p in parts],
                                                                          [p.moments for p in parts]))

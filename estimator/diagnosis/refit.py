@@ -97,12 +97,30 @@ def fit_nominal(split: RunSplit) -> Model:
     rest = blank.stiction(state.noise)
     if not np.isfinite(state.beta).all() or rest is None or not np.isfinite(state.x.q).all():
         raise FitError("the nominal fit leads nowhere, so nothing can be said about what it leaves over")
-    split.keep_stiction(split.discover, rest)
+    lengths = [sum(len(s.time_s) for s in split.runs[i]) for i in split.discover]
+    split = split.with_stiction(dict(zip(split.discover, np.split(rest, np.cumsum(lengths)[:-1]))))
     state = settle_motion(blank.with_stiction(rest), replace(state, noise=state.noise.levels()), SETTLE_STEPS)
     if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    return Model(split, (), state, split.problem(split.discover, angle_range))
+    found = Model(split, (), state, split.problem(split.discover, angle_range))
+    return replace(found, split=split.with_stiction(stiction_of_confirm(found)))
+
+
+def stiction_of_confirm(model: Model) -> dict[int, FloatArray]:
+    """Confirm run to `Noise.stiction` as the model has it, of runs of which it is not known; without those that it
+    cannot be fitted to."""
+    unknown = [run for run in model.split.confirm if run not in model.split.stiction]
+
+    def found(k: int) -> FloatArray | None:
+        try:
+            one = smooth(model, unknown[k])
+        except FitError:
+            return None
+        return one.problem.stiction(one.state.noise)
+
+    parts = parallel_map(found, len(unknown), model.split.workers)
+    return {run: part for run, part in zip(unknown, parts) if part is not None}
 
 
 def begin_afresh(nominal: Model) -> Model:
@@ -200,8 +218,6 @@ def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequen
         start = begin.x
     state = smooth_under(problem, replace(model.state, x=start), near=signals is not None)
     rest = problem.stiction(state.noise)
-    if signals is None:
-        split.keep_stiction([run], rest)
     return SmoothedRun(split.names[run], tuple(own), problem.with_stiction(rest),
                        replace(state, noise=state.noise.levels()))
 

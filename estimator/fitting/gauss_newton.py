@@ -85,7 +85,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     is one draw a sample. `levels_by_run`: runs may have noise levels of their own. Stiction that neither the problem
     nor the state knows is found on the way. Raises `FitError`.
     """
-    state, problem = replace(state), problem.smoothed_over(state.smoothing)
+    state, problem = replace(state, converged=False), problem.smoothed_over(state.smoothing)
     index = np.flatnonzero(free)
     settled, share, lowest, change, objective = 0, 1.0, np.inf, 0.0, np.inf
     before = np.zeros(index.size)
