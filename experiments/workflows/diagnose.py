@@ -35,6 +35,9 @@ def diagnose_prepared(prepared: Prepared, seed: int = 0, reference: Mapping[str,
                          "diagnose with one [[imu]] in a copy of the rig file, and encoders of the other joints")
     require_one_rig(setup.datasets)
     require_alike(setup.datasets)
+    if setup.options.prior:
+        notes = (*notes, "[prior] is not used: a diagnosis judges the model by these runs alone")
+        setup = replace(setup, options=replace(setup.options, prior={}))
     setup = without_benchmark(setup)
     try:
         require_sound(setup)
