@@ -48,6 +48,7 @@ from experiments.reports.diagnosis_text import (
     size_text,
 )
 from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, write_page
+from experiments.reports.next_step import next_step
 from experiments.reports.numbers import normal, number
 from experiments.reports.origin import origin_section
 from experiments.reports.sketch import sketch_section
@@ -87,7 +88,8 @@ WORDS: dict[Verdict, str] = {
 def verdict_box(found: Diagnosis, warnings: Sequence[str] = ()) -> VerdictBox:
     """The answer and every warning, for the head of a page."""
     words = verdict_words(found.verdict)
-    return VerdictBox(LEVELS[found.verdict], f"{words[:1].upper()}{words[1:]}", [found.sentence],
+    return VerdictBox(LEVELS[found.verdict], f"{words[:1].upper()}{words[1:]}",
+                   [found.sentence, f"Next step: {next_step(found)}"],
                    [f"Warning: {text}" for text in (*warnings, *found.warnings)])
 
 
