@@ -75,8 +75,9 @@ def check_sound(result: FitResult, for_model: bool) -> None:
     if result.inadmissible:
         why = "; ".join(result.inadmissible)
         raise WorkError(f"these parameters are no mechanism's: {why}; "
-                        + ("; or ".join(result.remedies) or "check signs and units of the columns, "
-                           "gravity and the joints under [mechanism], and that every run is of this rig"))
+                        + ("; or ".join(result.remedies) or "no sign, unit, order or gear of a "
+                           "column that was tried makes a mechanism of them: check gravity and the joints under "
+                           "[mechanism], and fit each run by itself with --each"))
     if missing and for_model:
         raise WorkError(f"no model was written: {missing}; record richer motion, or give parameters with "
                         "--fix NAME=VALUE")
