@@ -115,5 +115,5 @@ def fit_text(result: FitResult, model: str) -> str:
     lines += [f"warning: {text}" for text in (*result.inadmissible, *result.warnings)]
     lines += [f"assumed: {text}" for text in result.assumptions]
     if advice := measure_sentence(result):
-        lines.append(f"measure next: {advice}")
+        lines.append(f"next: {advice}")
     return "\n".join(lines)
