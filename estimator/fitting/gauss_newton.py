@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.errors import FitError
 from estimator.fitting.correlated_levels import correlation_of, excess_variance
+from estimator.fitting.prior import Prior, prior_at
 from estimator.fitting.run_levels import renewed
 from estimator.likelihood import (
     LatentProblem,
@@ -100,6 +101,8 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         predicted = None if state.misfit is None else MARGIN * problem.total * state.misfit
         if index.size:
             point = problem.linearise(state.x, state.beta, state.noise, predicted_misfit=predicted)
+            if options.prior:
+                point = with_prior(point, prior_at(problem.mechanism, options.prior, state.beta[: problem.mechanism.p]))
         else:
             point = problem.motion_equations(state.x, state.beta, state.noise)
         try:
@@ -157,6 +160,15 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
             state.converged = True
             break
     return state
+
+
+def with_prior(point: Linearised, prior: Prior) -> Linearised:
+    """The normal equations at `point` with those of a prior of its first p parameters."""
+    p = prior.gradient.size
+    corner, gradient = point.corner.copy(), point.gradient_beta.copy()
+    corner[:p, :p] += prior.information
+    gradient[:p] += prior.gradient
+    return replace(point, objective=point.objective + prior.objective, corner=corner, gradient_beta=gradient)
 
 
 def newton_step(point: Linearised, solved: Swept, index: NDArray[np.intp]

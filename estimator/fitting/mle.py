@@ -31,6 +31,7 @@ from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
+from estimator.fitting.prior import Known, prior_at, prior_values
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
 from estimator.fitting.run_levels import run_noise
 from estimator.fitting.run_scatter import agreement_of
@@ -69,7 +70,8 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         floors = noise_floors(problem, mechanism, state.beta)
         state, skew, found = _with_skew(problem, state, signals, free, options, floors, bound_s)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
-    result = _with_agreement(result, problem, signals, state, free, skew)
+    result = _with_agreement(result, problem, signals, state, free, skew, options.prior)
+    result = replace(result, prior=prior_values(result.mechanism, options.prior, result.beta, result.covariance))
     result = replace(result, wall_s=time.perf_counter() - start)
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
@@ -182,7 +184,7 @@ def _skewed(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, distu
 
 
 def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
-                    free: NDArray[np.bool_], skew: float | None) -> FitResult:
+                    free: NDArray[np.bool_], skew: float | None, prior: Known) -> FitResult:
     """`result` with what its runs disagree about in its covariance. A fit that did not converge has no optimum to
     ask at."""
     if not result.converged:
@@ -192,7 +194,8 @@ def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[Sig
     try:
         scores = score_runs(signals, lambda own: make(own, result.mechanism, result.hold, problem.disturbed), problem,
                             state, beta)
-        covariance, agreement = agreement_of(scores, beta, result.covariance, free)
+        known = prior_at(result.mechanism, prior, result.beta).information if prior else None
+        covariance, agreement = agreement_of(scores, beta, result.covariance, free, known)
     except np.linalg.LinAlgError:  # a run that alone determines nothing at all
         return result
     return replace(result, covariance=covariance, agreement=agreement)

@@ -20,6 +20,7 @@ from experiments.models import (
     fitted_settings,
 )
 from experiments.provenance import program_version
+from experiments.reports.next_step import next_step
 from experiments.session import SetAside, Setup
 
 SCHEMA = "legid.diagnosis/1"
@@ -58,7 +59,8 @@ def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = ()) -> dict
         "not_testable": [{"effect": effect, "joint": contract_joint(effect, joint), "why": why}
                          for effect, joint, why in untestable(found)],
         "runs": {group: list(found.runs.get(group, ())) for group in ("fit", "screen", "confirm")},
-        "warnings": list(found.warnings), "next_experiment": found.next_experiment, "wall_s": found.wall_s,
+        "warnings": list(found.warnings), "next_experiment": found.next_experiment,
+        "next_step": next_step(found), "wall_s": found.wall_s,
         "set_aside": [run.document for run in aside],
     }
 
