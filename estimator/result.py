@@ -213,6 +213,8 @@ class FitResult:
     second_opinion: SecondOpinion | None = None
     """Of a method that fails differently. None: not asked, or it came to no end."""
     prior: tuple[PriorValue, ...] = ()
+    prior_conflict: float = 0.0
+    """Standard deviations, by known value, by which the runs are likelier without the prior."""
     """What was known before the fit, which is then a maximum a posteriori; empty: a maximum likelihood."""
 
     @property

@@ -16,7 +16,6 @@ from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.likelihood import State
 from estimator.parallel import parallel_map
-from estimator.prediction import log_volume
 
 Start = list[tuple[Effect, FloatArray]]
 """Effects with the sizes at which a fit begins."""
@@ -131,7 +130,7 @@ def compare_fits(context: DiagnosisContext, models: Sequence[Model], keep: Seque
     those to `keep` in any case."""
     if not models:
         return []
-    noise = min((m.state.noise for m in models), key=lambda s: log_volume(context.nominal.problem, s))
+    noise = min((m.state.noise for m in models), key=lambda s: context.nominal.problem.log_volume(s))
     models = sorted(models, key=deviance)
     models = [*models[:COMPARED], *(m for m in models[COMPARED:] if any(m is f for f in keep))]
     every = [context.nominal, *models]

@@ -25,7 +25,7 @@ from estimator.fitting import (
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
-from estimator.prediction import SmoothedRun, draw_replicate, log_volume, per_value, simulate_run, smooth_under
+from estimator.prediction import SmoothedRun, draw_replicate, per_value, simulate_run, smooth_under
 from estimator.signals import SignalSet
 
 SETTLE_STEPS = 15
@@ -191,7 +191,7 @@ def misfit_by_run(model: Model) -> FloatArray:
 
 def deviance(model: Model) -> float:
     """-2 log likelihood under the model's own noise levels, up to a constant that all models of these runs share."""
-    return misfit(model) + 2.0 * log_volume(model.problem, model.state.noise)
+    return misfit(model) + 2.0 * model.problem.log_volume(model.state.noise)
 
 
 def run_states(model: Model) -> list[State]:

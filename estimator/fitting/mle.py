@@ -44,6 +44,8 @@ from estimator.options import AUTO, FitOptions
 from estimator.result import TWO_SIDED, FitResult, Trajectory
 from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals
 
+CONFLICT_STEPS = 20
+"""Steps without a prior, from the fit with it, that show whether the runs contradict it."""
 DISTURBANCE_ROUNDS = 3
 """Most times that levels of the disturbance are sought anew at the motion and parameters that followed from them."""
 
@@ -71,7 +73,8 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         state, skew, found = _with_skew(problem, state, signals, free, options, floors, bound_s)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
     result = _with_agreement(result, problem, signals, state, free, skew, options.prior)
-    result = replace(result, prior=prior_values(result.mechanism, options.prior, result.beta, result.covariance))
+    known = prior_values(result.mechanism, options.prior, result.beta, result.covariance)
+    result = replace(result, prior=known, prior_conflict=_conflict(problem, state, result, free, options))
     result = replace(result, wall_s=time.perf_counter() - start)
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
@@ -88,6 +91,29 @@ def rounding_words(stated: Mechanism, found: Mechanism) -> str | None:
     told = " and ".join(f"{found.velocity_scales[j]:.2g} {found.length_unit}/s at joint {j + 1}" for j in wider)
     return (f"dry friction takes its full level not at once, but over about {told}: the likeliest; near rest its "
             "torque is taken as unknown, once a passage")
+
+
+def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDArray[np.bool_], options: FitOptions
+              ) -> float:
+    """Standard deviations by which prior and runs disagree: root of the fall of -2 log p without the prior, by known
+    value, over the scatter between runs; 0 without a prior.
+
+    A prior that is far off is paid for with noise, beside which no single value seems wrong.
+    """
+    if not options.prior:
+        return 0.0
+    floors, begin = noise_floors(problem, result.mechanism, state.beta), replace(state, noise=state.noise.levels())
+    try:
+        both = [iterate(problem, begin, free, each, floors, CONFLICT_STEPS)
+                for each in (options, replace(options, prior={}))]
+    except FitError:
+        return 0.0
+    known, alone = (problem.motion_equations(s.x, s.beta, s.noise).objective + 2.0 * problem.log_volume(s.noise)
+                    for s in both)
+    fall = known + prior_at(result.mechanism, options.prior, both[0].beta[: result.mechanism.p]).objective - alone
+    scatter = result.covariance.diagonal() / np.maximum(state.covariance.diagonal()[: result.mechanism.p], 1e-300)
+    spread = max(1.0, float(np.median(scatter[free]))) if free.any() else 1.0
+    return float(np.sqrt(max(fall, 0.0) / (len(options.prior) * spread)))
 
 
 def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],

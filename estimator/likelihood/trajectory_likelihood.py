@@ -128,6 +128,13 @@ class LatentProblem:
         """(N, 2, n) in force: what is known beforehand, else what a search found."""
         return noise.stiction if self.known_stiction is None else self.known_stiction
 
+    def log_volume(self, noise: Noise) -> float:
+        """Sum over samples of the log standard deviations of all channels."""
+        levels = [*noise.torque, *noise.encoder[np.isfinite(noise.encoder)]]
+        if self.has_imu:
+            levels += [*noise.gyro, *noise.accel.ravel()]
+        return self.total * float(np.sum(np.log(levels)))
+
     def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None,
                   predicted_misfit: FloatArray | None = None) -> Linearised:
         """Residuals, Gauss-Newton blocks and border at (x, beta); columns of `extra` follow those of beta.

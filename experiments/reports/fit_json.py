@@ -43,6 +43,7 @@ def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, An
                        for p, value, std, (low, high) in rows],
         "prior": [{"name": one.name, "value": one.value, "std": one.std, "fitted": one.fitted,
                    "fitted_std": one.fitted_std, "contradiction": one.contradiction} for one in result.prior],
+        "prior_conflict": result.prior_conflict,
         "measure_next": None if (advice := next_measurement(result)) is None else advice.document,
         "noise": noise_document(result.noise),
         "noise_by_run": _by_run(result),

@@ -24,9 +24,13 @@ def prior_sentence(result: FitResult) -> str:
 
 def contradictions_of(result: FitResult) -> list[str]:
     """One sentence for each known value that the runs contradict."""
-    return [f"the runs contradict [prior] {one.name} = {one.value:.4g} +- {one.std:.2g} by {one.contradiction:.1f} "
-            f"standard deviations (after the fit {one.fitted:.4g}): measure it again, or take it out"
-            for one in result.prior if one.contradiction > CONTRADICTS]
+    found = [f"the runs contradict [prior] {one.name} = {one.value:.4g} +- {one.std:.2g} by {one.contradiction:.1f} "
+             f"standard deviations (after the fit {one.fitted:.4g}): measure it again, or take it out"
+             for one in result.prior if one.contradiction > CONTRADICTS]
+    if not found and result.prior_conflict > CONTRADICTS:
+        found = [f"the runs contradict [prior] by {result.prior_conflict:.1f} standard deviations a value, for without "
+                 "it they are likelier: check its values and units"]
+    return found
 
 
 def prior_rows(result: FitResult) -> list[list[str]]:

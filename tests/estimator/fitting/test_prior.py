@@ -78,6 +78,15 @@ def test_what_runs_say_of_a_known_value_is_told_apart_from_the_prior() -> None:
     assert (mass.fitted, mass.fitted_std, mass.contradiction) == pytest.approx((2.0, 0.1, 0.0), abs=1e-3)
 
 
+def test_a_value_that_is_far_off_is_told_though_the_fit_follows_it() -> None:
+    """Kilograms for grams: 100 standard deviations. The noise grows, and no single value seems wrong beside it."""
+    options = FitOptions(sensors="imu")
+    true = LEG.beta()[4]
+    right, wrong = (fit([SMALL], MECHANISM, replace(options, prior={"beta5": (value, 0.02 * true)}))
+                    for value in (1.01 * true, 3.0 * true))
+    assert right.prior_conflict < 2.0 and wrong.prior_conflict > 3.0
+
+
 def test_names_and_methods_that_know_no_prior_are_refused() -> None:
     with pytest.raises(FitError, match=r"\[prior\] m3 is no parameter of leg2"):
         fit([SMALL], MECHANISM, FitOptions(prior={"m3": (1.0, 0.1)}))
