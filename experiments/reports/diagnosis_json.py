@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -131,10 +131,17 @@ def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, date: dat
         hold=found.hold or setup.options.hold,  # type: ignore[arg-type]
         effects=tuple(effect_value(effect, size) for effect, size in found.effects), gear_ratio=gear_ratio,
         reach=tuple((float(low), float(high)) for low, high in (found.angle_range if found.effects else ())),
-        provenance=Provenance(runs=(*found.runs.get("fit", ()), *found.runs.get("screen", ())), method="mle",
+        provenance=Provenance(runs=_whole_runs((*found.runs.get("fit", ()), *found.runs.get("screen", ())), setup),
+                              method="mle",
                               sensors=setup.options.sensors,  # type: ignore[arg-type]
                               date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
                               version=program_version()))
+
+
+def _whole_runs(names: Iterable[str], setup: Setup) -> tuple[str, ...]:
+    """The runs that `names` are of: a diagnosis of few runs cuts them into pieces, `ONE.csv[0.0-4.2 s]`."""
+    runs = [data.name for data in setup.datasets]
+    return tuple(dict.fromkeys(next((run for run in runs if name.startswith(f"{run}[")), name) for name in names))
 
 
 def _parameters(settings: MechanismSettings, beta: FloatArray) -> tuple[ParameterValue, ...]:
