@@ -262,6 +262,8 @@ class Rig(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     limits: Limits = Limits()
     calibration: Calibration = Calibration()
     servo: Servo | None = None
+    prior: dict[str, tuple[float, ...]] = msgspec.field(default_factory=dict)
+    """Parameter, or body value (m1, lc1, I1, l1, ...) -> value and standard deviation, from CAD or a scale."""
     columns: dict[str, Column] = msgspec.field(default_factory=dict)
     """Column of the contract -> where files of other programs hold it."""
 
@@ -347,9 +349,18 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
     if controller is not None and controller.node >= NODES and controller.kind == "legid":
         raise InputError(where, f"devices.controller.node is {controller.node}, a leg controller's are 0 to "
                          f"{NODES - 1}", "give the node that its firmware has")
+    _check_prior(rig, where)
     _check_levels(rig, where)
     _check_correlations(rig, where)
     return rig
+
+
+def _check_prior(rig: Rig, where: str) -> None:
+    """Each entry is a value with its standard deviation."""
+    for name, entry in rig.prior.items():
+        if len(entry) != 2 or not all(map(math.isfinite, entry)) or not entry[1] > 0.0:
+            raise InputError(where, f"prior.{name} is {list(entry)}", f"give its value and standard deviation, such as "
+                             f"{name} = [1.04, 0.02]; a value that is exact goes into --fix {name}=VALUE")
 
 
 def _check_levels(rig: Rig, where: str) -> None:

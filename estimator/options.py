@@ -85,6 +85,9 @@ class FitOptions:
     """wls only. estimated: each joint's torque by its own residual. known: by torque_nm and passive_nm of `noise`."""
     fixed: Mapping[str, float] = field(default_factory=dict)
     """Parameters that are given by name, not estimated."""
+    prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Value and standard deviation of parameters and body values (m1, lc1, I1, l1, ...) that are known from elsewhere;
+    `mle` on one motion then finds the maximum a posteriori."""
     latent: str = "trajectory"
     """mle only. trajectory: one consistent motion. free: the paper's free samples of sin, cos and rate."""
 
@@ -105,6 +108,9 @@ class FitOptions:
             raise ValueError(f"half_power {self.half_power} is not in (0, 1]")
         if self.spacing < 1:
             raise ValueError(f"spacing {self.spacing} is below 1")
+        for name, (value, std) in self.prior.items():
+            if not (np.isfinite(value) and np.isfinite(std) and std > 0.0):
+                raise ValueError(f"prior {name} = {value:g} +- {std:g} has no standard deviation above zero")
         unknown = {name for name in self.noise if name not in NOISE_CHANNELS and not OWN_LEVEL.fullmatch(name)}
         if unknown:
             raise ValueError(f"noise channel {sorted(unknown)[0]!r} is none of {NOISE_CHANNELS}")

@@ -60,7 +60,7 @@ Role = Literal["assumption", "warning", "fault", "remedy", "doubt", "fact"]
 FindingKind = Literal["run_set_aside", "run_doubt", "rig_contradiction", "run_note", "choice", "servo_gain",
                       "noise_share", "level_at_zero", "level_negative", "impossible", "columns", "not_converged",
                       "undetermined", "torque_residual", "passive_joint", "sensor_residual", "repeating_torque",
-                      "torque_fit", "runs_disagree", "estimators_disagree", "loose", "not_shown"]
+                      "torque_fit", "prior", "runs_disagree", "estimators_disagree", "loose", "not_shown"]
 
 
 @dataclass(frozen=True)
@@ -137,6 +137,26 @@ class SecondOpinion:
 
 
 @dataclass(frozen=True)
+class PriorValue:
+    """A body value or parameter that was known before the fit, with what it is after it."""
+
+    name: str
+    value: float
+    std: float
+    """As given."""
+    fitted: float
+    fitted_std: float
+    """By prior and runs together."""
+
+    @property
+    def contradiction(self) -> float:
+        """Standard deviations by which the runs move the value beyond what the prior makes likely; 0 where they say
+        nothing of it."""
+        told = self.std**2 - self.fitted_std**2
+        return abs(self.fitted - self.value) / told**0.5 if told > 1e-4 * self.std**2 else 0.0
+
+
+@dataclass(frozen=True)
 class HeldOut:
     """Both methods fitted to one half of the data predict the other half, and the reverse."""
 
@@ -192,6 +212,10 @@ class FitResult:
     None: all runs have those."""
     second_opinion: SecondOpinion | None = None
     """Of a method that fails differently. None: not asked, or it came to no end."""
+    prior: tuple[PriorValue, ...] = ()
+    prior_conflict: float = 0.0
+    """Standard deviations, by known value, by which the runs are likelier without the prior."""
+    """What was known before the fit, which is then a maximum a posteriori; empty: a maximum likelihood."""
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -45,6 +45,7 @@ from experiments.workflows import (
     simulate_run,
     tune_runs,
     validate_prepared,
+    with_reference_terms,
 )
 from legid.listings import Comparison, Tuning
 from legid.results import Dataset, Diagnosis, FitResult, Validation, Validations, dressed, sources_of
@@ -142,7 +143,7 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
     and 95 % intervals. Raises `InputError` for runs that do not belong together.
     """
     given, known = _given(runs, rig)
-    prepared = prepare(given, known, fixed=fixed)
+    prepared = prepare(given, with_reference_terms(known, reference), fixed=fixed)
     values = None if reference is None else reference_values(reference, "reference", prepared.setup)
     found = diagnose_prepared(prepared, seed, values, progress, workers, material)
     return dressed(Diagnosis, found, fitted=given, rig=known, prepared=prepared)

@@ -61,7 +61,7 @@ def test_what_pyproject_asks_for_is_locked() -> None:
     extras, base = project["project"]["optional-dependencies"], project["project"]["dependencies"]
     have = {name: set(pinned(name)) for name in LOCKS}
     assert wanted(base) | wanted(extras["test"]) <= have[MAIN]
-    for extra in ("parquet", "cluster", "live", "notebook", "ros", "zoom"):
+    for extra in ("parquet", "cluster", "live", "notebook", "ros", "zoom", "hdf5"):
         assert wanted(extras[extra]) <= have[MAIN], extra
     for name, extra in LOCKS.items():
         needs = wanted(extras[extra] if extra else project["build-system"]["requires"])

@@ -10,6 +10,7 @@ from .columns import is_contract_column as is_contract_column
 from .columns import missing as missing
 from .csv_run import CLOCK_BOUND as CLOCK_BOUND
 from .csv_run import MIN_SAMPLES as MIN_SAMPLES
+from .csv_run import MOST as MOST
 from .csv_run import SUFFIXES as SUFFIXES
 from .csv_run import RawTable as RawTable
 from .csv_run import read_csv as read_csv

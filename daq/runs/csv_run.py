@@ -67,13 +67,13 @@ def read_csv(path: Path | str, rig: Rig | None = None, min_samples: int = MIN_SA
     return RawTable(path.name, time_s, columns, tuple(name for name in names if name not in kept))
 
 
-def write_csv(dataset: Dataset, path: Path | str) -> int:
+def write_csv(dataset: Dataset, path: Path | str, replace: bool = False) -> int:
     """Write `dataset` as `.csv` (or `.csv.gz`) by the contract; returns the number of rows.
 
     Rows with a gap in any column are left out, so that the hole shows in `time_s`; a column that has no
     sample at all is left out whole. Values keep 12 significant digits, times a nanosecond. What the recorder's
     clocks leave open goes into a column of its own, `clock_bound_s`, which fits allow for. Raises `InputError`,
-    for a run that is there already too.
+    for another run that is there already too, unless `replace`, and where fewer rows than a run needs have no gap.
     """
     path = Path(path)
     names = [name for name, values in dataset.columns.items() if np.isfinite(values).any()]
@@ -82,13 +82,16 @@ def write_csv(dataset: Dataset, path: Path | str) -> int:
     if dataset.clock_bound_s > 0.0:
         names.append(CLOCK_BOUND)
         columns.append(np.full(columns[0].shape, dataset.clock_bound_s))
+    if columns[0].size < MIN_SAMPLES:
+        raise InputError(dataset.name, f"has {columns[0].size} rows without a gap in {', '.join(names)}, at least "
+                                       f"{MIN_SAMPLES} are needed", "leave out a column with gaps, or record again")
     table = np.column_stack(columns)
     text = io.StringIO()
     np.savetxt(text, table, fmt=["%.9f"] + ["%.12g"] * len(names), delimiter=",",
                header=",".join(["time_s", *names]), comments="")
     data = text.getvalue().encode()
     # A fixed mtime and no name: the same run gives the same bytes.
-    write_file(path, gzip.compress(data, 6, mtime=0) if path.suffix == ".gz" else data)
+    write_file(path, gzip.compress(data, 6, mtime=0) if path.suffix == ".gz" else data, changed=replace)
     return int(rows.sum())
 
 

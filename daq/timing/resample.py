@@ -22,6 +22,7 @@ import numpy as np
 
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
+from daq.findings import Doubt
 from daq.runs import CLOCK_BOUND, RawTable
 
 if TYPE_CHECKING:
@@ -64,6 +65,10 @@ def align_table(table: RawTable, rate_hz: float) -> Dataset:
     time_s = snapped_times(table.time_s, rate_hz)
     columns = {name: values for name, values in table.columns.items() if name != CLOCK_BOUND}
     run = align_channels(table.name, [TimedColumns(time_s, columns)], rate_hz)
+    if step_s * rate_hz > OVERSAMPLED:
+        text = (f"has {1.0 / step_s:.3g} samples a second, the grid {rate_hz:g}: each counts {step_s * rate_hz:.2g} "
+                f"times, and intervals are too narrow; set rate_hz = {1.0 / step_s:.3g} under [sampling]")
+        run = replace(run, doubts=(*run.doubts, Doubt("grid", text)))
     bound = table.columns.get(CLOCK_BOUND)
     return run if bound is None else replace(run, clock_bound_s=float(np.max(bound)))
 

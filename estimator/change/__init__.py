@@ -1,6 +1,6 @@
 """What changed on a rig, against runs of the same rig: the rig is its own reference."""
 
 from estimator.change.detect import detect_change
-from estimator.change.result import Change, ChangedCause, ChangeVerdict, Detectable, HeldOut, Size
+from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, Size
 
-__all__ = ["Change", "ChangeVerdict", "ChangedCause", "Detectable", "HeldOut", "Size", "detect_change"]
+__all__ = ["Change", "ChangedCause", "Detectable", "HeldOut", "Size", "detect_change"]

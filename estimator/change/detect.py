@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc, fdtri, stdtrit
 
-from daq import Dataset, FloatArray
-from estimator.change.contrast import Columns, Contrast, contrast, freedom, scatter
+from daq import Dataset
+from estimator.change.contrast import Columns, Contrast, contrast
 from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, Size
 from estimator.change.scores import ReferenceFit, RunScore, fit_reference, score_run
+from estimator.change.structure import Structure, find_structure
 from estimator.errors import FitError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -23,7 +24,7 @@ POWER = 0.8
 FEWEST_RUNS = 2
 MOST_CAUSES = 2
 RIVAL = 6.0
-"""Candidates within this fall of -2 log likelihood, over the scatter, of the best are not told apart from it."""
+"""Candidates within this fall of -2 log likelihood of the best are not told apart from it."""
 PAYLOAD = {1: (("beta1", "beta4"), ("inertia", "first_moment")),
            2: (("beta1", "beta2", "beta3", "beta4", "beta5"), ("", "inertia", "", "", "first_moment"))}
 """Link of the two-link leg -> parameters that a body on it changes, and which of the body's own each change is."""
@@ -54,16 +55,14 @@ class Scored:
 
     groups: tuple[Group, ...]
     contrast: Contrast
-    scatter: FloatArray
-    """(g,)"""
     freedom: float
 
     def gain(self, k: int) -> float:
-        """Over the scatter; zero where a size has the wrong sign."""
+        """Fall of -2 log likelihood; zero where a size has the wrong sign."""
         group = self.groups[k]
         sizes = self.contrast.size(group.columns)
         return 0.0 if any(sizes[i] < 0.0 for i in group.positive) else \
-            max(self.contrast.gain(group.columns), 0.0) / float(self.scatter[k])
+            max(self.contrast.gain(group.columns), 0.0)
 
     def p_value(self, k: int) -> float:
         width = len(self.groups[k].columns)
@@ -114,20 +113,19 @@ def groups_of(fit: ReferenceFit) -> tuple[Group, ...]:
 def conclude(fit: ReferenceFit, reference: Sequence[RunScore], test: Sequence[RunScore], names: Sequence[str]
              ) -> Change:
     """Verdict, sizes, and the held-out gain by run, from the scores of both sessions."""
-    p, groups = fit.mechanism.p, groups_of(fit)
-    spread = scatter([g.columns for g in groups], reference, p)
-    scored = Scored(groups, contrast(test, reference, p), spread, freedom(len(reference)))
+    groups, structure = groups_of(fit), find_structure(reference, fit.mechanism.p)
+    scored = Scored(groups, contrast(test, reference, structure), structure.freedom)
     order = sorted(range(len(groups)), key=scored.p_value)
     best = order[0]
     p_any, tried = scored.p_value(best), {g.effect for g in groups}
     refused = tuple((k, why) for k, why in fit.refused.items() if k not in tried)
-    base = Change("no_change", "", detectable=_detectable(scored), scatter=float(np.median(spread)), p_any=p_any,
-                  not_testable=refused)
+    base = Change("no_change", "", detectable=_detectable(scored), p_any=p_any, not_testable=refused,
+                  structure=(structure.common**0.5, structure.own**0.5))
     if p_any >= ALPHA:
         return replace(base, sentence="No change: the test runs differ from the reference runs by no more than these "
                                       "differ among themselves.")
     chosen = _search(scored, order)
-    held = _held_out(fit, reference, test, chosen, names)
+    held = _held_out(scored, structure, reference, test, chosen, names)
     if not sum(held.gain) > 0.0 or 2 * sum(g > 0.0 for g in held.gain) <= len(held.gain):
         return replace(base, verdict="changed_unexplained", held_out=held,
                        sentence="Something changed, and no listed cause predicts test runs that did not choose it.")
@@ -170,25 +168,24 @@ def _without(scored: Scored, chosen: Sequence[int]) -> Scored:
     return replace(scored, contrast=Contrast(score, left))
 
 
-def _held_out(fit: ReferenceFit, reference: Sequence[RunScore], test: Sequence[RunScore], chosen: Sequence[int],
-              names: Sequence[str]) -> HeldOut:
+def _held_out(scored: Scored, structure: Structure, reference: Sequence[RunScore], test: Sequence[RunScore],
+              chosen: Sequence[int], names: Sequence[str]) -> HeldOut:
     """Each test run as predicted by the reference with the change that the other test runs give."""
-    p, groups = fit.mechanism.p, groups_of(fit)
-    columns = np.unique(np.concatenate([groups[k].columns for k in chosen]))
+    columns = np.unique(np.concatenate([scored.groups[k].columns for k in chosen]))
     gains = []
     for k, run in enumerate(test):
-        size = contrast([r for j, r in enumerate(test) if j != k], reference, p).size(columns)
-        own = contrast([run], reference, p)
+        size = contrast([r for j, r in enumerate(test) if j != k], reference, structure).size(columns)
+        own = contrast([run], reference, structure)
         gains.append(float(2.0 * size @ own.score[columns]
                            - size @ own.information[np.ix_(columns, columns)] @ size))
     return HeldOut(tuple(names), tuple(gains))
 
 
 def _cause(scored: Scored, k: int) -> ChangedCause:
-    """Its sizes with intervals that hold the reference's scatter."""
+    """Its sizes with intervals that hold the structure of the reference."""
     group, one = scored.groups[k], scored.contrast
     values = one.size(group.columns)
-    std = np.sqrt(np.maximum(np.diag(one.covariance(group.columns)), 0.0) * scored.scatter[k])
+    std = np.sqrt(np.maximum(np.diag(one.covariance(group.columns)), 0.0))
     half = float(stdtrit(scored.freedom, 0.975)) * std
     sizes = tuple(Size(n, u, float(v), (float(v - h), float(v + h)))
                   for n, u, v, h in zip(group.names, group.units, values, half) if n)
@@ -203,7 +200,7 @@ def _detectable(scored: Scored) -> tuple[Detectable, ...]:
         wanted += float(stdtrit(scored.freedom, POWER))
         i = next(j for j, n in enumerate(group.names) if n)
         known = float(scored.contrast.information[group.columns[i], group.columns[i]])
-        size = wanted * float(scored.scatter[k] / known) ** 0.5 if known > 0.0 else float("inf")
+        size = wanted / known**0.5 if known > 0.0 else float("inf")
         one = Detectable(group.effect, group.joint, group.names[i], group.units[i], size, scored.p_value(k))
         key = (group.effect, group.joint, group.names[i] if group.effect == "parameter" else "")
         if key not in found or one.p_value < found[key].p_value:

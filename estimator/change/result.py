@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
-ChangeVerdict = Literal["no_change", "named", "partial", "one_of", "changed_unexplained", "fit_failed"]
+from estimator.verdicts import ChangeVerdict
 
 
 @dataclass(frozen=True)
@@ -63,8 +62,9 @@ class Change:
     causes: tuple[ChangedCause, ...] = ()
     detectable: tuple[Detectable, ...] = ()
     held_out: HeldOut | None = None
-    scatter: float = 1.0
-    """Median variance of the scores between runs of one session over that of white noise."""
+    structure: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations of structure without a name, common to the reference runs and each one's own, in units of
+    what one run tells of an effect."""
     p_any: float = 1.0
     """Probability of the strongest candidate under no change, over all candidates tried."""
     not_testable: tuple[tuple[str, str], ...] = ()

@@ -10,7 +10,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext, Explanation
 from estimator.diagnosis.decision_rule import COMPARED, HOPELESS
-from estimator.diagnosis.refit import Model, deviance, log_volume, misfit, misfit_by_run, refit
+from estimator.diagnosis.refit import Model, deviance, misfit, misfit_by_run, refit
 from estimator.diagnosis.score_statistics import Tests
 from estimator.effects import Effect
 from estimator.errors import FitError
@@ -130,7 +130,7 @@ def compare_fits(context: DiagnosisContext, models: Sequence[Model], keep: Seque
     those to `keep` in any case."""
     if not models:
         return []
-    noise = min((m.state.noise for m in models), key=lambda s: log_volume(context.nominal.problem, s))
+    noise = min((m.state.noise for m in models), key=lambda s: context.nominal.problem.log_volume(s))
     models = sorted(models, key=deviance)
     models = [*models[:COMPARED], *(m for m in models[COMPARED:] if any(m is f for f in keep))]
     every = [context.nominal, *models]

@@ -12,22 +12,17 @@ from scipy.special import stdtrit
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.decision_rule import ALPHA, BLOCK_S, CHANGED, CONFUSABLE, DRAWS, FEW_RUNS, SHORT_S
+from estimator.diagnosis.error_table import floor_of, sensors_of
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
-from estimator.diagnosis.noise_floor import FloorNoise, white_noise
-from estimator.diagnosis.refit import Model, SmoothedRun, smooth
+from estimator.diagnosis.refit import Model, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, SensorGain, ShortRuns, SizeEstimate, Trace
 from estimator.effects import AnonymousReading, AnonymousTorque, Shape, Size
 from estimator.errors import FitError
 from estimator.fitting import disturbance_levels, imu_levels, torque_levels
-from estimator.likelihood import ExtendedProblem, FreeRun, free_run
-from estimator.model import Mechanism
 from estimator.parallel import parallel_map
-from estimator.prediction import draw_disturbance, draw_replicate, simulate_run
-from estimator.signals import Channel, encoder_of, imu_channels, imu_columns
+from estimator.prediction import FloorNoise, PredictedRun, predict_run, white_noise
 
-ATTEMPTS = 10
-"""Replicates, one after the other, until one does not run off: their noise is drawn."""
 NO_GAP = ("a free run over a whole run cannot show the gain: noise alone, added up, leaves about as much error as the "
           "nominal model has; what speaks for the extension is the likelihood of the confirm runs")
 UNSURE_GAP = "free runs over whole runs leave open whether the extension helps: the interval of its share holds zero"
@@ -90,86 +85,6 @@ def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tupl
     return out
 
 
-PIVOT = "q1_rad"
-"""Column of the pivot's angle, which an IMU stands in for."""
-
-
-@dataclass(frozen=True)
-class Resimulated:
-    """One confirm run simulated from its first state and measured torque."""
-
-    run: int
-    time_s: FloatArray
-    measured: dict[str, FloatArray]
-    simulated: dict[str, FloatArray]
-    torque_residual: FloatArray
-    """(N, n)"""
-
-
-def sensors_of(problem: ExtendedProblem, q1: FloatArray) -> dict[str, FloatArray]:
-    """Measured columns; the pivot's angle is the smoothed one where no encoder measures it."""
-    unit = problem.mechanism.length_unit
-    out = {f"q{j + 1}_{unit}": problem.angles[:, j] for j in range(problem.n) if problem.has_encoder[j]}
-    if problem.has_imu:
-        out = {PIVOT: q1} | out | _imu_columns(problem.mechanism, problem.imu_readings())
-    return dict(sorted(out.items()))
-
-
-def sensed(problem: ExtendedProblem, run: FreeRun) -> dict[str, FloatArray]:
-    """What the sensors would read, by column."""
-    unit = problem.mechanism.length_unit
-    out = {f"q{j + 1}_{unit}": run.readings[encoder_of(j)] for j in range(problem.n)}
-    return out | _imu_columns(problem.mechanism, run.readings)
-
-
-def _imu_columns(mechanism: Mechanism, readings: Mapping[Channel, FloatArray]) -> dict[str, FloatArray]:
-    return {column: readings[channel] for k in range(len(mechanism.imus))
-            for column, channel in zip(imu_columns(k), imu_channels(k))}
-
-
-def resimulate(fitted: SmoothedRun, q1: FloatArray, or_still: bool = False, horizon_s: float = np.inf) -> Resimulated:
-    """Free run of a run, whole or in pieces of `horizon_s`; the pivot's angle q1 is taken for
-    measured.
-
-    Where it diverges raises `FitError`, or with `or_still` takes every sensor's mean instead, whose error a simulation
-    that diverges exceeds; of several pieces one that diverges stays where it began.
-    """
-    problem, state = fitted.problem, fitted.state
-    measured = sensors_of(problem, q1)
-    drive = problem.torque - problem.torque_readings(state.x, state.beta)
-    found = free_run(problem, state, drive, horizon_s, or_still)
-    if found is None and not or_still:
-        raise FitError("the free run diverges")
-    still = {k: np.full_like(y, y.mean()) for k, y in measured.items()}
-    simulated = still if found is None else sensed(problem, found)
-    time_s = np.concatenate([s.time_s for s in fitted.model.split.runs[fitted.run]])
-    return Resimulated(fitted.run, time_s, measured, {k: simulated[k] for k in measured},
-                       drive - problem.motor_torque(state.x, state.beta))
-
-
-def floor_errors(fitted: SmoothedRun, rng: np.random.Generator, horizons_s: Sequence[float],
-                 noise: FloorNoise) -> list[dict[str, FloatArray]]:
-    """For each horizon squared free-run errors by sensor of a replicate of a run with this `noise` alone.
-
-    Pieces of a horizon start from the motion that would be fitted to the replicate.
-    """
-    model, run, split = fitted.model, fitted.run, fitted.model.split
-    problem, state = fitted.problem, replace(fitted.state, noise=noise.noise)
-    for _ in range(ATTEMPTS):
-        disturbance = draw_disturbance(problem, state, noise.rest, rng)
-        truth = simulate_run(problem, state, rng, disturbance)
-        signals = draw_replicate(problem, state, split.runs[run], rng, truth, disturbance)
-        again = split.problem([run], model.problem.stage.angle_range, model.effects, signals=signals)
-        begin = state if np.isinf(horizons_s).all() else smooth(model, run, state.x, signals).state
-        drive = again.torque - problem.torque_readings(state.x, state.beta)
-        found = [free_run(again, state if np.isinf(h) else begin, drive, h) for h in horizons_s]
-        measured = sensors_of(again, truth.q[:, 0])
-        errors = [{k: (sensed(problem, f)[k] - v) ** 2 for k, v in measured.items()} for f in found if f is not None]
-        if len(errors) == len(found):
-            return errors
-    raise FitError("the replicates diverge")
-
-
 @dataclass(frozen=True)
 class Gain:
     """Free-run errors on the confirm runs."""
@@ -191,26 +106,30 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
     split = extended.split
     seeds = rng.integers(2**63, size=len(split.confirm))
 
-    def simulated(k: int) -> tuple[Resimulated, Resimulated, dict[str, FloatArray]]:
-        i = split.confirm[k]
-        fitted = smooth(extended, i)
-        q1 = fitted.state.x.q[:, 0]
-        return (resimulate(smooth(nominal, i), q1, True, horizon_s), resimulate(fitted, q1, False, horizon_s),
-                floor_errors(fitted, np.random.default_rng(seeds[k]), [horizon_s], noise)[0])
+    def predicted(k: int) -> tuple[PredictedRun, FloatArray, FloatArray]:
+        run = split.confirm[k]
+        fitted = smooth(extended, run)
+        found = predict_run([smooth(nominal, run), fitted], [horizon_s], misfits=False)
+        if not np.isfinite(found.simulated[1]).all():
+            raise FitError("the free run diverges")
+        return (found, fitted.state.x.q[:, 0],
+                floor_of(extended, run, fitted, seeds[k], [horizon_s], noise)[0])
 
     blocks: dict[str, list[tuple[float, float, float]]] = {}
     traces, torque = [], []
-    for before, after, floor in parallel_map(simulated, len(split.confirm), split.workers):
-        i = after.run
-        traces.append(Trace(split.names[i], after.time_s, after.measured, before.simulated, after.simulated))
-        torque.append((np.mean(before.torque_residual**2, axis=0), np.mean(after.torque_residual**2, axis=0)))
-        size = max(10, int(BLOCK_S * split.runs[i][0].rate_hz))
-        for k, y in after.measured.items():
-            parts = max(1, len(y) // size)
-            errors = [np.array_split(e, parts) for e in
-                      ((before.simulated[k] - y) ** 2, (after.simulated[k] - y) ** 2, floor[k])]
+    names = sensors_of(extended)
+    for found, pivot, floors in parallel_map(predicted, len(split.confirm), split.workers):
+        rows = [found.channels.index(name) for name in names]
+        measured = np.where(np.isnan(found.measured[rows]), pivot, found.measured[rows])
+        torque.append(np.mean(found.residual_torque**2, axis=1))
+        before, after = (np.where(np.isnan(y), measured.mean(axis=-1, keepdims=True), y)  # who diverges knows nothing
+                         for y in found.simulated[:, 0, rows])
+        traces.append(Trace(found.run, found.time_s, *(dict(zip(names, y)) for y in (measured, before, after))))
+        size = max(10, int(BLOCK_S * found.rate_hz))
+        for k, y, *errors in zip(names, measured, before - measured, after - measured, floors):
+            parts = [np.array_split(e, max(1, y.size // size)) for e in (errors[0] ** 2, errors[1] ** 2, errors[2])]
             blocks.setdefault(k, []).extend((float(a.mean()), float(b.mean()), float(c.mean()))
-                                            for a, b, c in zip(*errors))
+                                            for a, b, c in zip(*parts))
     spread = {k: float(np.var(np.concatenate([t.measured[k] for t in traces]))) for k in blocks}
     table = {k: np.minimum(v, spread[k]) for k, v in blocks.items()}  # a simulation that strays knows nothing more
     for v in table.values():  # noise leaves no more than a model of the same runs errs
@@ -297,7 +216,7 @@ def unexplained(found: Diagnosis, nominal: Model, best: Explanation | None, why:
     causes: tuple[Cause, ...] = ()
     if best is not None:
         causes = tuple(causes_of(best, 1.0, found))
-        found = with_gain(found, nominal, best, noise or white_noise(best.model), rng)
+        found = with_gain(found, nominal, best, noise or white_noise(best.model.state.noise), rng)
         sentence = (f"Something is wrong with the model, and no listed effect accounts for it; the closest, "
                     f"{' with '.join(label(c.effect, c.joint) for c in causes)}, does not suffice: {why}.")
     return replace(found, verdict="unexplained", sentence=sentence, causes=causes, effects=(),
@@ -309,7 +228,7 @@ def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explan
             rng: np.random.Generator, partial: bool = False, noise: FloorNoise | None = None) -> Diagnosis:
     """Verdict `named`, or `one_of` where several explanations fit alike; `partial` where what is left matters."""
     best = indistinguishable[0]
-    found = with_gain(found, nominal, best, noise or white_noise(best.model), rng)
+    found = with_gain(found, nominal, best, noise or white_noise(best.model.state.noise), rng)
     causes = {c.effect + str(c.joint): c for t in indistinguishable for c in causes_of(t, p_value, found)}
     rivals = [causes_of(t, p_value, found) for t in indistinguishable]
     if len(indistinguishable) == 1:

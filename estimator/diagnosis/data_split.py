@@ -42,9 +42,8 @@ class RunSplit:
     noise first."""
     workers: int = 1
     """Processes that may work on independent fits and runs."""
-    stiction: dict[int, FloatArray] = field(default_factory=dict)
-    """Run to `Noise.stiction`, as its first fit found it: all explanations are compared on the same
-    weights."""
+    stiction: Mapping[int, FloatArray] = field(default_factory=dict)
+    """Run to `Noise.stiction`, as the nominal model has it: all explanations are compared on the same weights."""
 
     @property
     def discover(self) -> tuple[int, ...]:
@@ -91,13 +90,9 @@ class RunSplit:
         known = [self.stiction[i] for i in which if i in self.stiction]
         return problem.with_stiction(np.concatenate(known)) if len(known) == len(which) else problem
 
-    def keep_stiction(self, which: Sequence[int], stiction: FloatArray | None) -> None:
-        """Remember where the joints of these runs rest (N, 2, n), unless that is known already."""
-        if stiction is None:
-            return
-        lengths = [sum(len(s.time_s) for s in self.runs[i]) for i in which]
-        for i, part in zip(which, np.split(stiction, np.cumsum(lengths)[:-1])):
-            self.stiction.setdefault(i, part)
+    def with_stiction(self, found: Mapping[int, FloatArray]) -> RunSplit:
+        """With `Noise.stiction` of more runs; what is known stays."""
+        return replace(self, stiction={**found, **self.stiction})
 
 
 def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.conclusion import PIVOT, floor_errors, resimulate, sensors_of
 from estimator.diagnosis.decision_rule import BLOCK_S, DRAWS, HORIZONS_S
-from estimator.diagnosis.noise_floor import FloorNoise, white_noise
-from estimator.diagnosis.refit import Model, SmoothedRun, smooth
+from estimator.diagnosis.refit import Model, smooth
 from estimator.parallel import parallel_map
+from estimator.prediction import FloorNoise, SmoothedRun, channel_names, floor_errors, predict_run, white_noise
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,6 @@ class Measured(NamedTuple):
     """(M,)"""
     pivots: FloatArray
     """(readers, N)"""
-    stiction: FloatArray | None
 
 
 def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.int64],
@@ -115,20 +113,18 @@ def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.
     best = next((k for k, m in enumerate(models) if m is reference), len(models))
     every = [*models, *([reference] if best == len(models) else [])]
     could = list(range(len(models)) if readers is None else readers)
-    drawn = white_noise(reference) if noise is None else noise
+    drawn = noise or white_noise(reference.state.noise)
 
     def measured(k: int) -> Measured:
         run = split.confirm[k]
         fitted = [smooth(model, run) for model in every]
         pivots = np.stack([fitted[r].state.x.q[:, 0] for r in could])
-        floor = _floor(fitted[best], seeds[k], drawn)
-        return Measured(_squares(fitted[: len(models)], pivots), floor, _moments(fitted[best]),
-                        _misfits(fitted, reference)[: len(models)], pivots, split.stiction.get(run))
+        floor = floor_of(reference, run, fitted[best], seeds[k], HORIZONS_S, drawn).mean(axis=-1).ravel()
+        squares, moments = _squares(sensors_of(reference), fitted[: len(models)], pivots)
+        return Measured(squares, floor, moments,
+                        _misfits(fitted, reference)[: len(models)], pivots)
 
     parts = parallel_map(measured, len(split.confirm), split.workers)
-    for run, part in zip(split.confirm, parts):  # another process found it; later rows are to have the same weights
-        if part.stiction is not None:
-            split.stiction.setdefault(run, part.stiction)
     lengths = [p.squares.shape[2] for p in parts]
     floor, moments = (np.average(of, axis=0, weights=lengths) for of in ([p.floor for p in parts],
                                                                          [p.moments for p in parts]))
@@ -149,8 +145,8 @@ def extend_errors(table: ErrorTable, more: Sequence[Model]) -> ErrorTable:
 
     def measured(k: int) -> tuple[FloatArray, FloatArray]:
         fitted = [smooth(model, split.confirm[k]) for model in more]
-        return (_squares(fitted, table.unit.pivots[k][None])[0],
-                table.unit.misfits[k] - _misfits(fitted, table.unit.reference))
+        names, pivot = sensors_of(table.unit.reference), table.unit.pivots[k][None]
+        return (_squares(names, fitted, pivot)[0][0], table.unit.misfits[k] - _misfits(fitted, table.unit.reference))
 
     if not more:
         return table
@@ -169,7 +165,9 @@ def with_floor(table: ErrorTable, noise: FloorNoise, seeds: NDArray[np.int64]) -
     split = unit.reference.split
 
     def measured(k: int) -> FloatArray:
-        return _floor(smooth(unit.reference, split.confirm[k]), seeds[k], noise)
+        run = split.confirm[k]
+        fitted = smooth(unit.reference, run)
+        return floor_of(unit.reference, run, fitted, seeds[k], HORIZONS_S, noise).mean(axis=-1).ravel()
 
     parts = parallel_map(measured, len(split.confirm), split.workers)
     lengths = np.bincount(table.runs, minlength=len(parts))
@@ -185,10 +183,21 @@ def _least(floor: FloatArray, squares: FloatArray) -> FloatArray:
     return np.asarray(np.fmin(floor, np.fmin.reduce(squares.mean(axis=1))))
 
 
-def _floor(fitted: SmoothedRun, seed: np.int64, noise: FloorNoise) -> FloatArray:
-    """(C,) mean squared errors of a replicate of one run with this `noise` alone."""
-    found = floor_errors(fitted, np.random.default_rng(seed), HORIZONS_S, noise)
-    return np.array([f[c].mean() for f in found for c in sorted(f)])
+def sensors_of(model: Model) -> tuple[str, ...]:
+    """Channels whose errors count, alphabetically: encoders, IMUs, and the pivot's angle where an IMU stands in for
+    its encoder."""
+    problem, names = model.problem, channel_names(model.problem)
+    read = problem.has_encoder | (model.split.has_imu & (np.arange(problem.n) == 0))
+    return tuple(sorted([*(c for c, own in zip(names, read) if own), *names[2 * problem.n :]]))
+
+
+def floor_of(model: Model, run: int, fitted: SmoothedRun, seed: int | np.int64, horizons_s: Sequence[float],
+             noise: FloorNoise) -> FloatArray:
+    """(H, C, N) squared errors of a replicate with this `noise` alone, of the run as `fitted`, in `sensors_of`."""
+    split = model.split
+    found = floor_errors(fitted, np.random.default_rng(seed), horizons_s, lambda signals: split.problem(
+        [run], model.problem.stage.angle_range, model.effects, signals=signals), noise)
+    return found[:, [channel_names(fitted.problem).index(c) for c in sensors_of(model)]]
 
 
 def choose_rows(table: ErrorTable, rows: Sequence[int]) -> ErrorTable:
@@ -199,32 +208,23 @@ def choose_rows(table: ErrorTable, rows: Sequence[int]) -> ErrorTable:
 
 def _columns_of(model: Model) -> tuple[tuple[str, float], ...]:
     """Sensors, alphabetically, at each horizon."""
-    split = model.split
-    problem = split.problem(split.confirm[:1], model.problem.stage.angle_range, model.effects)
-    names = sensors_of(problem, np.zeros(problem.total))
-    return tuple((c, horizon) for horizon in HORIZONS_S for c in names)
+    return tuple((c, horizon) for horizon in HORIZONS_S for c in sensors_of(model))
 
 
-def _squares(fitted: Sequence[SmoothedRun], pivots: FloatArray) -> FloatArray:
-    """(P, M, B, C) mean squared errors over blocks of a run that the models are `fitted` to, the pivot's angle being
-    each of `pivots` (P, N) in turn."""
-    split = fitted[0].model.split
-    size = max(10, int(BLOCK_S * split.runs[fitted[0].run][0].rate_hz))
-    errors: list[list[FloatArray]] = [[] for _ in fitted]
-    for horizon in HORIZONS_S:
-        for row, one in zip(errors, fitted):
-            found = resimulate(one, pivots[0], True, horizon)
-            for column, y in found.measured.items():
-                read = pivots if column == PIVOT and split.has_imu and 0 not in split.encoders else y[None]
-                squares = _blocks((found.simulated[column] - read) ** 2, size)
-                row.append(np.broadcast_to(squares, (len(pivots), squares.shape[1])))
-    return np.stack([np.stack(row, axis=-1) for row in errors], axis=1)
-
-
-def _moments(fitted: SmoothedRun) -> FloatArray:
-    """(2, C) mean, and mean square, of what each column's sensor measured."""
-    measured = sensors_of(fitted.problem, fitted.state.x.q[:, 0]).values()
-    return np.tile([[y.mean() for y in measured], [np.mean(y**2) for y in measured]], len(HORIZONS_S))
+def _squares(sensors: Sequence[str], fitted: Sequence[SmoothedRun], pivots: FloatArray
+             ) -> tuple[FloatArray, FloatArray]:
+    """(P, M, B, C) mean squared errors over blocks of a run that the models are `fitted` to, an angle that no encoder
+    reads being each of `pivots` (P, N) in turn; and (2, C) mean, and mean square, of what each column measured."""
+    found = predict_run(fitted, HORIZONS_S, misfits=False)
+    rows = [found.channels.index(c) for c in sensors]
+    size = max(10, int(BLOCK_S * found.rate_hz))
+    measured = np.stack([np.where(np.isnan(found.measured[rows]), pivot, found.measured[rows]) for pivot in pivots])
+    simulated = np.where(np.isnan(found.simulated), np.inf, found.simulated)[:, :, rows]
+    squares = (simulated - measured[:, None, None]) ** 2
+    parts = np.array_split(squares, max(1, squares.shape[-1] // size), axis=-1)
+    means = np.stack([part.mean(axis=-1) for part in parts], axis=2)  # (P, M, B, H, C)
+    moments = np.stack([measured[0].mean(axis=-1), np.mean(measured[0] ** 2, axis=-1)])
+    return means.reshape(*means.shape[:3], -1), np.tile(moments, len(HORIZONS_S))
 
 
 def _bounded(squares: Sequence[FloatArray], floor: FloatArray, bound: FloatArray) -> FloatArray:
@@ -234,11 +234,4 @@ def _bounded(squares: Sequence[FloatArray], floor: FloatArray, bound: FloatArray
 
 def _misfits(fitted: Sequence[SmoothedRun], reference: Model) -> FloatArray:
     """(M,) -2 log likelihood up to a constant, all under the noise of the reference."""
-    return np.array([one.problem.motion_equations(one.state.x, one.state.beta, reference.state.noise).objective
-                     for one in fitted])
-
-
-def _blocks(squares: FloatArray, size: int) -> FloatArray:
-    """(P, B) means over blocks of about `size` of (P, N)."""
-    parts = np.array_split(squares, max(1, squares.shape[1] // size), axis=1)
-    return np.stack([part.mean(axis=1) for part in parts], axis=-1)
+    return np.array([one.misfit(reference.state.noise) for one in fitted])

@@ -7,30 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from daq import FloatArray
 from estimator.diagnosis.refit import Model
 from estimator.fitting import Disturbance, MarginalLikelihood, disturbance_likelihood, find_disturbance, of_noise
-from estimator.likelihood import ExtendedProblem, Noise
+from estimator.likelihood import ExtendedProblem
 from estimator.options import FitOptions
-from estimator.prediction import repeated_share, state_columns, taken
+from estimator.prediction import FloorNoise, repeated_share, state_columns, taken, white_noise
 from estimator.signals import SignalSet
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares that are compared of the most that dry friction leaves open near rest."""
-
-
-class FloorNoise(NamedTuple):
-    """What replicates are drawn with."""
-
-    noise: Noise
-    rest: FloatArray
-    """(n,) share of the most that each joint's dry friction leaves open near rest"""
-    repeated: FloatArray
-    """(n,) share of each joint's coloured disturbance that is a function of the state: structure, which is not noise"""
 
 
 def noise_floor(model: Model) -> FloorNoise:
@@ -42,7 +31,7 @@ def noise_floor(model: Model) -> FloorNoise:
     try:
         return _coloured(model)
     except np.linalg.LinAlgError:
-        return white_noise(model)
+        return white_noise(model.state.noise)
 
 
 def _coloured(model: Model) -> FloorNoise:
@@ -93,9 +82,3 @@ def _share_near_rest(likelihood: MarginalLikelihood, found: Disturbance) -> Floa
         now[:, 0, j] = rest[j] ** 2 * most[:, 0, j]
     likelihood.problem = likelihood.problem.with_stiction(now)
     return rest
-
-
-def white_noise(model: Model) -> FloorNoise:
-    """The fit's own noise levels, all white."""
-    none = np.zeros(model.split.mechanism.n)
-    return FloorNoise(model.state.noise, none, none)

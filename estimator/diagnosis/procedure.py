@@ -35,7 +35,7 @@ from estimator.diagnosis.model_search import (
     keys_of,
 )
 from estimator.diagnosis.noise_check import in_words, noisy_sensors, with_declared_noise
-from estimator.diagnosis.noise_floor import FloorNoise, noise_floor
+from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.refit import (
     Model,
     bootstrap_scores,
@@ -58,6 +58,7 @@ from estimator.model import Mechanism
 from estimator.numerics import jit
 from estimator.options import AUTO, FitOptions
 from estimator.parallel import cores
+from estimator.prediction import FloorNoise
 
 
 def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,

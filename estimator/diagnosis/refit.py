@@ -25,18 +25,8 @@ from estimator.fitting import (
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
-from estimator.prediction import draw_replicate, simulate_run
+from estimator.prediction import SmoothedRun, draw_replicate, per_value, simulate_run, smooth_under
 from estimator.signals import SignalSet
-
-SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
-"""Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
-LONGER = ((1000.0, 6), (200.0, 6), (40.0, 6), (16.0, 6), (8.0, 6), (4.0, 6), (2.0, 8), (1.4, 8), (1.0, 30))
-"""... and where that leads to a motion that fits badly."""
-LOOSE_ENCODER = 16.0
-"""Most that an encoder's noise grows by beside a law that is less steep than found, and fits it worse."""
-BAD = 3.0
-"""Sum of squares over samples times channels above which a motion is doubted: about 1 where all is well."""
-
 
 SETTLE_STEPS = 15
 """Steps in which a fit's motion comes to rest afterwards, for objectives that can be compared."""
@@ -80,16 +70,6 @@ class Model:
         return np.sqrt(np.maximum(np.diag(self.state.covariance), 0.0))
 
 
-@dataclass(frozen=True)
-class SmoothedRun:
-    """The motion of one run, or of a replicate of it, as a model has it: parameters and noise are the model's."""
-
-    model: Model
-    run: int
-    problem: ExtendedProblem
-    state: State
-
-
 def fit_nominal(split: RunSplit) -> Model:
     """Nominal fit of the discover runs. Raises `FitError`.
 
@@ -117,12 +97,30 @@ def fit_nominal(split: RunSplit) -> Model:
     rest = blank.stiction(state.noise)
     if not np.isfinite(state.beta).all() or rest is None or not np.isfinite(state.x.q).all():
         raise FitError("the nominal fit leads nowhere, so nothing can be said about what it leaves over")
-    split.keep_stiction(split.discover, rest)
+    lengths = [sum(len(s.time_s) for s in split.runs[i]) for i in split.discover]
+    split = split.with_stiction(dict(zip(split.discover, np.split(rest, np.cumsum(lengths)[:-1]))))
     state = settle_motion(blank.with_stiction(rest), replace(state, noise=state.noise.levels()), SETTLE_STEPS)
     if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    return Model(split, (), state, split.problem(split.discover, angle_range))
+    found = Model(split, (), state, split.problem(split.discover, angle_range))
+    return replace(found, split=split.with_stiction(stiction_of_confirm(found)))
+
+
+def stiction_of_confirm(model: Model) -> dict[int, FloatArray]:
+    """Confirm run to `Noise.stiction` as the model has it, of runs of which it is not known; without those that it
+    cannot be fitted to."""
+    unknown = [run for run in model.split.confirm if run not in model.split.stiction]
+
+    def found(k: int) -> FloatArray | None:
+        try:
+            one = smooth(model, unknown[k])
+        except FitError:
+            return None
+        return one.problem.stiction(one.state.noise)
+
+    parts = parallel_map(found, len(unknown), model.split.workers)
+    return {run: part for run, part in zip(unknown, parts) if part is not None}
 
 
 def begin_afresh(nominal: Model) -> Model:
@@ -178,12 +176,8 @@ def likeliest_rounding(model: Model, stated: Mechanism) -> Mechanism:
 
 def misfit(model: Model) -> float:
     """Objective at the model's state: -2 log likelihood at its noise and a constant."""
-    return objective_at(model.problem, model.state)
-
-
-def objective_at(problem: ExtendedProblem, state: State) -> float:
-    """Sum of squares over variances at a state."""
-    return problem.motion_equations(state.x, state.beta, state.noise).objective
+    state = model.state
+    return model.problem.motion_equations(state.x, state.beta, state.noise).objective
 
 
 def misfit_by_run(model: Model) -> FloatArray:
@@ -191,21 +185,13 @@ def misfit_by_run(model: Model) -> FloatArray:
     split, out = model.split, []
     for i, state in zip(split.discover, run_states(model)):
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
-        out.append(objective_at(problem, state))
+        out.append(problem.motion_equations(state.x, state.beta, state.noise).objective)
     return np.array(out)
 
 
 def deviance(model: Model) -> float:
     """-2 log likelihood under the model's own noise levels, up to a constant that all models of these runs share."""
-    return misfit(model) + 2.0 * log_volume(model.problem, model.state.noise)
-
-
-def log_volume(problem: ExtendedProblem, noise: Noise) -> float:
-    """Sum over samples of the log standard deviations of all channels."""
-    levels = [*noise.torque, *noise.encoder[np.isfinite(noise.encoder)]]
-    if problem.has_imu:
-        levels += [*noise.gyro, *noise.accel.ravel()]
-    return problem.total * float(np.sum(np.log(levels)))
+    return misfit(model) + 2.0 * model.problem.log_volume(model.state.noise)
 
 
 def run_states(model: Model) -> list[State]:
@@ -230,50 +216,10 @@ def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequen
         begin = start_state(problem, own, split.mechanism, split.options,
                             np.zeros(split.mechanism.p, dtype=bool), model.state.beta[: split.mechanism.p])
         start = begin.x
-    # a small model error, enforced at once from far off, does not settle; a replicate starts at its own motion
-    tried = []
-    steep = not np.array_equal(problem.relaxed(model.state.beta, np.inf), model.state.beta)
-    for path in (SLACK[-1:] if signals is not None else LONGER if steep else SLACK, LONGER):
-        try:
-            state = _settle(model, problem, start, path)
-        except FitError as error:
-            failure = error
-            continue
-        tried.append((per_value(problem, state), state))
-        if tried[-1][0] < BAD or (steep and path is LONGER):
-            break
-    if not tried:
-        raise failure
-    state = min(tried, key=lambda t: t[0])[1]
+    state = smooth_under(problem, replace(model.state, x=start), near=signals is not None)
     rest = problem.stiction(state.noise)
-    if signals is None:
-        split.keep_stiction([run], rest)
-    return SmoothedRun(model, run, problem.with_stiction(rest), replace(state, noise=state.noise.levels()))
-
-
-def _settle(model: Model, problem: ExtendedProblem, start: Latents, path: Sequence[tuple[float, int]]) -> State:
-    """The motion that is reached from `start` along a path of slacks, of the passive joint and of steep laws.
-
-    Parameters, noise and rest that `problem` knows are held.
-    """
-    noise = model.state.noise
-    state = State(start, model.state.beta.copy(), noise, model.state.covariance)
-    for slack, limit in path:
-        torque = noise.torque.copy()
-        torque[list(problem.mechanism.passive)] *= slack
-        state.beta = problem.relaxed(model.state.beta, slack)
-        steep = not np.array_equal(state.beta, model.state.beta)
-        encoder = noise.encoder * min(slack, LOOSE_ENCODER) if steep else noise.encoder
-        state.noise = replace(noise, torque=torque, encoder=encoder)
-        state = settle_motion(problem, state, limit)
-    return state
-
-
-def per_value(problem: ExtendedProblem, state: State) -> float:
-    """Sum of squares over samples times channels; inf where it is no number."""
-    channels = problem.n + int(problem.has_encoder.sum()) + 3 * problem.imu_count
-    value = objective_at(problem, state) / (channels * problem.total)
-    return value if np.isfinite(value) else np.inf
+    return SmoothedRun(split.names[run], tuple(own), problem.with_stiction(rest),
+                       replace(state, noise=state.noise.levels()))
 
 
 def score_discover(model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:

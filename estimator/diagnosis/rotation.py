@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit, kept_back
 from estimator.diagnosis.error_table import ErrorTable, measure_errors
-from estimator.diagnosis.noise_floor import FloorNoise
 from estimator.diagnosis.refit import Model, fit_nominal, refit
 from estimator.diagnosis.result import Rotation
 from estimator.errors import FitError
 from estimator.parallel import parallel_map
+from estimator.prediction import FloorNoise
 
 
 @dataclass(frozen=True)

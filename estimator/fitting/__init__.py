@@ -14,6 +14,7 @@ from estimator.fitting.gauss_newton import MAX_ITERATIONS, PASSIVE_SHARE, TORQUE
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_state
 from estimator.fitting.latent_motion import settle_motion
 from estimator.fitting.mle import rounding_words
+from estimator.fitting.next_measurement import Measurement, next_measurement
 from estimator.fitting.noise_levels import disturbance_levels, imu_levels, torque_levels
 from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.scale import has_torque, require_scale
@@ -27,6 +28,7 @@ __all__ = [
     "TORQUE_SHARE",
     "Disturbance",
     "MarginalLikelihood",
+    "Measurement",
     "between_samples",
     "design_rows",
     "disturbance_levels",
@@ -43,6 +45,7 @@ __all__ = [
     "iterate",
     "known_noise",
     "mistakes_torque",
+    "next_measurement",
     "noise_floors",
     "of_noise",
     "require_scale",

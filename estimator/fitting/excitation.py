@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
-from estimator.fitting.identifiability import name_directions, plausible_sizes, uncertain_directions
+from estimator.fitting.identifiability import LARGEST_STD, name_directions, plausible_sizes, uncertain_directions
+from estimator.fitting.prior import combined, prior_at
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -50,9 +51,16 @@ def undetermined_by_design(datasets: Sequence[Dataset], mechanism: Mechanism, op
         return ()
     design = design_rows(signals, mechanism, options)
     beta, covariance, _ = weighted_least_squares(design.z, design.torque, free, beta, design.samples_per_dof)
+    known = np.zeros_like(covariance)
+    if options.prior:
+        beta = combined(mechanism, options.prior, beta, covariance)
+        known = prior_at(mechanism, options.prior, beta).information
+        covariance = covariance @ np.linalg.inv(np.eye(len(known)) + known @ covariance)
     scale = plausible_sizes(mechanism, beta)
     flat = unexcited_directions(signals, mechanism, options, free, least_power, design.z) / scale[:, None]
     flat = np.linalg.qr(flat / np.linalg.norm(flat, axis=0))[0]
+    values, vectors = np.linalg.eigh(flat.T @ (known * np.outer(scale, scale)) @ flat)
+    flat = flat @ vectors[:, values < LARGEST_STD**-2]  # the others are known from elsewhere
     return name_directions(mechanism.names, np.hstack([flat, uncertain_directions(covariance, scale, free)]), scale)
 
 

@@ -13,6 +13,7 @@ from estimator.fitting.excitation import LEAST_POWER, LEAST_POWER_MLE, undetermi
 from estimator.fitting.hekf import fit_hekf
 from estimator.fitting.hold_choice import FIRST
 from estimator.fitting.mle import fit_mle
+from estimator.fitting.prior import check_known
 from estimator.fitting.profile_likelihood import knows_noise, suits
 from estimator.fitting.rls import fit_rls
 from estimator.fitting.scale import require_scale
@@ -78,6 +79,11 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     if options.hold == AUTO and (method != "mle" or options.latent == "free"):
         options = replace(options, hold="linear")
     _refuse_correlations(options, method)
+    if options.prior:
+        check_known(mechanism, options.prior)
+        if method != "mle" or options.latent == "free":
+            own = "--latent free" if method == "mle" else f"--method {method}"
+            raise FitError(f"{own} uses no prior, and the rig file has [prior]: fit by --method mle, or take it out")
     require_scale(datasets, mechanism, options)
     if (method != "mle" or options.latent == "free") and not is_plain(mechanism, options):
         own = "--latent free" if method == "mle" else f"--method {method}"

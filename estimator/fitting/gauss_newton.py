@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.errors import FitError
 from estimator.fitting.correlated_levels import correlation_of, excess_variance
+from estimator.fitting.prior import Prior, prior_at
 from estimator.fitting.run_levels import renewed
 from estimator.likelihood import (
     LatentProblem,
@@ -23,6 +24,8 @@ from estimator.likelihood import (
     Process,
     State,
     effective_samples,
+    find_smoothing,
+    find_stiction,
     unit_scale,
 )
 from estimator.numerics import Swept, eliminate, pseudo_inverse
@@ -83,7 +86,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     is one draw a sample. `levels_by_run`: runs may have noise levels of their own. Stiction that neither the problem
     nor the state knows is found on the way. Raises `FitError`.
     """
-    state, problem = replace(state), problem.smoothed_over(state.smoothing)
+    state, problem = replace(state, converged=False), problem.smoothed_over(state.smoothing)
     index = np.flatnonzero(free)
     settled, share, lowest, change, objective = 0, 1.0, np.inf, 0.0, np.inf
     before = np.zeros(index.size)
@@ -93,11 +96,13 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     for iteration in range(limit):
         state.iterations = iteration + 1
         if finds_stiction and (iteration < REST_STEPS or found_smoothing):
-            stiction = problem.find_stiction(state.x.v, state.beta, one_per_crossing)
+            stiction = find_stiction(problem, state.x.v, state.beta, one_per_crossing)
             state.noise = replace(state.noise, stiction=stiction)
         predicted = None if state.misfit is None else MARGIN * problem.total * state.misfit
         if index.size:
             point = problem.linearise(state.x, state.beta, state.noise, predicted_misfit=predicted)
+            if options.prior:
+                point = with_prior(point, prior_at(problem.mechanism, options.prior, state.beta[: problem.mechanism.p]))
         else:
             point = problem.motion_equations(state.x, state.beta, state.noise)
         try:
@@ -132,7 +137,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
             found_smoothing = False
             if seeks_smoothing and iteration >= ROUGH_STEPS:
                 spread = np.einsum("kii->ki", solved.inverse_diagonal())[:, 2 * problem.n : 3 * problem.n]
-                found = problem.find_smoothing(state.x, state.beta, state.noise, residuals["torque"], spread)
+                found = find_smoothing(problem, state.x, state.beta, state.noise, residuals["torque"], spread)
                 same = np.array_equal(found, problem.mechanism.velocity_scales)
                 state.smoothing, problem = found, problem.smoothed_over(found)
                 found_smoothing = same or iteration + 1 >= REST_STEPS
@@ -155,6 +160,15 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
             state.converged = True
             break
     return state
+
+
+def with_prior(point: Linearised, prior: Prior) -> Linearised:
+    """The normal equations at `point` with those of a prior of its first p parameters."""
+    p = prior.gradient.size
+    corner, gradient = point.corner.copy(), point.gradient_beta.copy()
+    corner[:p, :p] += prior.information
+    gradient[:p] += prior.gradient
+    return replace(point, objective=point.objective + prior.objective, corner=corner, gradient_beta=gradient)
 
 
 def newton_step(point: Linearised, solved: Swept, index: NDArray[np.intp]

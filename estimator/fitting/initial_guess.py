@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.errors import FitError
+from estimator.fitting.prior import combined
 from estimator.fitting.profile_likelihood import EXACT_ENCODER
 from estimator.fitting.wls import driven_first, stack_regressors, weighted_least_squares
 from estimator.likelihood import LatentProblem, Latents, Noise, State
@@ -33,6 +34,8 @@ def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mec
     if mechanism.passive and mechanism.actuated:
         beta = driven_first(z, tau, free, start, mechanism)
         sigma = np.maximum(np.sqrt(np.mean((tau - z @ beta) ** 2, axis=0)), 1e-3 * sigma)
+    if options.prior:
+        beta = combined(mechanism, options.prior, beta, signals[0].rate_hz / cutoff * covariance)
     x = Latents(np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions]),
                 problem.torque.copy())
     shown = problem.shown

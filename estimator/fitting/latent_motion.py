@@ -13,7 +13,7 @@ import numpy as np
 
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import REST_STEPS, shortened
-from estimator.likelihood import LatentProblem, State
+from estimator.likelihood import LatentProblem, State, find_stiction
 from estimator.numerics import eliminate
 
 SAME_OBJECTIVE = 0.1
@@ -33,7 +33,7 @@ def settle_motion(problem: LatentProblem, state: State, limit: int) -> State:
     seeks_rest = problem.stiction(noise) is None
     for iteration in range(limit + 1):
         if seeks_rest and iteration < REST_STEPS:
-            noise = replace(noise, stiction=problem.find_stiction(x.v, state.beta))
+            noise = replace(noise, stiction=find_stiction(problem, x.v, state.beta))
             lowest = before = np.inf  # that was by other weights
         point = problem.motion_equations(x, state.beta, noise)
         if point.objective < lowest:

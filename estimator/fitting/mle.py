@@ -31,6 +31,7 @@ from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
+from estimator.fitting.prior import Known, prior_at, prior_values
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
 from estimator.fitting.run_levels import run_noise
 from estimator.fitting.run_scatter import agreement_of
@@ -43,6 +44,8 @@ from estimator.options import AUTO, FitOptions
 from estimator.result import TWO_SIDED, FitResult, Trajectory
 from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals
 
+CONFLICT_STEPS = 20
+"""Steps without a prior, from the fit with it, that show whether the runs contradict it."""
 DISTURBANCE_ROUNDS = 3
 """Most times that levels of the disturbance are sought anew at the motion and parameters that followed from them."""
 
@@ -69,7 +72,9 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         floors = noise_floors(problem, mechanism, state.beta)
         state, skew, found = _with_skew(problem, state, signals, free, options, floors, bound_s)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
-    result = _with_agreement(result, problem, signals, state, free, skew)
+    result = _with_agreement(result, problem, signals, state, free, skew, options.prior)
+    known = prior_values(result.mechanism, options.prior, result.beta, result.covariance)
+    result = replace(result, prior=known, prior_conflict=_conflict(problem, state, result, free, options))
     result = replace(result, wall_s=time.perf_counter() - start)
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
@@ -86,6 +91,29 @@ def rounding_words(stated: Mechanism, found: Mechanism) -> str | None:
     told = " and ".join(f"{found.velocity_scales[j]:.2g} {found.length_unit}/s at joint {j + 1}" for j in wider)
     return (f"dry friction takes its full level not at once, but over about {told}: the likeliest; near rest its "
             "torque is taken as unknown, once a passage")
+
+
+def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDArray[np.bool_], options: FitOptions
+              ) -> float:
+    """Standard deviations by which prior and runs disagree: root of the fall of -2 log p without the prior, by known
+    value, over the scatter between runs; 0 without a prior.
+
+    A prior that is far off is paid for with noise, beside which no single value seems wrong.
+    """
+    if not options.prior:
+        return 0.0
+    floors, begin = noise_floors(problem, result.mechanism, state.beta), replace(state, noise=state.noise.levels())
+    try:
+        both = [iterate(problem, begin, free, each, floors, CONFLICT_STEPS)
+                for each in (options, replace(options, prior={}))]
+    except FitError:
+        return 0.0
+    known, alone = (problem.motion_equations(s.x, s.beta, s.noise).objective + 2.0 * problem.log_volume(s.noise)
+                    for s in both)
+    fall = known + prior_at(result.mechanism, options.prior, both[0].beta[: result.mechanism.p]).objective - alone
+    scatter = result.covariance.diagonal() / np.maximum(state.covariance.diagonal()[: result.mechanism.p], 1e-300)
+    spread = max(1.0, float(np.median(scatter[free]))) if free.any() else 1.0
+    return float(np.sqrt(max(fall, 0.0) / (len(options.prior) * spread)))
 
 
 def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
@@ -182,7 +210,7 @@ def _skewed(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, distu
 
 
 def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
-                    free: NDArray[np.bool_], skew: float | None) -> FitResult:
+                    free: NDArray[np.bool_], skew: float | None, prior: Known) -> FitResult:
     """`result` with what its runs disagree about in its covariance. A fit that did not converge has no optimum to
     ask at."""
     if not result.converged:
@@ -192,7 +220,8 @@ def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[Sig
     try:
         scores = score_runs(signals, lambda own: make(own, result.mechanism, result.hold, problem.disturbed), problem,
                             state, beta)
-        covariance, agreement = agreement_of(scores, beta, result.covariance, free)
+        known = prior_at(result.mechanism, prior, result.beta).information if prior else None
+        covariance, agreement = agreement_of(scores, beta, result.covariance, free, known)
     except np.linalg.LinAlgError:  # a run that alone determines nothing at all
         return result
     return replace(result, covariance=covariance, agreement=agreement)

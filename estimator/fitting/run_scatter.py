@@ -44,12 +44,13 @@ START = 10.0
 """Variances of a parameter, times the number of runs, at which that search starts: it only shrinks."""
 
 
-def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, free: NDArray[np.bool_]
-                 ) -> tuple[FloatArray, RunAgreement]:
+def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, free: NDArray[np.bool_],
+                 prior: FloatArray | None = None) -> tuple[FloatArray, RunAgreement]:
     """The covariance (p, p) with what runs disagree about, and what there is to say of it.
 
     Beta (m,) and `free` (m,) are those of the scores, the first p of them the parameters; `covariance` (p, p) is the
-    fit's by noise alone.
+    fit's by noise alone. What is known from elsewhere has the information `prior` (p, p): it votes in no run, and what
+    runs disagree about moves the parameters the less for it.
     """
     own_std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     index = np.flatnonzero(free)
@@ -71,6 +72,12 @@ def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, fr
     p = len(covariance)
     kept = index < p
     at = index[kept]
+    if prior is not None:
+        whole = information.sum(axis=0)
+        both = whole.copy()
+        both[np.ix_(kept, kept)] += prior[np.ix_(at, at)]
+        root = pseudo_inverse(both) @ whole @ root
+        robust = np.sqrt(np.einsum("ki,ij,kj->k", root, outer, root))
     wide = covariance.copy()
     wide[np.ix_(at, at)] += (root @ _positive(outer - np.eye(index.size)) @ root.T)[np.ix_(kept, kept)]
     std = np.sqrt(np.maximum(np.diag(wide)[at], 1e-300))

@@ -20,8 +20,8 @@ def has_torque(datasets: Sequence[Dataset], mechanism: Mechanism) -> bool:
 
 
 def require_scale(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> None:
-    """Raises `ScaleError` where no run has a torque and no parameter is given."""
-    if not options.fixed and not has_torque(datasets, mechanism):
+    """Raises `ScaleError` where no run has a torque and no parameter is given or known beforehand."""
+    if not options.fixed and not options.prior and not has_torque(datasets, mechanism):
         term = "gravity" if mechanism.gravity_mps2 > 0.0 and mechanism.gravity else "inertia"
         known = [p for p in mechanism.parameters if p.term == term][-1]
         raise ScaleError("no run has a torque, so motion tells parameters up to a common factor only: give one, e.g. "

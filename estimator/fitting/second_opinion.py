@@ -53,9 +53,9 @@ def with_second_opinion(datasets: Sequence[Dataset], mechanism: Mechanism, optio
                         ) -> FitResult:
     """`result` of an `mle` on these with a second opinion; of shooting where that predicts held-out data better.
 
-    Unchanged where the fit is by another method, did not converge, or where shooting comes to no end.
+    Unchanged where the fit is by another method or has a prior, did not converge, or where shooting comes to no end.
     """
-    if result.method != "mle" or not result.converged or not result.trajectories:
+    if result.method != "mle" or not result.converged or not result.trajectories or options.prior:
         return result
     options = replace(options, hold=result.hold, rounding="given",
                       fixed={**options.fixed, **dict.fromkeys(result.at_bound, 0.0)})

@@ -44,7 +44,7 @@ class Noise:
     """Of each of the N samples of one record, where runs differ in noise."""
     stiction: FloatArray | None = None
     """(N, 2, n) variance [N^2 m^2] of the torque that dry friction may hold at each of these samples, and in the
-    interval from it on, where a search found it; see `LatentProblem.find_stiction`."""
+    interval from it on, where a search found it; see `find_stiction`."""
 
     def at(self, samples: slice | NDArray[np.intp]) -> Noise:
         """At some of the samples of its record."""

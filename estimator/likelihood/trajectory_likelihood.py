@@ -31,7 +31,6 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.likelihood import assembly_numba, correlated_torque
 from estimator.likelihood.disturbance import Process, expected_score
-from estimator.likelihood.dry_friction import REST_SPREAD, crossing_samples, held_variance, likeliest_smoothing
 from estimator.likelihood.memory import keep_pages, pieces
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents, Linearised
@@ -58,8 +57,6 @@ TIGHT = 0.1
 interval's two points then add half a per cent to the variance of its torque."""
 CURVED = 0.15
 """Share of the rate below which the measured torque's curve is its own and not its noise's."""
-KINK = 2.0
-"""See `find_stiction`."""
 
 
 class LatentProblem:
@@ -131,49 +128,12 @@ class LatentProblem:
         """(N, 2, n) in force: what is known beforehand, else what a search found."""
         return noise.stiction if self.known_stiction is None else self.known_stiction
 
-    def find_stiction(self, v: FloatArray, beta: FloatArray, one_per_crossing: bool = True) -> FloatArray:
-        """(N, 2, n) what dry friction leaves open at each sample, and in the interval from it on, squared [N^2 m^2].
-
-        At samples see `dry_friction`; friction is one draw a zero crossing of the velocity, or one a sample.
-        (Measured on a leg that starts at rest against a spring: without this the spring's preload is 6 % off and five
-        parameters 0.25 %, with it 0.7 % and 0.05 %.)
-        In an interval at whose ends a joint is slower than what friction can change its rate by in KINK intervals, or
-        in which it turns round, it may rest or reverse, nothing says when, and the sums of friction over it are free up
-        to F: what such an interval says of beta is little, and wrong. (Measured on an event-driven leg with friction of
-        a tenth of the torque's peak at 100 Hz: the knee's Coulomb level 4.4 to 5.6 of its standard deviations low
-        without this and a smooth torque, 0.1 to 1.2 with them, in half as many steps.)
-        """
-        m = self.mechanism
-        out = np.zeros((self.total, 2, self.n))
-        for k, parameter in enumerate(m.parameters):
-            if parameter.term == "coulomb":
-                j = parameter.at[0]
-                scale = float(m.velocity_scales[j])
-                out[:, 0, j] += held_variance(v[:, j], beta[k], scale)
-                if one_per_crossing:
-                    out[:, 0, j] *= crossing_samples(v[:, j], scale, self.ends)
-                inertia = float(self._inertia[:, j] @ beta[: m.p])
-                slow = REST_SPREAD * self.sharpest[j]
-                slow += KINK * abs(beta[k]) * self.dt / inertia if inertia > 0.0 else 0.0
-                before, later = v[self.left, j], v[self.left + 1, j]
-                open_ = (before * later < 0.0) | (np.minimum(np.abs(before), np.abs(later)) < slow)
-                out[self.left, 1, j] += beta[k] ** 2 * open_
-        return out
-
-    def find_smoothing(self, x: Latents, beta: FloatArray, noise: Noise, residual: FloatArray, spread: FloatArray
-                       ) -> FloatArray:
-        """(n,) likeliest velocity [rad/s] over which each joint's sign of friction is smoothed.
-
-        `residual` and `spread` (N, n) are the torques', and their variance by the latents.
-        """
-        m = self.mechanism
-        found = m.velocity_scales.copy()
-        for k, parameter in enumerate(m.parameters):
-            if parameter.term == "coulomb":
-                j = parameter.at[0]
-                found[j] = likeliest_smoothing(x.v[:, j], beta[k], self.sharpest[j], found[j], noise.torque[j],
-                                               residual[:, j], spread[:, j])
-        return found
+    def log_volume(self, noise: Noise) -> float:
+        """Sum over samples of the log standard deviations of all channels."""
+        levels = [*noise.torque, *noise.encoder[np.isfinite(noise.encoder)]]
+        if self.has_imu:
+            levels += [*noise.gyro, *noise.accel.ravel()]
+        return self.total * float(np.sum(np.log(levels)))
 
     def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None,
                   predicted_misfit: FloatArray | None = None) -> Linearised:
@@ -240,14 +200,14 @@ class LatentProblem:
         out = np.zeros(self.mechanism.p)
         most = np.full(self.n, self.total) if predicted is None else predicted
         for j in self.mechanism.passive:
-            a = self._inertia[:, j]
+            a = self.inertia_rows[:, j]
             m = float(a @ beta)
             if m > 0.0:
                 out += min(misfit[j], most[j]) / m * a
         return out
 
     @cached_property
-    def _inertia(self) -> FloatArray:
+    def inertia_rows(self) -> FloatArray:
         """(p, n) diagonal of the inertia matrix, all joints straight, by parameter."""
         one, straight = np.eye(self.mechanism.p), np.zeros((1, self.n))
         return np.array([np.diag(self.mechanism.inertia_matrix(straight, b)[0]) for b in one])

@@ -1,15 +1,25 @@
 """Planar trees: regressor, inertia, bias torque, collocation of one motion, forward simulation."""
 
+from estimator.model.bodies import (
+    body_values,
+    carried,
+    formula,
+    has_bodies,
+    parent_of,
+    rigid_parameters,
+)
+from estimator.model.chain import chain
 from estimator.model.collocation import GAUSS, HOLDS, Collocation, Samples, after
 from estimator.model.forward_simulation import simulate
 from estimator.model.impact import land, leg_length
-from estimator.model.mechanism import VELOCITY_SCALE, ImuPlace, Mechanism, Parameter, biped3, chain, joint1, leg2
+from estimator.model.mechanism import VELOCITY_SCALE, ImuPlace, Mechanism, Parameter, biped3, joint1, leg2
 from estimator.model.registry import builders, joint_counts, settings_of
 from estimator.model.regressor_numba import invert
 from estimator.model.terms import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, Motion, mean_sign, smooth_sign
 
 __all__ = [
     "ACCEL", "ANGLE", "GAUSS", "HOLDS", "RATE", "RATE_FROM", "RATE_TO", "VELOCITY_SCALE", "Collocation", "ImuPlace",
-    "Mechanism", "Motion", "Parameter", "Samples", "after", "biped3", "builders", "chain", "invert", "joint1",
-    "joint_counts", "land", "leg2", "leg_length", "mean_sign", "settings_of", "simulate", "smooth_sign",
+    "Mechanism", "Motion", "Parameter", "Samples", "after", "biped3", "body_values", "builders", "carried", "chain",
+    "formula", "has_bodies", "invert", "joint1", "joint_counts", "land", "leg2", "leg_length", "mean_sign",
+    "parent_of", "rigid_parameters", "settings_of", "simulate", "smooth_sign",
 ]

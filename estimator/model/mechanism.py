@@ -291,23 +291,11 @@ def joint1(*, gravity_mps2: float = 9.81, prismatic: bool = False, actuated: tup
     force = "V" if voltage else ("N" if prismatic else "N m")
     length = "m" if prismatic else "rad"
     mass = f"V s^2/{length}" if voltage else ("kg" if prismatic else "kg m^2")
-    rigid = tree_parameters([(0, 0)], [0] if gravity_mps2 else [], ["mass" if prismatic else "inertia", "m*lc"],
+    rigid = tree_parameters([(0, 0)], [0] if gravity_mps2 else [],
+                            ["mass" if prismatic else "inertia" if voltage else "I1 + m1*lc1^2",
+                             "m*lc" if prismatic or voltage else "m1*lc1"],
                             "V s^2/m" if voltage else "kg m", mass)
     friction = friction_parameters([0], ["joint"], len(rigid) + 1, force, f"{force} s/{length}")
     extra = extra_parameters((), torque_offset, force, mass)
     return Mechanism("joint1", np.eye(1), tuple(rigid + friction + extra), gravity_mps2, actuated,
                      (ImuPlace(0, lever_arm),), gravity_mps2, velocity_scale, length)
-
-
-def chain(links: int, *, gravity_mps2: float = 9.81, actuated: tuple[int, ...] | None = None,
-          rotor_inertia: tuple[int, ...] = (), torque_offset: tuple[int, ...] = (),
-          velocity_scale: Speeds = VELOCITY_SCALE) -> Mechanism:
-    """An open chain of `links` links hanging from a pivot, each angle relative to the link before (Fig. 1)."""
-    pairs = [(i, i) for i in range(links)] + [(i, j) for i in range(links) for j in range(i + 1, links)]
-    meanings = [f"p{i + 1}{j + 1}" for i, j in pairs] + [f"first moment, link {i + 1}" for i in range(links)]
-    rigid = tree_parameters(pairs, list(range(links)), meanings)
-    friction = friction_parameters(list(range(links)), [f"joint {j + 1}" for j in range(links)], len(rigid) + 1)
-    driven = tuple(range(1, links)) if actuated is None else actuated
-    return Mechanism("chain", np.tril(np.ones((links, links))),
-                     tuple(rigid + friction + extra_parameters(rotor_inertia, torque_offset)),
-                     gravity_mps2, driven, gravity_mps2=gravity_mps2, velocity_scale=velocity_scale)

@@ -14,20 +14,48 @@ Definitions, once for all:
 - Baselines: the last velocity kept; a constant prediction at the sensor's mean.
 """
 
-from estimator.prediction.floor import floor_errors
-from estimator.prediction.free_runs import HORIZONS_S, SHORT_S, PredictedRun, predict_run
+from estimator.prediction.floor import FloorNoise, floor_errors, white_noise
+from estimator.prediction.free_runs import HORIZONS_S, SHORT_S, PredictedRun, channel_names, predict_run
 from estimator.prediction.predict import predict, predict_filtered
 from estimator.prediction.predictor import Predictor
 from estimator.prediction.replicate import draw_disturbance, draw_replicate, simulate_run
-from estimator.prediction.smoothing import SmoothedRun, filtered_motion, log_volume, per_value, smooth, smooth_under
+from estimator.prediction.smoothing import SmoothedRun, filtered_motion, per_value, smooth, smooth_under
 from estimator.prediction.structure import repeated_share, state_columns, taken
 from estimator.prediction.table import BLOCK_S, PredictionTable, Ratio, tabulate
 from estimator.prediction.validation import Validation, validations_of
 from estimator.prediction.walking import StepsAhead, WalkAhead, Whole, walk_ahead
 
 __all__ = [
-    "BLOCK_S", "HORIZONS_S", "SHORT_S", "PredictedRun", "PredictionTable", "Predictor", "Ratio", "SmoothedRun",
-    "StepsAhead", "Validation", "WalkAhead", "Whole", "draw_disturbance", "draw_replicate", "filtered_motion",
-    "floor_errors", "log_volume", "per_value", "predict", "predict_filtered", "predict_run", "repeated_share",
-    "simulate_run", "smooth", "smooth_under", "state_columns", "tabulate", "taken", "validations_of", "walk_ahead",
+    "BLOCK_S",
+    "HORIZONS_S",
+    "SHORT_S",
+    "FloorNoise",
+    "PredictedRun",
+    "PredictionTable",
+    "Predictor",
+    "Ratio",
+    "SmoothedRun",
+    "StepsAhead",
+    "Validation",
+    "WalkAhead",
+    "Whole",
+    "channel_names",
+    "draw_disturbance",
+    "draw_replicate",
+    "filtered_motion",
+    "floor_errors",
+    "per_value",
+    "predict",
+    "predict_filtered",
+    "predict_run",
+    "repeated_share",
+    "simulate_run",
+    "smooth",
+    "smooth_under",
+    "state_columns",
+    "tabulate",
+    "taken",
+    "validations_of",
+    "walk_ahead",
+    "white_noise",
 ]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from daq import FloatArray
 from estimator.errors import FitError
-from estimator.likelihood import ExtendedProblem, free_run
+from estimator.likelihood import ExtendedProblem, Noise, free_run
 from estimator.prediction.free_runs import channel_names, rows_of
-from estimator.prediction.replicate import draw_replicate
+from estimator.prediction.replicate import draw_disturbance, draw_replicate, simulate_run
 from estimator.prediction.smoothing import SmoothedRun, smooth_under
 from estimator.signals import SignalSet
 
@@ -18,22 +20,39 @@ ATTEMPTS = 10
 """Replicates, one after the other, until one does not diverge: their noise is drawn."""
 
 
+class FloorNoise(NamedTuple):
+    """What replicates are drawn with."""
+
+    noise: Noise
+    rest: FloatArray
+    """(n,) share of the most that each joint's dry friction leaves open near rest"""
+    repeated: FloatArray
+    """(n,) share of each joint's coloured disturbance that is a function of the state: structure, which is not noise"""
+
+
+def white_noise(noise: Noise) -> FloorNoise:
+    """These noise levels, all white."""
+    none = np.zeros(noise.torque.size)
+    return FloorNoise(noise, none, none)
+
+
 def floor_errors(one: SmoothedRun, rng: np.random.Generator, horizons_s: Sequence[float],
-                 problem_of: Callable[[Sequence[SignalSet]], ExtendedProblem]) -> FloatArray:
+                 problem_of: Callable[[Sequence[SignalSet]], ExtendedProblem], noise: FloorNoise | None = None
+                 ) -> FloatArray:
     """(H, C, N) squared free-run errors of a parametric-bootstrap replicate of the run.
 
-    The replicate has the model's motion, noise levels and quantisers; `problem_of` gives the likelihood of its signals.
-    Pieces start from the motion that would be fitted to it, whole stretches from the true one. Raises `FitError`
-    where the model's own simulation diverges.
+    The replicate has the model's motion and quantisers, and this `noise`, by default the levels of the run;
+    `problem_of` gives the likelihood of its signals. Pieces start from the motion that would be fitted to it, whole
+    stretches from the true one. Raises `FitError` where the model's own simulation diverges.
     """
-    problem, state = one.problem, one.state
-    truth = free_run(problem, state)
-    if truth is None:
-        raise FitError("the free run diverges")
+    noise = noise or white_noise(one.state.noise)
+    problem, state = one.problem, replace(one.state, noise=noise.noise)
     for _ in range(ATTEMPTS):
-        signals = draw_replicate(problem, state, one.signals, rng)
+        disturbance = draw_disturbance(problem, state, noise.rest, rng)
+        truth = simulate_run(problem, state, rng, disturbance)
+        signals = draw_replicate(problem, state, one.signals, rng, truth, disturbance)
         again = problem_of(signals)
-        begin = state if np.isinf(horizons_s).all() else smooth_under(again, state, near=True)
+        begin = state if np.isinf(horizons_s).all() else smooth_under(again, one.state, near=True)
         drive = again.torque - problem.torque_readings(state.x, state.beta)
         found = [free_run(again, state if np.isinf(h) else begin, drive, h) for h in horizons_s]
         measured = _measured(again, truth.q, truth.v)

@@ -13,7 +13,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.errors import FitError
-from estimator.likelihood import ExtendedProblem, FreeRun, Noise, Process, State, draw_held, free_run
+from estimator.likelihood import ExtendedProblem, FreeRun, Noise, Process, State, draw_stiction, free_run
 from estimator.signals import SignalSet, encoder_of, imu_channels, imu_columns, quantum, torque_of
 
 
@@ -73,12 +73,7 @@ def draw_disturbance(problem: ExtendedProblem, state: State, rest: FloatArray, r
 
     Of the most that friction leaves open there it is the share `rest` (n,); see `estimator.likelihood.dry_friction`.
     """
-    noise, out = state.noise, np.zeros((problem.total, problem.n))
-    for k, parameter in enumerate(problem.mechanism.parameters):
-        if parameter.term == "coulomb":
-            j = parameter.at[0]
-            level, scale = rest[j] * state.beta[k], problem.mechanism.velocity_scales[j]
-            out[:, j] += draw_held(state.x.v[:, j], float(level), float(scale), problem.ends, rng)
+    noise, out = state.noise, draw_stiction(problem, state, rest, rng)
     if noise.disturbance.any():
         process, lengths = Process.of(noise, problem.dt), np.diff(problem.ends, prepend=0)
         for j in map(int, np.flatnonzero(noise.disturbance)):

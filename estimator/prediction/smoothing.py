@@ -51,7 +51,7 @@ class SmoothedRun:
         """
         noise = (noise or self.state.noise).with_samples_of(self.state.noise)
         objective = self.problem.motion_equations(self.state.x, self.state.beta, noise).objective
-        return objective + 2.0 * log_volume(self.problem, noise)
+        return objective + 2.0 * self.problem.log_volume(noise)
 
 
 def smooth(model: Predictor, data: Dataset, options: FitOptions, session_s: float = 0.0) -> SmoothedRun:
@@ -133,11 +133,3 @@ def per_value(problem: ExtendedProblem, state: State) -> float:
     channels = problem.n + int(problem.has_encoder.sum()) + 3 * problem.imu_count
     value = problem.motion_equations(state.x, state.beta, state.noise).objective / (channels * problem.total)
     return value if np.isfinite(value) else np.inf
-
-
-def log_volume(problem: ExtendedProblem, noise: Noise) -> float:
-    """Sum over samples of the log standard deviations of all channels."""
-    levels = [*noise.torque, *noise.encoder[np.isfinite(noise.encoder)]]
-    if problem.has_imu:
-        levels += [*noise.gyro, *noise.accel.ravel()]
-    return problem.total * float(np.sum(np.log(levels)))

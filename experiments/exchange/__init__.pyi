@@ -2,9 +2,12 @@ from .column_map import TIME as TIME
 from .column_map import ColumnMap as ColumnMap
 from .column_map import apply_map as apply_map
 from .column_map import check_map as check_map
+from .column_map import guess_text as guess_text
+from .column_map import is_guess as is_guess
 from .column_map import load_map as load_map
 from .column_map import map_text as map_text
 from .exports import export_run as export_run
+from .expression import runs_in as runs_in
 from .foreign import Foreign as Foreign
 from .guess import Guess as Guess
 from .guess import guess_map as guess_map

@@ -8,23 +8,28 @@ from __future__ import annotations
 
 import tomllib
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from zlib import crc32
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import Column, Dataset, FloatArray, InputError
-from daq.runs import MIN_SAMPLES, is_contract_column
+from daq import Column, Dataset, Doubt, FloatArray, InputError
+from daq.runs import MIN_SAMPLES, MOST, is_contract_column
 from daq.timing import TimedColumns, align_channels
-from experiments.exchange.foreign import Foreign, Table
+from experiments.exchange.expression import ANY, names_in, with_computed
+from experiments.exchange.foreign import Foreign, Table, Wrong
 from experiments.exchange.units import factor
 
 ColumnMap = Mapping[str, Column]
 TIME = "time_s"
 MOST_REPEATED = 0.01
 """Share of rows whose time does not increase that is left out in silence."""
+MOST_TOLD = 4
+"""Wrong rows that are named one by one."""
 Key = tuple[int, float]
 
 
@@ -72,9 +77,24 @@ def map_text(columns: ColumnMap, notes: Mapping[str, str] | None = None) -> str:
     return "\n".join(parts)
 
 
+MARK = "# Guessed by legid import; the map has changed since where this is not its check sum: "
+
+
+def guess_text(columns: ColumnMap, notes: Mapping[str, str]) -> str:
+    """`map_text` with a line by which `is_guess` knows it."""
+    text = map_text(columns, notes)
+    return f"{MARK}{crc32(text.encode()):08x}\n{text}"
+
+
+def is_guess(path: Path) -> bool:
+    """The file is a map that a guess wrote, and nobody has changed it since."""
+    head, _, text = path.read_bytes().partition(b"\n")
+    return head == f"{MARK}{crc32(text):08x}".encode()
+
+
 def applies(foreign: Foreign, columns: ColumnMap) -> bool:
     """The file has a column that the map names."""
-    return any(column.name in foreign.names for column in columns.values())
+    return any(any(names_in(column.name, foreign.names)) for column in columns.values())
 
 
 def identity(foreign: Foreign) -> dict[str, Column]:
@@ -90,7 +110,11 @@ def apply_map(foreign: Foreign, columns: ColumnMap, rate_hz: float | None = None
     `InputError` naming file and column.
     """
     whole = {**identity(foreign), **columns}
-    channels = _channels(foreign, whole)
+    if any(ANY in column.name for column in whole.values()):
+        raise InputError(foreign.name, f"holds several runs by its map ({ANY})", "import it: legid import writes one "
+                         "file a run")
+    foreign = with_computed(foreign, whole)
+    channels, wrong = _channels(foreign, whole)
     if not channels:
         raise InputError(foreign.name, "holds no column that the map names", "correct the map, or run --guess")
     rates = [1.0 / float(np.median(np.diff(c.time_s))) for c in channels]
@@ -100,13 +124,23 @@ def apply_map(foreign: Foreign, columns: ColumnMap, rate_hz: float | None = None
     if len(run) < MIN_SAMPLES:
         raise InputError(foreign.name, f"gives {len(run)} samples, at least {MIN_SAMPLES} are needed",
                          "record for longer, or check the unit of time_s")
-    return run
+    used = {name for column in whole.values() for name in names_in(column.name, foreign.names)}
+    wrong = [*(one for one in foreign.wrong if not one.column or one.column in used), *wrong]
+    return replace(run, doubts=(Doubt("rows", _told(wrong)),)) if wrong else run
 
 
-def _channels(foreign: Foreign, columns: ColumnMap) -> list[TimedColumns]:
-    """Columns in SI units, those of the same times together; times count from the first."""
+def _told(wrong: Sequence[Wrong]) -> str:
+    """Rows that are not used, in few words."""
+    rows = [f"{one.place} ({f'{one.column!r} ' if one.column else ''}{one.why})" for one in wrong[:MOST_TOLD]]
+    more = f" and {len(wrong) - MOST_TOLD} more" if len(wrong) > MOST_TOLD else ""
+    return f"has {len(wrong)} wrong sample{'s' * (len(wrong) != 1)}, left out: {', '.join(rows)}{more}"
+
+
+def _channels(foreign: Foreign, columns: ColumnMap) -> tuple[list[TimedColumns], list[Wrong]]:
+    """Columns in SI units, those of the same times together; times count from the first. And the rows left out."""
     groups: dict[Key, dict[str, FloatArray]] = defaultdict(dict)
     clocks: dict[Key, FloatArray] = {}
+    wrong: list[Wrong] = []
     for name, column in columns.items():
         if name == TIME:
             continue
@@ -115,13 +149,19 @@ def _channels(foreign: Foreign, columns: ColumnMap) -> list[TimedColumns]:
         clocks[key] = _clock(foreign, table, columns) - column.delay
         read = table.columns[column.name]
         scale = column.sign * column.scale * factor(column.unit, name, foreign.name)
-        groups[key][name] = read if (scale, column.offset) == (1.0, 0.0) else scale * read + column.offset
+        values = read if (scale, column.offset) == (1.0, 0.0) else scale * read + column.offset
+        far = np.flatnonzero(np.abs(values) > MOST)
+        wrong += [Wrong(f"row {k + 1}", column.name, f"is {values[k]:.3g}, larger than any reading") for k in far]
+        groups[key][name] = np.where(np.abs(values) > MOST, np.nan, values) if far.size else values
     out = []
     for key, group in groups.items():
         rows = _increasing(foreign.name, clocks[key])
+        late = np.setdiff1d(np.arange(clocks[key].size), rows)
+        wrong += [Wrong(f"row {k + 1}", "", "has no time" if not np.isfinite(clocks[key][k]) else
+                        "its time is not after the one before") for k in late if key[1] == 0.0]
         for times, names in _sparse({name: values[rows] for name, values in group.items()}, clocks[key][rows]):
             out.append(TimedColumns(times, names))
-    return out
+    return out, wrong
 
 
 def _clock(foreign: Foreign, table: Table, columns: ColumnMap) -> FloatArray:

@@ -9,17 +9,20 @@ from __future__ import annotations
 import csv
 import gzip
 import math
+from collections import defaultdict
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from daq import FloatArray, InputError
-from experiments.exchange.foreign import Foreign, Table
+from experiments.exchange.foreign import Foreign, Table, Wrong
 from experiments.exchange.units import UNITS
 
 SEPARATORS = (",", ";", "\t", "|", " ")
 SNIFFED_LINES = 200
+MOST_WRONG = 0.05
+"""Share of rows that may hold a word where a number belongs; a column with more is one of words."""
 BLANK = {"", "nan", "na", "n/a", "null", "none", "-"}
 _UNIT_WORDS = {unit for known in UNITS.values() for unit in known}
 
@@ -33,7 +36,10 @@ class Dialect(NamedTuple):
 
 
 def read_delimited(path: Path) -> Foreign:
-    """The table in a text file; columns that hold anything but numbers are left out. Raises `InputError`."""
+    """The table in a text file; columns of words are left out, and rows with a wrong cell named.
+
+    Raises `InputError`.
+    """
     lines = _lines(path)
     dialect = _sniff(lines)
     if dialect is None:
@@ -41,22 +47,28 @@ def read_delimited(path: Path) -> Foreign:
                          "give a text file with a header line and one row a sample")
     names = _names(lines, dialect)
     columns: list[list[float]] = [[] for _ in names]
-    bad: dict[int, str] = {}
+    bad: dict[int, list[Wrong]] = defaultdict(list)
+    long: list[Wrong] = []
     for number, line in enumerate(lines[dialect.first:], dialect.first + 1):
         if not line.strip():
             continue
         cells = _split(line, dialect.separator)
         if len(cells) > len(names) and any(c.strip() for c in cells[len(names):]):
-            raise InputError(f"{path}, line {number}", f"has {len(cells)} cells, the lines before {len(names)}",
-                             "mend or cut the line")
+            long.append(Wrong(f"line {number}", "", f"has {len(cells)} cells, the lines before {len(names)}"))
+            continue
         for k in range(len(names)):
             value = _number(cells[k], dialect.decimal) if k < len(cells) else math.nan
             if value is None:
-                bad.setdefault(k, f"holds {cells[k].strip()[:40]!r} in line {number}")
+                bad[k].append(Wrong(f"line {number}", names[k], f"holds {cells[k].strip()[:40]!r}"))
                 value = math.nan
             columns[k].append(value)
-    kept: dict[str, FloatArray] = {name: np.array(columns[k]) for k, name in enumerate(names) if k not in bad}
-    return Foreign(path.name, (Table(kept),), left_out={names[k]: what for k, what in bad.items()})
+    most = MOST_WRONG * len(columns[0])
+    if len(long) > most:
+        raise InputError(f"{path}, {long[0].place}", long[0].why, "fix or cut the line")
+    text = {k: f"{cells[0].why} in {cells[0].place}" for k, cells in bad.items() if len(cells) > most}
+    kept: dict[str, FloatArray] = {name: np.array(columns[k]) for k, name in enumerate(names) if k not in text}
+    wrong = tuple([*long, *(one for k, cells in bad.items() if k not in text for one in cells)])
+    return Foreign(path.name, (Table(kept),), left_out={names[k]: what for k, what in text.items()}, wrong=wrong)
 
 
 def _lines(path: Path) -> list[str]:

@@ -21,6 +21,16 @@ class Table(NamedTuple):
     """(n,) times that the format itself gives, from the file's first [s]; None where a column holds the time."""
 
 
+class Wrong(NamedTuple):
+    """A cell, or a row, that is not used."""
+
+    place: str
+    """`line 61` of a text file, `row 60` of samples; both count from 1."""
+    column: str
+    """Empty for the whole row."""
+    why: str
+
+
 @dataclass(frozen=True)
 class Foreign:
     """One file."""
@@ -31,6 +41,8 @@ class Foreign:
     """What the file says of itself: the rate and clock of an own export."""
     left_out: Mapping[str, str] = field(default_factory=dict)
     """Columns that are no numbers -> what they hold instead, and where."""
+    wrong: tuple[Wrong, ...] = ()
+    """Cells and rows that were set aside, in the file's order."""
 
     @property
     def names(self) -> list[str]:

@@ -38,7 +38,7 @@ PATTERNS = {
     "q2": r"\bq2|q_?2_|knee|knie|joint_?2\b|elbow|pos|angle|winkel|enc(?![ey])|theta|\bq\b",
 }
 """Kind of signal -> how columns that hold it are called; of several kinds the first one counts."""
-NOT_MEASURED = r"cmd|command|set_?point|desired|target|ref|goal|input_"
+NOT_MEASURED = r"cmd|command|set_?point|desired|(?<![a-z])des(?![a-z])|target|ref|goal|input_"
 WORDS = {"gyro": "gyro, omega, wz or gz", "accel": "acc, ax", "tau2_nm": "torque, effort, tau, current or iq",
          "q2_rad": "knee, q2, angle, position or encoder", "q1_rad": "hip, q1 or pivot", TIME: "time, t or stamp"}
 """What a person is told to call them."""

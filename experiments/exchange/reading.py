@@ -11,6 +11,8 @@ import numpy as np
 from daq import Column, Dataset, InputError, Rig, load_rig
 from daq.runs import SUFFIXES, missing, read_csv
 from daq.timing import align_table
+from experiments.exchange.archives import SUFFIXES as ARCHIVES
+from experiments.exchange.archives import read_archive
 from experiments.exchange.binary import read_mat, read_parquet
 from experiments.exchange.can_log import SUFFIXES as CAN_LOGS
 from experiments.exchange.can_log import is_candump, read_can_log
@@ -33,7 +35,8 @@ OWN_TOPICS = {
     "accel_y_mps2": Column(name="/imu/linear_acceleration/y"),
 }
 """How the messages of `legid export --to ros2` are read back."""
-SOME_KINDS = ".mcap, .csv, .csv.gz, .txt, .tsv, .parquet, .mat, .db3, a bag's folder, or a CAN log (.log, .asc, .blf)"
+SOME_KINDS = (".mcap, .csv, .csv.gz, .txt, .tsv, .parquet, .mat, .npz, .npy, .h5, .pt, .pkl, .json, .db3, a bag's "
+              "folder, or a CAN log (.log, .asc, .blf)")
 
 
 def read_foreign(path: Path | str) -> Foreign:
@@ -45,6 +48,8 @@ def read_foreign(path: Path | str) -> Foreign:
         return read_bag(path)
     if name.endswith(".mat"):
         return read_mat(path)
+    if name.endswith(ARCHIVES):
+        return read_archive(path)
     if name.endswith(".parquet"):
         return read_parquet(path)
     if name.endswith(CAN_LOGS) or (name.endswith(".log") and is_candump(path)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -35,7 +36,7 @@ def load_model(path: Path | str) -> Model:
     except OSError as error:
         raise InputError(where, error.strerror or str(error), "give a model written by legid fit") from None
     try:
-        model = msgspec.json.decode(data, type=Model)
+        model = _decoded(data)
     except msgspec.ValidationError as error:
         raise InputError(where, _lower(str(error).replace("`$.", "`")),
                          f"give a model of schema {SCHEMA}") from None
@@ -47,6 +48,27 @@ def load_model(path: Path | str) -> Model:
     if fault:
         raise InputError(where, fault, "give a model written by legid fit")
     return model
+
+
+def _decoded(data: bytes) -> Model:
+    try:
+        return msgspec.json.decode(data, type=Model)
+    except msgspec.ValidationError as error:
+        if "covariance" not in str(error):
+            raise
+    return msgspec.convert(_with_covariance(msgspec.json.decode(data)), Model)
+
+
+def _with_covariance(document: Any) -> Any:
+    """`document` with a covariance of nothing determined where it gives none, as of a model that was published."""
+    try:
+        if document.get("covariance") is not None:
+            return document
+        count = len(document["parameters"]) + sum(len(e["sizes"]) + len(e.get("shapes", ())) for e in
+                                                  document.get("effects", ()))
+        return {**document, "covariance": [[None] * count] * count}
+    except (AttributeError, KeyError, TypeError):
+        return document  # which the types refuse
 
 
 def _fault(model: Model) -> str:

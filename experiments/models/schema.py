@@ -87,6 +87,8 @@ class Provenance(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Of this program."""
     origin: Origin | None = None
     """The files behind them with their hashes; None in models of earlier versions."""
+    prior: dict[str, tuple[float, float]] = {}
+    """Value and standard deviation of what was known before the fit, which is then a maximum a posteriori."""
     damaged: tuple[str, ...] = ()
     """Runs that were damaged, with what is missing of them."""
 

@@ -30,7 +30,8 @@ def change_text(found: Change) -> str:
         blocks.append("Smallest change that these runs would have shown with 80 % probability (the likeliest "
                       f"{len(rows)} of {len(found.detectable)}):\n" + text_table(
                           ["effect", "size", "smallest change", "unit"], rows, {2}))
-        blocks.append(f"Runs of one session scatter with {found.scatter:.1f} times the variance of white noise.")
+        blocks.append("Structure without a name in the reference runs, in units of what one run tells of an effect: "
+                      "{:.2g} common to all, {:.2g} of each run.".format(*found.structure))
     blocks += [f"warning: {text}" for text in found.warnings]
     blocks.append(f"Runs: {', '.join((*found.reference, *found.test))}. ({found.wall_s:.0f} s)")
     return "\n\n".join(blocks)
@@ -47,7 +48,7 @@ def change_document(found: Change) -> dict[str, Any]:
         "candidates": [{"effect": d.effect, "joint": d.joint, "size_name": d.name, "p_value": d.p_value,
                         "smallest_detectable": d.size if isfinite(d.size) else None, "unit": d.unit}
                        for d in found.detectable],
-        "against": {"runs": list(found.reference), "scatter": found.scatter, "p_any": found.p_any},
+        "against": {"runs": list(found.reference), "structure": list(found.structure), "p_any": found.p_any},
         "held_out": None if held is None else {"runs": list(held.runs), "gain": list(held.gain)},
         "not_testable": [{"effect": e.partition("@")[0], "joint": int(e.partition("@")[2]) if "@" in e else None,
                           "why": why} for e, why in found.not_testable],

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ROW_IN = 0.3
+MOST_SHARE = 3.0
+"""Of the nominal model's error, that a bar of the budget shows."""
 TRACE_SECONDS = 12.0
 CROWDED = 0.15
 """Share of the range within which half of all bins must lie for an axis to be stretched about zero."""
@@ -74,6 +76,10 @@ def waterfall(budget: Sequence[BudgetRow]) -> str:
     def paint(axes: Axes) -> None:
         top = 1.0
         for k, row in enumerate(parts):
+            if abs(row.share) > MOST_SHARE:  # a bar of it would hide all others
+                axes.annotate(f"{100 * row.share:.0f} %, not to scale", (0.0, k), xytext=(5, 0), fontsize=9.0,
+                              va="center", textcoords="offset points")
+                continue
             begin = 0.0 if row.what != "cause" else top - row.share
             axes.barh(k, 100.0 * row.share, 0.6, left=100.0 * begin, color=colours[row.what], zorder=2)
             right = begin + row.share

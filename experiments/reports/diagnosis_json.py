@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -20,6 +20,7 @@ from experiments.models import (
     fitted_settings,
 )
 from experiments.provenance import program_version
+from experiments.reports.next_step import next_step
 from experiments.session import SetAside, Setup
 
 SCHEMA = "legid.diagnosis/1"
@@ -58,7 +59,8 @@ def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = ()) -> dict
         "not_testable": [{"effect": effect, "joint": contract_joint(effect, joint), "why": why}
                          for effect, joint, why in untestable(found)],
         "runs": {group: list(found.runs.get(group, ())) for group in ("fit", "screen", "confirm")},
-        "warnings": list(found.warnings), "next_experiment": found.next_experiment, "wall_s": found.wall_s,
+        "warnings": list(found.warnings), "next_experiment": found.next_experiment,
+        "next_step": next_step(found), "wall_s": found.wall_s,
         "set_aside": [run.document for run in aside],
     }
 
@@ -129,10 +131,17 @@ def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, date: dat
         hold=found.hold or setup.options.hold,  # type: ignore[arg-type]
         effects=tuple(effect_value(effect, size) for effect, size in found.effects), gear_ratio=gear_ratio,
         reach=tuple((float(low), float(high)) for low, high in (found.angle_range if found.effects else ())),
-        provenance=Provenance(runs=(*found.runs.get("fit", ()), *found.runs.get("screen", ())), method="mle",
+        provenance=Provenance(runs=_whole_runs((*found.runs.get("fit", ()), *found.runs.get("screen", ())), setup),
+                              method="mle",
                               sensors=setup.options.sensors,  # type: ignore[arg-type]
                               date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
                               version=program_version()))
+
+
+def _whole_runs(names: Iterable[str], setup: Setup) -> tuple[str, ...]:
+    """The runs that `names` are of: a diagnosis of few runs cuts them into pieces, `ONE.csv[0.0-4.2 s]`."""
+    runs = [data.name for data in setup.datasets]
+    return tuple(dict.fromkeys(next((run for run in runs if name.startswith(f"{run}[")), name) for name in names))
 
 
 def _parameters(settings: MechanismSettings, beta: FloatArray) -> tuple[ParameterValue, ...]:

@@ -6,10 +6,13 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from daq import Dataset
 from estimator import Verdict
 from estimator.diagnosis import Cause, Diagnosis, ShortRuns
 from estimator.model import Mechanism
+from estimator.signals import angle_column
 from experiments.provenance import Origin
 from experiments.reports.diagnosis_figures import (
     TRACE_SECONDS,
@@ -45,8 +48,10 @@ from experiments.reports.diagnosis_text import (
     size_text,
 )
 from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, write_page
+from experiments.reports.next_step import next_step
 from experiments.reports.numbers import normal, number
 from experiments.reports.origin import origin_section
+from experiments.reports.sketch import sketch_section
 
 ALPHA = 0.01
 """p above which a candidate counts as ruled out at its smallest detectable size."""
@@ -83,7 +88,8 @@ WORDS: dict[Verdict, str] = {
 def verdict_box(found: Diagnosis, warnings: Sequence[str] = ()) -> VerdictBox:
     """The answer and every warning, for the head of a page."""
     words = verdict_words(found.verdict)
-    return VerdictBox(LEVELS[found.verdict], f"{words[:1].upper()}{words[1:]}", [found.sentence],
+    return VerdictBox(LEVELS[found.verdict], f"{words[:1].upper()}{words[1:]}",
+                   [found.sentence, f"Next step: {next_step(found)}"],
                    [f"Warning: {text}" for text in (*warnings, *found.warnings)])
 
 
@@ -95,10 +101,21 @@ def verdict_words(verdict: Verdict) -> str:
 def diagnosis_sections(found: Diagnosis, mechanism: Mechanism | None = None) -> list[Section]:
     """All sections, in the order of the questions; those that have nothing to show are left out. `mechanism` says
     what the numbers mean; warnings are `verdict_box`'s."""
-    sections = [_verdict(found), _budget(found), _errors(found), _candidates(found), _signatures(found), _traces(found),
+    sections = [_verdict(found), *_sketch(found, mechanism), _budget(found), _errors(found), _candidates(found),
+                _signatures(found), _traces(found),
                 _separability(found), _parameters(found, mechanism), _next(found), _ruled_out(found),
                 _untestable(found), _runs(found)]
     return [s for s in sections if s.paragraphs or s.tables or s.pictures or s.notes]
+
+
+def _sketch(found: Diagnosis, mechanism: Mechanism | None) -> list[Section]:
+    """The mechanism as the run drawn below begins; a joint that no encoder reads is drawn as at rest."""
+    if mechanism is None or not found.traces:
+        return []
+    first = found.traces[0]
+    angles = [first.measured.get(angle_column(mechanism, j)) for j in range(mechanism.n)]
+    pose = np.array([0.0 if q is None else q[0] for q in angles])
+    return sketch_section(mechanism, pose, f"as run {first.run} begins")
 
 
 def _verdict(found: Diagnosis) -> Section:

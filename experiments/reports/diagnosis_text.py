@@ -8,6 +8,7 @@ from math import isinf
 from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
 from experiments.console import text_table
 from experiments.reports.diagnosis_json import contract_joint, split_key, untestable
+from experiments.reports.next_step import next_step
 
 RUNNERS_UP = 5
 CANDIDATE_HEADER = ["effect", "score", "p", "size", "smallest detectable", "unit"]
@@ -182,6 +183,7 @@ def diagnosis_text(found: Diagnosis) -> str:
     blocks += [f"warning: {text}" for text in found.warnings]
     if found.next_experiment:
         blocks.append(f"Next experiment: {found.next_experiment}")
+    blocks.append(f"Next step: {next_step(found)}")
     used = "; ".join(f"{group} {', '.join(names)}" for group, names in found.runs.items() if names)
     blocks.append(f"Runs: {used}. ({found.wall_s:.0f} s)" if used else f"({found.wall_s:.0f} s)")
     return "\n\n".join(blocks)

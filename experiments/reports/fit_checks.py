@@ -9,6 +9,7 @@ import numpy as np
 
 from estimator import Finding, FitResult
 from estimator.prediction import repeated_share, state_columns, taken
+from experiments.reports.prior_knowledge import contradictions_of
 from experiments.reports.residual_tests import STRONG, autocorrelation, residuals_of, torque_fit, torque_step
 from experiments.reports.run_agreement import disputed, units
 from experiments.reports.second_opinion import disagreement
@@ -52,6 +53,7 @@ def _doubts(result: FitResult) -> list[Finding]:
                           "diagnose") for j, r in _structure(result).items() if r > STRUCTURE]
         found += _sensor_doubts(result)
         found += _repeating_torques(result)
+    found += [Finding("doubt", "prior", text) for text in contradictions_of(result)]
     if result.undetermined:
         found.append(Finding("doubt", "undetermined",
                              f"these runs do not determine {', '.join(map(str, result.undetermined))}"))

@@ -11,6 +11,7 @@ import numpy as np
 
 from daq import WorkError
 from estimator import FitResult
+from estimator.fitting import next_measurement
 from experiments.models import MechanismSettings, Model, ParameterValue, Provenance, fitted_settings
 from experiments.provenance import program_version
 from experiments.reports.fit_checks import check_fit
@@ -40,6 +41,10 @@ def fit_document(result: FitResult, settings: MechanismSettings) -> dict[str, An
                         "std": float(std), "ci95": [float(low), float(high)], "fixed": p.name in result.fixed,
                         **({"at_bound": True} if p.name in result.at_bound else {})}
                        for p, value, std, (low, high) in rows],
+        "prior": [{"name": one.name, "value": one.value, "std": one.std, "fitted": one.fitted,
+                   "fitted_std": one.fitted_std, "contradiction": one.contradiction} for one in result.prior],
+        "prior_conflict": result.prior_conflict,
+        "measure_next": None if (advice := next_measurement(result)) is None else advice.document,
         "noise": noise_document(result.noise),
         "noise_by_run": _by_run(result),
         "torque_residual_rms_nm": [float(rms) for rms in result.torque_residual_rms],
@@ -71,8 +76,9 @@ def check_sound(result: FitResult, for_model: bool) -> None:
     if result.inadmissible:
         why = "; ".join(result.inadmissible)
         raise WorkError(f"these parameters are no mechanism's: {why}; "
-                        + ("; or ".join(result.remedies) or "check signs and units of the columns, "
-                           "gravity and the joints under [mechanism], and that every run is of this rig"))
+                        + ("; or ".join(result.remedies) or "no sign, unit, order or gear of a "
+                           "column that was tried makes a mechanism of them: check gravity and the joints under "
+                           "[mechanism], and fit each run by itself with --each"))
     if missing and for_model:
         raise WorkError(f"no model was written: {missing}; record richer motion, or give parameters with "
                         "--fix NAME=VALUE")
@@ -90,6 +96,7 @@ def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Se
         noise={name: float(level) for name, level in result.noise.items()},
         hold=result.hold if hold == "auto" else hold,  # type: ignore[arg-type]
         provenance=Provenance(runs=tuple(runs), method=result.method,
+                              prior={one.name: (one.value, one.std) for one in result.prior},
                               sensors=result.sensors,  # type: ignore[arg-type]
                               date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
                               version=program_version()))

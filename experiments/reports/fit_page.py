@@ -1,4 +1,4 @@
-"""The sections of a report on a fit: parameters, Figs. 4 and 5 of the paper, noise, what is not determined."""
+"""The sections of a report on a fit: parameters, sensors, torques, noise, what is not determined."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines
 from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows, run_noise_lines
 from experiments.reports.html import Picture, Section, Table
 from experiments.reports.numbers import Estimate, number
+from experiments.reports.prior_knowledge import knowledge_section, prior_sentence
 from experiments.reports.residual_tests import (
     LAGS,
     Correlation,
@@ -26,6 +27,7 @@ from experiments.reports.residual_tests import (
 )
 from experiments.reports.run_agreement import agreement_section
 from experiments.reports.second_opinion import opinion_section
+from experiments.reports.sketch import sketch_section
 
 FIGURE_SECONDS = 12.0
 WORTH_CUTTING = 1.2
@@ -44,17 +46,21 @@ def fit_summary(result: FitResult, model: str) -> str:
         ending += f" This data does not determine {', '.join(map(str, result.undetermined))}."
     if result.mechanism.force_unit == "V":
         ending += f" {VOLTS}"
-    return (f"{model}, identified by {result.method} from the {_sensors(result)}, {result.samples} samples. {ending}")
+    known = f"{prior_sentence(result)} " if result.prior else ""
+    return (f"{known}{model}, identified by {result.method} from the {_sensors(result)}, {result.samples} samples. "
+            f"{ending}")
 
 
 def _sensors(result: FitResult) -> str:
-    return ("IMU, knee encoder and torque" if result.sensors == "imu" else "joint encoders and torque")
+    sensors = "IMU, knee encoder" if result.sensors == "imu" else "joint encoders"
+    return f"{sensors} and torque" if result.mechanism.actuated else sensors.replace(", ", " and ")
 
 
 def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[Section]:
-    """Everything a fit alone can show; `benchmark` is a second model for the torques (the paper's Fig. 5)."""
-    sections = [_parameters(result), *agreement_section(result), *opinion_section(result), *_sensors_section(result),
-                *_torques(result, benchmark), *_residuals(result), _noise(result)]
+    """Everything a fit alone can show; `benchmark` is a second model for the torques."""
+    sections = [_parameters(result), *_sketch(result), *knowledge_section(result), *agreement_section(result),
+                *opinion_section(result),
+                *_sensors_section(result), *_torques(result, benchmark), *_residuals(result), _noise(result)]
     return [*sections, _limits(result)]
 
 
@@ -78,6 +84,12 @@ def _parameters(result: FitResult) -> Section:
     return Section("Parameters", [], [Table(PARAMETER_HEADER, parameter_rows(result), right=frozenset({1, 2, 3}))])
 
 
+def _sketch(result: FitResult) -> list[Section]:
+    """The mechanism as it begins the run that the figures show."""
+    found = _first(result)
+    return [] if found is None else sketch_section(result.mechanism, found[0].q[0], f"as run {found[0].run} begins")
+
+
 def _first(result: FitResult) -> tuple[Trajectory, slice] | None:
     if not result.trajectories:
         return None
@@ -86,14 +98,14 @@ def _first(result: FitResult) -> tuple[Trajectory, slice] | None:
 
 
 def _sensors_section(result: FitResult) -> list[Section]:
-    """Fig. 4: what the sensors said, and what they should have said along the estimated motion."""
+    """What the sensors said, and what they should have said along the estimated motion."""
     found = _first(result)
     if found is None:
         return []
     path, part = found
     pictures = []
     for column, measured in path.measured.items():
-        if column not in path.predicted or not column.startswith(("gyro", "accel", "q1")):
+        if column not in path.predicted or not column.startswith(("gyro", "accel", "q")):
             continue
         label = SENSOR_LABELS.get(column, f"{column.rsplit('_', 1)[0]} [{result.mechanism.length_unit}]")
         lines = [Line("measured", measured, BLUE, 2.2), Line("estimate", path.predicted[column], ORANGE, 0.9)]
@@ -106,11 +118,11 @@ def _sensors_section(result: FitResult) -> list[Section]:
     if not pictures:
         return []
     title = "Accelerometer and gyro" if result.sensors == "imu" else "Angles"
-    return [Section(f"{title}, measured against the estimate", [_excerpt(path, part, "Fig. 4")], pictures=pictures)]
+    return [Section(f"{title}, measured against the estimate", [_excerpt(path, part)], pictures=pictures)]
 
 
 def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
-    """Fig. 5: measured torque against the model's; the pivot's must be zero."""
+    """Measured torque against the model's; the pivot's must be zero."""
     found = _first(result)
     if found is None:
         return []
@@ -135,7 +147,7 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
         pictures.append(picture_lines(path.time_s, lines, f"torque, joint {j + 1} [{force}]",
                                       _torque_caption(result, path, j, unknown, cut is not None), FIGURE_SECONDS,
                                       y_range=cut))
-    return [Section("Torques", [_excerpt(path, part, "Fig. 5")], pictures=pictures)]
+    return [Section("Torques", [_excerpt(path, part)], pictures=pictures)]
 
 
 def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolArray, cut: bool) -> str:
@@ -175,11 +187,11 @@ def _match(benchmark: FitResult | None, path: Trajectory) -> Trajectory | None:
     return None
 
 
-def _excerpt(path: Trajectory, part: slice, paper: str) -> str:
+def _excerpt(path: Trajectory, part: slice) -> str:
     shown = float(path.time_s[part][-1] - path.time_s[0])
     whole = float(path.time_s[-1] - path.time_s[0])
-    return (f"Run {path.run}: pictures show the first {shown:.0f} of {whole:.0f} s, as in {paper} of the paper."
-            if shown < whole - 0.5 else f"Run {path.run}, as in {paper} of the paper.")
+    return (f"Run {path.run}: pictures show the first {shown:.0f} of {whole:.0f} s."
+            if shown < whole - 0.5 else f"Run {path.run}.")
 
 
 def _residuals(result: FitResult) -> list[Section]:

@@ -11,6 +11,8 @@ from estimator import FitResult
 from experiments.console import text_table
 from experiments.reports.friction_form import friction_lines
 from experiments.reports.numbers import number
+from experiments.reports.prior_knowledge import HEADER as PRIOR_HEADER
+from experiments.reports.prior_knowledge import measure_sentence, prior_rows, prior_sentence
 from experiments.reports.run_agreement import agreement_lines
 from experiments.reports.second_opinion import opinion_lines
 
@@ -91,7 +93,8 @@ def run_noise_lines(result: FitResult) -> list[str]:
 
 def fit_text(result: FitResult, model: str) -> str:
     """What a person reads after a fit."""
-    lines = [f"{model}, {result.method}, sensors {result.sensors}: {result.samples} samples, "
+    lines = [*([prior_sentence(result), ""] if result.prior else []),
+             f"{model}, {result.method}, sensors {result.sensors}: {result.samples} samples, "
              f"{result.iterations} iterations, {result.wall_s:.2f} s, "
              + ("converged" if result.converged else "NOT CONVERGED"), "",
              text_table(PARAMETER_HEADER, parameter_rows(result), right={1, 2, 3}), ""]
@@ -103,10 +106,14 @@ def fit_text(result: FitResult, model: str) -> str:
         f"joint {j + 1} {rms:.3g} {result.mechanism.force_unit}" for j, rms in enumerate(result.torque_residual_rms)))
     if result.mechanism.force_unit == "V":
         lines.append(VOLTS)
+    if result.prior:
+        lines += ["", text_table(PRIOR_HEADER, prior_rows(result), right={1, 2, 3, 4}), ""]
     lines += friction_lines(result)
     lines += agreement_lines(result)
     lines += opinion_lines(result)
     lines += [f"not determined by this data: {name}" for name in result.undetermined]
     lines += [f"warning: {text}" for text in (*result.inadmissible, *result.warnings)]
     lines += [f"assumed: {text}" for text in result.assumptions]
+    if advice := measure_sentence(result):
+        lines.append(f"next: {advice}")
     return "\n".join(lines)

@@ -10,6 +10,9 @@ from .discovery import probe as probe
 from .estop import FLAG as FLAG
 from .estop import confirm_estop as confirm_estop
 from .questions import ask_facts as ask_facts
+from .robot_file import prior_table as prior_table
+from .robot_file import read_robot as read_robot
 from .writer import RigFacts as RigFacts
 from .writer import already_there as already_there
+from .writer import default_actuated as default_actuated
 from .writer import write_rig as write_rig

@@ -126,9 +126,9 @@ def _controller(facts: RigFacts, line: Line) -> list[str]:
     return ["# [devices.controller]           # none found; uncomment when it is there", '# port = "/dev/ttyACM0"']
 
 
-def write_rig(path: Path, facts: RigFacts) -> str:
-    """Write the file, which must not exist; returns its text. Raises `InputError`."""
-    text = rig_toml(facts)
+def write_rig(path: Path, facts: RigFacts, more: str = "") -> str:
+    """Write the file, which must not exist, with `more` tables at its end; returns its text. Raises `InputError`."""
+    text = rig_toml(facts) + more
     parse_rig(text, str(path))
     if path.exists():
         raise already_there(path)

@@ -11,6 +11,8 @@ from daq import Dataset, Doubt, InputError, Rig
 
 COMPARED = ("mechanism", "terms", "imu", "motor", "calibration")
 """Tables that are facts of the rig; the others are choices of a recording or of an analysis."""
+PLAIN = ("rig", "rows", "grid")
+"""Doubts that say what is, not what cannot be."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,7 @@ class RunDoubt:
     doubt: Doubt
 
     def __str__(self) -> str:
-        return f"{self.run} {self.doubt}" if self.doubt.kind == "rig" else f"{self.run} is to be doubted: {self.doubt}"
+        return f"{self.run} {self.doubt}" if self.doubt.kind in PLAIN else f"{self.run} is to be doubted: {self.doubt}"
 
 
 def doubts_of(datasets: Sequence[Dataset], rig: Rig) -> tuple[RunDoubt, ...]:

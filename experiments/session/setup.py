@@ -14,7 +14,7 @@ from daq.runs import imu_columns_of
 from estimator import FitOptions
 from estimator.calibration import find_zeros, subtract, zeros_text
 from estimator.fitting import has_torque
-from estimator.model import Mechanism
+from estimator.model import Mechanism, body_values
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
 
 FREE_SWING = "no joint is driven, for every torque of every run is exactly zero"
@@ -55,6 +55,11 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
         if name not in mechanism.names:
             raise InputError("--fix", f"{settings.model} has no parameter {name}",
                              f"it has {', '.join(mechanism.names)}")
+    for name in rig.prior:
+        if name not in (*mechanism.names, *body_values(mechanism)):
+            bodies = f"; its bodies have {', '.join(body_values(mechanism))}" if body_values(mechanism) else ""
+            raise InputError("the rig file", f"[prior] {name} is nothing that {settings.model} has",
+                             f"it has {', '.join(mechanism.names)}{bodies}")
     options = fit_options(rig, choose_sensors(rig, datasets, sensors), fixed or {}, latent)
     if rig.distance_meter is not None and (rig.distance_meter.sigma_m or rig.distance_meter.sigma_per_m):
         sigmas = [d["q1_sigma_rad"] for d in datasets if "q1_sigma_rad" in d]
@@ -120,6 +125,7 @@ def fit_options(rig: Rig, sensors: str, fixed: Mapping[str, float], latent: str 
     joints = rig.mechanism.encoders
     encoders = None if joints is None else tuple(j - 1 for j in sorted(joints))
     return FitOptions(sensors=sensors, encoders=encoders, hold=rig.sampling.hold, rounding=rounding, noise=noise,
+                      prior={name: (entry[0], entry[1]) for name, entry in rig.prior.items()},
                       accel_correlation=rig.noise.accel_correlation, torque_correlation=rig.noise.torque_correlation,
                       cutoff_hz=rig.filter.cutoff_hz, filter_order=rig.filter.order, fixed=dict(fixed), latent=latent)
 

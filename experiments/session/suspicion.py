@@ -84,8 +84,9 @@ def _far(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions)
         column = angle_column(mechanism, j)
         span = max(float(np.nanmax(d[column]) - np.nanmin(d[column])) for d in datasets)
         if span > MOST_SPAN:
-            found.append(f"{column} goes over {span:.3g} rad, {span / (2.0 * np.pi):.3g} turns: give its unit, or the "
-                         f'radians of a count as scale, with name = "{column}" under [columns.{column}]')
+            found.append(f"{column} goes over {span:.3g} rad, {span / (2.0 * np.pi):.3g} turns: if it did not turn so "
+                         "far, give its unit, or the radians of a count as scale, with "
+                         f'name = "{column}" under [columns.{column}]')
     return tuple(found)
 
 

@@ -63,6 +63,8 @@ def _entries(model: Model) -> dict[str, tuple[str, str, Estimate]]:
 def _doubts(models: tuple[Model, Model], files: tuple[str, str], runs: Sequence[str]) -> list[str]:
     found = [f"{file} was fitted to {', '.join(seen)}: there its errors are too small." for model, file in
              zip(models, files) if (seen := [run for run in runs if run in model.provenance.runs])]
+    found += [f"{file} does not say which runs it was fitted to. If these are among them, its errors are too small."
+              for model, file in zip(models, files) if not model.provenance.runs]
     for text in model_contradictions(models[0].mechanism, models[1].mechanism):
         facts = text.removeprefix("the model was fitted with ").replace("the rig", "B")
         found.append(f"The models differ in their rig: {facts}.")

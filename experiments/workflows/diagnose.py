@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from msgspec import structs
+
 from daq import Dataset, InputError, Rig
 from daq.runs import IMU
 from estimator import FitError
@@ -35,6 +37,9 @@ def diagnose_prepared(prepared: Prepared, seed: int = 0, reference: Mapping[str,
                          "diagnose with one [[imu]] in a copy of the rig file, and encoders of the other joints")
     require_one_rig(setup.datasets)
     require_alike(setup.datasets)
+    if setup.options.prior:
+        notes = (*notes, "[prior] is not used: a diagnosis judges the model by these runs alone")
+        setup = replace(setup, options=replace(setup.options, prior={}))
     setup = without_benchmark(setup)
     try:
         require_sound(setup)
@@ -42,6 +47,9 @@ def diagnose_prepared(prepared: Prepared, seed: int = 0, reference: Mapping[str,
         return Diagnosis("fit_failed", f"No diagnosis: {error}.", warnings=notes, material=material)
     found = diagnose(setup.datasets, setup.mechanism, setup.options, gear_ratio=rig.motor.gear_ratio, seed=seed,
                      progress=progress, reference=reference, workers=workers, material=material)
+    if reference is not None and found.verdict == "fit_failed":
+        found = replace(found, sentence=f"{found.sentence} The reference was not compared: that needs a fit of these "
+                        "runs. legid validate says how well the reference predicts them.")
     differing = None if rig.terms.encoder_zero else find_differing(setup.datasets, setup.mechanism, setup.options)
     told = () if differing is None else (differing_text(differing, setup.mechanism.length_unit),)
     return replace(found, not_testable=with_known_gain(found.not_testable, rig),
@@ -91,10 +99,23 @@ def _motion(data: Dataset) -> set[str]:
             and not name.endswith(("cmd_nm", "motor_rad", "shunt_nm")) and not (imu and name == BENCHMARK)}
 
 
+def with_reference_terms(rig: Rig, reference: Model | None) -> Rig:
+    """`rig` with the rotor inertias and torque offsets of the model `reference` where it is silent about them.
+
+    A fit may have chosen them.
+    """
+    if reference is None:
+        return rig
+    silent = {key: getattr(reference.mechanism, key) for key in ("rotor_inertia", "torque_offset")
+              if getattr(rig.terms, key) is None}
+    return structs.replace(rig, terms=structs.replace(rig.terms, **silent))
+
+
 def reference_values(model: Model, where: str, setup: Setup) -> dict[str, tuple[float, float]]:
     """(value, std) by parameter of an earlier model. Raises `InputError` for one of another mechanism."""
     values = values_of(model)
     if tuple(values) != setup.mechanism.names:
         raise InputError(where, f"is a model of {model.mechanism.model} with other parameters than the rig's",
-                         "give a model that was fitted on this rig")
+                         "give a model that was fitted on this rig, or its rotor_inertia and torque_offset under "
+                         "[terms]")
     return values

@@ -60,14 +60,14 @@ def run(args: argparse.Namespace) -> int:
         with_origin,
     )
     from experiments.session import contradictions, prepare
-    from experiments.workflows import diagnose_prepared, reference_values
+    from experiments.workflows import diagnose_prepared, reference_values, with_reference_terms
 
     if args.against:
         return _run_against(args)
     chosen = chosen_rig(args, args.runs)
-    rig = chosen.rig
     origin = origin_of(args.runs, chosen.source, args.reference, args.seed, command=command_line())
     earlier = load_model(args.reference) if args.reference else None
+    rig = with_reference_terms(chosen.rig, earlier)
     prepared = prepare(args.runs, rig, fixed=dict(args.fix), damaged=args.damaged)
     setup = prepared.setup
     for text in prepared.warnings:

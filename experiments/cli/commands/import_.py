@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import re
+from collections.abc import Iterator
+from pathlib import Path
 
 from experiments.cli.arguments import add_force
 
@@ -11,12 +14,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Describe the command."""
     parser = subparsers.add_parser(
         "import", help="files of other programs as runs",
-        description="Read CSV of any dialect, MATLAB, Parquet and ROS bags by a map of columns, and write runs as CSV. "
+        description="Read CSV of any dialect, MATLAB, HDF5, NumPy, PyTorch, pickle, JSON, Parquet and ROS bags "
+                    "by a map of columns, and write runs as CSV. A file that cannot be read is named, and the others "
+                    "are imported. "
                     "With --guess the map is worked out by names, gravity and the equation of "
                     "motion, shown as a table and as a page, and written: look at it, then import with it. The same "
                     "table as [columns] in a rig.toml lets every command read such files.")
     parser.add_argument("files", metavar="FILE", nargs="+",
-                        help=".csv, .txt, .mat, .parquet, .mcap, .db3, or a ROS bag's folder")
+                        help=".csv, .txt, .mat, .npz, .h5, .pt, .pkl, .json, .parquet, .mcap, .db3, or a bag's folder")
     parser.add_argument("--map", metavar="COLUMNS.toml", required=True, help="the map of columns")
     parser.add_argument("--guess", action="store_true", help="write the map, from the first file, and a page beside it")
     parser.add_argument("--out", metavar="DIR", default=".", help="where the runs go; default: here")
@@ -26,13 +31,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Guess, or read, map and write."""
-    from pathlib import Path
+    """Guess, or read, map and write; a file that cannot be read does not stop the others."""
+    import sys
 
     from daq import InputError
     from daq.runs import write_csv
-    from experiments.console import make_directory
-    from experiments.exchange import apply_map, load_map, read_foreign
+    from experiments.console import make_directory, printable, warn
+    from experiments.exchange import apply_map, load_map, read_foreign, runs_in
 
     if args.guess:
         return _guess(args)
@@ -41,33 +46,55 @@ def run(args: argparse.Namespace) -> int:
     columns = load_map(args.map)
     out = Path(args.out)
     make_directory(out)
-    for file in args.files:
-        target = out / f"{Path(file).name.split('.')[0]}.csv"
-        if target.exists():
-            raise InputError(str(target), "exists already", "give another directory with --out")
-        data = apply_map(read_foreign(file), columns, args.rate)
-        rows = write_csv(data, target)
-        print(f"{target}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
+    given = {Path(file).resolve() for file in args.files}
+    bad = 0
+    for file, target in _targets(args.files, out):
+        try:
+            foreign = read_foreign(file)
+            for ending, own in runs_in(foreign, columns):
+                place = target.with_name(f"{target.stem}{ending}.csv")
+                if place.resolve() in given:
+                    raise InputError(str(place), "exists already", "give another directory with --out")
+                data = apply_map(foreign, own, args.rate)
+                rows = write_csv(data, place, replace=args.force)
+                print(f"{place}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
+                for doubt in data.doubts:
+                    warn(f"{file} {doubt}")
+        except InputError as error:
+            if len(args.files) == 1:
+                raise
+            print(f"legid import: {printable(str(error))}", file=sys.stderr)
+            bad += 1
+    if bad:
+        raise InputError("", f"{bad} of {len(args.files)} files not imported", "the others are written")
     return 0
+
+
+def _targets(files: list[str], out: Path) -> Iterator[tuple[str, Path]]:
+    """(file, where its run goes): its name, and its folder's before it where two have one name."""
+    names = [re.sub(r"(\.csv)?\.[^.]*$", "", Path(file).name) for file in files]
+    for file, name in zip(files, names):
+        folder = f"{Path(file).resolve().parent.name}-" if names.count(name) > 1 else ""
+        yield file, out / f"{folder}{name}.csv"
 
 
 def _guess(args: argparse.Namespace) -> int:
     """Write the map and its page; nothing is imported before somebody has looked at it."""
     import shlex
     import sys
-    from pathlib import Path
 
-    from daq import InputError, WorkError
-    from experiments.console import text_table, write_text
-    from experiments.exchange import guess_map, map_text, read_foreign
+    from daq import InputError, WorkError, write_file
+    from experiments.console import text_table
+    from experiments.exchange import guess_map, guess_text, is_guess, read_foreign
     from experiments.reports import GUESS_HEADER, guess_rows, guess_section, guess_verdict, write_page
 
     target, page = Path(args.map), Path(args.map).with_suffix(".html")
-    if target.exists():
-        raise InputError(str(target), "exists already", "give another name, or leave --guess out to use it")
+    if target.exists() and not (args.force or is_guess(target)):
+        raise InputError(str(target), "exists already, and was changed by hand",
+                         "leave --guess out to import by it, or give --force to write it anew")
     found = guess_map(read_foreign(args.files[0]))
     print(text_table(GUESS_HEADER, guess_rows(found), set()))
-    write_text(target, map_text(found.columns, found.notes))
+    write_file(target, guess_text(found.columns, found.notes).encode(), changed=True)
     write_page(page, f"Columns of {Path(args.files[0]).name}", "A guess: look at it before it is used.",
                [guess_section(found, args.files[0])], verdict=guess_verdict(found))
     for warning in [*found.unexplained, *found.warnings]:

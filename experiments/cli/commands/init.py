@@ -17,6 +17,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                      help="ask the devices: reads identities on every I2C bus, greets what is on USB serial ports and "
                           "on CAN (node 0); a controller is stopped, never armed")
     how.add_argument("--defaults", action="store_true", help="ask nothing, assume everything")
+    how.add_argument("--from", dest="source", metavar="FILE",
+                     help="a URDF or MJCF of a serial planar chain: links, motors and, as [prior], masses and lengths")
     parser.add_argument("--port", action="append", help="with --probe: greet only this serial port (may be repeated)")
     parser.set_defaults(run=run)
 
@@ -27,21 +29,37 @@ def run(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from daq import ASSUMED, InputError
-    from experiments.rig import RigFacts, already_there, ask_facts, probe, write_rig
+    from experiments.rig import (
+        RigFacts,
+        already_there,
+        ask_facts,
+        default_actuated,
+        prior_table,
+        probe,
+        read_robot,
+        write_rig,
+    )
 
     path = Path(args.rig)
     if path.exists():
         raise already_there(path)
     if args.port and not args.probe:
         raise InputError("--port", "is for --probe", "add --probe, or leave it out")
-    facts = RigFacts()
-    if args.probe:
+    facts, more = RigFacts(), ""
+    if args.source:
+        links = read_robot(Path(args.source))
+        model = {1: "joint1", 2: "leg2"}.get(len(links), "chain")
+        driven = tuple(j for j, link in enumerate(links, 1) if link.driven)
+        facts = RigFacts(model=model, links=len(links), actuated=driven or default_actuated(model, len(links)),
+                         known=frozenset({"model", "links"}))
+        more = prior_table(links, Path(args.source).name)
+    elif args.probe:
         facts = probe(facts, print, args.port)
     elif args.defaults:
         facts = RigFacts(bus="/dev/i2c-1", port="/dev/ttyACM0")
     else:
         facts = ask_facts(facts)
-    text = write_rig(path, facts)
+    text = write_rig(path, facts, more)
     print(f"{path}: written; {text.count(ASSUMED)} values are assumed and marked so. "
           f"Next: legid doctor --rig {shlex.quote(str(path))}")
     return 0

@@ -12,8 +12,9 @@ import pytest
 
 from daq import Dataset, load_rig
 from estimator.change import Change, detect_change
-from estimator.change.contrast import contrast, scatter
+from estimator.change.contrast import contrast
 from estimator.change.scores import RunScore
+from estimator.change.structure import find_structure
 from estimator.model import leg2
 from estimator.options import FitOptions
 from experiments.session import prepare
@@ -91,11 +92,29 @@ def test_a_contrast_gives_back_a_change_beside_structure_of_the_reference() -> N
         return RunScore(information @ theta + rows.T @ rng.normal(size=4000), information)
 
     reference, test = [run(0.0) for _ in range(4)], [run(change) for _ in range(4)]
-    found = contrast(test, reference, 2)
-    assert found.size(np.array([4]))[0] == pytest.approx(change, abs=0.05)
-    assert abs(found.size(np.array([5]))[0]) < abs(found.size(np.array([4]))[0])
-    groups = [np.array([k]) for k in range(columns)]
-    assert scatter(groups, reference, 2).max() < 4.0
+    found = contrast(test, reference, find_structure(reference, 2))
+    size, std = found.size(np.array([4, 5])), np.sqrt(np.diag(found.covariance(np.array([4, 5]))))
+    assert size == pytest.approx([change, 0.0], abs=0.05) and std.max() < 0.05
+
+
+@pytest.mark.parametrize("own", [0.0, 0.05, 0.3])
+def test_structure_of_each_run_widens_the_intervals_as_far_as_it_has_to(own: float) -> None:
+    """Sizes of a change that is not there, over their standard deviations, over 40 pairs of sessions."""
+    rng = np.random.default_rng(8)
+    common, scores = rng.normal(size=30), []
+
+    def run() -> RunScore:
+        rows = rng.normal(size=(400, 30))
+        information = rows.T @ rows
+        return RunScore(information @ (common + own * rng.normal(size=30)) + rows.T @ rng.normal(size=400), information)
+
+    for _ in range(40):
+        reference, test = [run() for _ in range(4)], [run() for _ in range(4)]
+        structure = find_structure(reference, 3)
+        found = contrast(test, reference, structure)
+        scores.append(found.size(np.array([9]))[0] / np.sqrt(found.covariance(np.array([9]))[0, 0]))
+    assert 0.6 < np.std(scores) < 1.4
+    assert structure.own == pytest.approx(own**2 * 400, rel=0.6, abs=0.5)
 
 
 @cache

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis import error_table
-from estimator.diagnosis.conclusion import PIVOT
 
+PIVOT = "q1_rad"
 SWING = np.sin(np.linspace(0.0, 9.0, 200))
 TILTED = {"nominal": 0.0, "bias": 0.0, "offset": 0.01}
 """By which each model takes the pivot's angle for another than it is [rad]; its own simulation goes there."""
@@ -22,23 +22,21 @@ def test_the_model_under_which_the_runs_are_likeliest_reads_the_pivots_angle(mon
     came out lowest, was the unit of all errors, and what it read as well: every other model seemed to err by what the
     two differ in, and the torque was named."""
     def smooth(model: Any, run: int) -> Any:
-        return SimpleNamespace(model=model, run=run, problem=None,
+        return SimpleNamespace(model=model, problem=None, misfit=lambda noise: MISFIT[model.name],
                                state=SimpleNamespace(x=SimpleNamespace(q=SWING[:, None] + TILTED[model.name])))
 
-    def resimulate(fitted: Any, q1: np.ndarray, *_: object) -> Any:
-        return SimpleNamespace(measured={PIVOT: q1}, simulated={PIVOT: SWING + TILTED[fitted.model.name] + 1e-4})
+    def predict_run(fitted: Any, *_: object, misfits: bool) -> Any:
+        return SimpleNamespace(channels=(PIVOT,), rate_hz=100.0, measured=np.full((1, 200), np.nan),
+                               simulated=np.stack([[[SWING + TILTED[f.model.name] + 1e-4]] for f in fitted]))
 
-    split = SimpleNamespace(confirm=(0,), workers=1, stiction={}, has_imu=True, encoders=(1,),
-                            runs=[[SimpleNamespace(rate_hz=100.0)]])
+    split = SimpleNamespace(confirm=(0,), workers=1, stiction={})
     monkeypatch.setattr(error_table, "HORIZONS_S", (np.inf,))
     monkeypatch.setattr(error_table, "smooth", smooth)
-    monkeypatch.setattr(error_table, "resimulate", resimulate)
-    monkeypatch.setattr(error_table, "sensors_of", lambda problem, q1: {PIVOT: q1})
-    monkeypatch.setattr(error_table, "floor_errors", lambda *_: [{PIVOT: np.full(200, 1e-8)}])
+    monkeypatch.setattr(error_table, "predict_run", predict_run)
+    monkeypatch.setattr(error_table, "sensors_of", lambda model: (PIVOT,))
+    monkeypatch.setattr(error_table, "floor_of", lambda *_: np.full((1, 1, 200), 1e-8))
     monkeypatch.setattr(error_table, "white_noise", lambda _: None)
-    monkeypatch.setattr(error_table, "_columns_of", lambda *_: ((PIVOT, np.inf),))
-    monkeypatch.setattr(error_table, "_misfits", lambda fitted, _: np.array([MISFIT[f.model.name] for f in fitted]))
-    models = cast(Any, [SimpleNamespace(name=name, split=split) for name in TILTED])
+    models = cast(Any, [SimpleNamespace(name=name, split=split, state=SimpleNamespace(noise=None)) for name in TILTED])
     seeds = np.zeros(1, dtype=np.int64)
 
     table = error_table.measure_errors(models, models[2], seeds)

@@ -10,11 +10,12 @@ from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.decision_rule import EDGE
 from estimator.diagnosis.error_table import measure_errors, with_floor
 from estimator.diagnosis.noise_check import noisy_sensors, with_declared_noise
-from estimator.diagnosis.noise_floor import FloorNoise, noise_floor
+from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.refit import Model, fit_nominal
 from estimator.likelihood import Noise, Process
 from estimator.model import leg2
 from estimator.options import FitOptions
+from estimator.prediction import FloorNoise
 from tests.support.mujoco_leg import Leg, multisine, record
 from tests.support.ornstein_uhlenbeck import disturbed_record
 

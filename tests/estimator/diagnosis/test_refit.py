@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.refit import Model, begin_afresh, fit_nominal, per_value, refit, smooth
+from estimator.diagnosis.refit import Model, begin_afresh, fit_nominal, refit, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.effects import Effect
 from estimator.effects.drive import TorqueDelay, TorqueRipple
@@ -25,6 +25,7 @@ from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.model.mechanism import joint1, leg2
 from estimator.options import FitOptions
+from estimator.prediction import per_value
 from estimator.signals import IMU_COLUMNS
 from estimator.signals.segments import SignalSet
 from tests.evidence.blind.cases import DrawnCase, catalogue, draw_case

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimator.fitting.latent_motion import settle_motion
-from estimator.likelihood import ExtendedProblem, Latents, Noise, Stage, State
+from estimator.likelihood import ExtendedProblem, Latents, Noise, Stage, State, find_stiction
 from estimator.model import leg2
 from estimator.numerics import eliminate
 from estimator.options import FitOptions
@@ -62,7 +62,7 @@ def test_the_motion_is_the_same_from_elsewhere_where_rest_is_allowed_for(stickin
                                                                          ) -> None:
     """Without what friction leaves open at rest, every reversal between two samples has a minimum of its own."""
     problem, start = sticking
-    problem = problem.with_stiction(problem.find_stiction(start.x.v, start.beta, one_per_crossing=False))
+    problem = problem.with_stiction(find_stiction(problem, start.x.v, start.beta, one_per_crossing=False))
     settled = settle_motion(problem, start, 100)
     shift = 1e-3 * np.random.default_rng(3).normal(size=(problem.total, problem.block))
     other = replace(start, x=settled.x.moved(shift))

@@ -14,7 +14,8 @@ from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem,
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents, Linearised
 from estimator.likelihood.trajectory_likelihood import LatentProblem
-from estimator.model.mechanism import ImuPlace, Mechanism, biped3, chain, joint1, leg2
+from estimator.model.chain import chain
+from estimator.model.mechanism import ImuPlace, Mechanism, biped3, joint1, leg2
 from estimator.model.regressor_numba import FastTerms
 from estimator.signals.imu import imu_columns
 from estimator.signals.segments import SignalSet

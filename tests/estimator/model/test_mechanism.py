@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from estimator.model.mechanism import Mechanism, biped3, chain, joint1, leg2
+from estimator.model.chain import chain
+from estimator.model.mechanism import Mechanism, biped3, joint1, leg2
 from estimator.signals.imu import accelerometer
 from tests.support.mujoco_leg import GRAVITY, Leg
 

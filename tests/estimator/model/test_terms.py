@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimator.model.chain import chain
 from estimator.model.collocation import Collocation
-from estimator.model.mechanism import Mechanism, Parameter, biped3, chain, joint1, leg2
+from estimator.model.mechanism import Mechanism, Parameter, biped3, joint1, leg2
 from estimator.model.terms import TERMS, Motion
 from tests.support.assembly_numpy import evaluate
 

@@ -22,6 +22,7 @@ from experiments.emulation.plant import LegBody, LegPlant
 from experiments.excite.multisine import random_multisine
 from experiments.models.model_file import load_model
 from tests.support.diagnoses import synthetic
+from tests.support.models import LEG, write_model
 from tests.support.paths import DEMO_RIG as RIG
 
 
@@ -138,6 +139,23 @@ def test_a_nominal_model_is_saved_where_nothing_was_found(runs: list[Path], rig:
     asked = pipeline(synthetic())
     assert diagnose(*runs, "--rig", rig, "--reference", tmp_path / "m.json") == 0
     assert asked["reference"]["beta4"] == (0.1, pytest.approx(1e-3))
+
+
+def test_a_reference_with_terms_that_a_fit_chose_is_taken_for_the_same_rig(
+        runs: list[Path], rig: Path, tmp_path: Path, pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
+    path = write_model(tmp_path / "chosen.json", [0.1] * 10, {**LEG, "torque_offset": (2,)})
+    asked = pipeline(synthetic())
+    assert diagnose(*runs, "--rig", rig, "--reference", path) == 0
+    assert asked["reference"]["torque_offset_2"] == (0.1, 0.0)
+
+
+def test_a_fit_that_fails_says_that_the_reference_was_not_compared(
+        runs: list[Path], rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+        pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
+    path = write_model(tmp_path / "m.json", [0.1] * 9, LEG)
+    pipeline(Diagnosis("fit_failed", "No diagnosis: the fit did not converge."))
+    assert diagnose(*runs, "--rig", rig, "--reference", path) == 1
+    assert "The reference was not compared: that needs a fit of these runs." in capsys.readouterr().err
 
 
 def test_a_failed_fit_writes_its_json_and_ends_with_one(runs: list[Path], rig: Path, tmp_path: Path,

@@ -164,7 +164,7 @@ def test_a_run_by_keyboard_its_curves_its_fit_and_its_report(page: Browser, rig:
     try:
         report.driver.get(link)
         assert "Fit of leg2" in report.driver.title
-        assert report.js("document.querySelectorAll('.plot canvas').length") == 5  # its own script runs, and no other
+        assert report.js("document.querySelectorAll('.plot canvas').length") == 6  # with the sketch
         assert report.outgoing() == [] and report.complaints() == []
     finally:
         report.close()

@@ -27,7 +27,7 @@ def page() -> str:
 def test_document_is_the_contract() -> None:
     found = msgspec.json.decode(msgspec.json.encode(diagnosis_document(synthetic())))
     assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
-            "sentence", "next_experiment", "warnings", "material", "budget", "immaterial", "remainder",
+            "sentence", "next_experiment", "next_step", "warnings", "material", "budget", "immaterial", "remainder",
             "error", "stability", "rotations", "set_aside"} == set(found)
     assert [row["what"] for row in found["budget"]] == ["nominal", "cause", "remainder", "noise"]
     assert found["budget"][1] == {"what": "cause", "effect": "stribeck_friction", "joint": 2, "share": 0.9,
@@ -67,8 +67,8 @@ def test_joints_are_those_of_the_contract() -> None:
 
 def test_page_answers_in_the_order_of_the_questions(page: str) -> None:
     titles = re.findall(r"<h2>(.*?)</h2>", page)
-    assert titles == ["Causes", "What the error consists of", "How far the simulation is off", "Candidates",
-                      "Signature",
+    assert titles == ["Causes", "The mechanism", "What the error consists of", "How far the simulation is off",
+                      "Candidates", "Signature",
                       "Simulation against measurement, before and after", "What can be told apart",
                       "What the extension does to the parameters", "Next experiment", "Ruled out",
                       "What cannot be tested here", "Runs"]
@@ -79,7 +79,7 @@ def test_page_shows_what_was_found(page: str) -> None:
     for words in ("0.04 .. 0.06", "few runs", "closes 81 %", "67 to 93 %", "p = 0.004", "&lt; 1e-6",
                   "presliding_friction, joint 2", "backlash, joint 1", "Slow reversals.", "noise alone", "0.006"):
         assert typeset(words) in page, words
-    assert page.count("<svg") == 1 + 1 + 2 + 2 + 1 + 1
+    assert page.count("<svg") == 1 + 1 + 1 + 2 + 2 + 1 + 1
 
 
 def test_page_is_one_file_and_its_figures_are_drawn(page: str) -> None:

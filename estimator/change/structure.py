@@ -1,0 +1,105 @@
+"""`Structure`: what the reference runs hold in the span of all columns without a name, common to all and of each run.
+
+Score s_r = I_r (theta + u_r) + e_r, e_r of covariance I_r. theta is common to all runs, u_r one run's own; both are
+normal with mean zero and, in units of what one reference run tells of a column, of one variance for all columns:
+`common` and `own`. Parameters have a flat prior in theta. With u_r integrated out a run has the score
+(1 + I_r U)^-1 s_r and the information (1 + I_r U)^-1 I_r, where U is the covariance of u_r.
+
+Both variances are the likeliest by the restricted likelihood of the reference runs (Patterson and Thompson, Biometrika
+58, 1971). With few runs that is often nil for one of them, which would say that runs do not differ; a gamma prior of
+shape 2 on each standard deviation keeps it off (Chung et al., Psychometrika 78, 2013).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import minimize
+
+from daq import FloatArray
+from estimator.change.scores import RunScore
+
+PRIOR_RUNS = 8
+"""Runs that the variance which all columns share counts for: columns differ in how much runs differ in them."""
+SMALLEST = 1e-9
+"""Share of a run's largest information below which a combination of columns is not informed."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Of the reference runs."""
+
+    common: float
+    own: float
+    unit: FloatArray
+    """(m,) variance of each column's size by one reference run alone"""
+    parameters: int
+    freedom: float
+    """Degrees of freedom of the variance of a column's size: of the reference runs, and PRIOR_RUNS of all columns"""
+
+    @property
+    def precision(self) -> FloatArray:
+        """(m,) of theta's prior; zero for parameters."""
+        found = 1.0 / (self.common * self.unit)
+        found[: self.parameters] = 0.0
+        return found
+
+    def seen(self, run: RunScore) -> RunScore:
+        """The run's score and information, its own structure integrated out."""
+        spread = np.eye(self.unit.size) + run.information * (self.own * self.unit)
+        information = np.linalg.solve(spread, run.information)
+        return RunScore(np.asarray(np.linalg.solve(spread, run.score)), 0.5 * np.asarray(information + information.T))
+
+
+class _Rows(NamedTuple):
+    """Of all runs: y = A_r theta + A_r u_r + e of unit covariance, A_r^T A_r = I_r."""
+
+    y: FloatArray
+    """(k,)"""
+    free: FloatArray
+    """(k, parameters)"""
+    common: FloatArray
+    """(k, k) covariance by a common structure of variance one"""
+    own: FloatArray
+    """(k, k) by runs' own structures of variance one"""
+
+
+def find_structure(reference: Sequence[RunScore], parameters: int) -> Structure:
+    """The likeliest structure of the `reference` runs; the first `parameters` columns are the model's parameters."""
+    information = np.mean([np.diag(run.information) for run in reference], axis=0)
+    unit = 1.0 / np.maximum(information, 1e-300)
+    rows = _rows(reference, np.sqrt(unit), parameters)
+    begin = np.log([1.0, 0.1])
+    found = minimize(_misfit, begin, (rows,), "Nelder-Mead", options={
+        "initial_simplex": begin + 2.0 * np.array([[0, 0], [1, 0], [0, 1]]), "xatol": 0.05, "fatol": 0.05})
+    common, own = np.exp(found.x)
+    return Structure(float(common), float(own), unit, parameters, PRIOR_RUNS + len(reference) - 1.0)
+
+
+def _rows(runs: Sequence[RunScore], scale: FloatArray, parameters: int) -> _Rows:
+    parts, y = [], []
+    for run in runs:
+        values, vectors = np.linalg.eigh(run.information * np.outer(scale, scale))
+        kept = values > SMALLEST * values[-1]
+        root = np.sqrt(values[kept])
+        parts.append((vectors[:, kept] * root).T)
+        y.append((vectors[:, kept] / root).T @ (run.score * scale))
+    every = np.concatenate(parts)
+    run_of = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    own = (every @ every.T) * (run_of[:, None] == run_of)
+    return _Rows(np.concatenate(y), every[:, :parameters], every[:, parameters:] @ every[:, parameters:].T, own)
+
+
+def _misfit(logs: FloatArray, rows: _Rows) -> float:
+    """-log restricted likelihood of (common, own), and their prior."""
+    common, own = np.exp(logs)
+    factor = cholesky(np.eye(rows.y.size) + common * rows.common + own * rows.own, lower=True, check_finite=False)
+    free, y = np.split(solve_triangular(factor, np.column_stack([rows.free, rows.y]), lower=True), [-1], axis=1)
+    q, r = np.linalg.qr(free)
+    left = y[:, 0] - q @ (q.T @ y[:, 0])
+    volume = np.log(np.diag(factor)).sum() + np.log(np.maximum(np.abs(np.diag(r)), 1e-300)).sum()
+    return float(volume + 0.5 * left @ left - 0.5 * np.sum(logs))

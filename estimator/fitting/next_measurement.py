@@ -1,0 +1,95 @@
+"""`next_measurement`: the one value that, measured or weighed, tells most about the parameters that a fit knows least.
+
+With the information H of a fit and the prior's P, knowing a candidate to `ACCURACY` makes P into P'. Named is the
+candidate whose covariance (H + P')^-1 shrinks the standard deviations of all others most, by their geometric mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.fitting.identifiability import plausible_sizes, uncertain_directions
+from estimator.fitting.prior import body_estimates, prior_at
+from estimator.model import has_bodies
+from estimator.numerics import pseudo_inverse
+from estimator.result import FitResult
+
+ACCURACY = 0.01
+"""Standard deviation of the measurement that is proposed, as a share of the value."""
+WORTH = 0.9
+"""A value that leaves the intervals of the others at more than this share of their width is not named."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A value to measure, and what it would do."""
+
+    name: str
+    """Of a parameter or a body value."""
+    value: float
+    """As it is now."""
+    std: float
+    """Of the measurement assumed."""
+    widths: dict[str, float]
+    """Other parameter -> width of its interval then, as a share of now."""
+    undetermined: tuple[int, int]
+    """Combinations that the runs leave open, now and then."""
+
+    @property
+    def share(self) -> float:
+        """Geometric mean of the widths."""
+        return float(np.exp(np.mean(np.log(list(self.widths.values())))))
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """For the JSON documents."""
+        return {"name": self.name, "value": self.value, "std": self.std, "widths": self.widths, "share": self.share,
+                "undetermined": list(self.undetermined)}
+
+
+def next_measurement(result: FitResult) -> Measurement | None:
+    """The most useful value to measure next; None where no single one is worth it, or the fit is none."""
+    m = result.mechanism
+    free = np.array([name not in result.fixed and name not in result.at_bound for name in m.names])
+    if not result.converged or result.method != "mle" or free.sum() < 2:
+        return None
+    scale = plausible_sizes(m, result.beta, result.std)
+    now = _open(result, scale)
+    known = {one.name: (one.value, one.std) for one in result.prior}
+    before = prior_at(m, known, result.beta).information
+    values = {p.name: float(b) for p, b, one in zip(m.parameters, result.beta, free) if p.rigid and one}
+    if has_bodies(m):
+        values |= {name: value for name, value in body_estimates(m, known, result.beta).items() if name not in known}
+    found = []
+    for name, value in values.items():
+        std = ACCURACY * (scale[m.column(name)] if name in m.names else abs(value))
+        if not std > 0.0:
+            continue
+        more = prior_at(m, {**known, name: (value, std)}, result.beta).information - before
+        after = np.zeros_like(now)
+        at = np.ix_(free, free)
+        after[at] = pseudo_inverse(pseudo_inverse(now[at]) + more[at])
+        ratio = np.sqrt(np.diag(after)[free] / np.maximum(np.diag(now)[free], 1e-300))
+        widths = {other: float(min(one, 1.0)) for other, one in zip(np.array(m.names)[free], ratio) if other != name}
+        left = [uncertain_directions(c, scale, free).shape[1] for c in (now, after)]
+        found.append(Measurement(name, value, float(std), widths, (left[0], min(left))))
+    best = min(found, key=lambda one: (one.undetermined[1], one.share), default=None)
+    if best is None or (best.share > WORTH and best.undetermined[1] == best.undetermined[0]):
+        return None
+    return best
+
+
+def _open(result: FitResult, scale: FloatArray) -> FloatArray:
+    """(p, p) covariance in which what the runs leave open has a standard deviation of its plausible size at least."""
+    out = result.covariance.copy()
+    for combination in result.undetermined:
+        direction = np.zeros(len(out))
+        for name, amount in combination.amounts:
+            direction[result.mechanism.column(name)] = amount
+        direction *= scale[result.mechanism.column(combination.amounts[0][0])]
+        out += np.outer(direction, direction)
+    return out

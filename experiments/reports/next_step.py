@@ -1,0 +1,58 @@
+"""The one next step after a diagnosis: where the structure sits, what to record or declare, and the command."""
+
+from __future__ import annotations
+
+import re
+
+from estimator.diagnosis import Diagnosis, Remainder
+
+SESSION = "legid excite --rig RIG --model MODEL.json --session NEXT"
+RECORD = {
+    "session": ("the time since the start", "Record the same plan cold and warm, in the order of recording", SESSION),
+    "time": ("the time within a run", "Record the same plan cold and warm, in the order of recording", SESSION),
+    "u": ("the motor's torque", "Hold a known weight at several torques",
+          "legid excite --rig RIG --holds 5 --out PLAN"),
+    "a": ("the acceleration", "Record fast motion, and declare rotor_inertia = [{j}] under [terms] where the motor is "
+          "geared", SESSION),
+    "other": ("the motion of the other joint", "Lock one joint in some runs and the other in others", SESSION),
+    "v": ("the speed", "Record slow ramps with holds and fast motion as separate runs", SESSION),
+    "q": ("the angle", "Record slow motion over the whole range", SESSION)}
+"""What a residual depends on -> its name, what to do, and the command."""
+SENSORS = {"gyro": "legid calibrate imu --rig RIG", "accel": "legid calibrate imu --rig RIG",
+           "encoder": "legid doctor --rig RIG"}
+"""Start of a channel that reads wrongly -> the command that checks it."""
+
+
+def next_step(found: Diagnosis) -> str:
+    """One line: place, action and command."""
+    if found.verdict == "fit_failed":
+        return "Look at each run by itself: legid fit RUN... --rig RIG --each"
+    if found.verdict == "none":
+        return "Try the model on runs that it has not seen: legid validate MODEL.json NEW_RUN... --rig RIG"
+    if found.verdict == "named":
+        return ("Try the extended model on runs that it has not seen: legid diagnose RUN... --rig RIG --model-out "
+                "MODEL.json, then legid validate MODEL.json NEW_RUN... --rig RIG")
+    if found.verdict == "one_of" or found.remainder is None:
+        return ("Record what tells the causes apart: legid excite --rig RIG --model MODEL.json --next DIAGNOSIS.json "
+                "--session NEXT" if found.causes else
+                f"Record slow motion, fast motion, holds and free swings as separate runs: {SESSION}")
+    return _of_remainder(found.remainder)
+
+
+def variable_of(law: str) -> str:
+    """The key of `RECORD` for what a residual is a function of, as a diagnosis writes it: "q sign v", "session"."""
+    for key, pattern in (("session", r"session"), ("time", r"time"), ("other", r"other"), ("u", r"\bu\b"),
+                         ("a", r"\ba[12]?\b"), ("v", r"v[12]?\b")):
+        if re.search(pattern, law):
+            return key
+    return "q"
+
+
+def _of_remainder(left: Remainder) -> str:
+    command = next((c for start, c in SENSORS.items() if left.channel.startswith(start)), "")
+    variable, action, session = RECORD[variable_of(left.depends_on)]
+    if command:
+        return f"The residual is in {left.channel} and depends on {variable}. Check that sensor: {command}"
+    joint = left.joint or 1
+    return (f"The residual torque is at joint {joint} and depends on {variable} ({left.depends_on}). "
+            f"{action.format(j=joint)}: {session}")

@@ -1,0 +1,86 @@
+"""What was known before a fit, and what to measure next, as text and as a section of a page."""
+
+from __future__ import annotations
+
+from estimator import FitResult
+from estimator.fitting import Measurement, next_measurement
+from experiments.reports.html import Section, Table
+from experiments.reports.numbers import number
+
+CONTRADICTS = 3.0
+"""Standard deviations from which on the runs contradict what was known."""
+HEADER = ["known before", "value", "std", "after the fit", "std after"]
+HOW = {"l": "with a ruler, joint to joint", "m": "on a scale", "lc": "by balancing the link on an edge",
+       "I": "by swinging the link as a pendulum"}
+
+
+def prior_sentence(result: FitResult) -> str:
+    """That a fit used a prior; empty where it used none."""
+    if not result.prior:
+        return ""
+    names = ", ".join(f"{one.name} = {one.value:.4g} +- {one.std:.2g}" for one in result.prior)
+    return f"Maximum a posteriori: the fit used what [prior] says ({names}), together with the runs."
+
+
+def contradictions_of(result: FitResult) -> list[str]:
+    """One sentence for each known value that the runs contradict."""
+    found = [f"the runs contradict [prior] {one.name} = {one.value:.4g} +- {one.std:.2g} by {one.contradiction:.1f} "
+             f"standard deviations (after the fit {one.fitted:.4g}): measure it again, or take it out"
+             for one in result.prior if one.contradiction > CONTRADICTS]
+    if not found and result.prior_conflict > CONTRADICTS:
+        found = [f"the runs contradict [prior] by {result.prior_conflict:.1f} standard deviations a value, for without "
+                 "it they are likelier: check its values and units"]
+    return found
+
+
+def prior_rows(result: FitResult) -> list[list[str]]:
+    """One row of HEADER a known value."""
+    return [[one.name, number(one.value, one.std), number(one.std, one.std), number(one.fitted, one.fitted_std),
+             number(one.fitted_std, one.fitted_std)] for one in result.prior]
+
+
+def measure_sentence(result: FitResult) -> str:
+    """Which one value to measure next, how much it would help, and what to write; empty where none is worth it."""
+    found = next_measurement(result)
+    if found is None:
+        return ""
+    name, unit = found.name, _unit(result, found.name)
+    m = result.mechanism
+    meaning = f" ({m.parameters[m.column(name)].meaning})" if name in m.names else ""
+    how = HOW.get(name.rstrip("0123456789"), "")
+    text = f"Measure {name}{meaning} {how}".rstrip() + f" to +- {found.std:.2g} {unit}".rstrip()
+    before, after = found.undetermined
+    if after < before:
+        text += f": of {before} open combinations {after or 'none'} would remain"
+    else:
+        best, share = min(found.widths.items(), key=lambda pair: pair[1])
+        text += (f": the other intervals would shrink to {100 * found.share:.0f} % of their width on average, that of "
+                 f"{best} to {100 * share:.0f} %")
+    return f"{text}. Write {name} = [VALUE, {found.std:.2g}] under [prior]{_or_zero(result, found)}."
+
+
+def _or_zero(result: FitResult, found: Measurement) -> str:
+    """Of the coupling of two links: when it is zero."""
+    m = result.mechanism
+    p = m.parameters[m.column(found.name)] if found.name in m.names else None
+    if p is None or p.term != "inertia" or p.at[0] == p.at[-1]:
+        return ""
+    i = p.at[0] + 1
+    return f", or --fix {found.name}=0 where joints {i} and {i + 1} share an axis"
+
+
+def _unit(result: FitResult, name: str) -> str:
+    m = result.mechanism
+    if name in m.names:
+        return m.parameters[m.column(name)].unit
+    return {"m": "kg", "l": "m", "lc": "m", "I": "kg m^2"}[name.rstrip("0123456789")]
+
+
+def knowledge_section(result: FitResult) -> list[Section]:
+    """What was known before, and what to measure next; empty where there is neither."""
+    advice = measure_sentence(result)
+    if not result.prior and not advice:
+        return []
+    tables = [Table(HEADER, prior_rows(result), right=frozenset({1, 2, 3, 4}))] if result.prior else []
+    return [Section("What was known before, and what to measure next",
+                    [text for text in (prior_sentence(result), advice) if text], tables)]

@@ -1,0 +1,69 @@
+"""Every verdict has a next step with its place and a command that exists; a huge share of a budget is no bar."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from estimator import VERDICTS, Verdict
+from estimator.diagnosis import BudgetRow, Remainder
+from estimator.effects.generic_terms import READINGS, TORQUE_LAWS
+from experiments.cli.main import build_parser
+from experiments.reports.diagnosis_figures import waterfall
+from experiments.reports.diagnosis_json import diagnosis_document
+from experiments.reports.diagnosis_text import diagnosis_text
+from experiments.reports.next_step import RECORD, SENSORS, next_step, variable_of
+from tests.support.diagnoses import synthetic
+
+
+def options_of(command: str) -> set[str]:
+    """Options that the parser of `command` knows."""
+    parser = build_parser()
+    (subparsers,) = (a for a in parser._actions if hasattr(a, "choices") and a.choices and "fit" in a.choices)
+    choices = subparsers.choices
+    assert isinstance(choices, dict)
+    return {option for action in choices[command]._actions for option in action.option_strings}
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_every_verdict_has_one_with_a_real_command(verdict: Verdict) -> None:
+    found = replace(synthetic(), verdict=verdict)
+    step = next_step(found)
+    assert "\n" not in step and step in diagnosis_text(found)
+    assert diagnosis_document(found)["next_step"] == step
+    commands = re.findall(r"legid ([a-z]+)(.*?)(?=, then|$)", step)
+    assert commands
+    for command, words in commands:
+        assert set(re.findall(r"--[a-z-]+", words)) <= options_of(command), step
+
+
+def test_a_remainder_gives_joint_variable_and_what_to_do() -> None:
+    found = replace(synthetic(), verdict="unexplained", remainder=Remainder(2, "torque2", "slow v"))
+    assert next_step(found).startswith("The residual torque is at joint 2 and depends on the speed (slow v). Record "
+                                       "slow ramps with holds")
+    sensor = replace(found, remainder=Remainder(None, "gyro", "v1^2"))
+    assert next_step(sensor).endswith("Check that sensor: legid calibrate imu --rig RIG")
+
+
+def test_every_law_of_the_residual_has_its_variable() -> None:
+    expected = {"q^3": "q", "q sign v": "v", "cos 2q": "q", "session sign v": "session", "u^2": "u", "low u": "u",
+                "a^2": "a", "other's q": "other", "time": "time", "v^3": "v"}
+    assert {law: variable_of(law) for law in expected} == expected
+    assert {variable_of(law) for law in (*TORQUE_LAWS, *READINGS)} <= set(RECORD)
+
+
+def test_commands_for_sensors_exist() -> None:
+    for command in SENSORS.values():
+        assert command.split()[1] in {"calibrate", "doctor"}
+        assert options_of(command.split()[1]) is not None
+
+
+def test_a_share_of_many_times_the_error_is_a_number_and_no_bar() -> None:
+    rows = [BudgetRow("nominal", 1.0, (1.0, 1.0)), BudgetRow("cause", -51.8, (-60.0, -40.0), "backlash", 2),
+            BudgetRow("remainder", 0.4, (0.3, 0.5))]
+    svg = waterfall(rows)
+    assert "-5180 %, not to scale" in svg
+    ticks = [float(x.replace("−", "-")) for x in re.findall(r">([−-]?\d+)<", svg)]
+    assert max(map(abs, ticks)) < 1000

@@ -1,0 +1,77 @@
+"""A fit with [prior]: said first on the terminal and the page, in the JSON and MODEL.json; bad entries are refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq import InputError
+from daq.rig import parse_rig
+from experiments.cli.main import main
+from tests.support.mujoco_leg import Leg, record
+
+LEG = Leg()
+RIG = """[mechanism]
+model = "leg2"
+actuated = [2]
+[terms]
+rotor_inertia = []
+torque_offset = []
+encoder_zero = []
+[imu]
+lever_arm_m = 0.2
+[prior]
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    data = record(LEG, np.random.default_rng(3), seconds=10.0, amplitude=0.3, high=2.0)
+    path = tmp_path_factory.mktemp("prior") / "small.csv"
+    names = list(data.columns)
+    np.savetxt(path, np.column_stack([data.time_s, *(data[name] for name in names)]), delimiter=",",
+               header=",".join(["time_s", *names]), comments="")
+    return path
+
+
+def rig_with(folder: Path, *entries: str) -> Path:
+    path = folder / "rig.toml"
+    path.write_text(RIG + "\n".join(entries) + "\n")
+    return path
+
+
+def test_a_prior_is_said_first_and_everywhere(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = rig_with(tmp_path, f"l1 = [{LEG.l1}, 0.003]", f"beta5 = [{LEG.beta()[4]}, 0.002]")
+    out, page, model = (tmp_path / name for name in ("fit.json", "fit.html", "model.json"))
+    assert main(["fit", str(run), "--rig", str(rig), "--json", str(out), "--html", str(page),
+                 "--model-out", str(model)]) == 0
+    told = capsys.readouterr().out
+    assert "Maximum a posteriori: the fit used what [prior] says (l1 = 0.3 +- 0.003, beta5 = 0.12 +- 0.002)" in told
+    document = json.loads(out.read_text())
+    assert [one["name"] for one in document["prior"]] == ["l1", "beta5"]
+    assert json.loads(model.read_text())["provenance"]["prior"]["l1"] == [0.3, 0.003]
+    summary = re.sub(r"<[^>]+>", " ", page.read_text())
+    assert "Maximum a posteriori" in summary and "What was known before" in summary
+
+
+def test_a_prior_that_the_runs_contradict_is_not_trusted(run: Path, tmp_path: Path,
+                                                         capsys: pytest.CaptureFixture[str]) -> None:
+    rig = rig_with(tmp_path, "l1 = [0.33, 0.005]")
+    main(["fit", str(run), "--rig", str(rig)])
+    assert "the runs contradict [prior] l1 = 0.33 +- 0.005" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("entry", ["m1 = [1.0]", "m1 = [1.0, 0.0]", "m1 = [1.0, nan]", "m1 = [1.0, 0.1, 2.0]"])
+def test_an_entry_without_a_standard_deviation_is_refused(entry: str) -> None:
+    with pytest.raises(InputError, match=r"prior\.m1 is .*give its value and standard deviation"):
+        parse_rig(RIG + entry)
+
+
+def test_a_name_that_the_mechanism_does_not_have_is_refused(run: Path, tmp_path: Path,
+                                                            capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit", str(run), "--rig", str(rig_with(tmp_path, "m7 = [1.0, 0.1]"))]) == 2
+    assert "[prior] m7 is nothing that leg2 has" in capsys.readouterr().err

@@ -1,0 +1,40 @@
+"""The sketch of a mechanism: its places against the contract's geometry, its words, and that pages have it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimator.model import biped3, chain, joint1, leg2
+from experiments.reports.fit_page import fit_sections
+from experiments.reports.sketch import draw_mechanism, joint_places, sketch_section
+from tests.support.fits import synthetic_fit
+
+
+def test_links_hang_one_on_the_other_and_grow_to_the_right() -> None:
+    begin, end = joint_places(leg2(), np.array([0.5, 0.8]))
+    assert end[0] == pytest.approx([np.sin(0.5), -np.cos(0.5)])
+    assert begin[1] == pytest.approx(end[0])
+    assert end[1] - begin[1] == pytest.approx([np.sin(1.3), -np.cos(1.3)])
+
+
+def test_both_legs_and_torso_of_a_walker_start_at_the_hip() -> None:
+    begin, end = joint_places(biped3(), np.array([0.2, 2.9, 0.4]))
+    assert end[0] == pytest.approx([np.sin(0.2), np.cos(0.2)])
+    assert begin[1] == pytest.approx(end[0]) and begin[2] == pytest.approx(end[0])
+
+
+def test_the_caption_has_the_pose_the_motors_and_the_imu() -> None:
+    (section,) = sketch_section(leg2(lever_arm=0.2), np.array([0.5, -0.8]), "as run a.csv begins")
+    caption = section.pictures[0].caption
+    assert "as run a.csv begins: q1 = 0.50 rad, q2 = -0.80 rad" in caption
+    assert "motor (joint 2)" in caption and "axes of an IMU" in caption
+    assert all(f"<!-- {word} -->" in section.pictures[0].svg or f">{word}<" in section.pictures[0].svg
+               for word in ("q1", "q2", "link 1", "link 2", "IMU", "x", "y", "g"))
+    assert ">IMU<" not in draw_mechanism(chain(3), np.zeros(3))
+
+
+def test_a_slide_has_none_and_a_page_of_a_fit_has_one() -> None:
+    assert sketch_section(joint1(prismatic=True), np.zeros(1), "") == []
+    titles = [section.title for section in fit_sections(synthetic_fit())]
+    assert "The mechanism" in titles
