@@ -58,9 +58,10 @@ class Combination:
 
 Role = Literal["assumption", "warning", "fault", "remedy", "doubt", "fact"]
 FindingKind = Literal["run_set_aside", "run_doubt", "rig_contradiction", "run_note", "choice", "servo_gain",
-                      "noise_share", "level_at_zero", "level_negative", "impossible", "columns", "not_converged",
-                      "undetermined", "torque_residual", "passive_joint", "sensor_residual", "repeating_torque",
-                      "torque_fit", "prior", "runs_disagree", "estimators_disagree", "loose", "not_shown"]
+                      "noise_share", "level_at_zero", "level_negative", "length", "impossible", "columns",
+                      "not_converged", "undetermined", "torque_residual", "passive_joint", "sensor_residual",
+                      "repeating_torque", "torque_fit", "prior", "runs_disagree", "estimators_disagree", "loose",
+                      "not_shown"]
 
 
 @dataclass(frozen=True)

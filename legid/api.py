@@ -162,16 +162,17 @@ def compare(model_a: Model, model_b: Model, runs: Runs, rig: RigLike | None = No
 
 
 def tune(runs: Path | str | Sequence[Path | str], rig: RigLike | None = None, sensors: str | None = None,
-         damaged: bool = False, progress: Callable[[str, float], None] | None = None) -> Tuning:
+         damaged: bool = False, progress: Callable[[str, float], None] | None = None,
+         fixed: Mapping[str, float] | None = None) -> Tuning:
     """The entries of a rig file that predict its records best: grid, hold, filter, encoders' error and zeros, terms.
 
     Each is chosen by how well a fit to half of the runs predicts the other half. `runs` are files, since they are read
-    on several grids. `progress` is called with (entry, share done). Raises `InputError`, and `FitError` where no run
-    can be used.
+    on several grids. `progress` is called with (entry, share done). `fixed`: parameters that are given, by name. Raises
+    `InputError`, and `FitError` where no run can be used.
     """
     paths = [runs] if isinstance(runs, Path | str) else list(runs)
     known = _stored_rig(paths) if rig is None else _rig(rig)
-    found = tune_runs(paths, known, sensors, damaged, progress or (lambda what, share: None))
+    found = tune_runs(paths, known, sensors, damaged, progress or (lambda what, share: None), fixed)
     return Tuning(found, tuple(map(source_of, paths)))
 
 

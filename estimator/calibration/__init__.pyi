@@ -1,4 +1,5 @@
 from .column_faults import MOST_LEFT as MOST_LEFT
+from .column_faults import MOST_SPAN as MOST_SPAN
 from .column_faults import Reading as Reading
 from .column_faults import Remedy as Remedy
 from .column_faults import as_it_is as as_it_is

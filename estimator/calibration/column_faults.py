@@ -41,8 +41,9 @@ GEAR_CLEAR = 1.18
 NEAR_ONE = 0.1
 """... factors closer to one are the scatter of such a search. (Measured on 26 real records as they are: the best factor
 beyond that leaves 1.00 to 1.16 times less.)"""
-SPANS = (0.1, 20.0)
-"""How far an angle goes that was moved for an identification [rad]: less, or more, is no reading that a unit mends."""
+LEAST_SPAN, MOST_SPAN = 0.1, 20.0
+"""How far an angle goes that was moved for an identification [rad]. A unit that makes it less is not tried; an angle
+that goes further turned, or is in another unit, or in counts."""
 DEGREE = float(np.pi / 180.0)
 
 
@@ -61,6 +62,11 @@ class Remedy:
     torques: FloatArray
     """(n, n)"""
     changes: int = 1
+
+    @property
+    def scales(self) -> bool:
+        """Whether it changes the size of an angle. The right unit leaves less torque, not other parameters alone."""
+        return not bool(np.isin(np.abs(self.angles), (0.0, 1.0)).all())
 
     def __str__(self) -> str:
         return f"{self.what}: {self.write}"
@@ -109,11 +115,11 @@ def find_remedies(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
              for remedy in _likely(mechanism, imu, gear_ratio, np.ptp(motion.q, axis=0))]
     for j in options.encoders_of(mechanism.n):
         span = float(np.ptp(motion.q[:, j]))
-        steps = GEAR_STEPS if span < SPANS[1] else COUNT_SPANS / span
+        steps = GEAR_STEPS if span < MOST_SPAN else COUNT_SPANS / span
         reading = _best_gear(motion, mechanism, options, j, steps)
         found += [] if reading is None else [replace(reading, clear=GEAR_CLEAR)]
     cures = [r for r in found if not r.faults and r.left < MOST_LEFT
-             and (bool(nothing.faults) or r.left * r.clear < nothing.left)]
+             and ((bool(nothing.faults) and not r.remedy.scales) or r.left * r.clear < nothing.left)]
     least = min((r.left for r in cures), default=0.0)
     near = [r for r in cures if r.left <= ALIKE * least]
     fewest = min((r.remedy.changes for r in near), default=0)
@@ -196,7 +202,7 @@ def _likely(mechanism: Mechanism, imu: bool, gear_ratio: float, span: FloatArray
             for factor, what, unit in ((DEGREE, "in degrees", 'unit = "deg"'),
                                        (2.0 * np.pi, "in turns", 'unit = "turn"'), (1e-3, "in mrad", 'unit = "mrad"'),
                                        (1.0 / DEGREE, "converted from degrees twice", f"scale = {1.0 / DEGREE:.6g}")):
-                if not SPANS[0] < factor * span[list(those)].max() < SPANS[1]:
+                if factor * span[list(those)].max() < LEAST_SPAN:
                     continue
                 scaled = np.diag([factor if j in those else 1.0 for j in range(n)])
                 looks = "looks" if len(those) == 1 else "look"

@@ -48,14 +48,19 @@ def faults(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: FloatArra
     lifted = [k for k in gravity if beta[k] < -SURE * std[k]]
     if lifted and not any(beta[k] > SURE * std[k] for k in gravity):
         found.append(f"gravity pulls upwards ({_values(mechanism, beta, std, lifted)})")
-    return (*found, *_impossible_lengths(mechanism, beta, std))
+    return (*found, *(text for text, motor in strange_lengths(mechanism, beta, std) if not motor))
 
 
-def _impossible_lengths(mechanism: Mechanism, beta: FloatArray, std: FloatArray) -> list[str]:
-    """Inertia over gravity moment of a link is a length, and so is a product of inertia over the next link's moment."""
+def strange_lengths(mechanism: Mechanism, beta: FloatArray, std: FloatArray) -> list[tuple[str, bool]]:
+    """Lengths in `beta` (p,) that no link has, one clause each, and whether a motor's rotor may account for it.
+
+    Inertia over gravity moment of a link is a length, and so is a product of inertia over the next link's moment. The
+    rotor of a motor, by its gear ratio squared, adds to the inertia of its joint where no parameter stands for it.
+    """
     if mechanism.length_unit == "m" or mechanism.gravity < 0.0:  # on a slide, or with g inside the parameters
         return []
     moment = {p.at[0]: k for k, p in enumerate(mechanism.parameters) if p.term == "gravity"}
+    motors = set(mechanism.actuated) - {p.at[0] for p in mechanism.parameters if p.term == "rotor"}
     found = []
     for k, p in enumerate(mechanism.parameters):
         over = moment.get(max(p.at))
@@ -63,7 +68,8 @@ def _impossible_lengths(mechanism: Mechanism, beta: FloatArray, std: FloatArray)
             continue
         length = float(beta[k] / beta[over])
         if not LENGTHS_M[0] <= length <= LENGTHS_M[1]:
-            found.append(f"{p.name} over {mechanism.parameters[over].name} makes a length of {length:.2g} m")
+            found.append((f"{p.name} over {mechanism.parameters[over].name} makes a length of {length:.2g} m",
+                          length > LENGTHS_M[1] and len(set(p.at)) == 1 and p.at[0] in motors))
     return found
 
 
@@ -99,6 +105,9 @@ def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
     closed = np.where([name in result.open_parameters for name in mechanism.names], np.inf, result.own_std)
     q = np.concatenate([t.q for t in result.trajectories]) if result.trajectories else np.zeros((0, mechanism.n))
     impossible = faults(mechanism, result.beta, closed, q) if result.converged else ()
+    findings += [Finding("warning", "length", f"{text}, which no link has: the inertia may hold the motor's rotor, "
+                         "times the gear ratio squared, or a counterweight lowers the gravity term")
+                 for text, motor in strange_lengths(mechanism, result.beta, closed) if motor and result.converged]
     return replace(result, fixed=fixed, at_bound=limits,
                    findings=(*findings, *(Finding("fault", "impossible", text) for text in impossible)))
 

@@ -32,8 +32,11 @@ def undetermined(mechanism: Mechanism, beta: FloatArray, covariance: FloatArray,
     index = np.flatnonzero(free)
     if index.size and not np.isfinite(covariance[np.ix_(index, index)]).all():
         return tuple(Combination(((mechanism.names[k], 1.0),)) for k in index if not np.isfinite(covariance[k]).all())
-    scale = plausible_sizes(mechanism, beta, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
-    return name_directions(mechanism.names, uncertain_directions(covariance, scale, free), scale)
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale = plausible_sizes(mechanism, beta, std)
+    unseen = free & (std <= 0.0)
+    return name_directions(mechanism.names, uncertain_directions(covariance, scale, free), scale,
+                           unseen | (std > LARGEST_STD * scale))
 
 
 def uncertain_directions(covariance: FloatArray, scale: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
@@ -51,9 +54,12 @@ def uncertain_directions(covariance: FloatArray, scale: FloatArray, free: NDArra
     return np.hstack([alone, out[:, values > LARGEST_STD**2]])
 
 
-def name_directions(names: tuple[str, ...], directions: FloatArray, scale: FloatArray) -> tuple[Combination, ...]:
+def name_directions(names: tuple[str, ...], directions: FloatArray, scale: FloatArray,
+                    wide: NDArray[np.bool_] | None = None) -> tuple[Combination, ...]:
     """One combination for each independent direction (p, k), given in units of `scale` (p,).
 
+    `wide` (p,) says whose own standard deviation is too large. Where the leader's is, a name leaves out the others
+    whose is not: their intervals hold what the direction adds to them. Without `wide` all are named.
     Any basis of the same space says the same; the one chosen gives every one a parameter of its own to lead.
     """
     u, s, _ = np.linalg.svd(directions, full_matrices=False)
@@ -66,7 +72,8 @@ def name_directions(names: tuple[str, ...], directions: FloatArray, scale: Float
     own = basis @ np.linalg.inv(basis[leads])  # the leads' rows are now the unit matrix
     found = []
     for lead, shares in sorted(zip(leads.tolist(), own.T), key=lambda pair: pair[0]):
-        others = [k for k in np.flatnonzero(np.abs(shares) >= SMALL_SHARE) if k != lead]
+        others = [k for k in np.flatnonzero(np.abs(shares) >= SMALL_SHARE)
+                  if k != lead and (wide is None or wide[k] or not wide[lead])]
         amounts = shares * scale / scale[lead]
         found.append(Combination(tuple((names[k], float(amounts[k])) for k in (lead, *others))))
     return tuple(found)

@@ -82,6 +82,12 @@ def assignment(text: str) -> tuple[str, float]:
         raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE") from None
 
 
+def add_fix(parser: argparse.ArgumentParser) -> None:
+    """`--fix`."""
+    parser.add_argument("--fix", metavar="NAME=VALUE", action="append", default=[], type=assignment,
+                        help="give a parameter instead of estimating it, e.g. --fix beta8=0; may be repeated")
+
+
 def add_force(parser: argparse.ArgumentParser) -> None:
     """`--force`."""
     parser.add_argument("--force", action="store_true",

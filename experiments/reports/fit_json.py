@@ -75,10 +75,12 @@ def check_sound(result: FitResult, for_model: bool) -> None:
         raise WorkError(f"{missing}; move every joint")
     if result.inadmissible:
         why = "; ".join(result.inadmissible)
+        several = result.agreement is not None and result.agreement.unit == "run" and len(result.agreement.runs) > 1
         raise WorkError(f"these parameters are no mechanism's: {why}; "
-                        + ("; or ".join(result.remedies) or "no sign, unit, order or gear of a "
-                           "column that was tried makes a mechanism of them: check gravity and the joints under "
-                           "[mechanism], and fit each run by itself with --each"))
+                        + ("; or ".join(result.remedies) or "no other sign, unit, order or gear of a column that was "
+                           "tried makes a mechanism of them: check gravity and the joints under [mechanism], or give a "
+                           "value that you know with --fix NAME=VALUE"
+                           + ", and fit each run individually with --each" * several))
     if missing and for_model:
         raise WorkError(f"no model was written: {missing}; record richer motion, or give parameters with "
                         "--fix NAME=VALUE")

@@ -5,6 +5,7 @@ The thresholds stand here and in docs/trust.md, which says what they were held a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,15 @@ from experiments.models import MechanismSettings
 from experiments.reports.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torque_fits
 from experiments.reports.html import Level, VerdictBox
 from experiments.reports.run_agreement import units
+
+NAMED = 2
+"""Kinds of doubt that the first line names."""
+IN_SHORT: dict[str, str] = {
+    "estimators_disagree": "two estimators disagree", "torque_residual": "the torque residual has structure",
+    "passive_joint": "a passive joint's equation is off", "sensor_residual": "a sensor's residual has structure",
+    "repeating_torque": "an unmeasured torque repeats", "prior": "the runs contradict [prior]",
+    "undetermined": "these runs leave parameters open", "rig_contradiction": "the rig file contradicts a run"}
+"""Kind of a doubt -> the first line's words for it; its own line says the rest."""
 
 
 @dataclass(frozen=True)
@@ -41,29 +51,31 @@ class Trust:
 
 
 def fit_trust(result: FitResult) -> Trust:
-    """Of a fit by itself: its own findings and those of `check_fit`, joined. Free runs are `validation_trust`'s."""
+    """Of a fit by itself: its own findings and those of `check_fit`, joined; one short line, then a reason a line. Free
+    runs are `validation_trust`'s."""
     findings = (*result.findings, *check_fit(result))
     faults = [one for one in findings if one.role == "fault"]
     if faults:
-        return Trust("bad", f"NOT TO BE USED: {_fault(faults)}.")
-    doubts = [one.text for one in findings if one.role == "doubt"]
-    doubts += [f"the rig file contradicts a run: {one}" for one in findings if one.kind == "rig_contradiction"]
+        return _of_faults(faults)
+    doubts = [one for one in findings if one.role == "doubt" or one.kind == "rig_contradiction"]
+    reasons = tuple(_line(f"the rig file contradicts a run: {one}" if one.kind == "rig_contradiction" else one.text)
+                    for one in doubts)
     facts = tuple(f"{one}." for one in findings if one.role == "fact")
     torque = list(torque_fits(result).values())
     disputes = any(one.kind == "runs_disagree" for one in findings)
     tested = result.method in ("mle", "shooting")
-    apart = [one.text for one in findings if one.kind == "estimators_disagree"]
-    if apart and result.method == "shooting":  # which allows for errors of any colour
-        reasons = [f"{one[:1].upper()}{one[1:]}." for one in doubts if one not in apart]
-        return Trust("caution", f"TRUST WITH CARE: {apart[0]}.", (*reasons, *facts))
+    if result.method == "shooting" and any(one.kind == "estimators_disagree" for one in doubts):
+        return Trust("caution", "TRUST WITH CARE: two estimators disagree; multiple shooting is reported.",
+                     (*reasons, *facts))
     if doubts:
-        use = ("" if not torque else " Good for torque feedforward within the motion fitted."
-               if min(torque) >= GOOD_FIT else " Good for rough torque feedforward only."
-               if min(torque) >= ROUGH_FIT else " Not good for torque feedforward either.")
-        return Trust("caution", f"DO NOT TRUST the parameters: {'; '.join(doubts)}.{use}", facts)
+        use = () if not torque else (
+            "Good for torque feedforward within the motion fitted." if min(torque) >= GOOD_FIT else
+            "Good for rough torque feedforward only." if min(torque) >= ROUGH_FIT else
+            "Not good for torque feedforward either.",)
+        return Trust("caution", f"DO NOT TRUST the parameters: {_in_short(doubts)}.", (*reasons, *use, *facts))
     if tested and not result.mechanism.actuated:
-        return Trust("caution", f"TRUST the ratios of the parameters within their intervals: no torque was measured, "
-                     f"and their scale is that of {', '.join(result.fixed)}, which was given.", facts)
+        return Trust("caution", "TRUST the ratios of the parameters within their intervals: no torque was measured.",
+                     (f"Their scale is that of {', '.join(result.fixed)}, which was given.", *facts))
     if not tested or not torque:
         return Trust("caution", f"NOT TESTED: what {result.method} leaves over is coloured by its filters and cannot "
                      "judge the parameters; mle's can.", facts)
@@ -75,12 +87,25 @@ def fit_trust(result: FitResult) -> Trust:
     return Trust("good", "TRUST the parameters within their intervals, and the model's torque.", facts)
 
 
-def _fault(faults: Sequence[Finding]) -> str:
-    """The first kind of fault, in words."""
+def _of_faults(faults: Sequence[Finding]) -> Trust:
+    """The first kind of fault in short, and each fault of that kind in a line."""
     kind = faults[0].kind
-    texts = "; ".join(one.text for one in faults if one.kind == kind)
-    return {"impossible": f"no leg has these parameters ({texts})",
-            "columns": f"the columns cannot be right ({texts})"}.get(kind, texts)
+    texts = [one.text for one in faults if one.kind == kind]
+    short = {"impossible": "no mechanism has these parameters", "columns": "the columns cannot be right"}.get(kind)
+    return Trust("bad", f"NOT TO BE USED: {short or '; '.join(texts)}.", tuple(map(_line, texts)) if short else ())
+
+
+def _in_short(doubts: Sequence[Finding]) -> str:
+    """The first kinds of doubt, and how many more there are."""
+    kinds = list(dict.fromkeys(IN_SHORT[one.kind] for one in doubts))
+    more = [f"and {len(kinds) - NAMED} more"] if len(kinds) > NAMED else []
+    return ", ".join([*kinds[:NAMED], *more])
+
+
+def _line(text: str) -> str:
+    """`text` as a sentence; a name such as beta1 keeps its small letter."""
+    named = re.match(r"\w*\d", text)
+    return f"{text if named else text[:1].upper() + text[1:]}."
 
 
 def deciding(table: PredictionTable) -> list[str]:

@@ -9,7 +9,16 @@ import numpy as np
 
 from daq import Dataset
 from estimator import FitError, FitOptions
-from estimator.calibration import MOST_LEFT, ImuReading, Reading, as_it_is, find_remedies, read_imu, wrong_lever
+from estimator.calibration import (
+    MOST_LEFT,
+    MOST_SPAN,
+    ImuReading,
+    Reading,
+    as_it_is,
+    find_remedies,
+    read_imu,
+    wrong_lever,
+)
 from estimator.model import Mechanism
 from estimator.signals import angle_column, is_plain
 from experiments.session.setup import Setup
@@ -18,8 +27,8 @@ SUSPICIOUS = 0.1
 """Share of the torque that slow least squares leaves over, from which on other readings of the columns are tried."""
 NAMED = 2
 """Most readings that are named, where they say the same."""
-MOST_SPAN = 20.0
-"""A joint that goes further [rad], and whose motion explains nothing, is given in another unit."""
+ONE_WAY = 2.0
+"""Times its span that the path of an angle is at most when the joint turned on, or there and back."""
 
 
 class Suspicion(NamedTuple):
@@ -68,7 +77,8 @@ def _suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
         if not now.faults and now.left < SUSPICIOUS:
             return Suspicion()
     now, found = find_remedies(datasets, mechanism, options, gear_ratio)
-    far = () if found else _far(datasets, mechanism, options)
+    explained = not now.faults and now.left < MOST_LEFT
+    far = () if found or explained else _far(datasets, mechanism, options)
     if not found and not far:
         return Suspicion()
     most = (f"slow least squares leaves {100 * now.left:.0f} % of the torque",) * (now.left > MOST_LEFT)
@@ -76,17 +86,19 @@ def _suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 
 
 def _far(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[str, ...]:
-    """Of joints that turn further than any that is identified, as counts of an encoder do."""
-    if mechanism.length_unit != "rad":
+    """Of joints that swing further than a joint can, where no unit that was tried explains the torque. A joint that
+    turned on goes as far as it likes; without gravity no motion shows the unit of an angle."""
+    if mechanism.length_unit != "rad" or mechanism.gravity_mps2 == 0.0:
         return ()
     found = []
     for j in options.encoders_of(mechanism.n):
         column = angle_column(mechanism, j)
-        span = max(float(np.nanmax(d[column]) - np.nanmin(d[column])) for d in datasets)
-        if span > MOST_SPAN:
-            found.append(f"{column} goes over {span:.3g} rad, {span / (2.0 * np.pi):.3g} turns: if it did not turn so "
-                         "far, give its unit, or the radians of a count as scale, with "
-                         f'name = "{column}" under [columns.{column}]')
+        span, path = max((float(np.ptp(q)), float(np.abs(np.diff(q)).sum()))
+                         for q in (d[column][np.isfinite(d[column])] for d in datasets))
+        if span > MOST_SPAN and path > ONE_WAY * span:
+            found.append(f"{column} swings over {span:.3g} rad, {span / (2.0 * np.pi):.3g} turns, and in no unit that "
+                         "was tried (rad, deg, turn, mrad, counts) does it explain the torque: check that it is the "
+                         "angle of this joint, and the time of its samples")
     return tuple(found)
 
 

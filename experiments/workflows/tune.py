@@ -38,7 +38,7 @@ class Trial:
     """One set-up, fitted to some runs and held against the others."""
 
     score: float
-    """Mean over the joints of the log of error over that of the last velocity kept; infinite where it blew up."""
+    """Mean over the joints of the log of error over that of the last velocity kept; infinite where none predicts."""
     rmse: FloatArray
     """(n,) error after up to `SHORT_S` on runs not fitted [rad]."""
     rigid: Mapping[str, float]
@@ -59,11 +59,20 @@ class Tuning:
     """Entry, value, error on runs not fitted."""
     doubts: list[str] = field(default_factory=list)
 
+    @property
+    def predicts(self) -> bool:
+        """Whether any fit to half of the runs predicts the other half; if none does, nothing is chosen."""
+        return self.after is not None and bool(np.isfinite(self.after.score))
+
 
 def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None, damaged: bool = False,
-              done: Callable[[str, float], None] = lambda what, share: None) -> Tuning:
-    """Entries of `rig` for these runs; those of `[terms]` that it states are kept. Raises `InputError`, `FitError`."""
-    bench = _Bench(paths, rig, sensors, damaged)
+              done: Callable[[str, float], None] = lambda what, share: None,
+              fixed: Mapping[str, float] | None = None) -> Tuning:
+    """Entries of `rig` for these runs; those of `[terms]` that it states are kept, and parameters in `fixed` are given.
+
+    An entry changes only where a fit with it predicts runs not fitted: a finite error. Raises `InputError`, `FitError`.
+    """
+    bench = _Bench(paths, rig, sensors, damaged, fixed)
     out = Tuning(aside=bench.aside)
     done("terms", 0.05)
     out.choices += bench.terms
@@ -91,13 +100,15 @@ def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
                 best, chosen = trial, value
         if key == "rate_hz":
             grids[now] = start
-            finest = max(rate for rate, t in grids.items() if t.score <= best.score + np.log(1.0 + SAME))
+            finest = _finest(grids, best.score, now)
             best, chosen = grids[finest], finest if finest != now else None
         if chosen is not None:
             change = f"error of runs not fitted {_errors(start)} -> {_errors(best)}"
             out.choices.append(Choice(table, key, chosen, why, change))
             best_rig = with_choices(best_rig, out.choices[-1:])
     out.after = best
+    if not out.predicts:
+        out.choices = []
     out.doubts += _disagreement(grids)
     return out
 
@@ -105,11 +116,12 @@ def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
 class _Bench:
     """Runs by grid, halves of them to fit and to hold the fit against."""
 
-    def __init__(self, paths: Sequence[Path | str], rig: Rig, sensors: str | None, damaged: bool) -> None:
-        self.paths, self.sensors, self.damaged = list(paths), sensors, damaged
+    def __init__(self, paths: Sequence[Path | str], rig: Rig, sensors: str | None, damaged: bool,
+                 fixed: Mapping[str, float] | None) -> None:
+        self.paths, self.sensors, self.damaged, self.fixed = list(paths), sensors, damaged, fixed
         self.grids: dict[float, tuple[Dataset, ...]] = {}
         self.names: frozenset[str] | None = None
-        prepared = prepare(self.runs(rig), rig, sensors=sensors, choose=True)
+        prepared = prepare(self.runs(rig), rig, sensors=sensors, fixed=fixed, choose=True)
         self.aside, self.terms = prepared.set_aside, prepared.choices
         gone = {run.run for run in self.aside}
         self.grids = {rig.sampling.rate_hz: tuple(data for data in self.runs(rig) if data.name not in gone)}
@@ -138,9 +150,9 @@ class _Bench:
         levels: list[float] = []
         for train, held in halves:
             try:
-                setup = setup_of(train, rig, self.sensors)
+                setup = setup_of(train, rig, self.sensors, self.fixed)
                 found = fit_admissible(setup.datasets, setup.mechanism, setup.options)
-                other = setup_of(held, rig, self.sensors, beta=found.beta)
+                other = setup_of(held, rig, self.sensors, self.fixed, beta=found.beta)
                 ahead = predict_filtered([Predictor(found.mechanism, "linear", found.beta)], other.datasets,
                                          other.options, SHORT_S)
             except (FitError, np.linalg.LinAlgError):
@@ -157,6 +169,12 @@ class _Bench:
         score = float(np.mean(np.log(np.maximum(rmse, 1e-12) / np.maximum(np.sqrt(np.mean(plain, axis=0)), 1e-12))))
         return Trial(score, rmse, {name: float(np.mean(values)) for name, values in rigid.items()},
                      float(np.mean(levels)) if levels else None)
+
+
+def _finest(grids: Mapping[float, Trial], least: float, now: float) -> float:
+    """Of the grids that predict as well as the best, whose score is `least`, the finest; `now` where none predicts."""
+    return max((rate for rate, trial in grids.items()
+                if np.isfinite(trial.score) and trial.score <= least + np.log(1.0 + SAME)), default=now)
 
 
 def _half(runs: Sequence[Dataset], k: int) -> list[Dataset]:
@@ -215,7 +233,7 @@ def _text(value: object) -> str:
 
 
 def _errors(trial: Trial) -> str:
-    return "blows up" if not np.isfinite(trial.score) else " and ".join(f"{x:.3g}" for x in trial.rmse)
+    return "no prediction" if not np.isfinite(trial.score) else " and ".join(f"{x:.3g}" for x in trial.rmse)
 
 
 def tuning_rows(found: Tuning) -> list[list[str]]:
@@ -227,8 +245,10 @@ def tuning_text(found: Tuning) -> str:
     """What a person reads: one table, then what it is worth."""
     rows = tuning_rows(found)
     lines = [text_table(["entry", "chosen", "why", "what it changes"], rows, set())] if rows else [
-        "rig.toml as it is predicts best: nothing to change"]
-    if found.before is not None and found.after is not None:
+        "rig.toml as it is predicts best: nothing to change" if found.predicts else
+        "nothing is chosen: no fit to half of the runs predicts the other half, whatever entry was tried.\n"
+        "Run legid fit on the same runs: its first lines say what is wrong."]
+    if found.predicts and found.before is not None and found.after is not None:
         lines += ["", f"error over pieces of {SHORT_S:g} s of runs not fitted (rms, by joint): "
                       f"{_errors(found.before)} before, {_errors(found.after)} after"]
     lines += [f"warning: {run}" for run in found.aside]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from estimator import METHODS
-from experiments.cli.arguments import MOST_WORKERS, add_force, add_output, add_rig, assignment, chosen_rig, whole_number
+from experiments.cli.arguments import MOST_WORKERS, add_fix, add_force, add_output, add_rig, chosen_rig, whole_number
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -22,8 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="what gives the pivot's angle; default: imu where all runs have its columns")
     parser.add_argument("--latent", choices=("trajectory", "free"), default="trajectory",
                         help="mle only: one consistent motion (default), or the paper's free samples")
-    parser.add_argument("--fix", metavar="NAME=VALUE", action="append", default=[], type=assignment,
-                        help="give a parameter instead of estimating it, e.g. --fix beta8=0; may be repeated")
+    add_fix(parser)
     parser.add_argument("--each", action="store_true",
                         help="fit every run alone, side by side; --json then has schema legid.fits/1")
     where = parser.add_mutually_exclusive_group()

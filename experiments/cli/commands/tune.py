@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from experiments.cli.arguments import add_force, add_output, add_rig, chosen_rig
+from experiments.cli.arguments import add_fix, add_force, add_output, add_rig, chosen_rig
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -13,11 +13,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "tune", help="choose a rig's set-up by its records",
         description="Grid, hold, filter, encoders' error and zeros, rotor and offset terms, friction's rounding: each "
                     "is chosen by how well a fit to half of the runs predicts the other half, and told in one table "
-                    "with what it changes. Entries that rig.toml has are kept, but for those of [sampling].")
+                    "with what it changes. Entries that rig.toml has are kept, but for those of [sampling]. "
+                    "Exit status 1 when no fit predicts, and nothing is chosen.")
     parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
     add_rig(parser)
     parser.add_argument("--sensors", choices=("imu", "encoder"),
                         help="what gives the pivot's angle; default: imu where all runs have its columns")
+    add_fix(parser)
     parser.add_argument("--write", action="store_true", help="put what was chosen into the rig file, comments kept")
     add_output(parser, "--json", "legid.tuning/1", help="write what was chosen and tried as JSON")
     add_force(parser)
@@ -35,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     where = rig_path(args.rig) if args.write else None
     chosen = chosen_rig(args, args.runs)
     with stages("tuning") as show:
-        found = tune_runs(args.runs, chosen.rig, args.sensors, args.damaged, show)
+        found = tune_runs(args.runs, chosen.rig, args.sensors, args.damaged, show, dict(args.fix))
     print(tuning_text(found))
     if args.json:
         origin = origin_of(args.runs, chosen.source, command=command_line())
@@ -43,4 +45,4 @@ def run(args: argparse.Namespace) -> int:
     if where is not None and found.choices:
         write_choices(found.choices, where)
         note(f"{where}: {', '.join(f'[{c.table}] {c.key}' for c in found.choices)} written")
-    return 0
+    return 0 if found.predicts else 1

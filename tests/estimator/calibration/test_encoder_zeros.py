@@ -91,6 +91,15 @@ def test_zeros_that_differ_are_noticed_and_others_are_not(runs: list[Dataset], p
         assert find_differing(runs[:3], mechanism, options) is None
 
 
+def test_only_a_zero_that_differs_is_declared(plain: list[Dataset]) -> None:
+    mechanism, options = leg2(), FitOptions(sensors="encoder")
+    for moved in (0, 1):
+        runs = [shifted(data, by * np.eye(2)[moved]) for data, by in zip(plain, SHIFTS)]
+        found = find_differing(runs, mechanism, options)
+        assert found is not None and found.joints == (moved,)
+        assert found.spread == pytest.approx(np.std(SHIFTS[:, [moved]], axis=0, ddof=1), rel=0.15)
+
+
 def test_the_commands_take_declared_zeros_off(runs: list[Dataset], tmp_path: Path,
                                               capsys: pytest.CaptureFixture[str]) -> None:
     files = []

@@ -10,13 +10,14 @@ from scipy.integrate import solve_ivp
 from daq.dataset import Dataset
 from daq.runs.csv_run import write_csv
 from estimator import Method
-from estimator.fitting.fit import fit
-from estimator.fitting.identifiability import name_directions
+from estimator.fitting.fit import estimate, fit
+from estimator.fitting.identifiability import name_directions, undetermined
 from estimator.fitting.wls import weighted_least_squares
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from experiments.cli import main
 from tests.support.mujoco_leg import Leg, record
+from tests.support.prescribed import BETA, arm_run
 
 LEG, G, N = Leg(), 9.81, 600
 TIME = np.arange(N) / 100.0
@@ -153,6 +154,26 @@ def test_names_do_not_depend_on_the_basis_of_the_space() -> None:
     for directions in (space, transposed, np.hstack([space, transposed])):
         found = name_directions(names, directions / np.linalg.norm(directions, axis=0), scale)
         assert set(map(str, found)) in ({"a +2*b", "c"}, {"b +0.5*a", "c"})
+
+
+def test_what_takes_part_and_is_known_all_the_same_keeps_its_value() -> None:
+    """Friction that is not seen moves the inertias with it, by coefficients of 0.002, less than their intervals."""
+    beta = np.array([0.1, 0.02, 0.03, 0.4, 0.1, 0.02, 0.03, 0.05, 0.04])
+    along = np.zeros(9)
+    along[[8, 0, 1, 2]] = 1.0, 0.02, -0.02, 0.015  # +- 1 N m of Coulomb friction, and 0.02 kg m^2
+    small = np.diag(1e-6 * beta**2)
+    found = undetermined(leg2(), beta, small + np.outer(along, along), np.ones(9, dtype=bool))
+    assert [str(c) for c in found] == ["beta9"]
+    both = undetermined(leg2(), beta, small + 100.0 * np.outer(along, along), np.ones(9, dtype=bool))
+    assert {name for c in both for name, _ in c.amounts} == {"beta9", "beta1", "beta2", "beta3"}
+
+
+def test_a_gravity_term_is_told_beside_inertias_that_are_not() -> None:
+    run = arm_run(1, seconds=6.0, torque=1.0, knee=0.2)
+    found = estimate([run], leg2(actuated=(0, 1)), FitOptions(sensors="encoder"), "wls")
+    assert {"beta1", "beta2", "beta3", "beta7"} == found.open_parameters
+    low, high = found.ci95()[3]
+    assert low < BETA[3] < high < 2.0 * BETA[3] and low > 0.0
 
 
 @pytest.mark.parametrize("rows", [6, 256, 257, 700, 70_000])

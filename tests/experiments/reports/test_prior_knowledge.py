@@ -62,7 +62,7 @@ def test_a_prior_that_the_runs_contradict_is_not_trusted(run: Path, tmp_path: Pa
                                                          capsys: pytest.CaptureFixture[str]) -> None:
     rig = rig_with(tmp_path, "l1 = [0.33, 0.005]")
     main(["fit", str(run), "--rig", str(rig)])
-    assert "the runs contradict [prior] l1 = 0.33 +- 0.005" in capsys.readouterr().out
+    assert "The runs contradict [prior] l1 = 0.33 +- 0.005" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("entry", ["m1 = [1.0]", "m1 = [1.0, 0.0]", "m1 = [1.0, nan]", "m1 = [1.0, 0.1, 2.0]"])

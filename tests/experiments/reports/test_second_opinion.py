@@ -44,16 +44,19 @@ def test_estimators_that_agree_take_a_line_and_no_doubt() -> None:
 def test_the_first_line_says_that_mle_is_contradicted(held_out: HeldOut | None, told: str) -> None:
     trust = fit_trust(with_opinion(4.5, held_out))
     assert trust.level == "caution"
-    assert trust.sentence.startswith("DO NOT TRUST the parameters: two estimators disagree: beta2 is ")
-    assert "4.5 half widths apart" in trust.sentence and told in trust.sentence
+    assert trust.sentence == "DO NOT TRUST the parameters: two estimators disagree."
+    assert trust.reasons[0].startswith("Two estimators disagree: beta2 is ")
+    assert "4.5 half widths apart" in trust.reasons[0] and told in trust.reasons[0]
 
 
 def test_the_first_line_says_that_shooting_is_reported() -> None:
     found = with_opinion(36.0, HeldOut(0.6, (0.4, 0.7), 40), "shooting")
     trust = fit_trust(found)
-    assert trust.level == "caution" and trust.sentence.startswith("TRUST WITH CARE: two estimators disagree: beta2 is ")
-    assert "by maximum likelihood, 36.0 half widths apart" in trust.sentence
-    assert trust.sentence.endswith("shooting is reported, its error on held-out seconds is 60 % lower [40, 70].")
+    assert trust.level == "caution" and trust.sentence == (
+        "TRUST WITH CARE: two estimators disagree; multiple shooting is reported.")
+    assert trust.reasons[0].startswith("Two estimators disagree: beta2 is ")
+    assert "by maximum likelihood, 36.0 half widths apart" in trust.reasons[0]
+    assert trust.reasons[0].endswith("shooting is reported, its error on held-out seconds is 60 % lower [40, 70].")
 
 
 def test_json_and_page_have_both_estimates() -> None:

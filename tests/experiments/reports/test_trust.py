@@ -65,7 +65,7 @@ def fits(folder: Path) -> dict[str, str]:
 
 def test_a_spring_that_nobody_told_of_is_doubted_and_a_plain_leg_trusted(fits: dict[str, str]) -> None:
     assert fits["none"] == "TRUST the parameters within their intervals, and the model's torque."
-    assert fits["joint_stiffness"].startswith("DO NOT TRUST the parameters: the torque left over at joint 2")
+    assert fits["joint_stiffness"].startswith("DO NOT TRUST the parameters: the torque residual has structure")
 
 
 def test_a_leg_with_two_encoders_is_trusted_too() -> None:
@@ -80,16 +80,21 @@ def test_a_leg_with_two_encoders_is_trusted_too() -> None:
     left = residuals_of(exact)["torque 2"]
     assert autocorrelation("", left).largest > 0.5 and torque_step(exact, 1, left) > 2
     assert fit_trust(exact).sentence.startswith("TRUST the parameters")
-    told = fit_trust(said[0.15]).sentence
-    assert told.startswith("DO NOT TRUST the parameters") and "at joint 1 repeats as a function of the state" in told
+    told = fit_trust(said[0.15])
+    assert told.sentence.startswith("DO NOT TRUST the parameters: ") and len(told.sentence) <= 120
+    assert "an unmeasured torque repeats" in told.sentence
+    assert any("at joint 1 repeats as a function of the state" in reason for reason in told.reasons)
     assert "coloured" not in " ".join(exact.assumptions)
 
 
 def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
         folder: Path, fits: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def said(*arguments: str) -> str:
+    def printed(*arguments: str) -> list[str]:
         assert cli.main(list(arguments)) == 0
-        return capsys.readouterr().out.splitlines()[0]
+        return capsys.readouterr().out.splitlines()
+
+    def said(*arguments: str) -> str:
+        return printed(*arguments)[0]
 
     runs = [str(folder / f"none{k}.mcap") for k in range(3)]
     model, page = str(folder / "none.json"), tmp_path / "p.html"
@@ -97,7 +102,10 @@ def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
     assert said("validate", model, runs[0]).startswith("TRUST WITH CARE: run none0.mcap was fitted")
     other = tmp_path / "rig.toml"
     other.write_text(RIG.read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.21"))
-    assert "lever_arm_m" in said("fit", *runs[:2], "--rig", str(other))
+    short, *reasons = printed("fit", *runs[:2], "--rig", str(other))
+    assert "the rig file contradicts a run" in short and len(short) <= 120
+    assert any(line.startswith("The rig file contradicts a run: none0.mcap") and "lever_arm_m" in line
+               for line in reasons[:reasons.index("")])
     first = said("validate", model, runs[2], "--rig", str(other), "--html", str(page))
     assert "fitted with lever_arm_m = 0.2, the rig says 0.21" in first
     text = page.read_text()
@@ -111,10 +119,13 @@ def test_what_no_leg_can_be_is_not_to_be_used() -> None:
     friction = sound.beta.copy()
     friction[6] = -0.5
     for beta in (-sound.beta, friction):
-        assert fit_trust(replace(sound, beta=beta)).sentence.startswith("NOT TO BE USED: no leg has")
+        trust = fit_trust(replace(sound, beta=beta))
+        assert trust.sentence == "NOT TO BE USED: no mechanism has these parameters."
+        assert ("A mass that is not positive." in trust.reasons) == (beta[0] < 0.0)
+        assert "beta7, viscous friction, knee, is negative." in trust.reasons
     assert fit_trust(replace(sound, converged=False)).level == "bad"
     one = (Combination((("beta8", 1.0),)),)
-    assert "do not determine beta8" in fit_trust(replace(sound, undetermined=one)).sentence
+    assert "These runs do not determine beta8." in fit_trust(replace(sound, undetermined=one)).reasons
     every = tuple(Combination(((name, 1.0),)) for name in sound.mechanism.names)
     assert "no parameter" in fit_trust(replace(sound, undetermined=every)).sentence
     assert fit_trust(replace(sound, method="wls")).sentence.startswith("NOT TESTED")
@@ -125,12 +136,17 @@ def test_what_sensors_and_the_undriven_joint_leave_over_is_asked_too() -> None:
     sound = synthetic_fit()
     assert fit_trust(sound).level == "good"
     loud = replace(sound, noise={**sound.noise, "torque_nm": 0.02, "passive_joint_nm": 0.022})
-    assert "a joint that nothing drives is off by" in fit_trust(loud).sentence
+    assert "a joint that nothing drives is off by" in fit_trust(loud).reasons[0]
     paths = []
     for path in sound.trajectories:
         slow = 0.15 * np.sin(0.8 * path.time_s)
         paths.append(replace(path, measured={**path.measured, "gyro_radps": path.measured["gyro_radps"] + slow}))
-    assert "left over of gyro_radps has structure" in fit_trust(replace(sound, trajectories=tuple(paths))).sentence
+    both = fit_trust(replace(loud, trajectories=tuple(paths)))
+    assert both.sentence == ("DO NOT TRUST the parameters: a passive joint's equation is off, a sensor's residual has "
+                             "structure.")
+    assert "left over of gyro_radps has structure" in both.reasons[1]
+    more = replace(loud, trajectories=tuple(paths), undetermined=(Combination((("beta8", 1.0),)),))
+    assert fit_trust(more).sentence.endswith("a sensor's residual has structure, and 1 more.")
 
 
 def prediction(error: float, short: float) -> PredictedRun:

@@ -9,7 +9,7 @@ import pytest
 
 from daq.rig import load_rig
 from experiments.cli import main
-from tests.support.prescribed import ARM_RIG, arm_run, written
+from tests.support.prescribed import ARM_RIG, SWING_RIG, arm_run, negated, swing_run, written
 
 
 def test_what_is_chosen_is_told_and_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -34,3 +34,28 @@ def test_what_is_chosen_is_told_and_written(tmp_path: Path, capsys: pytest.Captu
     assert load_rig(rig).terms.torque_offset == (1,)
     assert main(["fit", *runs, "--rig", str(rig)]) == 0
     assert "chosen, where rig.toml is silent: torque_offset" not in capsys.readouterr().out
+
+
+def test_no_entry_changes_where_no_fit_predicts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    runs = written([negated(swing_run(0.02, 0.05), "tau1_nm")], tmp_path)
+    rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
+    text = f"{SWING_RIG}[sampling]\nrate_hz = 50.0\n"
+    rig.write_text(text)
+    assert main(["tune", *runs, "--rig", str(rig), "--write", "--json", str(out)]) == 1
+    assert rig.read_text() == text
+    assert capsys.readouterr().out.startswith("nothing is chosen: ")
+    found = json.loads(out.read_text())
+    assert {t["error"] for t in found["tried"]} == {"no prediction"} and found["chosen"] == []
+
+
+def test_a_parameter_may_be_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    runs = written([swing_run(0.02, 0.05)], tmp_path)
+    rig, out = tmp_path / "rig.toml", tmp_path / "tune.json"
+    rig.write_text(f"{SWING_RIG}[filter]\ncutoff_hz = 5.0\n")
+    errors = {}
+    for given in ("beta4=0.05", "beta4=0.5"):  # Coulomb friction as it is, and ten times that
+        assert main(["tune", *runs, "--rig", str(rig), "--json", str(out), "--force", "--fix", given]) == 0
+        errors[given] = json.loads(out.read_text())["error_before"][0]
+    assert errors["beta4=0.5"] > 2.0 * errors["beta4=0.05"]
+    assert main(["tune", *runs, "--rig", str(rig), "--fix", "beta5=1"]) == 2
+    assert "joint1 has no parameter beta5" in capsys.readouterr().err
