@@ -17,5 +17,6 @@ from .result import RunAgreement as RunAgreement
 from .result import RunNoise as RunNoise
 from .result import Trajectory as Trajectory
 from .verdicts import CAUSED as CAUSED
+from .verdicts import EVERY_VERDICT as EVERY_VERDICT
 from .verdicts import VERDICTS as VERDICTS
 from .verdicts import Verdict as Verdict

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from datetime import date
 
-from estimator.verdicts import EVERY_VERDICT
+from estimator import EVERY_VERDICT
 from experiments.cli.arguments import add_force, add_output
 
 
@@ -19,7 +19,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--model", help="only runs of this rig model (leg2, ...)")
     parser.add_argument("--since", metavar="DATE", type=_day, help="only runs recorded on this day (UTC) or later")
     parser.add_argument("--until", metavar="DATE", type=_day, help="only runs recorded on this day (UTC) or before")
-    parser.add_argument("--verdict", choices=(*EVERY_VERDICT, "-"), help="only runs with this verdict; -: not diagnosed yet")
+    parser.add_argument("--verdict", choices=(*EVERY_VERDICT, "-"),
+                        help="only runs with this verdict; -: not diagnosed yet")
     parser.add_argument("--faulty", action="store_true", help="only runs that lost something or ended early")
     add_output(parser, "--json", "legid.runs/1", "F", help="write the list as JSON too")
     add_force(parser)
