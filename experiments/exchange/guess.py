@@ -27,6 +27,7 @@ from daq import Column, Dataset, FloatArray, InputError
 from daq.runs import IMU
 from experiments.exchange.column_map import TIME, apply_map
 from experiments.exchange.foreign import Foreign
+from experiments.exchange.guess_joint import find_joint
 from experiments.exchange.guess_physics import Pose, find_imu, find_knee
 from experiments.exchange.units import BRACKETED, unit_in_name
 
@@ -68,8 +69,13 @@ class Guess:
 
 
 def guess_map(foreign: Foreign, gravity_mps2: float = 9.81) -> Guess:
-    """Columns of `foreign` with units and signs, for a leg hanging from its pivot. Raises `InputError`."""
+    """Columns of `foreign` with units and signs, for a hanging leg or a single joint. Raises `InputError`.
+
+    A file with one angle, one torque and no gyro or accelerometer is a single joint's.
+    """
     columns, notes, rivals = _by_name(foreign)
+    if _is_joint(foreign):
+        return _guess_joint(foreign, columns, notes)
     if "q2_rad" not in columns or "tau2_nm" not in columns:
         lacking = [name for name in ("q2_rad", "tau2_nm") if name not in columns]
         kinds = {"q2_rad": "q2", "tau2_nm": "tau"}
@@ -113,6 +119,24 @@ def guess_map(foreign: Foreign, gravity_mps2: float = 9.81) -> Guess:
     order = [TIME, *IMU, "q1_rad", "q2_rad", "tau2_nm", "tau2_cmd_nm"]
     columns = {name: columns[name] for name in order if name in columns}
     return Guess(columns, notes, warnings, unexplained, apply_map(foreign, columns), curves)
+
+
+def _is_joint(foreign: Foreign) -> bool:
+    """One measured angle, one measured torque, and no sensor of a leg: neither read nor left out."""
+    angles = len(_fitting(foreign, "q1", True)) + len(_fitting(foreign, "q2", True))
+    others = any(_kind(name) in ("gyro", "accel") for name in [*foreign.names, *foreign.left_out])
+    return angles == 1 and len(_fitting(foreign, "tau", True)) == 1 and not others
+
+
+def _guess_joint(foreign: Foreign, columns: dict[str, Column], notes: dict[str, str]) -> Guess:
+    """The guess for one joint from the columns of `_by_name`, which are named as a leg's."""
+    theirs = {"q1_rad": columns.get("q1_rad") or columns["q2_rad"], "tau1_nm": columns["tau2_nm"]}
+    theirs |= {TIME: columns[TIME]} if TIME in columns else {}
+    joint = find_joint(apply_map(foreign, theirs), theirs)
+    theirs |= joint.columns
+    reasons = {TIME: notes[TIME]} if TIME in notes else {}
+    curves = {"tau1_nm: read, and as the motion makes it [N m]": joint.check}
+    return Guess(theirs, reasons | joint.notes, joint.warnings, joint.unexplained, apply_map(foreign, theirs), curves)
 
 
 def _by_name(foreign: Foreign) -> tuple[dict[str, Column], dict[str, str], list[Column]]:

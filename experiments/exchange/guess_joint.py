@@ -1,0 +1,104 @@
+"""Units and signs of one driven joint's angle and torque, by its equation of motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import msgspec
+import numpy as np
+
+from daq import Column, Dataset, FloatArray
+from estimator.signals import lowpass
+from experiments.exchange.guess_physics import (
+    ANGLE_UNITS,
+    CLEAR,
+    EXPLAINS,
+    FAST_HZ,
+    NOT_SURE,
+    Found,
+    filled,
+)
+from experiments.exchange.units import factor
+
+SMOOTHING_RADPS = 0.05
+"""Velocity over which the sign of friction is smoothed."""
+BLOCKS = 4
+"""Parts of a record that must agree on the sign of the inertia."""
+
+
+def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
+    """Unit of the angle and sign of the torque of one joint: tau = I qdd + b qd + c sgn(qd) + k sin q + h cos q.
+
+    Gravity shows the unit, since it is a sine of the angle. The inertia is positive under the right sign of the
+    torque. Without gravity the unit of an angle does not show: it stays as the file's name says, or in rad.
+    """
+    angle, torque = columns["q1_rad"], columns["tau1_nm"]
+    cutoff = min(FAST_HZ, 0.2 * raw.rate_hz)
+    push = lowpass(filled(raw["tau1_nm"]), cutoff, raw.rate_hz)
+    use = ~raw.gap(["q1_rad", "tau1_nm"])
+    edge = int(raw.rate_hz) if len(raw) > 6 * raw.rate_hz else 0
+    use[:edge] = use[len(use) - edge:] = False
+    stated = factor(angle.unit, "q1_rad", angle.name)
+    rows = {}
+    for unit, scale in ANGLE_UNITS.items():
+        q = lowpass(scale / stated * filled(raw["q1_rad"]), cutoff, raw.rate_hz)
+        rows[unit] = _regressor(q, raw.rate_hz)
+    left = {unit: _left(z[use], push[use]) for unit, z in rows.items()}
+    by_name = next((unit for unit, scale in ANGLE_UNITS.items() if np.isclose(scale, stated)), "")
+    best = min(left, key=lambda unit: left[unit])
+    clear = best == by_name or CLEAR * left[best] < left[by_name]
+    unit = best if clear and left[best] <= EXPLAINS else by_name
+    rival = min((other for other in left if other != unit), key=lambda other: left[other])
+    sure = left[rival] >= CLEAR * left[unit]
+    inertia = _inertia(rows[unit][use], push[use])
+    parts = [_inertia(z, tau) for z, tau in zip(np.array_split(rows[unit][use], BLOCKS),
+                                                np.array_split(push[use], BLOCKS))]
+    agree = all(part * inertia > 0 for part in parts)
+    works, shown = (1 if inertia > 0 else -1), unit or "rad"
+    warnings, unexplained = [], []
+    if left[unit] > EXPLAINS:
+        unexplained.append(f"no unit of {angle.name!r} explains the torque {torque.name!r} (the best leaves "
+                           f"{100 * left[unit]:.0f} %): too little motion, or the torque of another joint")
+    elif not agree:
+        unexplained.append(f"the sign of {torque.name!r} does not show: parts of the record differ in the sign of the "
+                           "inertia; import a record with faster motion")
+    if angle.unit and unit != by_name:
+        warnings.append(f"the name of {angle.name!r} says {angle.unit}, but {shown} leaves {100 * left[unit]:.0f} % of "
+                        f"the torque, not {100 * left[by_name]:.0f} %: {shown} is taken")
+    if not angle.unit and not sure:
+        warnings.append(f"the unit of {angle.name!r} does not show (rad or {rival or 'rad'}): {shown} is taken; set it "
+                        "by hand if it is another")
+    if torque.unit.lower() in ("a", "ma") or not torque.unit:
+        warnings.append(f"the scale of tau1_nm does not show: set scale to N m per {torque.unit or 'unit'} of "
+                        f"{torque.name!r}" + ("" if torque.unit else " if it is not in N m at the joint"))
+    known = not unexplained
+    doubt = "" if angle.unit or sure else NOT_SURE
+    notes = {"q1_rad": f"{doubt}one angle and one torque: a single joint; in {shown} its equation of motion leaves "
+                       f"{100 * left[unit]:.1f} % of the torque" if known else "NOT KNOWN: it does not fit the torque",
+             "tau1_nm": f"with sign {works:+d} the inertia is positive" if known else
+                        "NOT KNOWN: its sign does not show"}
+    kept = angle.unit if unit == by_name else unit
+    found = {"q1_rad": msgspec.structs.replace(angle, unit=kept),
+             "tau1_nm": msgspec.structs.replace(torque, sign=1 if works > 0 else -1)}
+    made = rows[unit] @ _solve(rows[unit][use], push[use])
+    return Found(found, notes, warnings, unexplained, (works * push, works * made), left=left[unit])
+
+
+def _regressor(q: FloatArray, rate_hz: float) -> FloatArray:
+    """(n, 5) of inertia, viscous and Coulomb friction, and gravity along two axes; `q` (n,) [rad]."""
+    rate = np.gradient(q, 1.0 / rate_hz)
+    return np.stack([np.gradient(rate, 1.0 / rate_hz), rate, np.tanh(rate / SMOOTHING_RADPS), np.sin(q), np.cos(q)],
+                    axis=-1)
+
+
+def _solve(z: FloatArray, tau: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.lstsq(z, tau, rcond=None)[0])
+
+
+def _inertia(z: FloatArray, tau: FloatArray) -> float:
+    return float(_solve(z, tau)[0])
+
+
+def _left(z: FloatArray, tau: FloatArray) -> float:
+    """The share of the torque that least squares leaves."""
+    return float(np.sqrt(np.sum((z @ _solve(z, tau) - tau) ** 2) / max(float(np.sum(tau**2)), 1e-30)))

@@ -1,0 +1,61 @@
+"""The guess for a single driven joint: unit of its angle, sign of its torque, and what does not show."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.cli import main
+from experiments.exchange.column_map import load_map
+
+RIG = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
+
+
+def record(path: Path, names: tuple[str, str], unit: float, sign: int, gravity: float) -> Path:
+    """A pendulum of 0.05 kg m^2 that follows a sum of sines of up to 1.6 rad, 200 Hz, 15 s, with noise of torque."""
+    t = np.arange(0.0, 15.0, 0.005)
+    waves = ((1.0, 2.1), (0.4, 5.3), (0.2, 9.7))
+    q = sum(a * np.sin(w * t) for a, w in waves)
+    qd = sum(a * w * np.cos(w * t) for a, w in waves)
+    qdd = sum(-a * w * w * np.sin(w * t) for a, w in waves)
+    tau = 0.05 * qdd + 0.02 * qd + 0.03 * np.tanh(qd / 0.05) + gravity * np.sin(q)
+    tau += np.random.default_rng(1).normal(0.0, 0.01, t.size)
+    np.savetxt(path, np.stack([t, q / unit, sign * tau], axis=1), delimiter=",", comments="",
+               header=f"time,{names[0]},{names[1]}", fmt="%.9g")
+    return path
+
+
+@pytest.mark.parametrize("names", [("pos", "effort"), ("joint_angle", "torque"), ("hip", "tau")])
+@pytest.mark.parametrize(("unit", "written"), [(1.0, ""), (np.pi / 180, "deg"), (2 * np.pi, "turn")])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_gravity_shows_the_unit_and_inertia_the_sign(names: tuple[str, str], unit: float, written: str, sign: int,
+                                                     tmp_path: Path) -> None:
+    file, columns = record(tmp_path / "x.csv", names, unit, sign, 1.0), tmp_path / "c.toml"
+    assert main(["import", str(file), "--guess", "--map", str(columns)]) == 0
+    found = load_map(columns)
+    assert (found["q1_rad"].name, found["q1_rad"].unit) == (names[0], written)
+    assert (found["tau1_nm"].name, found["tau1_nm"].sign) == (names[1], sign)
+
+
+def test_a_joint_s_file_goes_to_a_fit(tmp_path: Path) -> None:
+    file, columns = record(tmp_path / "x.csv", ("pos", "effort"), np.pi / 180, -1, 1.0), tmp_path / "c.toml"
+    (tmp_path / "rig.toml").write_text(RIG)
+    assert main(["import", str(file), "--guess", "--map", str(columns)]) == 0
+    assert main(["import", str(file), "--map", str(columns), "--out", str(tmp_path / "runs")]) == 0
+    assert main(["fit", str(tmp_path / "runs" / "x.csv"), "--rig", str(tmp_path / "rig.toml")]) == 0
+
+
+def test_without_gravity_the_unit_is_said_not_to_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, columns = record(tmp_path / "x.csv", ("pos", "effort"), 1.0, 1, 0.0), tmp_path / "c.toml"
+    assert main(["import", str(file), "--guess", "--map", str(columns)]) == 0
+    assert "the unit of 'pos' does not show" in capsys.readouterr().err
+    assert load_map(columns)["q1_rad"].unit == ""
+
+
+def test_a_torque_of_another_machine_is_not_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = record(tmp_path / "x.csv", ("pos", "effort"), 1.0, 1, 1.0)
+    table = np.loadtxt(file, delimiter=",", skiprows=1)
+    table[:, 2] = np.random.default_rng(2).normal(size=len(table)).cumsum()
+    np.savetxt(file, table, delimiter=",", comments="", header="time,pos,effort")
+    assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 1
+    assert "explains the torque 'effort'" in capsys.readouterr().err
