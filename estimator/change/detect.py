@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import fdtrc, fdtri, stdtrit
 
 from daq import Dataset
-from estimator.change.contrast import Columns, Contrast, contrast
+from estimator.change.contrast import HIDDEN, Columns, Contrast, contrast
 from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, Size
 from estimator.change.scores import ReferenceFit, RunScore, fit_reference, score_run
 from estimator.change.structure import Structure, find_structure
@@ -162,7 +162,7 @@ def _without(scored: Scored, chosen: Sequence[int]) -> Scored:
     one = scored.contrast
     carry = one.information[:, columns] @ one.covariance(columns)
     left = one.information - carry @ one.information[columns]
-    gone = np.einsum("kk->k", left) < 1e-6 * np.einsum("kk->k", one.information)
+    gone = np.diag(left) < HIDDEN * np.diag(one.information)
     score = one.score - carry @ one.score[columns]
     score[gone], left[gone], left[:, gone] = 0.0, 0.0, 0.0
     return replace(scored, contrast=Contrast(score, left))
@@ -182,7 +182,7 @@ def _held_out(scored: Scored, structure: Structure, reference: Sequence[RunScore
 
 
 def _cause(scored: Scored, k: int) -> ChangedCause:
-    """Its sizes with intervals that hold the structure of the reference."""
+    """Sizes of one change, with intervals that include the structure of the reference."""
     group, one = scored.groups[k], scored.contrast
     values = one.size(group.columns)
     std = np.sqrt(np.maximum(np.diag(one.covariance(group.columns)), 0.0))

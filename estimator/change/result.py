@@ -63,8 +63,8 @@ class Change:
     detectable: tuple[Detectable, ...] = ()
     held_out: HeldOut | None = None
     structure: tuple[float, float] = (0.0, 0.0)
-    """Standard deviations of structure without a name, common to the reference runs and each one's own, in units of
-    what one run tells of an effect."""
+    """Standard deviations of unexplained structure: common to the reference runs, and of each run. Their unit is the
+    standard deviation of an effect's size estimated from one run."""
     p_any: float = 1.0
     """Probability of the strongest candidate under no change, over all candidates tried."""
     not_testable: tuple[tuple[str, str], ...] = ()

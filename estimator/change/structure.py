@@ -1,13 +1,13 @@
-"""`Structure`: what the reference runs hold in the span of all columns without a name, common to all and of each run.
+"""`Structure`: unexplained structure of the reference runs, in the span of all columns: common, and of each run.
 
 Score s_r = I_r (theta + u_r) + e_r, e_r of covariance I_r. theta is common to all runs, u_r one run's own; both are
 normal with mean zero and, in units of what one reference run tells of a column, of one variance for all columns:
 `common` and `own`. Parameters have a flat prior in theta. With u_r integrated out a run has the score
 (1 + I_r U)^-1 s_r and the information (1 + I_r U)^-1 I_r, where U is the covariance of u_r.
 
-Both variances are the likeliest by the restricted likelihood of the reference runs (Patterson and Thompson, Biometrika
-58, 1971). With few runs that is often nil for one of them, which would say that runs do not differ; a gamma prior of
-shape 2 on each standard deviation keeps it off (Chung et al., Psychometrika 78, 2013).
+Both variances maximise the restricted likelihood of the reference runs (Patterson and Thompson, Biometrika 58, 1971).
+With few runs the maximum is often at zero, as if runs did not differ. A gamma prior of shape 2 on each standard
+deviation keeps it above zero (Chung et al., Psychometrika 78, 2013).
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from daq import FloatArray
 from estimator.change.scores import RunScore
 
 PRIOR_RUNS = 8
-"""Runs that the variance which all columns share counts for: columns differ in how much runs differ in them."""
+"""Degrees of freedom that the variance shared by all columns adds; the true variance differs from column to column."""
 SMALLEST = 1e-9
-"""Share of a run's largest information below which a combination of columns is not informed."""
+"""Eigenvalues of a run's information below this share of the largest one are dropped."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Structure:
     """(m,) variance of each column's size by one reference run alone"""
     parameters: int
     freedom: float
-    """Degrees of freedom of the variance of a column's size: of the reference runs, and PRIOR_RUNS of all columns"""
+    """Degrees of freedom of a size's variance: the reference runs less one, plus PRIOR_RUNS"""
 
     @property
     def precision(self) -> FloatArray:

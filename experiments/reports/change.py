@@ -30,8 +30,8 @@ def change_text(found: Change) -> str:
         blocks.append("Smallest change that these runs would have shown with 80 % probability (the likeliest "
                       f"{len(rows)} of {len(found.detectable)}):\n" + text_table(
                           ["effect", "size", "smallest change", "unit"], rows, {2}))
-        blocks.append("Structure without a name in the reference runs, in units of what one run tells of an effect: "
-                      "{:.2g} common to all, {:.2g} of each run.".format(*found.structure))
+        blocks.append("Unexplained structure of the reference runs, in standard deviations of a size estimated from "
+                      "one run: {:.2g} common to all runs, {:.2g} different in each run.".format(*found.structure))
     blocks += [f"warning: {text}" for text in found.warnings]
     blocks.append(f"Runs: {', '.join((*found.reference, *found.test))}. ({found.wall_s:.0f} s)")
     return "\n\n".join(blocks)
