@@ -77,7 +77,7 @@ def map_text(columns: ColumnMap, notes: Mapping[str, str] | None = None) -> str:
     return "\n".join(parts)
 
 
-MARK = "# Guessed by legid import; the map has changed since where this is not its check sum: "
+MARK = "# Guessed by legid import. Check sum of the lines below, as long as nobody changes them: "
 
 
 def guess_text(columns: ColumnMap, notes: Mapping[str, str]) -> str:
