@@ -1,6 +1,6 @@
 """The drives that labs own, emulated: faults, broken frames, a full bus, rates, parameters.
 
-    python -m tests.evidence drives --out docs/drives-measured.md       # what `make drives` does
+    python -m tests.evidence drives --out docs/evidence/drives.md       # what `make drives` does
     python -m tests.evidence drives --parts faults,fuzz --keep d.json   # some parts; what is kept is not measured again
 """
 
@@ -274,7 +274,7 @@ def page(r: Results) -> str:
     """Everything measured, dated."""
     out = [f"# Drives, measured, {datetime.now(UTC):%Y-%m-%d}", "",
            "By `make drives`: moteus, ODrive and Dynamixel emulated at the level of their bytes, with the emulated "
-           "leg behind them. No drive was at hand. [Which drive, which wiring](drives.md) says how to connect one.", ""]
+           "leg behind them. No drive was at hand. [Drives and sensors](../drives.md) says how to connect one.", ""]
     if "faults" in r:
         out += _fault_lines(r["faults"])
     if "watchdogs" in r:
@@ -372,7 +372,7 @@ PARTS: dict[str, Callable[[], Results]] = {
     "springs": springs}
 EVIDENCE = (
     Evidence("Bought drives, emulated: faults, watchdogs, broken frames, rates, parameters", "make drives",
-             "drives-measured.md", 60, "zero torque within 110 ms, no crash, 500 and 250 samples/s without a loss "
+             "drives.md", 60, "zero torque within 110 ms, no crash, 500 and 250 samples/s without a loss "
              "below 25 % of a core, parameters within 1 %",
              tuple(rf"- ({kind}: zero torque after \d+ ms in the median, \d+ ms at most)" for kind in KINDS),
              resumes="with `--keep FILE`"),)

@@ -2,7 +2,7 @@
 
     python -m tests.evidence excitation [--seconds 20] [--seeds 8] [--limits wide,tight]
 
-It prints what stands under "Limits" in docs/excitation.md.
+It prints what stands under "Limits" in docs/evidence/excitation.md.
 
 Every plan goes through the emulated chips, drivers, recorder and the default fit, once a seed. The designs see a prior
 model that is wrong by 20 % in every parameter, up or down by a drawn sign; the sine and the chirp are as large as that

@@ -1,6 +1,6 @@
 """The fault matrix: what goes wrong x when -> how long the torque outlives it, what was said, what was kept.
 
-    python -m tests.evidence faults --out docs/faults.md        # what `make faults` does
+    python -m tests.evidence faults --out docs/evidence/faults.md        # what `make faults` does
 """
 
 import argparse

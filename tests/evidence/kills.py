@@ -1,6 +1,6 @@
 """Recordings killed at any moment, and recordings with a second process at their devices and at their file.
 
-    python -m tests.evidence kills --kills 1000 --beside 1000 --keep build/kills.jsonl --out docs/kills.md
+    python -m tests.evidence kills --kills 1000 --beside 1000 --keep build/kills.jsonl --out docs/evidence/kills.md
 
 Called again with the same file to keep its findings in, it goes on where it stopped.
 
@@ -299,7 +299,7 @@ def _disturbed(path: Path, status: int | None, said: str) -> str:
 
 
 def page(kills: Sequence[Killed], beside: Sequence[Killed], seconds: float) -> str:
-    """What was found, as docs/kills.md has it."""
+    """What was found, as docs/evidence/kills.md has it."""
     lost = [k.lost for k in kills if k.outcome.startswith("cut off")]
     rows = [f"| {what} | {n} |" for what, n in sorted(Counter(k.outcome for k in kills).items(), key=lambda x: -x[1])]
     rows2 = [f"| {what} | {n} |" for what, n in sorted(Counter(k.outcome for k in beside).items())]

@@ -1,6 +1,6 @@
 """The dashboard for half an hour in a real browser: memory, what the recorder lost, how long an emergency stop takes.
 
-    python -m tests.evidence live-soak --minutes 30 --out docs/live.md
+    python -m tests.evidence live-soak --minutes 30 --out docs/evidence/live.md
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """The fault matrix of the example board: what goes wrong x when -> how long the board's torque outlives it.
 
-    python -m tests.evidence port-faults --out docs/port-faults.md        # what `make port-faults` does
+    python -m tests.evidence port-faults --out docs/evidence/port-faults.md        # what `make port-faults` does
 """
 
 import argparse

@@ -146,7 +146,7 @@ def page(fits: int) -> Iterator[str]:
     yield from [
         "# Runs that differ", "",
         f"Made by `make runs FITS={fits}` on {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
-        "What is fitted, and how: [theory](theory.md#runs-that-differ).", "",
+        "What is fitted, and how: [theory](../theory.md#runs-that-differ).", "",
         "## Emulated legs", "",
         f"{RUNS} runs of 20 s at {RATE_HZ:g} Hz each; the knee's Coulomb level is {100 * KNEE:g} % of the peak torque.",
         "Coverage of the 95 % intervals over all parameters, and of the worst parameter in brackets; the truth is the",

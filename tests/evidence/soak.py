@@ -1,6 +1,6 @@
 """Long recordings and many kills: what a recorder must survive, measured.
 
-    python -m tests.evidence soak --out docs/soak.md        # what `make soak` does
+    python -m tests.evidence soak --out docs/evidence/soak.md        # what `make soak` does
 """
 
 import argparse

@@ -31,7 +31,7 @@ from tests.support.runs import load_run
 LEVELS, RAMP_S, HOLD_S, PEAK = 3, 2.0, 1.2, 0.75
 """The peak as a share of the bare shank's largest moment."""
 MASS_KG, ARM_M, MASS_HALF_KG, ARM_HALF_M = 0.5, 0.25, 0.0005, 0.001
-PAGE = ROOT / "docs/torque-gain.md"
+PAGE = ROOT / "docs/evidence/torque-gain.md"
 GAIN = (0.88, 1.12)
 COULOMB_NM, STRIBECK_NM = (0.01, 0.06), (0.0, 0.03)
 

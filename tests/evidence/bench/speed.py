@@ -261,7 +261,7 @@ EVIDENCE = (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--page", action="store_true", help="write docs/bench.md too")
+    parser.add_argument("--page", action="store_true", help="write docs/evidence/bench.md too")
     parser.add_argument("--samples", default=",".join(map(str, SAMPLES)), help="lengths of the record")
     parser.add_argument("--limit", type=float, default=600.0, help="most seconds for a peer on one length")
     parser.add_argument("--kept", type=Path, default=Path("build/bench.jsonl"), help="what peers found so far")
@@ -277,7 +277,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(text)
     if args.page:
         date = datetime.date.today().isoformat()
-        page = ROOT / "docs/bench.md"
+        page = ROOT / "docs/evidence/bench.md"
         page.write_text(PAGE.format(date=date, seed=SEED, rate=RATE_HZ, limit=args.limit, machine=machine(),
                                     before=before, after=os.getloadavg()[0], tables=text,
                                     asked=asked(found)), encoding="utf-8")
