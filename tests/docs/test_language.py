@@ -9,7 +9,8 @@ from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
 EVIDENCE = sorted((DOCS / "evidence").glob("*.md"))
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")), *EVIDENCE]
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", ROOT / "firmware_protocol.md",
+         *sorted(DOCS.glob("*.md")), *EVIDENCE]
 GUIDE = [DOCS / f"{name}.md" for name in re.findall(
     r"^[a-z]+$", (DOCS / "index.md").read_text(encoding="utf-8").split(":caption: Guide")[1].split("```")[0],
     re.MULTILINE)]
