@@ -263,7 +263,7 @@ def _shared(first: int, stranger: int, path: Path, said: Path, taken: Path) -> K
     lost = len({tuple(row) for row in taken_ones.reshape(-1, 6).tolist()} - kept)
     twice = int((np.diff(_rows(samples), axis=0) == 0).all(axis=1).sum())
     marked = bool(samples["gap_before"].any())
-    doubt = load_run(path, load_rig(path.with_name("rig.toml"))).doubts
+    doubt = load_run(path, load_rig(path.with_name("rig.toml"))).flags
     found = "nothing lost"
     if lost or twice:
         found = "doubted" if doubt else "its gaps are marked" if marked else "not a word"

@@ -38,7 +38,8 @@ def one(seed: int) -> tuple[list[bool], list[bool], list[float], float] | None:
         true = float(truth[mechanism.column(name)])
         prior[name] = true * (1.0 + ACCURACY * float(rng.normal())), ACCURACY * true
     try:
-        alone, known = (fit([run], mechanism, FitOptions(sensors="imu", hold="auto", rounding="auto", prior=p))
+        alone, known = (fit([run], mechanism, FitOptions(sensors="imu", hold="auto", smoothing_velocity="auto",
+                                                          prior=p))
                         for p in ({}, prior))
     except FitError:
         return None

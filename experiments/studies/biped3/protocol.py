@@ -1,4 +1,5 @@
-"""What the paper leaves open in its simulation study: how the walker is driven, what is recorded, what is replayed.
+"""Choices that the paper leaves open in its simulation study: how the walker is driven, what is recorded, what is
+replayed.
 
 `OURS` poses the problem so that a right estimate leaves no error: the controller is sampled, its torque held for 10 ms,
 and everybody is told so. `PRINTED` is the choice under which Table III comes out as printed

@@ -1,4 +1,4 @@
-"""What of the runs is to be doubted: their own doubts, and what contradicts the rig in use."""
+"""Flags of the runs: their own, and contradictions with the rig in use."""
 
 from __future__ import annotations
 
@@ -7,34 +7,34 @@ from dataclasses import dataclass
 
 import msgspec
 
-from daq import Dataset, Doubt, InputError, Rig
+from daq import Dataset, Flag, InputError, Rig
 
 COMPARED = ("mechanism", "terms", "imu", "motor", "calibration")
 """Tables that are facts of the rig; the others are choices of a recording or of an analysis."""
 PLAIN = ("rig", "rows", "grid")
-"""Doubts that say what is, not what cannot be."""
+"""Kinds of flags that state a fact; the others make the run suspect."""
 
 
 @dataclass(frozen=True)
-class RunDoubt:
-    """A doubt and the run that it is about."""
+class RunFlag:
+    """A flag and its run."""
 
     run: str
-    doubt: Doubt
+    flag: Flag
 
     def __str__(self) -> str:
-        return f"{self.run} {self.doubt}" if self.doubt.kind in PLAIN else f"{self.run} is to be doubted: {self.doubt}"
+        return f"{self.run} {self.flag}" if self.flag.kind in PLAIN else f"{self.run} is suspect: {self.flag}"
 
 
-def doubts_of(datasets: Sequence[Dataset], rig: Rig) -> tuple[RunDoubt, ...]:
-    """Of every run, in their order: its own doubts, then the entries of its rig file that `rig` contradicts."""
-    return tuple(RunDoubt(data.name, doubt) for data in datasets
-                 for doubt in (*data.doubts, *_contradictions(data, rig)))
+def flags_of(datasets: Sequence[Dataset], rig: Rig) -> tuple[RunFlag, ...]:
+    """Flags of every run, in order: its own, then the entries of its rig file that `rig` contradicts."""
+    return tuple(RunFlag(data.name, flag) for data in datasets
+                 for flag in (*data.flags, *_contradictions(data, rig)))
 
 
-def contradictions(doubts: Iterable[RunDoubt]) -> list[str]:
+def contradictions(flags: Iterable[RunFlag]) -> list[str]:
     """Those that say that a run was recorded on another rig than the one in use."""
-    return [str(one) for one in doubts if one.doubt.kind == "rig"]
+    return [str(one) for one in flags if one.flag.kind == "rig"]
 
 
 def require_one_rig(datasets: Sequence[Dataset]) -> None:
@@ -51,11 +51,11 @@ def require_one_rig(datasets: Sequence[Dataset]) -> None:
             raise InputError(data.name, f"was recorded on another rig than {first.name}", "diagnose one rig at a time")
 
 
-def _contradictions(data: Dataset, rig: Rig) -> list[Doubt]:
+def _contradictions(data: Dataset, rig: Rig) -> list[Flag]:
     if data.recorded_on is None:
         return []
     then, now = _tables(data.recorded_on), _tables(rig)
-    return [Doubt("rig", f"was recorded with {table}.{key} = {value}, the rig file in use says {now[table][key]}")
+    return [Flag("rig", f"was recorded with {table}.{key} = {value}, the rig file in use says {now[table][key]}")
             for table in then.keys() & now.keys() for key, value in then[table].items()
             if value != now[table][key] and value is not None]  # what a recording left open contradicts nothing
 

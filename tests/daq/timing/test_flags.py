@@ -14,7 +14,7 @@ from daq.rig import parse_rig
 from daq.runs.mcap_run import read_run
 from daq.runs.streams import IMU_STREAM
 from daq.timing.align import align, decode
-from daq.timing.doubts import _repeated, _unmarked, doubts
+from daq.timing.flags import _repeated, _unmarked, flag_run
 from daq.timing.notes import configured
 from drivers.leg_controller import LegController
 from drivers.lsm9ds1 import Lsm9ds1
@@ -46,7 +46,7 @@ def record(path: Path, rate: float = 0.012, gravity: float = 9.81, share: float 
             mock.imu.push = lambda raw: None if taken() else push(raw)
 
     record_run(path, parse_rig(RIG), RIG, sine(2.5), imu, controller, clock.now_ns, threaded=False, progress=steal)
-    return "; ".join(map(str, align(read_run(path), parse_rig(RIG)).doubts))
+    return "; ".join(map(str, align(read_run(path), parse_rig(RIG)).flags))
 
 
 def test_a_run_that_is_shared_is_doubted(tmp_path: Path) -> None:
@@ -122,6 +122,6 @@ def test_a_good_run_is_not_doubted_impossible_gravity_is(tmp_path: Path) -> None
     assert not record(tmp_path / "r.mcap")
     raw = read_run(tmp_path / "r.mcap")
     facts = configured(raw, "imu")
-    assert doubts(raw, parse_rig(RIG), facts) == []
+    assert flag_run(raw, parse_rig(RIG), facts) == []
     facts["accel_mps2_per_lsb"] *= 0.5
-    assert "gravity is 9.81" in doubts(raw, parse_rig(RIG), facts)[0].text
+    assert "gravity is 9.81" in flag_run(raw, parse_rig(RIG), facts)[0].text

@@ -1,4 +1,4 @@
-"""What in a run cannot be true of one IMU on one leg: reasons to doubt a fit of it."""
+"""Flags of a run: what one IMU on one leg cannot have measured."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.dataset import FloatArray
-from daq.findings import Doubt
+from daq.findings import Flag
 from daq.rig import Rig
 from daq.runs import RawRun
 
@@ -29,7 +29,7 @@ GRAVITY_TOLERANCE = 0.25
 """How far the acceleration of the first second, motor off, may be off gravity: uncalibrated biases and a slow swing."""
 
 
-def doubts(raw: RawRun, rig: Rig, facts: dict[str, float]) -> list[Doubt]:
+def flag_run(raw: RawRun, rig: Rig, facts: dict[str, float]) -> list[Flag]:
     """One for each fault, empty where nothing is wrong; `facts` are the run's own of its IMU (rate and scales)."""
     samples = raw.streams["/imu"]
     if samples.size < 2 or not facts.get("rate_hz"):
@@ -42,11 +42,11 @@ def doubts(raw: RawRun, rig: Rig, facts: dict[str, float]) -> list[Doubt]:
     accel = (counts * facts["accel_mps2_per_lsb"] - np.array(c.accel_bias_mps2)) @ np.array(c.accel_matrix).T
     size, g = float(np.linalg.norm(accel[time_s < REST_S], axis=1).mean()), rig.mechanism.gravity_mps2
     if abs(size - g) > GRAVITY_TOLERANCE * g:
-        found.append(Doubt("gravity", f"the IMU measured {size:.3g} m/s2 in the first second, gravity is {g:g}"))
+        found.append(Flag("gravity", f"the IMU measured {size:.3g} m/s2 in the first second, gravity is {g:g}"))
     return found
 
 
-def _rate(samples: NDArray[np.void], nominal_hz: float) -> list[Doubt]:
+def _rate(samples: NDArray[np.void], nominal_hz: float) -> list[Flag]:
     """By the sample counts of whole seconds: a second reader of the FIFO takes some of them, marked or not."""
     after_ns, drain = np.unique(samples["drain_after_ns"], return_index=True)
     time_s = (after_ns - after_ns[0]) * 1e-9
@@ -60,35 +60,35 @@ def _rate(samples: NDArray[np.void], nominal_hz: float) -> list[Doubt]:
             lost += max(nominal_hz * span - counted, 0.0)
         else:
             rates.append((counted / span, RATE_TOLERANCE * nominal_hz + 2.0 / span))
-    found: list[Doubt] = []
+    found: list[Flag] = []
     wrong = [rate for rate, allowed in rates if abs(rate - nominal_hz) > allowed]
     if wrong:
         worst = max(wrong, key=lambda rate: abs(rate - nominal_hz))
-        found.append(Doubt("imu_rate", f"the IMU gave {worst:.4g} samples a second in {len(wrong)} of {len(rates)} "
+        found.append(Flag("imu_rate", f"the IMU gave {worst:.4g} samples a second in {len(wrong)} of {len(rates)} "
                            f"seconds, {nominal_hz:g} were set: another program may have read it"))
     if lost > MISSING_SHARE * samples.size:
-        found.append(Doubt("imu_missing", f"about {lost:.0f} of {samples.size + lost:.0f} IMU samples are missing in "
+        found.append(Flag("imu_missing", f"about {lost:.0f} of {samples.size + lost:.0f} IMU samples are missing in "
                            f"{int(samples['gap_before'].sum())} gaps"))
     return found
 
 
-def _unmarked(samples: NDArray[np.void], nominal_hz: float) -> list[Doubt]:
+def _unmarked(samples: NDArray[np.void], nominal_hz: float) -> list[Flag]:
     """A drain says that its newest sample was taken before it ended, and the next one not before it began. Where no
     steady clock makes all of that true within a second, samples are missing, or came twice, without a mark."""
     newest = np.flatnonzero(np.append(np.diff(samples["drain_before_ns"]) != 0, True))
     drains = samples[newest]
     index, start_ns = drains["index"].astype(float), drains["drain_before_ns"][0]
     before, after = ((drains[f"drain_{side}_ns"] - start_ns) * 1e-9 for side in ("before", "after"))
-    stretch, apart = np.cumsum(samples["gap_before"])[newest], 0.0
+    segment, apart = np.cumsum(samples["gap_before"])[newest], 0.0
     for shift in (0.0, 0.5):  # of a second, so that each second reaches over the seams of the others
         second = np.floor(before / WINDOW_S + shift)
-        first = np.flatnonzero(np.append(True, (np.diff(second) != 0) | (np.diff(stretch) != 0)))
+        first = np.flatnonzero(np.append(True, (np.diff(second) != 0) | (np.diff(segment) != 0)))
         start = np.repeat(first, np.diff(np.append(first, index.size)))
         apart = max(apart, _apart(index - index[start], before - before[start], after - before[start], first,
                                   1.0 / nominal_hz))
     if not apart > UNMARKED_SAMPLES:
         return []
-    return [Doubt("imu_unmarked", "IMU samples are missing without a mark, its drains contradict each other by "
+    return [Flag("imu_unmarked", "IMU samples are missing without a mark, its drains contradict each other by "
                   f"{apart:.1f} of them: another program may have read it")]
 
 
@@ -111,7 +111,7 @@ def _apart(index: FloatArray, before_s: FloatArray, after_s: FloatArray, first: 
     return float(np.max(contradiction(low) / low))
 
 
-def _repeated(counts: NDArray[np.int16]) -> list[Doubt]:
+def _repeated(counts: NDArray[np.int16]) -> list[Flag]:
     """An emptied FIFO gives its last sample again. By the share of samples (n, 6) in which each number alone is the one
     before, all six would be so by chance `expected` times; Chernoff's bound of a Poisson number says how likely more
     are."""
@@ -119,5 +119,5 @@ def _repeated(counts: NDArray[np.int16]) -> list[Doubt]:
     times, expected = int(same.all(axis=1).sum()), float(len(same) * np.prod(same.mean(axis=0)))
     if not times > expected or times - expected + times * math.log(expected / times) > math.log(BY_CHANCE):
         return []
-    return [Doubt("imu_repeated", f"{times} IMU samples repeat the one before in all six numbers, {expected:.1g} would "
+    return [Flag("imu_repeated", f"{times} IMU samples repeat the one before in all six numbers, {expected:.1g} would "
                   "by chance: another program may have read it, or it hangs")]

@@ -32,7 +32,7 @@ class Wrong(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Foreign:
+class ImportedFile:
     """One file."""
 
     name: str
@@ -46,7 +46,7 @@ class Foreign:
 
     @property
     def names(self) -> list[str]:
-        """Of all columns, in the file's order."""
+        """Names of all columns, in the file's order."""
         return [name for table in self.tables for name in table.columns]
 
     def table_of(self, column: str) -> Table:
@@ -55,7 +55,7 @@ class Foreign:
             if column in table.columns:
                 return table
         if column in self.left_out:
-            raise InputError(self.name, f"column {column!r} {self.left_out[column]}", "mend that cell, or blank it")
+            raise InputError(self.name, f"column {column!r} {self.left_out[column]}", "correct that cell, or empty it")
         close = difflib.get_close_matches(column, self.names, 1, 0.6)
         some = ", ".join(self.names[:12]) + (", ..." if len(self.names) > 12 else "")
         raise InputError(self.name, f"has no column {column!r}", f"did you mean {close[0]!r}?" if close
