@@ -88,6 +88,15 @@ class ExtendedProblem(LatentProblem):
         """Length of the parameter vector: beta, then the effects."""
         return self.mechanism.p + sum(e.count for e in self.effects)
 
+    def dry_levels(self, beta: FloatArray) -> dict[int, float]:
+        """As of a plain mechanism, with what the effects at a joint add."""
+        found, at = super().dry_levels(beta), self.mechanism.p
+        for effect in self.effects:
+            size, at = beta[at : at + effect.count], at + effect.count
+            if effect.joint in found and size.size:
+                found[effect.joint] += effect.level_at_rest(size)
+        return found
+
     def view(self, x: Latents, beta: FloatArray, torque: FloatArray | None = None) -> View:
         """What effects see at (x, beta); `torque` (n, N) is what effects already take at the samples."""
         return self._seen(x, beta, torque)[0]
