@@ -63,7 +63,7 @@ def decide(context: DiagnosisContext, tests: Tests, options: Sequence[Explanatio
     None where nothing could be fitted, neither a listed effect nor a term without a name. Raises `FitError` where no
     model's free run can be carried through.
     """
-    shortlist = by_likelihood(shortlisted(options))
+    shortlist = by_likelihood(shortlisted([o for o in options if admissible(o)] or options))
     generic = generic_extension(context, context.nominal, tests)
     if not shortlist and generic is None:
         return None
