@@ -8,7 +8,7 @@ from .files import kind_of as kind_of
 from .files import replacing_anything as replacing_anything
 from .files import write_file as write_file
 from .findings import Damage as Damage
-from .findings import Doubt as Doubt
+from .findings import Flag as Flag
 from .findings import Steps as Steps
 from .mechanisms import JOINTS as JOINTS
 from .rig import Calibration as Calibration

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.findings import Damage, Doubt, Steps
+from daq.findings import Damage, Flag, Steps
 
 if TYPE_CHECKING:
     from daq.rig import Rig
@@ -38,7 +38,7 @@ class Dataset:
     share one clock."""
     damage: tuple[Damage, ...] = ()
     """Ways in which its file is not what was recorded; empty for a whole one."""
-    doubts: tuple[Doubt, ...] = ()
+    flags: tuple[Flag, ...] = ()
     """What in it cannot be true of one IMU on one leg."""
     steps: Steps | None = None
     """The touchdowns by which a walker's run was cut."""
@@ -74,7 +74,7 @@ class Dataset:
         return missing
 
     def segments(self, names: list[str] | None = None, min_samples: int = 20) -> list[slice]:
-        """Stretches of at least `min_samples` samples without a gap in `names`, in order of time."""
+        """Segments of at least `min_samples` samples without a gap in `names`, in order of time."""
         present = np.concatenate(([False], ~self.gap(names), [False])).astype(np.int8)
         edges = np.diff(present)
         starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)

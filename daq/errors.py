@@ -1,4 +1,4 @@
-"""What a person is told when something given to the program cannot be used."""
+"""Errors about unusable input and failed work, one line each."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""Every file that this program writes beside a recording goes through `write_file`, or `new_run` where it is a run:
-whole or not at all, and never over a measurement.
+"""Files are written through `write_file`, runs through `new_run`: whole or not at all, and never over a measurement.
 
-What a file is, is told from its content, that of a file on the disk and that of a new one alike, so that nobody has
-to declare it: a run (of our own or of anybody else's), or one of our documents.
+The content decides what a file is, on the disk and before writing: a run of any program, or a document of legid.
 """
 
 from __future__ import annotations
@@ -49,11 +47,10 @@ def replacing_anything(force: bool = True) -> Iterator[None]:
 
 
 def write_file(path: Path | str, data: bytes, changed: bool = False) -> None:
-    """Write `data` to `path`, whole or not at all: into a file beside it, onto the disk, then in its place.
+    """Write `data` to `path`, whole or not at all: to a temporary file, synced, then renamed.
 
-    A run that is there is never replaced, a file of another kind or a rig file, which people write by hand, only
-    within `replacing_anything`. With `changed` it holds what was there, changed, and nothing is asked. Raises
-    `InputError`.
+    An existing run is never replaced. A rig file or a file of another kind is replaced only within
+    `replacing_anything`, or with `changed`: then `data` is the edited content. Raises `InputError`.
     """
     path = Path(path)
     try:
@@ -112,7 +109,7 @@ def check_place(path: Path | str, kind: str) -> None:
 
 
 def kind_of(path: Path | str) -> str | None:
-    """What the file at `path` is; None where there is none, or nothing in it; "" for what is not known."""
+    """Kind of the file at `path`; None where it is absent or empty, "" where the kind is unknown."""
     path = Path(path)
     try:
         if not stat.S_ISREG(path.stat().st_mode):

@@ -1,4 +1,4 @@
-"""What is known of a run besides its samples: damage of its file, reasons to doubt it, steps of a walker."""
+"""Findings about a run in addition to its samples: damage of its file, flags, steps of a walker."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 DamageKind = Literal["cut", "recovered", "check_sum", "messages", "form", "imu_missing", "imu_twice"]
-DoubtKind = Literal["imu_rate", "imu_missing", "imu_unmarked", "imu_repeated", "gravity", "rig", "rows", "grid"]
+FlagKind = Literal["imu_rate", "imu_missing", "imu_unmarked", "imu_repeated", "gravity", "rig", "rows", "grid"]
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,10 @@ class Damage:
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Flag:
     """One thing in a run that cannot be true of its rig, or contradicts the rig file in use."""
 
-    kind: DoubtKind
+    kind: FlagKind
     text: str
     """For a person, one sentence."""
 

@@ -1,4 +1,4 @@
-"""What the matrices of an IMU's calibration must be."""
+"""Checks of the matrices of an IMU's calibration."""
 
 from __future__ import annotations
 

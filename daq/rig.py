@@ -33,7 +33,7 @@ from daq.servo import Servo, faults
 
 
 class Mechanism(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which mechanism hangs there, and which of its joints a motor drives."""
+    """The mechanism, and its joints that a motor drives."""
 
     model: Annotated[str, Meta(max_length=60)]
     """leg2 | biped3 | joint1 | chain, or one of one's own; see `daq.mechanisms`"""
@@ -45,7 +45,7 @@ class Mechanism(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     link_lengths_m: tuple[Annotated[float, Meta(gt=0, le=10.0)], ...] = ()
     """From joint to joint, of the first links: as many as IMUs ride on."""
     encoders: tuple[Joint, ...] | None = None
-    """Joints whose encoders are read; None: all, beside an IMU all but joint 1's."""
+    """Joints whose encoders are read; None: all, or on a rig with an IMU all but joint 1's."""
 
 
 class Terms(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -58,8 +58,10 @@ class Terms(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     encoder_zero: tuple[Joint, ...] | None = None
     """The encoder's zero, another in every run [rad]: of drives that count from where they were switched on."""
     friction_velocity_radps: Positive | tuple[Positive, ...] | None = None
-    """Velocity over which sign(qd) is rounded off [rad/s, m/s on a slide]; None: 0.005 rad/s, and on a slide a
-    thousandth of its speed where a fit chooses."""
+    """Friction smoothing velocity v_s [rad/s, m/s on a slide]: sign(qd) is qd / sqrt(qd^2 + v_s^2).
+
+    None: 0.005 rad/s; a fit chooses a thousandth of its speed on a slide.
+    """
 
 
 class Imu(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -135,7 +137,7 @@ class Noise(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Between the torque noise of the driven joints, a row each by rising joint; empty: none."""
 
     def encoder_of(self, joint: int) -> float | None:
-        """Of one joint's encoder (0-based, -1 the last); None where it is to be estimated."""
+        """Encoder noise of one joint (0-based, -1 the last); None where it is to be estimated."""
         known = self.encoder_rad
         return known[joint] if isinstance(known, tuple) else known
 
@@ -155,7 +157,7 @@ class Filter(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Limits(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Beyond any of these the torque goes to zero and the run stops, naming the limit."""
+    """Limits beyond which the torque goes to zero and the run stops, naming the limit."""
 
     torque_nm: Annotated[float, Meta(gt=0, le=1e3)] = 2.0
     speed_radps: Annotated[float, Meta(gt=0, le=1e3)] = 15.0
@@ -168,14 +170,14 @@ class Limits(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
     period says, and since the last sample of the IMU."""
     clock_bound_s: Seconds = 0.005
     q1_speed_radps: Positive = 8.5
-    """Of the pivot, beside `speed_radps`; the gyro's range must show it (500 dps is 8.73 rad/s)."""
+    """Limit of the pivot's speed, in addition to `speed_radps`; within the gyro's range (500 dps is 8.73 rad/s)."""
     bus_v: Positive = 60.0
     """Supply [V]; 60 V DC is where protection by extra-low voltage ends."""
     stop_radps2: Positive = 100.0
     """Deceleration that gravity and friction give a joint whose torque is cut [rad/s2]: how far ahead of an angle's
     limit the torque goes. Lower it for a leg that coasts further."""
     slew_nmps: Positive = 150.0
-    """Steepest change of a plan's torque [N m/s], over 10 ms."""
+    """Largest slew rate of a plan's torque [N m/s], over 10 ms."""
     duration_s: Annotated[float, Meta(gt=0, le=1e7)] = 1800.0
     """Longest plan [s]."""
     unsaved_s: Positive = 2.0
@@ -230,7 +232,7 @@ class Calibration(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Column(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where files of other programs hold a column of the contract: value = sign * scale * unit * reading + offset."""
+    """Place of a contract column in files of other programs: value = sign * scale * unit * reading + offset."""
 
     name: str
     """As the file calls it."""
@@ -306,7 +308,7 @@ def parse_rig(text: str, where: str = "rig.toml") -> Rig:
         tables = tomllib.loads(text)
         rig = msgspec.convert(tables, Rig)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(where, f"not valid TOML: {error}", "mend the line named") from None
+        raise InputError(where, f"not valid TOML: {error}", "correct that line") from None
     except msgspec.ValidationError as error:
         message = str(error).replace("`$.", "`").replace("Object", "rig")
         hint = _suggestion(message)

@@ -52,7 +52,7 @@ class PivotDevice(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class ShuntDevice(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An INA226 or INA228 over a resistor in the motor's lead: the motor's current beside the drive's own reading."""
+    """An INA226 or INA228 over a resistor in the motor's lead: the motor's current independent of the drive."""
 
     shunt_ohm: Annotated[float, Meta(gt=0, le=10.0)]
     kind: Literal["ina226", "ina228"] = "ina226"

@@ -26,7 +26,7 @@ class Servo(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 def faults(servo: Servo, driven: int) -> tuple[str, str] | None:
-    """What is wrong with a table for so many driven joints, and the remedy; None where nothing is."""
+    """Faults of a table for so many driven joints, and the remedy; None without a fault."""
     for name in servo.__struct_fields__:
         values = getattr(servo, name)
         if isinstance(values, tuple) and len(values) != driven:

@@ -1,4 +1,4 @@
-"""From what the devices read to what the contract means, by the rig's calibration."""
+"""Conversion of the devices' readings to the units of the contract, by the rig's calibration."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ class As5600:
 
 
 def magnet_problem(status: int) -> str:
-    """What STATUS says of the magnet, with the remedy; empty where all is well."""
+    """Fault of the magnet by the register STATUS, with the remedy; empty without a fault."""
     if status & ML and status & MH:
         return "the status cannot be true; check wiring and pull-ups"
     if not status & MD:

@@ -51,7 +51,7 @@ class CanLink:
             raise ValueError(f"CAN node {node} is outside 0 to {NODES - 1}")
         self.errors = 0
         """Error frames seen, other than bus-off."""
-        self.foreign = 0
+        self.other_frames = 0
         """Frames left out: remote, and on a classic bus extended or CAN FD."""
         self.where = f"leg controller on CAN {config.get('channel', '')}".rstrip()
         self._channel, self._timeout_s = config.get("channel", "can0"), timeout_s
@@ -74,7 +74,7 @@ class CanLink:
 
     @property
     def facts(self) -> dict[str, str | int | None]:
-        """What a run file should say of the connection."""
+        """Facts about the connection, for a run file."""
         return {"kind": "can", "channel": str(self._channel), "node": self._node}
 
     def read(self) -> Frames:
@@ -122,7 +122,7 @@ class CanLink:
                                "wiring, termination and bit rate, then take the interface down and up")
             self.errors += 1
         elif message.is_remote_frame or (not self._fd and (message.is_extended_id or message.is_fd)):
-            self.foreign += 1
+            self.other_frames += 1
         else:
             frames.append(CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_fd))
 

@@ -26,7 +26,7 @@ SHARE_OF_PERIOD = 0.6
 
 @dataclass(frozen=True)
 class Chip:
-    """What differs between the chips."""
+    """Properties in which the chips differ."""
 
     name: str
     die: tuple[int, int, int]

@@ -54,7 +54,7 @@ class Lack(NamedTuple):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a drive can do; the defaults are those of our own firmware."""
+    """Capabilities of a drive; the defaults are those of legid's firmware."""
 
     polled: bool = False
     """Telemetry answers a request: a sample was taken between request and reply, by the host's clock. Otherwise it
@@ -80,7 +80,8 @@ class Drive(Protocol):
 
     @property
     def hello(self) -> Hello | None:
-        """Who is there: what `open` returned, or a later boot's. A drive that counts no boots draws the number."""
+        """Version and boot of the drive: what `open` returned, or a later boot's. A drive that counts no boots draws
+        the number."""
 
     @property
     def telemetry(self) -> Telemetry | None:
@@ -88,11 +89,11 @@ class Drive(Protocol):
 
     @property
     def limits(self) -> DriveLimits | None:
-        """What the drive checks by itself; None where it does not say."""
+        """Limits that the drive itself checks; None where it does not say."""
 
     @property
     def capabilities(self) -> Capabilities:
-        """What it can do."""
+        """Capabilities of the drive."""
 
     @property
     def words(self) -> str:
@@ -108,7 +109,7 @@ class Drive(Protocol):
 
     @property
     def link_facts(self) -> dict[str, str | int | None]:
-        """What the link says of itself: its kind, port, latency timer."""
+        """Facts about the link: its kind, port, latency timer."""
 
     @property
     def stats(self) -> LinkStats:
@@ -119,7 +120,8 @@ class Drive(Protocol):
         this program does not speak) or `DeviceFault`; all close."""
 
     def poll(self) -> list[Received]:
-        """What came since the last call, stamped; waits a little for it. A polled drive is asked here, at its rate.
+        """Messages since the last call, with time stamps; waits a little for them. A polled drive is asked here, at its
+        rate.
 
         Raises `LinkLost`, `ProtocolMismatch`."""
 
@@ -149,7 +151,7 @@ class Drive(Protocol):
 
 
 def hello_of(controller: Drive) -> Hello:
-    """Who is there. Raises ValueError where the drive has not been opened."""
+    """Version and boot of the drive that answers. Raises ValueError where the drive has not been opened."""
     if controller.hello is None:
         raise ValueError("open the leg controller first")
     return controller.hello
@@ -157,7 +159,7 @@ def hello_of(controller: Drive) -> Hello:
 
 @dataclass(frozen=True)
 class Wiring:
-    """Where a drive is and how it sits on the joint; all that a driver is told of a rig file."""
+    """Place of a drive and its mounting on the joint; all that a driver is told of a rig file."""
 
     port: str = "/dev/ttyACM0"
     baud: int = 1_000_000
@@ -182,7 +184,7 @@ class Wiring:
 
 
 def drive_kinds() -> list[str]:
-    """The kinds that there are: every file `KIND_drive.py` beside this one."""
+    """All kinds of drives: one file `KIND_drive.py` each in this folder."""
     return sorted(path.stem.removesuffix(SUFFIX) for path in Path(__file__).parent.glob(f"*?{SUFFIX}.py"))
 
 

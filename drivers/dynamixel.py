@@ -49,7 +49,7 @@ class Packet(NamedTuple):
 
 
 class Address(IntEnum):
-    """Of the control table, those that are used here."""
+    """Addresses of the control table that are used here."""
 
     MODEL_NUMBER = 0
     FIRMWARE_VERSION = 6
@@ -98,7 +98,7 @@ class HardwareError(IntEnum):
 
 
 class Model(NamedTuple):
-    """What differs between models that have a current mode."""
+    """Properties in which models with a current mode differ."""
 
     name: str
     current_a: float

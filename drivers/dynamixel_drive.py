@@ -43,8 +43,8 @@ SILENCE_MARGIN_NS = 5_000_000
 WATCHDOG_STEP_NS = dxl.WATCHDOG_UNIT_MS * 1_000_000
 NODES_TRIED = 20
 TICK_SLACK_MS, TICK_SHARE, TICK_SPAN_MS, LONG_AGO_MS = 3.0, 0.05, 100.0, 10_000.0
-"""How far the realtime tick may be off the host's clock, by what share of the time that has passed, over so long, and
-the gap behind which it is not compared."""
+"""Allowed error of the realtime tick against the host's clock: absolute and relative; the least time span over which
+they are compared; the longest gap."""
 FAULTS = ((HardwareError.OVERHEATING, Fault.OVERTEMPERATURE, "overheating"),
           (HardwareError.ENCODER, Fault.KNEE_ENCODER, "motor encoder"),
           (HardwareError.ELECTRICAL_SHOCK, Fault.GATE_DRIVER, "electrical shock or too little power"),
@@ -165,7 +165,7 @@ class DynamixelDrive(PolledDrive[bytes]):
         faults = self._faults(ram)
         on = bool(ram[Address.TORQUE_ENABLE - FIRST])
         if faults and on:
-            self._post(self._torque_off(), now=True)  # not every error turns it off by itself
+            self._post(self._torque_off(), now=True)  # not every error turns it off
         self._tick = dxl.unsigned(ram, Address.REALTIME_TICK - FIRST, 2)
         goal = dxl.signed(ram, Address.GOAL_CURRENT - FIRST, 2)
         position = dxl.signed(ram, Address.PRESENT_POSITION - FIRST, 4)

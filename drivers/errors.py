@@ -1,4 +1,4 @@
-"""What can go wrong with a device. One line each, for a person: device, place, remedy."""
+"""Errors of devices. One line each, for a person: device, place, remedy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ class DriverError(Exception):
 
 
 class DeviceAbsent(DriverError):
-    """Nothing answers at the port or address given, or it may not be opened."""
+    """No device answers at the given port or address, or opening it is not permitted."""
 
 
 class DeviceBusy(DriverError):

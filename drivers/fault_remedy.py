@@ -1,4 +1,4 @@
-"""What to look at before a latched fault is cleared: clearing alone starts a hot or broken drive again."""
+"""Remedies to try before a latched fault is cleared: clearing alone starts a hot or broken drive again."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ CLEAR = "legid doctor --clear-faults --rig RIG"
 """The command that acknowledges faults and has them cleared; a cause that is still there keeps them."""
 
 _LOOK = {
-    Fault.WATCHDOG: "nothing to mend where the program was killed or suspended, else check the cable and what "
-                    "keeps this computer busy",
+    Fault.WATCHDOG: "check the cable and what keeps this computer busy, unless the program was killed or suspended",
     Fault.OVERCURRENT: "look for a joint that is blocked and for a short in the motor or its wires",
     Fault.OVERTEMPERATURE: "let the motor cool, and plan less torque",
     Fault.UNDERVOLTAGE: "check the supply, its plug and its current limit",
@@ -26,7 +25,7 @@ _LOOK = {
 
 
 def fault_remedy(faults: int) -> str:
-    """What to look at first for each of `faults` (bits of `Fault`), then the command that clears them: one line."""
+    """Remedies for each of `faults` (bits of `Fault`), then the command that clears them: one line."""
     looks = [look for fault, look in _LOOK.items() if faults & fault]
     if faults & ESTOP_OPEN and not faults & Fault.ESTOP:
         looks.append(_LOOK[Fault.ESTOP])

@@ -16,7 +16,7 @@ from drivers.i2c_socket import SocketBus
 
 
 class I2CBus(Protocol):
-    """What a driver needs of a bus: combined transfers. `smbus2.SMBus` is one, the mock another."""
+    """Interface of a bus: combined transfers. `smbus2.SMBus` is one, the mock another."""
 
     def i2c_rdwr(self, *i2c_msgs: Any) -> None:
         """Transfer the `smbus2.i2c_msg`s in one transaction; read messages are filled. Raises OSError."""

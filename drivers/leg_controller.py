@@ -56,7 +56,7 @@ class LegController:
         self.telemetry: Telemetry | None = None
         """The newest telemetry seen."""
         self.limits: DriveLimits | None = None
-        """What the drive checks by itself, asked for when arming; None where its firmware does not say."""
+        """What the drive itself checks, asked for when arming; None where its firmware does not say."""
         self.capabilities = Capabilities()
         self.words = self.refusal = ""
         self._link = link
@@ -188,7 +188,7 @@ class LegController:
 
     @property
     def link_facts(self) -> dict[str, str | int | None]:
-        """What the link says of itself: its kind, port, latency timer; empty for an emulated one."""
+        """Facts about the link: its kind, port, latency timer; empty for an emulated one."""
         return dict(getattr(self._link, "facts", {}))
 
     @property

@@ -1,4 +1,4 @@
-"""What the leg controller needs below it: a transport that moves chunks, and a codec between chunks and messages.
+"""Parts below the leg controller: a transport that moves chunks, and a codec between chunks and messages.
 
 A chunk is `bytes` on a serial line and a tuple of frames on CAN; both can be joined with `+` and counted with `len`.
 """
@@ -39,7 +39,7 @@ class Codec(Protocol[Chunk]):
 
     @property
     def unit(self) -> str:
-        """What `len` of a chunk counts."""
+        """Unit of `len` of a chunk."""
 
     @property
     def cut(self) -> Chunk:

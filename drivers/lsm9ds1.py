@@ -41,7 +41,7 @@ GIVE_UP_AFTER = 5
 
 
 class Phase(Enum):
-    """Where the driver stands with its chip."""
+    """Phase of the driver's start of its chip."""
 
     RESET = "reset"
     WAIT = "wait"

@@ -24,7 +24,7 @@ ODR_119 = 3 << 5
 
 
 class Limits(NamedTuple):
-    """What the deflection of each axis must lie between."""
+    """Limits of the deflection of each axis."""
 
     sensor: str
     unit: str

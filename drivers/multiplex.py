@@ -88,7 +88,7 @@ def read(kind: Kind, start: int, count: int = 1) -> bytes:
 
 
 def reply(kind: Kind, start: int, values: Sequence[float]) -> bytes:
-    """What a READ brings back."""
+    """Values that a READ returns."""
     return _head(REPLY, kind, len(values), start) + struct.pack(f"<{len(values)}{_FORMAT[kind]}", *values)
 
 

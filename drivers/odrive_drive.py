@@ -119,7 +119,7 @@ class OdriveDrive(PolledDrive[Frames]):
                      self.wiring.torque_limit_nm, 1000)
 
     def _need_quiet(self) -> None:
-        """Messages that come by themselves would pass for answers, of which nobody knows when they were measured."""
+        """Raises `DeviceFault` if cyclic messages are on: they would pass for answers, but with unknown times."""
         self._read()
         end, heard = self._now_ns() + round(QUIET_S * 1e9), set()
         while self._now_ns() < end:

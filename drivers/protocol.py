@@ -60,7 +60,7 @@ class Feature(IntFlag):
 
 
 class Reaction(IntEnum):
-    """What the drive does at a fault of the host or of the motion: nothing, motor shorted, position held."""
+    """Reaction of the drive to a fault of the host or of the motion: nothing, motor shorted, position held."""
 
     LIMP = 0
     BRAKE = 1
@@ -141,7 +141,7 @@ class FaultReport:
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """Up, answer to a LimitsRequest: what the drive checks by itself, and what it can do."""
+    """Up, answer to a LimitsRequest: what the drive itself checks, and what it can do."""
 
     features: int
     reaction: int

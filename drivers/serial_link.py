@@ -55,7 +55,7 @@ class SerialLink:
 
     @property
     def facts(self) -> dict[str, str | int | None]:
-        """What a run file should say of the connection."""
+        """Facts about the connection, for a run file."""
         return {"kind": "serial", "port": self.port, "latency_timer_ms": self.latency_timer_ms}
 
     def read(self) -> bytes:

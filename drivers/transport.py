@@ -1,4 +1,4 @@
-"""`open_port`: the transport that a port's name asks for; one of one's own is a file beside this one."""
+"""`open_port`: the transport that a port's name asks for; a new transport is a file in this folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a caller is told when data cannot answer the question put to it."""
+"""Errors of the estimator: data that do not answer the question."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ class FitError(Exception):
 
 
 class ScaleError(FitError):
-    """Nothing tells how heavy the mechanism is."""
+    """The data do not determine the scale of the masses."""
 
 
 class GapError(FitError):
-    """Every stretch of the data without a gap is too short."""
+    """Every segment of the data without a gap is too short."""

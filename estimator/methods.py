@@ -1,4 +1,4 @@
-"""The methods that a fit can be made by; beside the options, for whoever lists them need not load any."""
+"""Names of the methods of a fit; a separate module, so that listing them loads no method."""
 
 from __future__ import annotations
 

@@ -23,23 +23,23 @@ Levels = Mapping[str, float]
 
 
 def encoder_level(known: Levels, joint: int) -> float | None:
-    """Of one joint's encoder [rad], joint 0-based; None where nothing is known."""
+    """Noise level of one joint's encoder [rad], joint 0-based; None where it is not known."""
     return known.get(f"encoder{joint + 1}_rad", known.get("encoder_rad"))
 
 
 def torque_level(known: Levels, joint: int, driven: bool) -> float | None:
-    """Of one joint's torque [N m], or of what the model may lack at a joint that is not driven."""
+    """Noise level of one joint's torque [N m], or the model error of a joint that is not driven."""
     return known.get(f"torque{joint + 1}_nm", known.get("torque_nm")) if driven else \
         known.get(f"passive{joint + 1}_nm", known.get("passive_nm"))
 
 
 def gyro_level(known: Levels, imu: int = 0) -> float | None:
-    """Of an IMU's gyro [rad/s], 0-based in the rig's order."""
+    """Noise level of an IMU's gyro [rad/s], 0-based in the rig's order."""
     return known.get(f"gyro{imu + 1}_radps", known.get("gyro_radps"))
 
 
 def accel_level(known: Levels, axis: int, imu: int = 0) -> float | None:
-    """Of axis 0 (x) or 1 (y) of an IMU's accelerometer [m/s^2]."""
+    """Noise level of axis 0 (x) or 1 (y) of an IMU's accelerometer [m/s^2]."""
     names = [f"accel{own}{which}_mps2" for own in (imu + 1, "") for which in (("_x", "_y")[axis], "")]
     return next((known[name] for name in names if name in known), None)
 
@@ -61,9 +61,9 @@ class FitOptions:
     hold: str = "linear"
     """How the torque acts between samples: zero | linear | average | smooth; auto: as is likeliest (`mle`; the other
     methods take it for linear)."""
-    rounding: str = "given"
-    """Speed over which each joint's dry friction is rounded off: given, by the mechanism; auto, as is likeliest, and no
-    less than given (`mle`; the other methods take what is given)."""
+    smoothing_velocity: str = "given"
+    """Friction smoothing velocity of each joint. given: the mechanism's. auto: estimated, at least the mechanism's
+    (`mle` only)."""
     noise: Levels = field(default_factory=dict)
     """Known standard deviations by channel; the others are estimated."""
     accel_correlation: float = 0.0
@@ -96,8 +96,8 @@ class FitOptions:
             raise ValueError(f"sensors {self.sensors!r} is neither imu nor encoder")
         if self.hold not in (*HOLDS, AUTO):
             raise ValueError(f"hold {self.hold!r} is none of {(*HOLDS, AUTO)}")
-        if self.rounding not in ("given", AUTO):
-            raise ValueError(f"rounding {self.rounding!r} is neither given nor auto")
+        if self.smoothing_velocity not in ("given", AUTO):
+            raise ValueError(f"smoothing velocity {self.smoothing_velocity!r} is neither given nor auto")
         if self.latent not in ("trajectory", "free"):
             raise ValueError(f"latent {self.latent!r} is neither trajectory nor free")
         if self.weights not in ("estimated", "known"):
@@ -128,15 +128,15 @@ class FitOptions:
         return encoder_level(self.noise, joint)
 
     def torque_noise(self, joint: int, driven: bool) -> float | None:
-        """Of one joint's torque [N m], joint 0-based; on one that is not driven what the model may lack."""
+        """Noise level of one joint's torque [N m], joint 0-based; the model error of a joint that is not driven."""
         return torque_level(self.noise, joint, driven)
 
     def gyro_noise(self, imu: int = 0) -> float | None:
-        """Of an IMU's gyro [rad/s], 0-based in the rig's order."""
+        """Noise level of an IMU's gyro [rad/s], 0-based in the rig's order."""
         return gyro_level(self.noise, imu)
 
     def accel_noise(self, axis: int, imu: int = 0) -> float | None:
-        """Of axis 0 (x) or 1 (y) of an IMU's accelerometer [m/s^2]."""
+        """Noise level of axis 0 (x) or 1 (y) of an IMU's accelerometer [m/s^2]."""
         return accel_level(self.noise, axis, imu)
 
     def disturbance(self, joint: int) -> tuple[float, float] | None:

@@ -19,7 +19,7 @@ TWO_SIDED = 1.959963984540054
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Estimated motion and sensor predictions of one gap-free stretch of one run."""
+    """Estimated motion and sensor predictions of one gap-free segment of one run."""
 
     run: str
     """Name of the run."""
@@ -69,8 +69,9 @@ class Finding:
     """One thing that was found about a fit besides its numbers."""
 
     role: Role
-    """assumption: the intervals rest on it. warning: a person should know it. fault: these parameters may not be used.
-    remedy: what to write into the rig file. doubt: a reason not to trust them. fact: what limits their use."""
+    """- assumption: the intervals depend on it. warning: a person should know it.
+    - fault: the parameters must not be used. remedy: what to write into the rig file.
+    - `doubt`: a suspect result, so the parameters are not to be trusted. fact: what limits their use."""
     kind: FindingKind
     text: str
     """For a person, one sentence."""
@@ -133,7 +134,7 @@ class SecondOpinion:
 
     @property
     def largest(self) -> float:
-        """Of the disagreements; 0 where nothing is compared."""
+        """Largest of the disagreements; 0 where nothing is compared."""
         return float(np.nanmax(self.disagreement)) if np.isfinite(self.disagreement).any() else 0.0
 
 
@@ -220,7 +221,7 @@ class FitResult:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a person should know, the remedies last."""
+        """Warnings for a person, the remedies last."""
         return tuple(one.text for one in self.findings if one.role in ("warning", "remedy"))
 
     @property

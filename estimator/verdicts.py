@@ -1,4 +1,4 @@
-"""The verdicts of a diagnosis; beside the options, for whoever lists them need not load any."""
+"""The verdicts of a diagnosis; a separate module, so that listing them loads no mathematics."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def commanded(arguments: Sequence[str]) -> Iterator[None]:
 
 
 def command_line() -> str:
-    """What was typed; empty where a script called."""
+    """The command line as typed; empty where a script called."""
     return _command.get()
 
 
@@ -79,7 +79,7 @@ class PlainOutput:
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """As the stream does."""
+        """Number of characters written to the stream."""
         self._stream.write(text if text.isascii() and text.isprintable() else
                            "\n".join("\t".join(map(printable, line.split("\t"))) for line in text.split("\n")))
         return len(text)

@@ -1,4 +1,4 @@
-"""Where a result comes from: the files behind it with their SHA-256, and the program's version and commit.
+"""Origin of a result: the files behind it with their SHA-256, and the program's version and commit.
 
 A document carries it as `provenance` (a model within its own `provenance`, as `origin`), a report page in its head and
 as its last section; `legid verify` reads it back and looks at the files.
@@ -94,7 +94,7 @@ def program_version() -> str:
 
 @lru_cache(maxsize=1)
 def commit() -> str:
-    """Of the checkout that this file stands in, `-dirty` where it was changed since; else what the installer noted."""
+    """Commit of the checkout of this file, with `-dirty` after changes; else what the installer noted."""
     root = Path(__file__).parent.parent
     if (root / ".git").exists():
         with suppress(OSError, subprocess.SubprocessError):
@@ -110,7 +110,7 @@ def commit() -> str:
 
 
 def read_origin(path: Path | str) -> Origin:
-    """Of a document, a model or a report page. Raises `InputError` for a file that carries none."""
+    """Origin of a document, a model or a report page. Raises `InputError` for a file that carries none."""
     where = str(path)
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -130,7 +130,7 @@ def read_origin(path: Path | str) -> Origin:
 
 @dataclass(frozen=True)
 class Checked:
-    """What was found of one file."""
+    """Result of the check of one file."""
 
     source: Source
     state: Literal["same", "CHANGED", "missing"]

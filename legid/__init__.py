@@ -1,4 +1,4 @@
-"""What one imports: the verbs of the `legid` command on data in memory, with results that show themselves.
+"""Python interface: the verbs of the `legid` command on data in memory, with results that show themselves.
 
     import legid
 

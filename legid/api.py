@@ -8,9 +8,9 @@
 
 A `rig` is the path of a rig.toml or the `Rig` that `load_rig` makes of it; left out, it is the one that the runs were
 loaded with, and for a native run the one that is stored in its file. Runs are `Dataset` objects: columns of
-contract names in SI units on one uniform grid, NaN where a sample is missing. Wherever runs are taken, one may be
-given by itself. Nothing is printed but a progress bar where stderr is a terminal. What cannot be used raises
-`InputError`; what cannot be done on this data or device raises `WorkError`, `FitError` or a `DriverError`.
+contract names in SI units on one uniform grid, NaN where a sample is missing. Every function that takes runs also takes
+a single run. Nothing is printed but a progress bar on a terminal. Unusable input raises `InputError`; what cannot be
+done on this data or device raises `WorkError`, `FitError` or a `DriverError`.
 """
 
 from __future__ import annotations
@@ -117,8 +117,8 @@ def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors:
 def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None) -> Validations:
     """Free-run simulation of `model` against runs that it was not fitted to (Table V of the paper).
 
-    Each gap-free stretch is simulated from its first state under its measured torque alone. A list of one `Validation`
-    a stretch: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold effects. Raises
+    Each gap-free segment is simulated from its first state under its measured torque alone. A list of one `Validation`
+    a segment: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold effects. Raises
     `InputError` for a model of another mechanism, `FitError` where a first state cannot be estimated.
     """
     given, known = _given(runs, rig)
@@ -130,14 +130,15 @@ def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str 
 def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,
              progress: Callable[[str, float], None] | None = None, workers: int = 1,
              material: float = MATERIAL, fixed: Mapping[str, float] | None = None) -> Diagnosis:
-    """What the simulation of the rig's model gets wrong on `runs`, why, and what extending it gains.
+    """Errors of the simulation of the rig's model on `runs`, their causes, and the gain of extending the model.
 
-    Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good. Of four alike in
-    excitation two are fitted, one helps to choose, one is opened once at the end. `material` is the share by which the
-    rms error of free runs must fall for a cause to matter. `seed` draws rehearsals and intervals; `reference`
-    is an earlier model whose parameters are compared; `progress` is called with (stage, fraction done). More `workers`
-    are processes forked from this one, so leave it at one in a program with threads. `fixed`: parameters that are
-    given, by name; runs without a torque need one.
+    Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good.
+
+    - `material`: smallest relative reduction of the free-run rms error that counts.
+    - `seed`: of bootstrap replicates and intervals. `reference`: an earlier model whose parameters are compared.
+    - `progress` is called with (stage, fraction done). `workers` are forked processes: use one in a program with
+      threads.
+    - `fixed`: given parameters by name; runs without a torque need one.
 
     The result's `verdict` is none, named, partial, one_of, unexplained or fit_failed; `causes` have sizes with units
     and 95 % intervals. Raises `InputError` for runs that do not belong together.
@@ -219,7 +220,7 @@ def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequ
     """The run that `model` would give under `plan`, from rest at the angles `start` (joints,) [rad], default zero.
 
     Columns (n,) as a recorded run has them, at `rate_hz` (default: the plan's). `noise_seed` adds the model's own
-    noise levels. Raises `InputError` where the plan does not fit, `WorkError` where the motion runs away.
+    noise levels. Raises `InputError` where the plan does not fit, `WorkError` where the motion diverges.
     """
     return dressed(Dataset, simulate_run(model, plan, "the model", rate_hz, start, noise_seed))
 

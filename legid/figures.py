@@ -19,7 +19,7 @@ from experiments.workflows import Tuning
 
 SECONDS = 12.0
 """What a figure of a fit shows of a run: more becomes a smear."""
-MOST_STRETCHES = 4
+MOST_SEGMENTS = 4
 UNITS = {"radps": "rad/s", "mps2": "m/s²", "nm": "N m", "degc": "°C", "v": "V"}
 
 
@@ -61,7 +61,7 @@ def dataset_figure(data: Dataset) -> Figure:
 
 
 def fit_figure(result: FitResult, seconds: float = SECONDS) -> Figure:
-    """The first seconds of the longest stretch: sensors measured and as estimated, torques measured and modelled.
+    """The first seconds of the longest segment: sensors measured and as estimated, torques measured and modelled.
 
     Figs. 4 and 5 of Dolinsky and Celikovsky (IEEE TCST 26(4), 2018).
     """
@@ -83,8 +83,8 @@ def fit_figure(result: FitResult, seconds: float = SECONDS) -> Figure:
 
 
 def validation_figure(found: Sequence[Validation]) -> Figure:
-    """Joints down, the first stretches across: measured, and simulated from the first state and the torque alone."""
-    shown = found[:MOST_STRETCHES]
+    """Joints down, the first segments across: measured, and simulated from the first state and the torque alone."""
+    shown = found[:MOST_SEGMENTS]
     joints = shown[0].q.shape[1]
     unit = "m" if "q1_m" in shown[0].rmse else "rad"
     figure, axes = _panels(joints, len(shown))

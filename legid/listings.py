@@ -1,4 +1,4 @@
-"""What the functions of `legid.tools` and `legid.tune` give back: tables that show themselves."""
+"""Results of the functions of `legid.tools` and `legid.tune`: tables that show themselves."""
 
 from __future__ import annotations
 
@@ -163,11 +163,11 @@ class Tuning:
         return tuning_text(self.found)
 
     def _repr_html_(self) -> str:
-        doubts = [f"Warning: {text}" for text in (*map(str, self.found.aside), *self.found.doubts)]
+        flags = [f"Warning: {text}" for text in (*map(str, self.found.aside), *self.found.flags)]
         rows = tuning_rows(self.found)
         head = html_table(["entry", "chosen", "why", "what it changes"], rows) if rows else paragraphs(
             ["rig.toml as it is predicts best: nothing to change"])
-        return head + paragraphs(doubts)
+        return head + paragraphs(flags)
 
 
 @dataclass(frozen=True)
@@ -191,13 +191,13 @@ class Comparison:
 
     @property
     def trust(self) -> str:
-        """Which model is better, and where: the first line of `legid compare`."""
+        """The better model, and where: the first line of `legid compare`."""
         return comparison_trust(self.found).sentence
 
     def to_frame(self, what: str = "errors") -> DataFrame:
         """`errors`: one row a horizon and sensor, rms errors and their ratio; `parameters`: one row a parameter.
 
-        A horizon of infinity is a whole stretch. Raises `ValueError` for any other `what`, `WorkError` without pandas.
+        A horizon of infinity is a whole segment. Raises `ValueError` for any other `what`, `WorkError` without pandas.
         """
         if what == "parameters":
             rows = self.found.parameters

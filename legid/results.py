@@ -1,4 +1,4 @@
-"""What the functions of `legid` give back: the floors' own results, which here also show themselves.
+"""Results of the functions of `legid`: the floors' own results, which here also show themselves.
 
 The estimator prints nothing, draws nothing and knows no file, and its results are arrays that any program may use.
 Showing them is work for whoever sits in a notebook. So each type here is the floor's type of the same name with three
@@ -147,7 +147,7 @@ class FitResult(PlainFit):
 
 @dataclass(frozen=True)
 class Validation(PlainValidation):
-    """One gap-free stretch of one run: measured against simulated from its first state and torque alone."""
+    """One gap-free segment of one run: measured against simulated from its first state and torque alone."""
 
     def to_frame(self) -> DataFrame:
         """One row a sample, `time_s` [s] as index: angles simulated and measured. Raises `WorkError` without pandas."""
@@ -167,7 +167,7 @@ class Validation(PlainValidation):
 
 
 class Validations(list[Validation]):
-    """A list of `Validation`, one a gap-free stretch, that shows itself as a table."""
+    """A list of `Validation`, one a gap-free segment, that shows itself as a table."""
 
     report: ValidationReport | None = None
     """What `validate` found, with its trust, horizons and the runs set aside."""
@@ -175,7 +175,7 @@ class Validations(list[Validation]):
 
     @classmethod
     def of(cls, report: ValidationReport, sources: tuple[Source, ...] = ()) -> Validations:
-        """Of what a validation found on the runs of `sources`."""
+        """Validations of the runs of `sources`."""
         made = cls(dressed(Validation, one) for one in report.validations)
         made.report, made.sources = report, sources
         return made
@@ -192,7 +192,7 @@ class Validations(list[Validation]):
         write_document(path, self.document, self.sources)
 
     def to_frame(self) -> DataFrame:
-        """One row a stretch: run, seconds, whether it ran away, rms error by signal.
+        """One row a segment: run, seconds, whether it diverged, rms error by signal.
 
         Raises `WorkError` without pandas.
         """
@@ -202,20 +202,20 @@ class Validations(list[Validation]):
                       **{name: [v.rmse[name] for v in self] for name in signals}}, "run")
 
     def plot(self) -> Figure:
-        """Joints down, the first stretches across. Raises `WorkError` where there is none."""
+        """Joints down, the first segments across. Raises `WorkError` where there is none."""
         from legid.figures import validation_figure
 
         if not self:
-            raise WorkError("no stretch of these runs is long enough to be simulated; record for longer")
+            raise WorkError("no segment of these runs is long enough to be simulated; record for longer")
         return validation_figure(self)
 
     def _repr_html_(self) -> str:
-        return html_table(*validation_rows(self)) if self else paragraphs(["no stretch was long enough"])
+        return html_table(*validation_rows(self)) if self else paragraphs(["no segment was long enough"])
 
 
 @dataclass(frozen=True)
 class Diagnosis(PlainDiagnosis):
-    """What the simulation gets wrong, why, and what extending it gains."""
+    """Errors of the simulation, their causes, and the gain of extending the model."""
 
     fitted: tuple[PlainDataset, ...] = ()
     """The runs that it was made from, in their order."""

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from daq import Column, InputError, Rig, load_rig
-from experiments.exchange import apply_map, check_map, load_map, read_foreign
+from experiments.exchange import apply_map, check_map, load_map, read_imported
 from experiments.excite import Band, Bench, Search, design, first_plan
 from experiments.models import Model, Tolerances, gains_of
 from legid.listings import Effects, Excitation, Gains
@@ -36,7 +36,7 @@ def read(file: Path | str, columns: Path | str | Mapping[str, Mapping[str, Any]]
             raise InputError("columns", str(error), "see docs/exchange.md") from None
     else:
         known = load_map(columns)
-    run = apply_map(read_foreign(file), known, rate_hz)
+    run = apply_map(read_imported(file), known, rate_hz)
     return dressed(Dataset, run, rig=None if rig is None else _rig(rig))
 
 

@@ -16,7 +16,7 @@ from daq.timing import configured, fit_samples
 
 BLOCK_S = 0.5
 STILL_RADPS = 0.02
-"""How far the gyro's mean over a block may stray from the record's median before the IMU counts as moved."""
+"""Largest deviation of the gyro's mean over a block from the record's median for an IMU at rest."""
 STILL_MPS2 = 0.3
 LEAST_STILL_S = 5.0
 UPRIGHT = 0.9
@@ -57,7 +57,7 @@ class StillRecord:
 
 @dataclass(frozen=True)
 class GyroCalibration:
-    """Of one still record."""
+    """Result of one record at rest."""
 
     bias_radps: FloatArray
     """(3,) chip's axes."""
@@ -71,7 +71,7 @@ class GyroCalibration:
 
 @dataclass(frozen=True)
 class AccelCalibration:
-    """Of six positions: calibrated = matrix @ (reading - bias)."""
+    """Result of six positions: calibrated = matrix @ (reading - bias)."""
 
     bias_mps2: FloatArray
     matrix: FloatArray
@@ -80,7 +80,7 @@ class AccelCalibration:
 
 
 def still_record(raw: RawRun) -> StillRecord:
-    """The longest stretch without a gap of a run's IMU. Raises `InputError` when it has none."""
+    """The longest segment without a gap of a run's IMU. Raises `InputError` when it has none."""
     samples, facts = raw.streams["/imu"], configured(raw, "imu")
     if not samples.size or not facts:
         raise InputError(raw.name, "holds no IMU samples with their scale", "record with an IMU")
@@ -88,8 +88,8 @@ def still_record(raw: RawRun) -> StillRecord:
     rate = fit_samples(samples, epoch_ns).rate_hz
     if not np.isfinite(rate):
         raise InputError(raw.name, "is too short for the IMU's rate", "record for longer")
-    stretch = np.cumsum(samples["gap_before"])
-    longest = np.flatnonzero(stretch == np.bincount(stretch.astype(int)).argmax())
+    segment = np.cumsum(samples["gap_before"])
+    longest = np.flatnonzero(segment == np.bincount(segment.astype(int)).argmax())
     counts = np.column_stack([samples[f"{kind}_{axis}"][longest] for kind in ("gyro", "accel") for axis in "xyz"])
     return from_counts(raw.name, counts, rate, (facts["gyro_radps_per_lsb"], facts["accel_mps2_per_lsb"]))
 

@@ -1,4 +1,4 @@
-"""What the knee encoder reads when the knee is straight: from a leg held straight, or hanging free at rest.
+"""The knee encoder's reading with a straight knee: from a leg held straight, or hanging free at rest.
 
 Hanging free with the motor off, the knee carries `beta5 g sin(q1 + q2)`, which its friction holds: the shank stops
 anywhere in a cone about the vertical. With the IMU's angle of link 1 every stop k gives

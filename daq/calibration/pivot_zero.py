@@ -1,4 +1,4 @@
-"""What the pivot sensor reads when link 1 hangs straight down: from records of a leg at rest."""
+"""The pivot sensor's reading with link 1 hanging straight down: from records of a leg at rest."""
 
 from __future__ import annotations
 

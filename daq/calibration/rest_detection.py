@@ -1,4 +1,4 @@
-"""What the devices said while the motor was off and the leg at rest: knee, current, gravity."""
+"""Readings of the devices with the motor off and the leg at rest: knee, current, gravity."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ DISARMED = 0
 LEAST_S = 0.8
 """The second before a run's start, when the motor is still off, is enough."""
 STILL_RAD = 0.01
-"""How far the knee's mean over a twentieth of the record may stray from the first one's."""
+"""Largest deviation of the knee's mean over a twentieth of the record from that over the first."""
 
 
 def resting(raw: RawRun) -> NDArray[np.void]:
-    """Telemetry of the longest stretch with the motor off. Raises `InputError` or `WorkError` where there is none."""
+    """Telemetry of the longest segment with the motor off. Raises `InputError` or `WorkError` where there is none."""
     telemetry = raw.streams["/leg/telemetry"]
     if not telemetry.size:
         raise InputError(raw.name, "holds no telemetry", "record with the leg controller")
@@ -28,23 +28,23 @@ def resting(raw: RawRun) -> NDArray[np.void]:
     if not starts.size:
         raise WorkError(f"{raw.name}: the motor was never off; record with it off")
     k = int(np.argmax(stops - starts))
-    stretch = telemetry[starts[k]: stops[k]]
-    seconds = float(stretch["host_ns"][-1] - stretch["host_ns"][0]) * 1e-9
-    if seconds < LEAST_S or stretch.size < 2 * BLOCKS:
+    segment = telemetry[starts[k]: stops[k]]
+    seconds = float(segment["host_ns"][-1] - segment["host_ns"][0]) * 1e-9
+    if seconds < LEAST_S or segment.size < 2 * BLOCKS:
         raise WorkError(f"{raw.name}: the motor was off for {seconds:.2f} s, at least {LEAST_S:g} s are needed")
-    knee = knee_readings(stretch)
+    knee = knee_readings(segment)
     if knee.size >= BLOCKS:
         strayed = np.abs(block_means(knee) - block_means(knee)[0])
         if strayed.max() > STILL_RAD:
             at = float(np.argmax(strayed > STILL_RAD)) / BLOCKS * seconds
             raise WorkError(f"{raw.name}: the knee moved about {at:.1f} s into the record; let the leg come to rest, "
                             "then record again")
-    return stretch
+    return segment
 
 
-def knee_readings(stretch: NDArray[np.void]) -> FloatArray:
+def knee_readings(segment: NDArray[np.void]) -> FloatArray:
     """Valid readings of the knee encoder [rad], zero not taken off."""
-    readings = stretch["knee_rad"].astype(np.float64)
+    readings = segment["knee_rad"].astype(np.float64)
     return readings[np.isfinite(readings)]
 
 

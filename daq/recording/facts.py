@@ -1,4 +1,4 @@
-"""What a run file says of the devices that it was recorded from."""
+"""Facts in a run file about the devices that recorded it."""
 
 from __future__ import annotations
 
@@ -41,5 +41,5 @@ def describe_devices(writer: RunWriter, controller: Drive, imu: Lsm9ds1 | None, 
 
 
 def shunt_facts(shunt: CurrentShunt) -> dict[str, float | str]:
-    """What a reading of the second shunt means."""
+    """Facts that convert the readings of the second shunt."""
     return {"chip": shunt.chip.name, "amperes_per_count": shunt.amperes_per_count, "conversion_s": shunt.conversion_s}

@@ -16,7 +16,7 @@ WINDOW_S = 1.0
 LOOK_S = 0.1
 LONG_TURN_S = 0.02
 BUSY_S = 0.05
-"""Half of the staleness that is usually allowed a device: so long a turn makes a silence doubtful."""
+"""Half of the usual limit of a device's age: a turn as long as this may itself explain a device's silence."""
 
 
 class HostLoad:
@@ -51,7 +51,7 @@ class HostLoad:
 
 
 def busy_words(stalled_s: float) -> str:
-    """What a person is told; empty where the computer was not too busy."""
+    """Sentence on the computer's load; empty where it was not too busy."""
     if stalled_s < BUSY_S:
         return ""
     return (f"the computer was too busy: the recorder waited {stalled_s:.2f} s for a processor, so the device need not "

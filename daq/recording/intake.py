@@ -36,7 +36,7 @@ _KEPT = 64
 WAITS_KEPT = 50
 FRESH = 2048
 """More than two seconds of the fastest telemetry: who is that late has stopped long ago."""
-GRAVITY_PULL_S = 0.5
+GRAVITY_S = 0.5
 """Time in which gravity draws the angle that the gyro adds up."""
 NEAR_GRAVITY = 0.1
 """Within this share of gravity the accelerometer shows which way is down."""
@@ -54,7 +54,7 @@ class Batch(NamedTuple):
 
 
 class Sink(Protocol):
-    """Where messages go: a `RunWriter`, or one behind a thread."""
+    """Destination of messages: a `RunWriter`, or one behind a thread."""
 
     def add(self, topic: str, host_ns: int, *values: float, sequence: int = 0) -> None: ...
     def event(self, host_ns: int, kind: str, text: str) -> None: ...
@@ -115,9 +115,11 @@ class ControllerIntake:
                 del self._pings[old]
 
     def clock_bound_s(self) -> float | None:
-        """Half of the shortest round trip of the last ten seconds [s]; None before the first answer, and inf where one
-        left the controller before it came there, by its own ticks: such a clock tells nothing. Of a polled drive half
-        of the median wait for the last answers: each sample is as uncertain as its own."""
+        """Half of the shortest round trip of the last ten seconds [s]; None before the first answer.
+
+        Infinite where an answer's ticks precede its question's: such a clock gives no bound. For a polled drive: half
+        of the median wait for the last answers.
+        """
         with self._lock:
             if self._polled:
                 return 0.5e-9 * sorted(self._waits)[len(self._waits) // 2] if self._waits else None
@@ -268,4 +270,4 @@ class ImuIntake:
         self.pivot_rad += gyro * period_s
         if calm:
             away = math.remainder(down - self.pivot_rad, math.tau)
-            self.pivot_rad += away * period_s / GRAVITY_PULL_S
+            self.pivot_rad += away * period_s / GRAVITY_S

@@ -19,7 +19,7 @@ from drivers import Drive, Lsm9ds1, hello_of
 
 COLUMN = "tau2_cmd_nm"
 SLEW_S = 0.01
-"""Time over which a plan's steepest change counts [s]: a leg feels a ramp that is shorter as a jump."""
+"""Window of a plan's largest slew rate [s]; to a leg a shorter ramp is a step."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """From the first command to the end of the last one's hold [s]."""
+        """Duration from the first command to the end of the last one's hold [s]."""
         return float(self.time_s[-1] - self.time_s[0] + np.median(np.diff(self.time_s)))
 
     @property
@@ -56,7 +56,7 @@ class Plan:
 
     @property
     def slew_nmps(self) -> float:
-        """Steepest change [N m/s] over 10 ms, from zero before the first command and to zero behind the last."""
+        """Largest slew rate [N m/s] over 10 ms, from zero before the first command and to zero after the last."""
         torque = np.concatenate(([0.0], self.torque_nm, [0.0]))
         times = np.concatenate(([self.time_s[0] - 1.0], self.time_s, [self.time_s[0] + self.duration_s]))
         held = np.searchsorted(times, times - SLEW_S * (1 - 1e-6), side="right") - 1  # what was asked for 10 ms before

@@ -29,8 +29,7 @@ FAST_S, SLOW_S = 0.02, 0.25
 """Memory of the two comparisons of torque [s]: a wrong drive shows in the fast one, a dead shunt under a gentle plan in
 the slow one."""
 STUCK_SHARE = 0.5
-"""A reading that stays the same to the digit while what it follows moves by so much of the band is stuck: the shunt's
-beside the command, an angle's beside the joint's other one."""
+"""Share of the band by which the command, or the joint's other angle, moves while a stuck reading stays the same."""
 STUCK_STEPS = 1.5
 """An angle that changes by steps may stay the same for one of either sensor's, and a little for noise."""
 WINDOW_S = 0.25
@@ -53,7 +52,7 @@ RAIL = 32_700
 """Counts of 16 bits from which on a reading is at its rail."""
 
 
-class Doubts(NamedTuple):
+class SuspectTimes(NamedTuple):
     """Times for which each check has failed [s]; None: nothing to check it by."""
 
     controller_age_s: float
@@ -67,7 +66,7 @@ class Doubts(NamedTuple):
 
 
 class Lasting:
-    """How long something has been wrong without a break."""
+    """Duration for which a condition has held without a break."""
 
     def __init__(self) -> None:
         self._since_s: float | None = None
@@ -203,7 +202,7 @@ class TwoAngles:
         self.wrong.see(short or stuck or (far and not self._drifts), time_s, alone > steps)
 
     def look(self, first_rad: float, second_rad: float) -> None:
-        """What they read while it is too early to compare them: shows by what steps they change."""
+        """Learn the angles' steps from readings before a comparison is possible."""
         for k, (one, other) in enumerate(((first_rad, second_rad), (second_rad, first_rad))):
             if one == self._changed[k][0] or math.isnan(one):
                 continue
@@ -324,15 +323,17 @@ class Plausibility:
         return max((speed for _, speed in self._speeds), default=0.0)
 
     def arm(self, trip_s: float = APART_S) -> None:
-        """From now on the motor drives; `trip_s`: the link's shortest round trip [s], which no frame's way exceeds that
-        came without delay."""
+        """Start the checks of a driven motor; `trip_s`: the link's shortest round trip [s].
+
+        No frame without delay takes longer.
+        """
         self._armed = True
         self._pivot.forget()
         self._trip_s = trip_s + self._periods_s
 
-    def doubts(self, now_ns: int) -> Doubts:
+    def suspects(self, now_ns: int) -> SuspectTimes:
         """For how long each check has failed."""
-        found = Doubts(self._progress.age_s(now_ns), self._echo.wrong.lasted_s, self._torque.wrong.lasted_s,
+        found = SuspectTimes(self._progress.age_s(now_ns), self._echo.wrong.lasted_s, self._torque.wrong.lasted_s,
                        self._encoder.wrong.lasted_s)
         if self._imu is None:
             return found

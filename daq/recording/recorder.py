@@ -44,7 +44,7 @@ Progress = Callable[[float, float], None]
 
 @dataclass(frozen=True)
 class RecordReport:
-    """What a finished recording did."""
+    """Report on a finished recording."""
 
     duration_s: float
     commands: int
@@ -219,8 +219,8 @@ class Recorder:
             write_rest()
         elif not in_time(write_rest, FINISH_S):
             first = f"{why}; " if why else ""
-            raise WorkError(f"{first}{self._writer.path}: the disk does not answer, the file is not finished; when it "
-                            "does again, legid recover mends it")
+            raise WorkError(f"{first}{self._writer.path}: the disk does not answer, so the file is not finished; "
+                            "repair it with legid recover when the disk answers again")
 
     def _confirm_off(self) -> str:
         """What the controller itself says of the torque after the Stop; empty when it says nothing in time."""

@@ -53,7 +53,7 @@ class Row(NamedTuple):
 
 
 class Status(Struct, tag="status"):
-    """What the recorder says of itself while it works."""
+    """The recorder's own status while it works."""
 
     phase: Literal["opening", "waiting", "driving", "ending"]
     rows: list[Row] = []
@@ -116,7 +116,7 @@ class Remote:
         self._thread.start()
 
     def attach(self, stop_motor: Callable[[], None], status: Callable[[], Status]) -> None:
-        """What to call at an emergency, from the listening thread, and where a status comes from."""
+        """Set the callback of an emergency, from the listening thread, and the source of the status."""
         self._stop_motor, self._status = stop_motor, status
         if self.emergency:
             self._stop()

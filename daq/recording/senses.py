@@ -60,13 +60,13 @@ class Senses:
         """The rig now, as the supervisor wants it: what cannot be read is NaN, unless the rig file gave it up."""
         limits, telemetry, knee = self._rig.limits, self._leg.telemetry, self._leg.knee()
         speed = self._imu.gyro_radps if self._imu and self._imu.samples else None
-        doubts = self._plausible.doubts(now_ns)._asdict()
+        suspects = self._plausible.suspects(now_ns)._asdict()
         found = Sample(
             torque_cmd_nm=torque_cmd_nm, q1_speed_radps=speed, gyro_radps=speed, unsaved_s=unsaved_s,
             imu_age_s=(now_ns - self._imu.heard_ns) * 1e-9 if self._imu else None,
             pivot_age_s=(now_ns - self._pivot.heard_ns) * 1e-9 if self._pivot else None,
             shunt_age_s=(now_ns - self._shunt.heard_ns) * 1e-9 if self._shunt else None,
-            clock_bound_s=self._leg.clock_bound_s(), **doubts)
+            clock_bound_s=self._leg.clock_bound_s(), **suspects)
         if telemetry is None or knee is None:
             return found
         q1, (q2, q2_speed) = self._pivot_rad(telemetry), knee

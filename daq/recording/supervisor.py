@@ -49,7 +49,7 @@ class Sample(NamedTuple):
 
 
 class Trip(NamedTuple):
-    """A quantity beside its limit."""
+    """A quantity and its limit."""
 
     limit: str
     """Key under `[limits]` in rig.toml."""

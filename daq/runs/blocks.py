@@ -31,7 +31,7 @@ class Mean:
 
 
 def block_means(values: FloatArray, blocks: int = BLOCKS) -> FloatArray:
-    """(blocks,) means of equal stretches of `values` (n,), n at least `blocks`; a remainder at the end is left out."""
+    """(blocks,) means of equal segments of `values` (n,), n at least `blocks`; a remainder at the end is left out."""
     size = values.size // blocks
     return values[: size * blocks].reshape(blocks, size).mean(axis=1)
 

@@ -1,4 +1,4 @@
-"""Which columns a run must have for a mechanism: the contract of the CSV, as data."""
+"""Columns that a run must have for a mechanism: the contract of the CSV, as data."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def imu_columns(number: int) -> tuple[str, str, str]:
 
 
 def imu_columns_of(rig: Rig) -> list[str]:
-    """Of all IMUs of the rig."""
+    """Columns of all IMUs of the rig."""
     return [name for k in range(len(rig.imus)) for name in imu_columns(k)]
 
 
@@ -79,8 +79,8 @@ def _torque_joints(rig: Rig) -> list[int]:
     return sorted(joints | {2} if rig.mechanism.model == "leg2" and joints else joints)
 
 
-def encoders_beside_imus(rig: Rig) -> tuple[int, ...]:
-    """1-based joints whose encoders are read beside the rig's IMUs."""
+def encoders_with_imus(rig: Rig) -> tuple[int, ...]:
+    """1-based joints whose encoders are read in addition to the rig's IMUs."""
     named = rig.mechanism.encoders
     return tuple(range(2, joint_count(rig.mechanism) + 1)) if named is None else named
 
@@ -89,7 +89,7 @@ def _missing_angle(rig: Rig, present: Collection[str]) -> Missing | None:
     m, imus = rig.mechanism, imu_columns_of(rig)
     elsewhere = len(rig.imus) > 1 or rig.imus[0].link > 1 or m.encoders is not None
     if elsewhere or (m.model != "leg2" and rig.imu is not None and any(name in present for name in imus)):
-        needed = [*imus, *(f"q{j}_rad" for j in encoders_beside_imus(rig))]
+        needed = [*imus, *(f"q{j}_rad" for j in encoders_with_imus(rig))]
         absent = [name for name in needed if name not in present]
         angles = [f"q{j}_rad" for j in range(1, joint_count(m) + 1)]
         alone = len(m.encoders or angles) == len(angles) and all(name in present for name in angles)

@@ -133,7 +133,7 @@ def _header_names(path: Path, header: str) -> list[str]:
         raise InputError(where, "is not comma separated", "write the file with commas between columns")
     for name in names:
         if not name:
-            raise InputError(where, "has a column without a name", "name every column")
+            raise InputError(where, "has an unnamed column", "name every column")
         if names.count(name) > 1:
             raise InputError(where, f"names column {name} twice", "keep one of them")
     return names
@@ -180,7 +180,7 @@ def _find_fault(path: Path, names: list[str], body: str, checked: set[str]) -> s
         if len(cells) != len(names):
             column = names[len(cells)] if len(cells) < len(names) else names[-1]
             raise InputError(f"{place}, column {column}",
-                             f"the line has {len(cells)} cells, the header {len(names)}", "mend or cut the line")
+                             f"the line has {len(cells)} cells, the header {len(names)}", "correct or delete the line")
         for name, cell in zip(names, cells):
             fault = _fault(cell, MOST if name in checked else MOST_OF_OTHERS)
             if fault and name in checked:
@@ -200,7 +200,7 @@ def _cells(where: str, line: str) -> list[str]:
     try:
         return next(csv.reader([line.rstrip("\n")], strict=True))
     except csv.Error as error:
-        raise InputError(where, f"cannot be read as CSV ({error})", "mend or cut the line") from None
+        raise InputError(where, f"cannot be read as CSV ({error})", "correct or delete the line") from None
 
 
 def _fault(cell: str, most: float) -> str:

@@ -1,4 +1,4 @@
-"""By what a run file is not what was recorded: a lost end, parts that are broken, missing or there twice.
+"""Damage of a run file: a lost end, parts that are broken, missing or there twice.
 
 A file that was killed is readable to its last flush, and its end is missing: `recover` makes a whole file of it, which
 is a shorter run and no damaged one. A hole within a run stays one.
@@ -36,7 +36,7 @@ def damage_of(scan: Scan, messages: int, unreadable: int, imu: NDArray[np.void])
 
 
 def holes(scan: Scan, messages: int) -> list[Damage]:
-    """What is missing or broken within the file, by its check sums and its own count of messages."""
+    """Missing or broken parts within the file, by its check sums and its own count of messages."""
     found = []
     if scan.damaged_chunks:
         found.append(Damage("check_sum", f"{scan.damaged_chunks} damaged chunks left out, their check sums are wrong"))

@@ -212,7 +212,7 @@ class RunWriter:
 
 @dataclass(frozen=True)
 class RawRun:
-    """What a run file holds, unconverted."""
+    """Content of a run file, unconverted."""
 
     name: str
     facts: Mapping[str, str]
@@ -283,7 +283,7 @@ def attached_texts(path: Path | str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class RecoverReport:
-    """What `recover` saved."""
+    """Report on what `recover` saved."""
 
     messages: int
     damaged_chunks: int

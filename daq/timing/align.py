@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
-from daq.findings import Doubt
+from daq.findings import Flag
 from daq.rig import Rig, parse_rig
 from daq.runs import MIN_SAMPLES, RawRun
 from daq.si_units import imu_columns, joint_torque, knee_angle
 from daq.timing.clock import ImuClock, TickClock, fit_answers, fit_samples, fit_ticks
-from daq.timing.doubts import doubts
+from daq.timing.flags import flag_run
 from daq.timing.held_torque import split_torque
 from daq.timing.notes import configured, increasing, unusable
 from daq.timing.polled import pivot_channel, shunt_channel
@@ -40,7 +40,7 @@ class Decoded(NamedTuple):
     """At the controller's tick; the torque; with an IMU, last, its samples."""
     bound_s: float
     """How far the time line of the IMU, without one the pivot sensor's, may be off the controller's [s]."""
-    doubts: tuple[Doubt, ...]
+    flags: tuple[Flag, ...]
     """What cannot be true of one IMU on one leg."""
     clocks: Mapping[str, str]
     """What was timed -> how it ran against the host's clock, in words."""
@@ -70,7 +70,7 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
     if distance.size:
         channels.append(_distance_channel(distance, epoch_ns))
     bound_s, words = 0.0, {"controller clock": _clock_words(clocks, time_ns if asked else None)}
-    flagged: tuple[Doubt, ...] = ()
+    flagged: tuple[Flag, ...] = ()
     if raw.streams["/pivot"].size:
         pivot, late_s = pivot_channel(raw, rig, epoch_ns)
         channels = [TimedColumns(c.time_s, {n: v for n, v in c.columns.items() if n != "q1_rad"}) for c in channels]
@@ -84,7 +84,7 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
         clock = fit_samples(samples, epoch_ns)
         bound_s = clock.bound_s + max(other.bound_s for other in clocks)
         channels.append(_imu_channel(raw, samples, clock, rig))
-        flagged = tuple(doubts(raw, rig, configured(raw, "imu")))
+        flagged = tuple(flag_run(raw, rig, configured(raw, "imu")))
         words["IMU clock"] = f"{clock.rate_hz:.3f} Hz, within {clock.bound_s * 1e6:.0f} us"
     if any(channel.time_s.size < 2 for channel in channels):
         raise unusable(raw, "is too short for its clocks to be put together")
@@ -112,12 +112,12 @@ def align(raw: RawRun, rig: Rig, rate_hz: float | None = None) -> Dataset:
         dataset = replace(dataset, columns={**dataset.columns, "tau2_nm": torque})
     if len(dataset) < MIN_SAMPLES:
         raise unusable(raw, f"gives {len(dataset)} samples on the grid, at least {MIN_SAMPLES} are needed")
-    own, flagged = None, found.doubts
+    own, flagged = None, found.flags
     try:
         own = recorded_rig(raw) if "rig.toml" in raw.files else None
     except InputError as error:
-        flagged = (*flagged, Doubt("rig", f"the rig file inside it cannot be read: {error}"))
-    return replace(dataset, clock_bound_s=found.bound_s, damage=raw.damage, doubts=flagged, recorded_on=own)
+        flagged = (*flagged, Flag("rig", f"the rig file inside it cannot be read: {error}"))
+    return replace(dataset, clock_bound_s=found.bound_s, damage=raw.damage, flags=flagged, recorded_on=own)
 
 
 def recorded_rig(raw: RawRun) -> Rig:

@@ -50,7 +50,7 @@ class TickClock:
 def fit_ticks(probes: NDArray[np.void], epoch_ns: int) -> TickClock:
     """Clock from the probes of one boot (fields of the `/leg/clock` stream), at least one.
 
-    Quadratic over the whole run through the best tenth of the round trips, taken from six stretches of it
+    Quadratic over the whole run through the best tenth of the round trips, taken from six segments of it
     alike so that the ends are held too; short runs get a straight line or, below 2 s, a constant. The device
     reads its clock twice within a probe; what is left of the round trip bounds the error by its half.
     """
@@ -98,7 +98,7 @@ def _unwrapped(tick_us: NDArray[np.integer], near_ns: FloatArray, anchor_tick: i
 
 
 def _best_trips(trip: FloatArray, since: FloatArray) -> NDArray[np.intp]:
-    """Indices of the shortest tenth (at least two) of the round trips in each of six stretches of time."""
+    """Indices of the shortest tenth (at least two) of the round trips in each of six segments of time."""
     edges = np.linspace(since.min(), since.max(), _BINS + 1)[1:-1]
     bins = np.searchsorted(edges, since, side="right")
     chosen = []
@@ -114,7 +114,7 @@ class ImuClock:
     """Host times of IMU samples."""
 
     time_ns: FloatArray
-    """(n,) [ns after epoch] for the samples given; NaN where a stretch was too short, or too disturbed, to time."""
+    """(n,) [ns after epoch] for the samples given; NaN where a segment was too short, or too disturbed, to time."""
     rate_hz: float
     """Measured with the host's clock."""
     bound_s: float
@@ -128,12 +128,12 @@ def fit_samples(samples: NDArray[np.void], epoch_ns: int) -> ImuClock:
     middle of the read of the fill level, half of whose length goes into the bound. Drains hit the sample
     period at all phases, so `t` lies half a period after sample `i` in the mean, and a line (for long runs a
     spline with a knot every 30 s: the chip's oscillator warms up) through those gives the rate; the envelope
-    of both statements over the whole run then sets the offset. How late a drain comes does not matter.
-    Stretches between losses of unknown length are timed on their own.
+    of both statements over the whole run then sets the offset. A late drain does no harm.
+    Segments between losses of unknown length are timed on their own.
     """
     time_ns = np.full(samples.shape, np.nan)
-    stretch = np.cumsum(samples["gap_before"])
-    _, starts = np.unique(stretch, return_index=True)
+    segment = np.cumsum(samples["gap_before"])
+    _, starts = np.unique(segment, return_index=True)
     parts = [slice(int(a), int(b)) for a, b in zip(starts, [*starts[1:], samples.size])]
     drains = [_drains(samples[part], epoch_ns) for part in parts]
     longest = max(range(len(parts)), key=lambda k: drains[k][0].size)
@@ -170,7 +170,7 @@ def _drains(samples: NDArray[np.void], epoch_ns: int) -> tuple[FloatArray, Float
 def _envelope(index: FloatArray, looked: FloatArray, period: float) -> tuple[Curve, float, float, float] | None:
     """Curve of sample time over index, the ends between which its offset lies, and the curve's own error [ns].
 
-    None where the drains of a short stretch contradict each other.
+    None where the drains of a short segment contradict each other.
     """
     middle = looked - 0.5 * period
     keep = np.ones(index.shape, bool)

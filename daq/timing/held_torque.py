@@ -35,7 +35,7 @@ SPARSE = 1.01
 
 
 class Response(NamedTuple):
-    """How the torque follows its command."""
+    """Response of the torque to its command."""
 
     delay_s: float
     lag_s: float

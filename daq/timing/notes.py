@@ -1,4 +1,4 @@
-"""What a run file says of its devices, and which of its samples come in order."""
+"""Notes of a run file on its devices, and which of its samples are in order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the times at which samples were taken to a uniform grid, all channels through the same filter.
+"""Resampling from the samples' own times to a uniform grid, all channels through the same filter.
 
 Two cases, chosen once for all channels of a run so that none is filtered or delayed against another:
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
-from daq.findings import Doubt
+from daq.findings import Flag
 from daq.runs import CLOCK_BOUND, RawTable
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def align_table(table: RawTable, rate_hz: float) -> Dataset:
     if step_s * rate_hz > OVERSAMPLED:
         text = (f"has {1.0 / step_s:.3g} samples a second, the grid {rate_hz:g}: each counts {step_s * rate_hz:.2g} "
                 f"times, and intervals are too narrow; set rate_hz = {1.0 / step_s:.3g} under [sampling]")
-        run = replace(run, doubts=(*run.doubts, Doubt("grid", text)))
+        run = replace(run, flags=(*run.flags, Flag("grid", text)))
     bound = table.columns.get(CLOCK_BOUND)
     return run if bound is None else replace(run, clock_bound_s=float(np.max(bound)))
 

@@ -1,7 +1,7 @@
-"""What is left between the IMU's time line and the encoders' after both were put onto the host's: by correlation.
+"""Remaining time offset between the IMU and the encoders after both were put on the host's time line.
 
-The pivot's Hall sensor and the gyro see the same motion. The gyro's integral must then be the Hall angle, up to a
-constant, the gyro's bias and its drift; if it is late by d, d times the gyro is left over, which a regression finds.
+The pivot's Hall sensor and the gyro see the same motion. Integral of the gyro = Hall angle + constant + bias and drift
++ d * gyro, where d is the gyro's delay. A regression estimates d.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def measure_skew(run: Dataset) -> Skew | None:
 
 
 def _longest_whole(good: np.ndarray) -> slice:
-    """The longest stretch of true values."""
+    """The longest segment of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], good.astype(int), [0]))))
     if not edges.size:
         return slice(0, 0)

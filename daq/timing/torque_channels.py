@@ -40,7 +40,7 @@ class Figure(NamedTuple):
 
 
 class TorqueChannels(NamedTuple):
-    """What the second shunt's torque is of the drive's."""
+    """The second shunt's torque against the drive's."""
 
     gain: Figure
     offset_nm: Figure

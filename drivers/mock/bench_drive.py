@@ -1,4 +1,4 @@
-"""What every emulated drive has in common: the far end of its cable, its motor, its sensors, its warmth.
+"""Common parts of every emulated drive: the far end of its cable, its motor, its sensors, its warmth.
 
 `BenchDrive` knows no protocol. A drive's emulator gives the frames; `MockRig` steps it with the leg's physics.
 """
@@ -27,7 +27,7 @@ COUNTS = 16_384
 
 
 class DriveFacts(NamedTuple):
-    """How an emulated drive is found by default."""
+    """Default address and identity of an emulated drive."""
 
     node: int
     rate_hz: float
@@ -121,7 +121,7 @@ class BenchDrive(ABC):
         return self.settings.torque_gain * self.stage_gain * self.motor.step(t0_ns, (t1_ns - t0_ns) * 1e-9, asked)
 
     def observe(self, segment: Segment) -> None:
-        """What the sensors see of a step; the motor warms up."""
+        """Update the sensors after a step; the motor warms up."""
         self._segment = segment
         s, span_s = self.settings, (segment.t1_ns - self._warmed_ns) * 1e-9
         if span_s >= 0.01:
@@ -145,7 +145,7 @@ class BenchDrive(ABC):
 
     @property
     def turns(self) -> float:
-        """What its encoder counts [turns of its own]; NaN where that is lost."""
+        """Angle by its encoder [turns of its own]; NaN where that is lost."""
         if not self.encoder_ok:
             return math.nan
         true = (self._state.q2_motor + self.settings.knee_zero_rad) * self.wiring.turns / (2.0 * math.pi)

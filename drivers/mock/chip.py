@@ -1,4 +1,4 @@
-"""What emulated I2C chips with plain registers have in common: transfers, time on the wire, failures on demand."""
+"""Common parts of emulated I2C chips with plain registers: transfers, time on the wire, failures on demand."""
 
 from __future__ import annotations
 
@@ -69,5 +69,5 @@ class MockChip:
         raise NotImplementedError
 
     def read(self, register: int, count: int) -> bytes:
-        """What `count` bytes from `register` on read."""
+        """`count` bytes from `register` on."""
         raise NotImplementedError

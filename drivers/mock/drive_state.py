@@ -95,7 +95,7 @@ class DriveState:
         self._report(fault, value)
 
     def poll(self, t_ns: int, estop_open: bool) -> None:
-        """What is due by the clock alone: E-stop, watchdog, the end of holding."""
+        """Apply events that are due by the clock: E-stop, watchdog, the end of holding."""
         if estop_open:
             self.trip(Fault.ESTOP, t_ns=t_ns)
         self.check_watchdog(t_ns)
@@ -135,9 +135,9 @@ class DriveState:
     def _hold_torque(self) -> float:
         s = self._settings
         stiffness, damping = round(s.hold_stiffness_nm_per_rad * 1e3), round(s.hold_damping_nms_per_rad * 1e3)
-        pull = stiffness * (self._knee_urad - self._held_urad) + damping * self._speed_uradps
-        torque = min(abs(pull) // 1000, round(s.hold_torque_nm * 1e6))
-        return (-torque if pull > 0 else torque) / 1e6
+        spring = stiffness * (self._knee_urad - self._held_urad) + damping * self._speed_uradps
+        torque = min(abs(spring) // 1000, round(s.hold_torque_nm * 1e6))
+        return (-torque if spring > 0 else torque) / 1e6
 
 
 def _shrunk(raw: int, before: int, over: int) -> int:

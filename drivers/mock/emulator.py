@@ -198,7 +198,7 @@ class FirmwareEmulator:
         return int(self.drive.latched) | (ESTOP_OPEN if self.estop_open else 0)
 
     def reboot(self) -> None:
-        """As after a brown-out: new boot id, tick and sequence from the start, torque off, nothing latched."""
+        """Restart as after a brown-out: new boot id, tick and sequence from the start, torque off, nothing latched."""
         self._boot(self._t_ns)
 
     # -- sensors -------------------------------------------------------------------------------------------

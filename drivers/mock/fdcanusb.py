@@ -31,7 +31,7 @@ class MockFdcanusb:
         self._take(data, t_ns, self._device.post)
 
     def transmit(self, until_ns: int) -> list[tuple[int, bytes]]:
-        """What left the adapter up to `until_ns`."""
+        """Bytes that left the adapter up to `until_ns`."""
         out, self._answers = self._answers, []
         for t_ns, frames in self._device.transmit(until_ns):
             lines = b"".join(self._line(f"rcv {f.can_id:x} {f.data.hex().upper()} {'E' if f.extended else 'e'} B F")

@@ -1,4 +1,4 @@
-"""From the leg's motion to the raw numbers of an IMU on link 1: geometry, errors, noise, quantiser, clipping."""
+"""Raw numbers of an IMU on link 1 from the leg's motion: geometry, errors, noise, quantiser, clipping."""
 
 from __future__ import annotations
 

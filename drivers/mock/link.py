@@ -48,7 +48,7 @@ class EmulatorLink:
         device.transmit(clock.now_ns())  # said before anybody listened
 
     def read(self) -> Any:
-        """What has arrived; waits up to the timeout for something to. Raises `LinkLost` once unplugged."""
+        """Bytes that have arrived; waits up to the timeout for some. Raises `LinkLost` once unplugged."""
         deadline = self._clock.now_ns() + round(self._timeout_s * 1e9)
         while not (data := self._arrived()):
             now = self._clock.now_ns()
@@ -72,7 +72,7 @@ class EmulatorLink:
         self._device.post(data, self._down_last)
 
     def close(self) -> None:
-        """Nothing more comes or goes; what was written still arrives."""
+        """Close the link; bytes already written still arrive."""
         self._lost = True
 
     def unplug(self) -> None:

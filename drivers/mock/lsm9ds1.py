@@ -94,7 +94,7 @@ class MockLsm9ds1:
         return len(self._fifo)
 
     def mark_overrun(self) -> None:
-        """As if older samples had just been overwritten."""
+        """Mark older samples as overwritten."""
         self._overrun = True
 
     def fail(self, errno: int, times: int = 1, after_bytes: int = 0) -> None:

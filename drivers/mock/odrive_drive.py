@@ -43,7 +43,7 @@ class MockOdrive(BenchDrive):
         self.deaf: set[Msg] = set()
         """Messages that this firmware does not answer."""
         self.cyclic: dict[Msg, int] = {}
-        """Messages that come by themselves, every so many ns."""
+        """Period [ns] of each cyclic message."""
         self.driver_ok = True
         self.axis, self.active, self.reason = IDLE, OdriveError(0), OdriveError(0)
         self._asked_nm, self._mode = 0.0, 0

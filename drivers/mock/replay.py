@@ -1,6 +1,6 @@
 """A recorded run as devices: the frames and registers that were read, at the times at which they were read.
 
-Nothing runs by itself here. Whoever plays the recording (`experiments.emulation`) moves the clock to the next thing
+Nothing runs in a thread. Whoever plays the recording (`experiments.emulation`) moves the clock to the next thing
 that the recorder did, lets the device have ready what it brought then, and has the driver fetch it.
 """
 
@@ -32,11 +32,11 @@ class ReplayLink:
         self._decoder = Decoder()
 
     def put(self, messages: Sequence[Message]) -> None:
-        """What the next read brings."""
+        """Set the bytes of the next read."""
         self._ready += b"".join(map(encode, messages))
 
     def read(self) -> bytes:
-        """What was put in; an empty read takes a millisecond."""
+        """The bytes that were put in; an empty read takes a millisecond."""
         if not self._ready:
             self._clock.sleep(0.001)
         data, self._ready = self._ready, b""
@@ -117,7 +117,7 @@ def pong(row: Any) -> Pong:
 
 
 def rebooted(hello: Hello, boot_id: int) -> Hello:
-    """What the same controller says after a restart."""
+    """The same controller after a restart."""
     return replace(hello, boot_id=boot_id)
 
 

@@ -39,13 +39,13 @@ class EmulatedDrive(SerialDevice, Protocol):
 
     @property
     def motor(self) -> Motor:
-        """What it asks of the joint, and what acts."""
+        """Torque that it asks of the joint, and torque that acts."""
 
     def torque_over(self, t0_ns: int, t1_ns: int) -> float:
         """Mean joint torque [N m] in the physics step that follows."""
 
     def observe(self, segment: Segment) -> None:
-        """What its sensors see of a step."""
+        """Update the sensors after a step."""
 
 
 DriveMaker = Callable[[FirmwareSettings, int, int, Callable[[int], None], threading.RLock], EmulatedDrive]
@@ -61,7 +61,7 @@ def _module(kind: str) -> Any:
 
 
 def drive_facts(kind: str) -> DriveFacts:
-    """Of a kind of drive, other than our own firmware. Raises `DeviceAbsent`."""
+    """Facts about a kind of drive other than legid's firmware. Raises `DeviceAbsent`."""
     facts: DriveFacts = _module(kind).FACTS
     return facts
 
@@ -131,7 +131,7 @@ class MockRig:
 
     @property
     def t_ns(self) -> int:
-        """How far the physics has come [ns], host time."""
+        """Time up to which the physics is simulated [ns], host time."""
         return self._t_ns
 
     def advance_to(self, t_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""What an emulated rig is made of: errors, noise, clocks, limits. The noise figures are assumptions."""
+"""Settings of an emulated rig: errors, noise, clocks, limits. The noise figures are assumptions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ImuSettings:
 
 @dataclass(frozen=True)
 class PivotSettings:
-    """How the pivot's magnet sits over its AS5600, and the chip's errors."""
+    """Mounting of the pivot's magnet over its AS5600, and the chip's errors."""
 
     zero_rad: float = 0.0
     """What the chip reads when the leg hangs."""
@@ -41,7 +41,7 @@ class PivotSettings:
     noise_rad: float = 7.5e-4
     """0.043 degrees, the datasheet's figure for the slow filter at 2x."""
     eccentricity_rad: float = 0.0
-    """Once a turn, of a magnet beside the axis."""
+    """Amplitude of the error once a turn, from a magnet off the axis."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from .imu_encoder import ACCEL as ACCEL
 from .imu_encoder import SIGNALS as SIGNALS
 from .imu_encoder import EncoderFit as EncoderFit
 from .imu_encoder import Found as Found
-from .imu_encoder import Stretch as Stretch
+from .imu_encoder import Segment as Segment
 from .imu_encoder import fit_imu as fit_imu
 from .imu_faults import ImuReading as ImuReading
 from .imu_faults import read_imu as read_imu

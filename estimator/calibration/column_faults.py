@@ -1,9 +1,8 @@
-"""Columns whose sign, unit, order or gear is wrong, recognised by trying what would mend them.
+"""Columns whose sign, unit, order or gear is wrong, found by trying the corrections.
 
-A record obeys tau = Z(q, qd, qdd) beta with the beta of some mechanism under one reading of its columns only: torque
-the other way round makes every inertia negative, degrees leave nothing of gravity's sine. Each likely mistake is undone
-in turn and least squares is asked again; the one that makes a mechanism, and leaves least, is named. What no motion can
-show, such as the torque's scale, is not among them.
+A record obeys tau = Z(q, qd, qdd) beta with a possible beta under the right reading of its columns only. Each likely
+mistake is corrected and least squares repeated; the correction with a possible beta and the smallest residual is
+reported. Mistakes that no motion shows, such as the torque's scale, are not tried.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ CLEAR = 1.4
 ALIKE = 1.25
 """Of readings that leave less than so many times the least, those with the fewest changes are named."""
 MOST_LEFT = 0.5
-"""Share of the torque that a reading which is right may leave over."""
+"""Largest torque residual of a right reading, as a share of the torque."""
 GEAR_STEPS = np.exp(np.linspace(np.log(0.25), np.log(4.0), 25))
 """Factors of an angle that are tried; a gear ratio that is wrong by any factor lies near one."""
 COUNT_SPANS = np.exp(np.linspace(np.log(0.1), np.log(20.0), 45))
@@ -54,7 +53,7 @@ class Remedy:
     what: str
     """What looks wrong."""
     write: str
-    """What mends it."""
+    """The correction."""
     angles: FloatArray
     """(n, n)"""
     zero: FloatArray
@@ -74,11 +73,11 @@ class Remedy:
 
 @dataclass(frozen=True)
 class Reading:
-    """What least squares makes of the records under one reading."""
+    """Least squares of the records under one reading of their columns."""
 
     remedy: Remedy
     left: float
-    """Share of the torque that is left over."""
+    """Residual as a share of the torque."""
     faults: tuple[str, ...]
     clear: float = CLEAR
     """How many times less it must leave than the record as it is."""
@@ -86,7 +85,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Filtered motion of all stretches, thinned: (m, n) each, and the rows at which a stretch ends."""
+    """Filtered motion of all segments, thinned: (m, n) each, and the rows at which a segment ends."""
 
     q: FloatArray
     qd: FloatArray
@@ -103,10 +102,9 @@ def as_it_is(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 
 def find_remedies(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float = 1.0
                   ) -> tuple[Reading, tuple[Reading, ...]]:
-    """The records as they are, and the readings that mend them, the best first; none where nothing does.
+    """The records as they are, and the corrected readings, the best first; none if no correction helps.
 
-    On the IMU path the pivot's columns are taken as they are: the accelerometer shows by itself whether they are right.
-    Raises `FitError`.
+    On the IMU path the pivot's columns are not corrected: the accelerometer checks them. Raises `FitError`.
     """
     motion = _filtered(datasets, mechanism, options)
     nothing = _read(motion, mechanism, options, _nothing(mechanism.n))
@@ -137,13 +135,13 @@ def _filtered(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
     rate = signals[0].rate_hz
     band = min(SLOW_HZ, 0.1 * rate)
     thin = max(1, int(rate / (OVERSAMPLED * band)))
-    stretches = []
+    segments = []
     for s in signals:
         k = differentiate(s, mechanism, min(4.0 * band, 0.4 * rate), options.filter_order, fused=True)
         tau = lowpass(s.torque, min(4.0 * band, 0.4 * rate), rate, options.filter_order)
-        stretches.append([x[::thin] for x in (*k, tau)])
-    q, qd, qdd, tau = (np.concatenate(rows) for rows in zip(*stretches))
-    return _Motion(q, qd, qdd, tau, tuple(np.cumsum([len(rows[0]) for rows in stretches])), rate / thin)
+        segments.append([x[::thin] for x in (*k, tau)])
+    q, qd, qdd, tau = (np.concatenate(rows) for rows in zip(*segments))
+    return _Motion(q, qd, qdd, tau, tuple(np.cumsum([len(rows[0]) for rows in segments])), rate / thin)
 
 
 def _read(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> Reading:

@@ -6,8 +6,8 @@ d_2 (known) and d_3 (foot to spot), and gamma_3 at the meter. The spot lies ahea
 between the leg and the ground ahead is pi/2 - q1 for a leg that leans by q1 towards the spot, and the sine rule
 gives sin(pi/2 - q1) = d_1 sin(gamma_3) / d_3. (52) takes the acute angle, (53) the obtuse one.
 
-The print of (53) has lost its sign's reason: the obtuse angle at the foot means a leg that leans away from the
-spot, q1 < 0, and q1 = -(pi/2 - arcsin(...)), which is the printed -pi/2 + arcsin(...).
+The sign of (53): the obtuse angle at the foot means a leg that leans away from the spot, q1 < 0, so
+q1 = -(pi/2 - arcsin(...)).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Zeros of encoders that differ from run to run, such as of drives that count from where they were switched on.
 
-A wrong zero turns gravity, so it shows as a torque that the model has no term for, different in every run. It is found
-by least squares of (28) beside beta, (Z beta) linearised in the angle, and taken off before anything else is fitted.
+A wrong zero adds d(Z beta)/dq times the zero to the torque of each run. Least squares of (28) estimates zeros and beta
+together; the zeros are subtracted before any fit.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ SLOW_HZ = 3.0
 """Most of a cutoff: gravity's torque is as slow as the motion. (Measured on two arms: the same zeros with 1 to 10 Hz,
 on grids of 25 to 200 Hz, within 10 mrad; none with 30 Hz, where accelerations are noise.)"""
 STEPS = 10
-SETTLED_RAD = 1e-4
+CONVERGED_RAD = 1e-4
 """Zeros are found when a step moves none by more."""
 PROBE_RAD = 1e-4
 """Angle over which (Z beta) is differenced."""
 ALPHA = 1e-3
 """p-value of a joint, times the joints asked, below which its zeros differ, ..."""
 LEAST_FALL = 0.1
-"""... if without them so much less torque is left over at some joint. (Measured: p from 3e-7 to 1e-5, a fall by 41 to
-50 % on two real arms; on 104 legs with other things wrong p < 1e-3 twice, with a fall by 2 % at most.)"""
+"""... if the zeros reduce the torque residual of a joint by this share. (Measured: p from 3e-7 to 1e-5 and 41 to 50 %
+on two real arms; p < 1e-3 on 2 of 104 legs with other faults, with 2 % at most.)"""
 FEWEST_RUNS = 4
 """Of two or three, the halves agree by chance too often."""
 
 
 @dataclass(frozen=True)
 class Zeros:
-    """What each run's encoders read too much."""
+    """Zero of each encoder in each run: reading less angle."""
 
     joints: tuple[int, ...]
     """0-based"""
@@ -58,7 +58,7 @@ class Differing:
     p_value: FloatArray
     """(joints,) that the two halves of a run agree so much better than the runs"""
     left: FloatArray
-    """(n,) torque that least squares leaves over without the zeros, as a share of what it leaves with them"""
+    """(n,) torque residual of least squares without the zeros over that with them"""
 
 
 def find_differing(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> Differing | None:
@@ -83,7 +83,7 @@ def find_differing(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
             return None
         differ = [j for j, one in zip(joints, there) if one]
         zeros = find_zeros(datasets, mechanism, options, differ)
-        before, after = (_left_over(runs, mechanism, options)
+        before, after = (_residual_rms(runs, mechanism, options)
                          for runs in (datasets, subtract(datasets, mechanism, zeros)))
     except (FitError, np.linalg.LinAlgError):
         return None
@@ -109,8 +109,8 @@ def _slow(options: FitOptions, rate_hz: float) -> FitOptions:
     return replace(options, cutoff_hz=min(SLOW_HZ, options.cutoff(rate_hz)))
 
 
-def _left_over(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FloatArray:
-    """(n,) rms of the torque that slow least squares leaves over at each joint."""
+def _residual_rms(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FloatArray:
+    """(n,) rms torque residual of slow least squares at each joint."""
     slow = _slow(options, datasets[0].rate_hz)
     design = design_rows(split_signals(datasets, mechanism, slow), mechanism, slow)
     free, beta = free_mask(mechanism, slow)
@@ -121,10 +121,10 @@ def _left_over(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
 
 def find_zeros(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, joints: Sequence[int],
                beta: FloatArray | None = None) -> Zeros:
-    """Zeros of `joints` in each run: for a known `beta` (p,), or beside beta with a mean of zero over the runs.
+    """Zeros of `joints` in each run: for a known `beta` (p,), or together with beta and with mean zero over the runs.
 
-    What all runs have in common is the encoder's offset, or a constant torque, which these runs need not tell apart.
-    Raises `FitError` where a joint has no encoder on this path, or where the search leads nowhere.
+    A zero common to all runs is the encoder's offset, which may have the same effect as a constant torque. Raises
+    `FitError` where a joint has no encoder on this path, or where the search does not converge.
     """
     runs = [split_signals([data], mechanism, options) for data in datasets]
     options = _slow(options, runs[0][0].rate_hz)
@@ -152,7 +152,7 @@ def find_zeros(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
         known = found[: start.size]
         change = spread @ found[start.size :].reshape(width, -1).T
         values = values + change
-        if sought and np.max(np.abs(change)) < SETTLED_RAD:
+        if sought and np.max(np.abs(change)) < CONVERGED_RAD:
             own = covariance[start.size :, start.size :].reshape(width, spread.shape[1], width, -1)
             std = np.sqrt(np.einsum("rk,jkjl,rl->rj", spread, own, spread))
             if not std.all():  # directions that no equation knows of have neither step nor variance

@@ -1,4 +1,4 @@
-"""What an IMU gets wrong, by an encoder that measures the angle of the IMU's own link: errors, lag, lever arm.
+"""Errors of an IMU by an encoder at the IMU's own link: scales, biases, lag, lever arm.
 
     gyro  = (1 + s) qd + b
     accel = U R(turn) (l qdd - e qd^2 + g sin q, -l qd^2 - e qdd - g cos q) + b_a,    U = [[1 + s_x, k], [k, 1 + s_y]]
@@ -62,15 +62,15 @@ ACCEL = (Term("accel_bias_x", "accelerometer bias x", "m/s2", 3.0, 0.1),
          Term("accel_skew", "x into y and y into x alike", "", 0.5, 0.03),
          Term("accel_turn", "angle by gravity beyond the encoder's", "rad", 0.5, 0.03),
          Term("lever_arm", "lever arm", "m", 1.0, 0.02),
-         Term("beside", "IMU beside the line from the pivot", "m", 1.0, 0.02),
+         Term("side_offset", "IMU off the line from the pivot", "m", 1.0, 0.02),
          Term("accel_late", "accelerometer late by", "s", 0.1, 0.003))
-LEVER, BESIDE, LATE = 6, 7, 8
+LEVER, SIDE_OFFSET, LATE = 6, 7, 8
 """Of `ACCEL`: those that are held where the motion does not tell them, so that they do not spoil the others."""
 HELD = 1e-9
 Predict = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 
 
-class Stretch(NamedTuple):
+class Segment(NamedTuple):
     """Samples of one run without a gap."""
 
     q_rad: FloatArray
@@ -95,13 +95,12 @@ class Found:
 
 @dataclass(frozen=True)
 class EncoderFit:
-    """What was found and what it is worth."""
+    """Result, with intervals and errors on blocks not fitted."""
 
     found: tuple[Found, ...]
     """Of `GYRO`, then `ACCEL`."""
     held: tuple[str, ...]
-    """Terms that this motion does not tell: the lever arm was held at what was given, a place beside the line at 0, the
-    accelerometer's lag at the gyro's."""
+    """Terms that this motion does not determine. Fixed values: the given lever arm, side offset 0, the gyro's lag."""
     lags_s: FloatArray
     """(k,) the gyro's lag by block of the whole record, blocks with little motion left out."""
     lag_wanders: bool
@@ -121,13 +120,13 @@ class EncoderFit:
         return next(f for f in self.found if f.term.name == name)
 
 
-def fit_imu(stretches: Sequence[Stretch], rate_hz: float, cutoff_hz: float, lever_m: float, gravity_mps2: float,
+def fit_imu(segments: Sequence[Segment], rate_hz: float, cutoff_hz: float, lever_m: float, gravity_mps2: float,
             lag_s: float = 0.0) -> EncoderFit:
     """Errors of the IMU; `lever_m` is what is known of the lever arm, `lag_s` a first guess.
 
     Raises `FitError` for too short a record, one that does not move, or a lag that is not found.
     """
-    pieces = _cut(stretches, rate_hz, cutoff_hz)
+    pieces = _cut(segments, rate_hz, cutoff_hz)
     count = sum(len(p.blocks) for p in pieces)
     if count < FEWEST:
         raise FitError(f"{count} s without a gap are too few, at least {FEWEST} blocks of {BLOCK_S:g} s are needed: "
@@ -154,7 +153,7 @@ def fit_imu(stretches: Sequence[Stretch], rate_hz: float, cutoff_hz: float, leve
     accel = _Fit(pieces, (1, 2), ACCEL, predict, by_gyro, start)
     accel.run(shift)
     half = accel.half()
-    held = [k for k in (LEVER, BESIDE, LATE) if half[k] > ACCEL[k].widest]
+    held = [k for k in (LEVER, SIDE_OFFSET, LATE) if half[k] > ACCEL[k].widest]
     if held:
         accel = _Fit(pieces, (1, 2), ACCEL, predict, by_gyro, start)
         accel.prior[held] = HELD
@@ -178,9 +177,9 @@ def fit_imu(stretches: Sequence[Stretch], rate_hz: float, cutoff_hz: float, leve
 
 def accelerometer(theta: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity_mps2: float) -> FloatArray:
     """(n, 2) readings by the module's formula; theta as `ACCEL`, its lag not used."""
-    bias_x, bias_y, scale_x, scale_y, skew, turn, lever, beside = theta[:8]
-    x = lever * qdd - beside * qd**2 + gravity_mps2 * np.sin(q)
-    y = -lever * qd**2 - beside * qdd - gravity_mps2 * np.cos(q)
+    bias_x, bias_y, scale_x, scale_y, skew, turn, lever, side_offset = theta[:8]
+    x = lever * qdd - side_offset * qd**2 + gravity_mps2 * np.sin(q)
+    y = -lever * qd**2 - side_offset * qdd - gravity_mps2 * np.cos(q)
     c, s = np.cos(turn), np.sin(turn)
     x, y = c * x - s * y, s * x + c * y
     return np.column_stack([(1 + scale_x) * x + skew * y + bias_x, skew * x + (1 + scale_y) * y + bias_y])
@@ -197,17 +196,17 @@ class _Motion(NamedTuple):
 
 
 class _Piece:
-    """A stretch, low-passed, with its blocks."""
+    """A segment, low-passed, with its blocks."""
 
-    def __init__(self, stretch: Stretch, rate_hz: float, cutoff_hz: float, trim: int) -> None:
-        n = stretch.q_rad.size
+    def __init__(self, segment: Segment, rate_hz: float, cutoff_hz: float, trim: int) -> None:
+        n = segment.q_rad.size
         self.dt = 1.0 / rate_hz
         self.worth = min(2.0 * cutoff_hz / rate_hz, 1.0)
         """Independent samples a sample, of noise that fills the band."""
         time = np.arange(n) * self.dt
         self.time = time[trim: n - trim]
-        angle = CubicSpline(time, lowpass(stretch.q_rad, cutoff_hz, rate_hz))
-        self.imu = CubicSpline(time, lowpass(stretch.imu, cutoff_hz, rate_hz))
+        angle = CubicSpline(time, lowpass(segment.q_rad, cutoff_hz, rate_hz))
+        self.imu = CubicSpline(time, lowpass(segment.imu, cutoff_hz, rate_hz))
         self.q = angle(self.time)
         self.encoder = _Motion(self.q, angle(self.time, 1), angle(self.time, 2))
         self.blocks: list[slice] = []
@@ -218,11 +217,11 @@ class _Piece:
         return _Motion(self.q, rate, self.imu(self.time + late, 1)[:, 0] / (1.0 + theta[1]))
 
 
-def _cut(stretches: Sequence[Stretch], rate_hz: float, cutoff_hz: float) -> list[_Piece]:
+def _cut(segments: Sequence[Segment], rate_hz: float, cutoff_hz: float) -> list[_Piece]:
     """Pieces with their blocks, all of about one length; what is near an end, where the filter rings, is left out."""
     trim = int(np.ceil(rate_hz * max(2.0 / cutoff_hz, 1.2 * FARTHEST_S)))
     least = int(np.ceil(BLOCK_S * rate_hz))
-    pieces = [_Piece(s, rate_hz, cutoff_hz, trim) for s in stretches if s.q_rad.size >= 2 * trim + least]
+    pieces = [_Piece(s, rate_hz, cutoff_hz, trim) for s in segments if s.q_rad.size >= 2 * trim + least]
     size = max(least, sum(p.q.size for p in pieces) // BLOCKS)
     for piece in pieces:
         edges = np.linspace(0, piece.q.size, max(piece.q.size // size, 1) + 1).astype(int)
@@ -235,7 +234,7 @@ def _fitted(count: int) -> int:
 
 
 class _Fit:
-    """Gauss-Newton with instruments over the first blocks. Term -1 of theta is a lag beside the given one."""
+    """Gauss-Newton with instruments over the first blocks. Term -1 of theta is a lag in addition to the given one."""
 
     def __init__(self, pieces: Sequence[_Piece], columns: tuple[int, ...], terms: tuple[Term, ...], predict: Predict,
                  instruments: Sequence[_Motion], start: FloatArray) -> None:
@@ -336,7 +335,7 @@ def _knots(at: Sequence[tuple[int, float]], lags: FloatArray, piece: int) -> tup
 
 def _check(pieces: Sequence[_Piece], shift: Sequence[FloatArray], gyro: _Fit, accel: _Fit, start: FloatArray,
            ) -> tuple[FloatArray, FloatArray]:
-    """(4, 2) rms and half interval of what is left over the blocks not fitted, before and after."""
+    """(4, 2) rms residual of the blocks not fitted, with half of its interval, before and after."""
     before: list[FloatArray] = []
     after: list[FloatArray] = []
     for piece, late in zip(pieces, shift):

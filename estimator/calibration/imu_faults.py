@@ -23,14 +23,14 @@ CLEAR = 1.5
 LEVER_M, LEVER_SHARE = 0.03, 0.25
 """A lever arm that differs by more than both, in metres and as a share of the larger, is wrong, ..."""
 LEVER_CLEAR = 1.3
-"""... if with the other so many times less is left over."""
+"""... if the other's residual is smaller by this factor."""
 DEGREE, TURN = float(np.pi / 180.0), float(2.0 * np.pi)
 G = 9.80665
 GYRO_UNITS = {DEGREE: ("in degrees a second", 'unit = "deg/s"'), 1e-3 * DEGREE: ("in mdps", 'unit = "mdps"'),
               TURN / 60.0: ("in rpm", 'unit = "rpm"'), TURN: ("in turns a second", 'unit = "turn/s"'),
               1e-3: ("in mrad/s", "scale = 0.001"),
               1.0 / DEGREE: ("converted from degrees twice", f"scale = {1.0 / DEGREE:.6g}")}
-"""Factor of a gyro's column to what is wrong with it and the entry that mends it."""
+"""Factor of a gyro's column -> its fault, and the entry of rig.toml that corrects it."""
 ACCEL_UNITS = {G: ("in g", 'unit = "g"'), 1e-3 * G: ("in mg", 'unit = "mg"'), 1e-3: ("in mm/s2", "scale = 0.001")}
 AROUND, AROUND_OTHER = 2.0, 1.3
 """The accelerometer's median length is gravity's within the first factor, or its unit is another: one that makes
@@ -46,7 +46,7 @@ class ImuReading:
     """(2, 2)"""
     factor: float
     left: float
-    """rms that is left over in the band [m/s2]."""
+    """rms residual in the band [m/s2]."""
     lever_arm: float
     """That fits best [m]."""
     left_as_declared: float
@@ -54,7 +54,7 @@ class ImuReading:
 
     @property
     def changes(self) -> int:
-        """How many columns are read in another way."""
+        """Number of columns that are read in another way."""
         return int(self.factor != 1.0) + int(np.sum(np.any(self.axes != np.eye(2), axis=1)))
 
     def applied(self, data: Dataset) -> Dataset:
@@ -63,7 +63,7 @@ class ImuReading:
         return replace(data, columns={**data.columns, GYRO: self.factor * data[GYRO], ACCEL_X: x, ACCEL_Y: y})
 
     def __str__(self) -> str:
-        """What looks wrong, and what mends it."""
+        """What looks wrong, and its remedy."""
         looks, writes = [], []
         for name, row, own in ((ACCEL_X, self.axes[0], 0), (ACCEL_Y, self.axes[1], 1)):
             source = int(np.argmax(np.abs(row)))

@@ -1,4 +1,4 @@
-"""How an IMU sits on a link that swings about a fixed axis: axes, place and offsets, from its own six readings.
+"""Mounting of an IMU on a link that swings about a fixed axis: axes, place and offsets, from its own six readings.
 
 The chip's readings are those of the link's axes x (tangential), y (away from the axis) and z (about which the gyro
 reads the rate), turned by R, with r = l y + e x the way from the axis to the chip:
@@ -55,13 +55,13 @@ class MountFit:
     """(3,) about the link's x, y and z [rad], noise alone."""
     lever_m: float
     lever_half: float
-    beside_m: float
-    """e: how far the chip sits beside the line from the axis along y."""
-    beside_half: float
+    side_offset_m: float
+    """Side offset e: distance of the chip from the line through the axis along y."""
+    side_offset_half: float
     gyro_bias_radps: FloatArray
     gyro_bias_half: FloatArray
     accel_bias_mps2: FloatArray
-    """(3,) left over, in the chip's axes."""
+    """(3,) residual bias, in the chip's axes."""
     accel_bias_half: FloatArray
     noise: tuple[float, float]
     """Of gyro [rad/s] and accelerometer [m/s2], one sample."""
@@ -71,7 +71,7 @@ class MountFit:
     def turned_round(self) -> MountFit:
         """The same with the other direction of turning called positive, which the IMU alone cannot tell."""
         return MountFit(self.mount * np.array([[-1.0], [1.0], [-1.0]]), self.angle_half, self.lever_m, self.lever_half,
-                        -self.beside_m, self.beside_half, self.gyro_bias_radps, self.gyro_bias_half,
+                        -self.side_offset_m, self.side_offset_half, self.gyro_bias_radps, self.gyro_bias_half,
                         self.accel_bias_mps2, self.accel_bias_half, self.noise, self.swing_rad)
 
 
@@ -120,7 +120,7 @@ def _axis(swings: Sequence[Readings], hint: FloatArray) -> FloatArray:
 
 def _deviance(swings: Sequence[Readings], down: FloatArray, axis: FloatArray, hand: float, gravity_mps2: float,
               ) -> float:
-    """Of a quick fit; infinite where it does not settle, as with the wrong hand it may not."""
+    """Residual of a quick fit; infinite where it does not converge, for instance with axes of the wrong handedness."""
     try:
         return _fit(swings, down, axis, hand, gravity_mps2, rounds=1, iterations=12)[0].deviance
     except FitError:
@@ -149,9 +149,9 @@ def readings(rows: FloatArray, theta: FloatArray, q: FloatArray, qd: FloatArray,
              gravity_mps2: float) -> FloatArray:
     """(n, 6) gyro and accelerometer in the chip's axes; see the module's text."""
     turn = Rotation.from_rotvec([theta[0], theta[1], 0.0]).as_matrix() @ rows
-    lever, beside = theta[8], theta[9]
-    accel_x = lever * qdd - beside * qd**2 + gravity_mps2 * np.sin(q)
-    accel_y = -lever * qd**2 - beside * qdd - gravity_mps2 * np.cos(q)
+    lever, side_offset = theta[8], theta[9]
+    accel_x = lever * qdd - side_offset * qd**2 + gravity_mps2 * np.sin(q)
+    accel_y = -lever * qd**2 - side_offset * qdd - gravity_mps2 * np.cos(q)
     gyro = qd[:, None] * turn[2] + theta[2:5]
     return np.hstack([gyro, accel_x[:, None] * turn[0] + accel_y[:, None] * turn[1] + theta[5:8]])
 
@@ -164,7 +164,7 @@ def _referred(fit: PathFit, rows: FloatArray, rests: Sequence[tuple[FloatArray, 
     spread = np.sqrt(np.mean(halves**2, axis=0) / len(rests)) / factor
 
     def quantities(x: FloatArray) -> FloatArray:
-        """Angle at rest, lever, beside, of (theta, mean reading at rest)."""
+        """Angle at rest, lever, side_offset, of (theta, mean reading at rest)."""
         turn = Rotation.from_rotvec([x[0], x[1], 0.0]).as_matrix() @ rows
         a_x, a_y = (turn @ (x[10:] - x[5:8]))[:2]
         rest = np.arctan2(a_x, -a_y)
@@ -176,10 +176,10 @@ def _referred(fit: PathFit, rows: FloatArray, rests: Sequence[tuple[FloatArray, 
     covariance[:10, :10], covariance[10:, 10:] = fit.covariance, np.diag(spread**2)
     by_x = np.array([(quantities(x + STEP * e) - quantities(x - STEP * e)) / (2 * STEP) for e in np.eye(13)]).T
     half = factor * np.sqrt(np.diag(by_x @ covariance @ by_x.T))
-    rest, lever, beside = quantities(x)
+    rest, lever, side_offset = quantities(x)
     back = np.array([[np.cos(rest), np.sin(rest), 0.0], [-np.sin(rest), np.cos(rest), 0.0], [0.0, 0.0, 1.0]])
     mount = back @ Rotation.from_rotvec([fit.theta[0], fit.theta[1], 0.0]).as_matrix() @ rows
     angles = np.array([fit.half[0], fit.half[1], half[0]])
     noise = (float(np.sqrt(np.mean(fit.noise[0][:3] ** 2))), float(np.sqrt(np.mean(fit.noise[0][3:] ** 2))))
-    return MountFit(mount, angles, float(lever), float(half[1]), float(beside), float(half[2]), fit.theta[2:5],
+    return MountFit(mount, angles, float(lever), float(half[1]), float(side_offset), float(half[2]), fit.theta[2:5],
                     fit.half[2:5], fit.theta[5:8], fit.half[5:8], noise, swing)

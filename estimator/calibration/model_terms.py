@@ -1,7 +1,7 @@
-"""Which extra terms of the nominal model a set of records asks for: rotor inertias and torque offsets, by prediction.
+"""Extra terms of the nominal model that a set of records needs: rotor inertias and torque offsets, by prediction.
 
-Slow least squares on all runs but one, the torque of that one predicted: a term that is there lowers what is left over,
-one that is not does not. Noise levels and grids have no part in it.
+Leave-one-out cross-validation of slow least squares: a term is needed if it reduces the residual of the held-out runs'
+torque. Noise levels and grids have no influence.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ SLOW_HZ, OVERSAMPLED = 3.0, 16.0
 """Band in which terms are looked for, and the samples that are kept of one of its periods."""
 OPTIONAL = ("rotor", "offset")
 LEAST_FALL = 0.03
-"""Share by which what is left over must fall, at the joint where it falls most, ... (Measured: 13 to 54 % on two real
-arms and a slide that need them, zeros taken off first; below 0.3 % on healthy legs.)"""
+"""Least relative reduction of the residual, at the joint where it is largest, ... (Measured: 13 to 54 % on two real
+arms and a slide that need the terms; below 0.3 % on healthy legs.)"""
 MOST_RISE = 0.02
 """... and by which it may rise at another."""
 LEAST_SIZE = 5.0
@@ -33,8 +33,10 @@ FOLDS, FOLD_S = 4, 4.0
 
 
 def needed_terms(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> Mapping[str, float]:
-    """Names of those of the `OPTIONAL` parameters of `mechanism`, which has all that could be asked for, that these
-    records ask for -> the share by which each lowers what is left over of torque not fitted. Raises `FitError`."""
+    """Needed `OPTIONAL` parameters of `mechanism` -> relative reduction of the held-out torque residual.
+
+    `mechanism` has all optional parameters. Raises `FitError`.
+    """
     parts = datasets if len(datasets) > 1 else _folds(datasets[0])
     if len(parts) < 2:
         return {}
@@ -82,7 +84,7 @@ def _folds(data: Dataset) -> list[Dataset]:
 
 
 def _held_out(blocks: Sequence[tuple[FloatArray, FloatArray]], free: np.ndarray, start: FloatArray) -> FloatArray:
-    """(n,) rms of the torque that each block's own least squares without it leaves over in it."""
+    """(n,) rms torque residual of each block under least squares on the other blocks."""
     squares, count = np.zeros(blocks[0][1].shape[1]), 0
     for k, (z, torque) in enumerate(blocks):
         others = [block for i, block in enumerate(blocks) if i != k]

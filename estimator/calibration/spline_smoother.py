@@ -58,7 +58,7 @@ class Track:
 
 @dataclass(frozen=True)
 class PathFit:
-    """What was found."""
+    """Result of the search."""
 
     theta: FloatArray
     covariance: FloatArray
@@ -202,7 +202,7 @@ class _Problem:
         return self.cost(self.theta, [part.coefficients for part in self.parts]) + 2.0 * logs
 
     def minimise(self, iterations: int) -> None:
-        """Gauss-Newton with step halving. Raises `FitError` where it does not settle."""
+        """Gauss-Newton with step halving. Raises `FitError` where it does not converge."""
         cost = self.cost(self.theta, [part.coefficients for part in self.parts])
         for _ in range(iterations):
             dtheta, dpaths = self.step()
@@ -215,7 +215,7 @@ class _Problem:
                     break
                 size *= 0.5
             else:
-                return  # no way down any more: rounding
+                return  # no descent any more: machine precision
             gain, cost, self.theta = cost - new, new, theta
             for part, path in zip(self.parts, paths):
                 part.coefficients = path

@@ -7,7 +7,7 @@ At rest the knee's motor carries gravity and what friction holds:
 theta the link's angle from hanging, B its own first moment, p 1 with the weight m on the arm r and 0 without, s the
 side from which the joint came to rest, which friction opposes. Divided by K this is linear in what is unknown. The
 weight adds the slope m g r / K, and nothing else in the model goes with p sin(theta): the link's own gravity need not
-be known. Terms in cos(theta) take up a zero of the angle that is off, and a centre of mass beside the link's axis.
+be known. Terms in cos(theta) absorb a wrong zero of the angle, and a centre of mass off the link's axis.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Holds(NamedTuple):
 
 
 class Weight(NamedTuple):
-    """What was hung up, each with the half of its 95 % interval."""
+    """Weight and arm, each with half of its 95 % interval."""
 
     mass_kg: float
     arm_m: float
@@ -97,8 +97,8 @@ def fit_torque_constant(holds: Holds, weight: Weight, gravity_mps2: float) -> To
     cover = np.linalg.inv(table.T @ table) * float(residual @ residual) / dof
     slope = float(np.hypot(theta[0], theta[1]))
     if theta[0] <= 0.0:
-        raise FitError("the weight pulls the wrong way: current and angle disagree in sign; correct [motor] sign or "
-                       "the encoder's direction")
+        raise FitError("the weight acts in the wrong direction: current and angle disagree in sign; correct [motor] "
+                       "sign or the encoder's direction")
     direction = theta[:2] / slope
     share = float(student.ppf(0.975, dof) * np.sqrt(direction @ cover[:2, :2] @ direction)) / slope
     one = direction @ np.linalg.pinv(table)[:2]

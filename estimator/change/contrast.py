@@ -48,7 +48,7 @@ class Contrast:
 
 
 def contrast(test: Sequence[RunScore], reference: Sequence[RunScore], structure: Structure) -> Contrast:
-    """Of the `test` runs against the `reference` runs, given the `structure` of the reference."""
+    """Contrast of the `test` runs with the `reference` runs, given the `structure` of the reference."""
     s_test, i_test = _sum([structure.seen(run) for run in test])
     s_ref, i_ref = _sum([structure.seen(run) for run in reference])
     whole = i_test + i_ref + np.diag(structure.precision)

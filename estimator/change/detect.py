@@ -71,7 +71,7 @@ class Scored:
 
 def detect_change(test: Sequence[Dataset], reference: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *,
                   gear_ratio: float = 1.0) -> Change:
-    """What changed between `reference` and `test` runs of one rig; data that cannot tell give `fit_failed`."""
+    """Changes between `reference` and `test` runs of one rig; data that cannot tell give `fit_failed`."""
     begin = time.perf_counter()
     names = tuple(d.name for d in reference), tuple(d.name for d in test)
     try:

@@ -50,7 +50,7 @@ class Detectable:
     size: float
     """Infinite where no run shows it. Found with probability 0.8 at the level of the verdict."""
     p_value: float
-    """Of this candidate by itself, over all candidates tried."""
+    """Of this candidate alone, corrected for all candidates tried."""
 
 
 @dataclass(frozen=True)

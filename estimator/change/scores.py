@@ -35,7 +35,7 @@ class ReferenceFit:
     """(n, 2)"""
     gear_ratio: float
     candidates: tuple[Candidate, ...]
-    """Of the library, then terms without a name."""
+    """Of the library, then generic terms."""
     named: int
     """The first so many candidates are of the library."""
     refused: dict[str, str]
@@ -43,7 +43,7 @@ class ReferenceFit:
 
 @dataclass(frozen=True)
 class RunScore:
-    """Of one run at the reference model, its motion eliminated; parameters first, then candidates."""
+    """Scores of one run at the reference model, its motion eliminated; parameters first, then candidates."""
 
     score: FloatArray
     """(m,)"""
@@ -55,7 +55,7 @@ def fit_reference(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
                   ) -> ReferenceFit:
     """The model that all reference runs share. Raises `FitError` where the fit does not converge."""
     hold, mechanism = between_samples(datasets, mechanism, options)
-    options = replace(options, hold=hold, rounding="given")
+    options = replace(options, hold=hold, smoothing_velocity="given")
     signals = split_signals(datasets, mechanism, options)
     problem = _problem(signals, mechanism, hold, np.zeros((mechanism.n, 2)), gear_ratio)
     free, beta = free_mask(mechanism, options)

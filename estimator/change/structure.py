@@ -31,7 +31,7 @@ SMALLEST = 1e-9
 
 @dataclass(frozen=True)
 class Structure:
-    """Of the reference runs."""
+    """Structure of the residuals of the reference runs."""
 
     common: float
     own: float

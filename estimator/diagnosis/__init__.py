@@ -1,4 +1,4 @@
-"""What the simulation gets wrong: score tests, re-fits, an error budget, a verdict."""
+"""Diagnosis of a simulation's errors: score tests, re-fits, an error budget, a verdict."""
 
 from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.diagnosis.procedure import diagnose

@@ -11,7 +11,7 @@ from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext, Explanation
 from estimator.diagnosis.decision_rule import COMPARED, HOPELESS
 from estimator.diagnosis.refit import Model, deviance, misfit, misfit_by_run, refit
-from estimator.diagnosis.score_statistics import Tests
+from estimator.diagnosis.score_statistics import ScoreTests
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.likelihood import State
@@ -23,7 +23,7 @@ HELD_STEPS, FREE_STEPS = 12, 24
 """Most steps of a re-fit with shapes held, and then with all free."""
 COMPARE_STEPS = 25
 """... and of one under the noise levels of the best explanation."""
-_NO_TESTS = Tests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
+_NO_TESTS = ScoreTests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
 
 
 def fit_candidates(context: DiagnosisContext, starts: Sequence[Start], fits: Sequence[Model] = ()
@@ -34,8 +34,10 @@ def fit_candidates(context: DiagnosisContext, starts: Sequence[Start], fits: Seq
 
 
 def fit_models(context: DiagnosisContext, starts: Sequence[Start], fits: Sequence[Model] = ()) -> list[Model]:
-    """A model for every start that can be fitted and is not hopeless beside the others and `fits`: first with its
-    shapes held, then with all free."""
+    """A model for every start that can be fitted and is not hopeless compared with the others and `fits`.
+
+    Each is fitted with fixed shapes first, then with free ones.
+    """
     held = hopeful(context, _fit_each(context, [list(s) for s in starts],
                                       lambda k: fit_held(context, starts[k])), fits)
     return hopeful(context, _fit_each(context, [list(zip(m.effects, m.sizes())) for m in held],
@@ -91,7 +93,7 @@ def fit_free(context: DiagnosisContext, held: Model) -> Model:
         if any(np.any(e.at_limits(s)) for e, s in zip(found.effects, found.sizes())):
             if not found.state.converged:
                 found = refit(found, list(zip(found.effects, found.sizes())), FREE_STEPS)
-            return min(found, held, key=deviance)  # a shape can run away
+            return min(found, held, key=deviance)  # a shape can diverge
         return found
     except (FitError, np.linalg.LinAlgError):
         return held
@@ -144,7 +146,7 @@ def compare_fits(context: DiagnosisContext, models: Sequence[Model], keep: Seque
         except FitError:
             if k > 0:  # under the noise of the best one it has no fit at all
                 return None
-            # the nominal model is too wrong to settle under so little noise; where it stands will do
+            # the nominal model may not converge under so little noise; its last step is used
             again = replace(m, state=replace(m.state, noise=noise))
         return misfit(again), misfit_by_run(again)
 

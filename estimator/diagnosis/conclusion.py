@@ -17,31 +17,31 @@ from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.refit import Model, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, SensorGain, ShortRuns, SizeEstimate, Trace
-from estimator.effects import AnonymousReading, AnonymousTorque, Shape, Size
+from estimator.effects import GenericReading, GenericTorque, Shape, Size
 from estimator.errors import FitError
 from estimator.fitting import disturbance_levels, imu_levels, torque_levels
 from estimator.parallel import parallel_map
 from estimator.prediction import FloorNoise, PredictedRun, predict_run, white_noise
 
-NO_GAP = ("a free run over a whole run cannot show the gain: noise alone, added up, leaves about as much error as the "
-          "nominal model has; what speaks for the extension is the likelihood of the confirm runs")
-UNSURE_GAP = "free runs over whole runs leave open whether the extension helps: the interval of its share holds zero"
+NO_GAP = ("free runs over whole runs do not show the gain: noise alone gives about the error of the nominal model. "
+          "The evidence for the extension is the likelihood of the held-out runs")
+UNSURE_GAP = "free runs over whole runs do not show whether the extension helps: the interval of its gain includes zero"
 
 
 def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
-    """What every verdict carries: runs, nominal parameters, what cannot be tested."""
+    """Parts that every verdict has: runs, nominal parameters, what cannot be tested."""
     split = nominal.split
     names = split.mechanism.names
     std = nominal.std()
     warnings = []
     if split.single:
-        warnings.append("one run only: its parts stand in for runs and are not independent, so every p-value and "
-                        "interval here is approximate; record several runs")
+        warnings.append("one run only: p-values and intervals are approximate, because parts of one run are not "
+                        "independent; record several runs")
     elif len(split.names) < FEW_RUNS:
         warnings.append(f"{len(split.names)} runs only: the scatter between runs is poorly known; eight are better")
     if np.isinf(std).any():
-        warnings.append("the nominal fit does not settle: the nominal parameters are least squares on filtered motion "
-                        "and have no intervals")
+        warnings.append("the nominal fit does not converge: the nominal parameters are least squares on filtered "
+                        "motion and have no intervals")
     if reference:
         warnings += changes(dict(zip(names, zip(nominal.state.beta, std))), reference)
     groups = {"fit": split.fit, "screen": split.screen, "confirm": split.confirm}
@@ -59,12 +59,14 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
 
 
 def with_noise(found: Diagnosis, model: Model, floor: FloorNoise) -> Diagnosis:
-    """With the disturbance torques that count as noise, a warning for each that is larger than the noise of a measured
-    torque and lasts longer than a sample, and one for each noisy sensor."""
+    """`found` with the disturbance torques that count as noise, and warnings.
+
+    A warning for each disturbance above the torque's noise that lasts longer than a sample, and for each noisy sensor.
+    """
     mechanism, noise = model.split.mechanism, floor.noise
     shunt = max((float(noise.torque[j]) for j in mechanism.actuated), default=0.0)
     told = [f"an unmeasured torque of {level:.2g} {mechanism.unit('N m')} (rms, time constant {constant_s:.2g} s) acts "
-            f"at joint {j}; it is no function of the state and counts as noise"
+            f"at joint {j}; it does not depend on the state and counts as noise"
             for j, (level, constant_s) in enumerate(zip(noise.disturbance, noise.time_constant), 1)
             if level > shunt and constant_s > model.problem.dt]
     told += [f"{in_words(channel, ratio)}; this is a finding about the sensor, not about the simulation"
@@ -81,7 +83,7 @@ def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tupl
             spread = float(np.hypot(std, old_std))
             if spread > 0 and abs(value - old) > CHANGED * spread:
                 out.append(f"{name} is {value:.4g}, the reference has {old:.4g} ({(value - old) / spread:+.1f} sigma): "
-                           "a changed payload or link shows as a parameter change only")
+                           "a changed payload or link changes parameters only")
     return out
 
 
@@ -101,7 +103,7 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
                  ) -> Gain:
     """Before, after and floor on the confirm runs, with the share of the gap closed and its block bootstrap.
 
-    As in `error_table` no error counts for more than that of who takes the sensor's mean.
+    As in `error_table` each squared error is capped at the sensor's variance.
     """
     split = extended.split
     seeds = rng.integers(2**63, size=len(split.confirm))
@@ -122,7 +124,7 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
         rows = [found.channels.index(name) for name in names]
         measured = np.where(np.isnan(found.measured[rows]), pivot, found.measured[rows])
         torque.append(np.mean(found.residual_torque**2, axis=1))
-        before, after = (np.where(np.isnan(y), measured.mean(axis=-1, keepdims=True), y)  # who diverges knows nothing
+        before, after = (np.where(np.isnan(y), measured.mean(axis=-1, keepdims=True), y)  # diverged: the sensor's mean
                          for y in found.simulated[:, 0, rows])
         traces.append(Trace(found.run, found.time_s, *(dict(zip(names, y)) for y in (measured, before, after))))
         size = max(10, int(BLOCK_S * found.rate_hz))
@@ -131,7 +133,7 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
             blocks.setdefault(k, []).extend((float(a.mean()), float(b.mean()), float(c.mean()))
                                             for a, b, c in zip(*parts))
     spread = {k: float(np.var(np.concatenate([t.measured[k] for t in traces]))) for k in blocks}
-    table = {k: np.minimum(v, spread[k]) for k, v in blocks.items()}  # a simulation that strays knows nothing more
+    table = {k: np.minimum(v, spread[k]) for k, v in blocks.items()}  # capped at the sensor's variance
     for v in table.values():  # noise leaves no more than a model of the same runs errs
         v[:, 2] *= min(1.0, float(v[:, :2].mean(axis=0).min()) / max(float(v[:, 2].mean()), 1e-300))
     sensors = {k: SensorGain(*(float(np.sqrt(m)) for m in v.mean(axis=0))) for k, v in table.items()}
@@ -168,12 +170,12 @@ def _closed(table: Mapping[str, FloatArray], which: NDArray[np.intp]) -> float |
 
 
 def remainder_of(model: Model) -> Remainder | None:
-    """Where the first term without a name in `model` acts; None where it has none."""
+    """Place of the first generic term of `model`; None where it has none."""
     for effect in model.effects:
-        if isinstance(effect, AnonymousTorque):
+        if isinstance(effect, GenericTorque):
             joint = (effect.joint or 0) + 1
             return Remainder(joint, f"torque{joint}", effect.label)
-        if isinstance(effect, AnonymousReading):
+        if isinstance(effect, GenericReading):
             return Remainder(None, str(effect.channel), effect.label)
     return None
 
@@ -181,29 +183,29 @@ def remainder_of(model: Model) -> Remainder | None:
 def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
     """Verdict `none`; `small` holds what is there but hardly changes the simulation."""
     best = found.candidates[0] if found.candidates else None
-    sentence = "Nothing beyond noise is detectable in these runs"
+    sentence = "These runs show no error beyond noise"
     if best is not None:
-        sentence += (f"; the nearest, {label(best.effect, best.joint)}, has p = {best.p_value:.2g} over all that were "
-                     f"tried")
+        sentence += (f". The nearest effect, {label(best.effect, best.joint)}, is not significant (p = "
+                     f"{best.p_value:.2g}, corrected for all effects tried)")
     if best is not None and best.p_value < ALPHA:
-        sentence = (f"Nothing that matters beyond noise: these runs leave something over, most like "
-                    f"{label(best.effect, best.joint)} (p = {best.p_value:.2g} over all that were tried), but free "
-                    "runs of runs that chose nothing do not err less with it")
+        sentence = (f"No material error beyond noise. The residual resembles {label(best.effect, best.joint)} "
+                    f"(p = {best.p_value:.2g}, corrected for all effects tried), but that effect does not reduce the "
+                    "free-run error of the held-out runs")
     immaterial = () if small is None else tuple(causes_of(small, 1.0, found))
     if immaterial:
         told = " with ".join(label(c.effect, c.joint) for c in immaterial)
-        sentence = (f"Nothing that matters beyond noise: {told} is there, but the rms error of free runs does not fall "
-                    f"for sure by {100 * found.material:.0f} % with it")
-    called = "None is called for"
+        sentence = (f"No material error beyond noise. {told[:1].upper()}{told[1:]} is present, but does not surely "
+                    f"reduce the free-run rms error by {100 * found.material:.0f} %")
+    called = "None is needed"
     if found.error is not None and found.error[0] > 1.0 / (1.0 - found.material):
         before, after = found.error
         lower = bool(immaterial) and after < before * (1.0 - found.material)
-        why = ("and nothing that was tried lowers that: a disturbance with memory adds up so, or a cause that "
-               "resembles none of the terms tried" if not lower else
-               f"{after:.1f} with what is there below what matters: these runs leave open whether that is chance")
+        why = ("No tried effect reduces it: the cause is a correlated disturbance, or resembles none of the terms tried"
+               if not lower else
+               f"It is {after:.1f} times with the effects that are present but not material; that may be chance")
         found = replace(found, warnings=(*found.warnings, (
-            f"free runs err {before:.1f} times what the rig's noise leaves, {why}")))
-        called = "None is called for where that error does not matter"
+            f"the free-run error is {before:.1f} times that of noise alone. {why}")))
+        called = "None is needed if that error is acceptable"
     return replace(found, verdict="none", sentence=sentence + ".", immaterial=immaterial,
                    next_experiment=f"{called}. To look for smaller effects, record more runs like these: the smallest "
                    "detectable sizes fall with the square root of their number.")
@@ -212,21 +214,21 @@ def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
 def unexplained(found: Diagnosis, nominal: Model, best: Explanation | None, why: str,
                 rng: np.random.Generator | None = None, noise: FloorNoise | None = None) -> Diagnosis:
     """Verdict `unexplained`: the closest explanation, if any, is kept but not named as a finding."""
-    sentence = f"Something is wrong with the model, and no listed effect accounts for it: {why}."
+    sentence = f"The model is wrong, and no listed effect explains the error: {why}."
     causes: tuple[Cause, ...] = ()
     if best is not None:
         causes = tuple(causes_of(best, 1.0, found))
         found = with_gain(found, nominal, best, noise or white_noise(best.model.state.noise), rng)
-        sentence = (f"Something is wrong with the model, and no listed effect accounts for it; the closest, "
+        sentence = (f"The model is wrong, and no listed effect explains the error. The closest, "
                     f"{' with '.join(label(c.effect, c.joint) for c in causes)}, does not suffice: {why}.")
     return replace(found, verdict="unexplained", sentence=sentence, causes=causes, effects=(),
-                   next_experiment="Record slow motion, fast motion, holds and a free swing as separate runs: what is "
-                   "missing shows in one kind more than in the others. A new effect can be added in a file of its own.")
+                   next_experiment="Record slow motion, fast motion, holds and a free swing as separate runs: the "
+                   "missing effect is larger in one of them. You can add an effect as a file.")
 
 
 def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explanation], p_value: float,
             rng: np.random.Generator, partial: bool = False, noise: FloorNoise | None = None) -> Diagnosis:
-    """Verdict `named`, or `one_of` where several explanations fit alike; `partial` where what is left matters."""
+    """Verdict `named`, or `one_of` where several explanations fit alike; `partial` where the residual is material."""
     best = indistinguishable[0]
     found = with_gain(found, nominal, best, noise or white_noise(best.model.state.noise), rng)
     causes = {c.effect + str(c.joint): c for t in indistinguishable for c in causes_of(t, p_value, found)}
@@ -236,8 +238,7 @@ def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explan
         sentence = f"{told[0].upper()}{told[1:]}."
         steps = "; ".join(sorted({e.experiment for e in best.model.named}))
         if partial:
-            sentence += (" Beside it something is left that matters, and no listed effect accounts for it"
-                         f"{_where(found)}.")
+            sentence += f" A material residual remains that no listed effect explains{_where(found)}."
         return replace(found, verdict="partial" if partial else "named", sentence=sentence,
                        causes=tuple(causes.values()),
                        next_experiment=f"To measure it better: {steps}.")
@@ -245,19 +246,19 @@ def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explan
                        for r in rivals)
     steps = "; ".join(f"for {' and '.join(e.key for e in t.model.named)}: "
                       f"{'; '.join(e.experiment for e in t.model.named)}" for t in indistinguishable)
-    return replace(found, verdict="one_of", sentence=f"One of these, and these runs cannot say which: {told}.",
+    return replace(found, verdict="one_of", sentence=f"One of these causes; these runs cannot tell which: {told}.",
                    causes=tuple(causes.values()), next_experiment=f"To tell them apart: {steps}.")
 
 
 def _where(found: Diagnosis) -> str:
-    """Where the remainder lives, in words."""
+    """Place of the remainder, in words."""
     left = found.remainder
-    return "" if left is None else f": it shows in {left.channel}, as a function of {left.depends_on}"
+    return "" if left is None else f": it is in {left.channel}, as a function of {left.depends_on}"
 
 
 def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorNoise,
               rng: np.random.Generator | None) -> Diagnosis:
-    """With the gain over what `noise` leaves, the extended parameters and the pictures of `best`."""
+    """`found` with the gain over the floor of `noise`, the extended parameters and the pictures of `best`."""
     model, mechanism = best.model, best.model.split.mechanism
     p, names = mechanism.p, mechanism.names
     covariance = best.covariance()
@@ -272,8 +273,8 @@ def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorN
     except FitError as error:
         return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
     if gain.ci95 is None or gain.ci95[0] <= 0.0:
-        doubt = () if found.rotations else (NO_GAP if gain.closed is None else UNSURE_GAP,)  # all runs have said
-        found = replace(found, warnings=(*found.warnings, *doubt), short=in_pieces(nominal, model, noise))
+        unsure = () if found.rotations else (NO_GAP if gain.closed is None else UNSURE_GAP,)  # all runs have said
+        found = replace(found, warnings=(*found.warnings, *unsure), short=in_pieces(nominal, model, noise))
     return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
 

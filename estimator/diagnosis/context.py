@@ -14,21 +14,21 @@ from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import ALPHA, LEAST_GAIN, LEAST_GAIN_CLEAR
 from estimator.diagnosis.noise_check import Ratios, excess_noise, noise_dominated, ratios
 from estimator.diagnosis.refit import Model, begin_afresh, deviance
-from estimator.diagnosis.score_statistics import RunScore, Tests
+from estimator.diagnosis.score_statistics import RunScore, ScoreTests
 from estimator.likelihood import Candidate
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """One set of effects, fitted, and what it leaves over on the discover runs."""
+    """One fitted set of effects, and the scores of its residual on the discover runs."""
 
     model: Model
     gain: float
-    left: Tests
+    left: ScoreTests
     best_left: int
     """Candidate with the largest remaining gain."""
     adequate: bool
-    """What it leaves is little beside its gain."""
+    """Whether its residual gain is small compared with its own gain."""
     no_residual_effect: bool = False
     """It leaves nothing detectable."""
     by_run: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -37,7 +37,7 @@ class Explanation:
     """What its scores are on average when it is right, one a discover run, its own sizes left out."""
     inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(m,) how much more variance than white noise gives them its parameters have; see `scores.own_inflation`"""
-    beside: frozenset[str] = frozenset()
+    parent: frozenset[str] = frozenset()
     """Effects of the explanation that it was grown from, by one more, and ..."""
     gain_over_parent: float = 0.0
     """... its gain over that one"""
@@ -51,7 +51,7 @@ class Explanation:
 
 @dataclass
 class DiagnosisContext:
-    """What all steps share."""
+    """State that all steps share."""
 
     candidates: list[Candidate]
     columns: list[NDArray[np.intp]]
@@ -61,7 +61,7 @@ class DiagnosisContext:
     nominal: Model
     rng: np.random.Generator
     given_up: set[frozenset[str]] = field(default_factory=set)
-    """Sets of effects whose fits were hopeless beside others."""
+    """Sets of effects whose fits were much less likely than others."""
     first: list[Model] | None = None
     """Fits of the most promising effects, once they are made."""
 
@@ -77,7 +77,7 @@ class DiagnosisContext:
 
     @cached_property
     def deviance(self) -> float:
-        """Of the nominal model."""
+        """Deviance of the nominal model."""
         return deviance(self.nominal)
 
     @cached_property
@@ -86,7 +86,7 @@ class DiagnosisContext:
         return ratios(self.nominal)
 
     def excess_noise(self, model: Model) -> str:
-        """What `model` leaves to the noise levels, in words; empty where that is in order."""
+        """Channel whose noise level `model` inflates, in words; empty without one."""
         return excess_noise(model, None if model is self.nominal else self.levels)
 
     @cached_property
@@ -98,8 +98,8 @@ class DiagnosisContext:
     def trials(self) -> int:
         return len(self.candidates)
 
-    def gain(self, tests: Tests, i: int) -> float:
-        """Of candidate i; nil for what the recorder's clocks leave open anyway."""
+    def gain(self, tests: ScoreTests, i: int) -> float:
+        """Gain of candidate i; zero for a size within the uncertainty of the recorder's clocks."""
         columns, open_size = self.columns[i], self.candidates[i].effect.open_size(self.split.clock_bound_s)
         if open_size > 0.0 and abs(float(tests.size(columns)[0])) < open_size:
             return 0.0
@@ -116,20 +116,20 @@ def least_gain(context: DiagnosisContext, i: int) -> float:
     return (LEAST_GAIN_CLEAR if clear else 1.0) * context.material(context.split.discover)
 
 
-def detected(context: DiagnosisContext, tests: Tests) -> bool:
+def detected(context: DiagnosisContext, tests: ScoreTests) -> bool:
     """Whether anything at all is there, named or not."""
     return any(context.gain(tests, i) > least_gain(context, i) and p_of(context, tests, i) < ALPHA
                for i in range(context.trials))
 
 
-def p_of(context: DiagnosisContext, tests: Tests, i: int) -> float:
+def p_of(context: DiagnosisContext, tests: ScoreTests, i: int) -> float:
     """p-value of candidate i over all that were tried; 1 of what counts for nothing."""
     if context.gain(tests, i) <= 0.0:
         return 1.0
     return min(1.0, tests.p_value(context.columns[i]) * context.trials)
 
 
-def best_shapes(context: DiagnosisContext, tests: Tests, skip: Sequence[str] = ()) -> list[int]:
+def best_shapes(context: DiagnosisContext, tests: ScoreTests, skip: Sequence[str] = ()) -> list[int]:
     """Library candidates, best shape of each effect, by falling gain."""
     best: dict[str, int] = {}
     for i in range(context.named):

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator.diagnosis.decision_rule import KEPT_BACK, LEAST_S, PARTS
+from estimator.diagnosis.decision_rule import HELD_OUT, LEAST_S, PARTS
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import noise_floors, require_scale
@@ -21,7 +21,7 @@ from estimator.signals import SignalSet, split_signals
 
 @dataclass(frozen=True)
 class RunSplit:
-    """Runs by falling excitation, each a list of gap-free stretches: nothing hangs on the order in which they came."""
+    """Runs by falling excitation, each a list of gap-free segments: nothing hangs on the order in which they came."""
 
     mechanism: Mechanism
     options: FitOptions
@@ -74,7 +74,7 @@ class RunSplit:
         return Noise(torque, encoder, gyro, accel)
 
     def signals(self, which: Sequence[int]) -> list[SignalSet]:
-        """All stretches of these runs."""
+        """All segments of these runs."""
         return [s for i in which for s in self.runs[i]]
 
     def problem(self, which: Sequence[int], angle_range: FloatArray, effects: Sequence[Effect] = (),
@@ -91,7 +91,7 @@ class RunSplit:
         return problem.with_stiction(np.concatenate(known)) if len(known) == len(which) else problem
 
     def with_stiction(self, found: Mapping[int, FloatArray]) -> RunSplit:
-        """With `Noise.stiction` of more runs; what is known stays."""
+        """Split with `Noise.stiction` of more runs; known values stay."""
         return replace(self, stiction={**found, **self.stiction})
 
 
@@ -116,9 +116,9 @@ def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
                        "better eight runs of 20 s")
     starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
     order = by_excitation(runs)
-    groups = kept_back(len(order))
+    groups = held_out(len(order))
     confirm = groups[0]
-    screen = [k for k in range(len(order)) if k % 4 == 3 - KEPT_BACK[k // 4 % 2] and k not in confirm]
+    screen = [k for k in range(len(order)) if k % 4 == 3 - HELD_OUT[k // 4 % 2] and k not in confirm]
     fit = [k for k in range(len(order)) if k not in confirm and k not in screen]
     return RunSplit(mechanism, options, tuple(datasets[i].name for i in order), tuple(runs[i] for i in order),
                     tuple(float(starts[i]) for i in order),
@@ -126,10 +126,12 @@ def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
                    max(d.clock_bound_s for d in datasets), known, workers)
 
 
-def kept_back(count: int) -> list[tuple[int, ...]]:
-    """Groups of `count` runs, by falling excitation, that are kept back in turn: the first is the one that chooses
-    nothing. Of four neighbours one is in each."""
-    groups = [tuple(k for k in range(count) if k % 4 == (KEPT_BACK[k // 4 % 2] + turn) % 4) for turn in range(4)]
+def held_out(count: int) -> list[tuple[int, ...]]:
+    """Groups of held-out runs for a rotation, as indices by falling excitation; the first are the confirm runs.
+
+    Each group has one of every four neighbours.
+    """
+    groups = [tuple(k for k in range(count) if k % 4 == (HELD_OUT[k // 4 % 2] + turn) % 4) for turn in range(4)]
     return [g for g in groups if g] if groups[0] else [(count - 1,), *((k,) for k in range(count - 1))]
 
 

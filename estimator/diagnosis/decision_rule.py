@@ -1,12 +1,11 @@
-"""Every number on which a verdict hangs, in the order in which a diagnosis asks them.
+"""Thresholds of the verdict, in the order in which a diagnosis applies them.
 
-Detection outruns what matters: on every real rig a dozen small things are seen beyond doubt and change no simulation.
-So a cause is said to be present where it is detected, replicates and can be; it *matters* where the simulation's error
-on runs that chose nothing falls by more than a stated share when it is added. What matters and has no name is known
-by a generic extension, which needs no library.
+A cause is *present* if it is significant, repeats between runs and is possible. It is *material* if it reduces the
+free-run error of the held-out runs by more than a stated share. Present causes often are not material: they do not
+change the simulation. Generic terms show a material error that no listed effect explains.
 
-Gains are twice the log likelihood (no unit), over the scatter between runs. How many steps a fit may take, and from
-where, stands with the fits (`refit`, `candidate_fit`). What was measured for a number is in docs/decisions.md.
+Gains are twice the log likelihood (no unit), over the scatter between runs. Limits on the steps of a fit are in `refit`
+and `candidate_fit`. docs/decisions.md says how the thresholds were chosen.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ LEAST_S = 8.0
 """Shortest data that are diagnosed, all runs together [s]."""
 FEW_RUNS = 6
 """Below this many runs a warning says that their scatter is poorly known."""
-KEPT_BACK = (1, 2)
-"""Which of four neighbours in excitation is kept back, in turn: neither the strongest nor the weakest of all runs."""
+HELD_OUT = (1, 2)
+"""Held-out places among four neighbours in excitation, alternating: neither the strongest nor the weakest run."""
 PARTS = 8
-"""Stretches into which a single run is cut."""
+"""Segments into which a single run is cut."""
 
 # What is detected
 
@@ -34,10 +33,9 @@ skew, a per mille of scale) and change no simulation."""
 LEAST_GAIN_CLEAR = 0.4
 """... or this share of it where an effect of the library does not act near rest."""
 HIDDEN = 1e-5
-"""A candidate that the nominal parameters imitate but for this share of its information is not tested: what is left is
-rounding. Nor is a combination of its sizes: on one run a drift over the session and one within the run are the same."""
+"""Candidates whose information after projection is below this share are not tested; nor are combinations of sizes."""
 PRIOR_RUNS = 8
-"""Runs that the pooled scatter counts for beside a candidate's own."""
+"""Weight of the pooled scatter, in runs, relative to a candidate's own."""
 REPLICATES = (2, 16)
 """Fewest and most replicates of each run, in between as many as make up ..."""
 REPLICATED_SAMPLES = 24_000
@@ -49,10 +47,10 @@ LENT_BIAS = 3.0
 
 # Noise levels: what a model lacks can hide there
 
-LOUD_SENSOR, LOUD_UNDECLARED, LOUD_TORQUE = 1.3, 2.0, 1.6
+NOISY_SENSOR, NOISY_UNDECLARED, NOISY_TORQUE = 1.3, 2.0, 1.6
 """How many times its level a channel's noise may have: of a declared sensor, of one that is judged by its neighbouring
 samples, and of torque, for a room and a motor add some to the shunt's noise."""
-STILL_LOUD = 0.2
+STILL_NOISY = 0.2
 """... or this share of what the nominal fit had beyond its level, in variance: functional forms differ."""
 
 # Which models are tried
@@ -60,41 +58,41 @@ STILL_LOUD = 0.2
 WORTH_TRYING = 0.5
 """p-value, over all candidates tried, from which an effect is not re-fitted."""
 FIRST_SINGLES = 2
-"""Best effects beside which friction's rounding is sought before anything else is tried."""
+"""Number of best effects with which the friction smoothing velocity is estimated first."""
 SINGLES = 5
-"""Best effects that are re-fitted one by one, beside ..."""
+"""Number of best effects that are re-fitted individually, in addition to ..."""
 SCATTERED = 2
-"""... the best of the others by gains that are not divided by their own scatter between runs: what is badly missing
-scatters by itself."""
+"""... this many of the others with the largest gains that are not divided by their own scatter between runs: a large
+effect raises its own scatter."""
 HOPELESS = 0.1
 """Share of the log likelihood that the best gains, each under its own noise, below which a fit is given up: what leads
 to the truth gains nearly all that can be gained."""
 COMPARED = 6
 """Most fits that are compared under the noise of the best: the likeliest under their own."""
 MOST_ASSESSED = 4
-"""Of them, those whose rest is looked at: the likeliest."""
+"""Number of them, the likeliest, whose residuals are scored."""
 PARENTS = 2
-"""Best singles that are extended to pairs where none closes."""
+"""Best singles that are extended to pairs where no single explains the error."""
 PAIRS, TRIPLES = 3, 2
-"""Second effects that are tried beside these together, and third ones beside the best pair."""
+"""Second effects that are tried together with these, and third ones with the best pair."""
 MOST_GROWN = 3
-"""Of them, those whose rest is looked at: the likeliest."""
+"""Number of them, the likeliest, whose residuals are scored."""
 COLLINEAR = 0.9
 """Cosine above which one effect is tried in another's place."""
 
-# Which of them close: what they leave over is no other cause
+# Which of them explain the error: their residual is no other cause
 
-LEFT_OVER = 0.03
-"""What a cause may leave for others on the discover runs: this share of its own gain. Functional forms differ."""
+RESIDUAL_SHARE = 0.03
+"""Largest gain of another effect on a cause's residual, as a share of the cause's gain. Functional forms differ."""
 LEFT_AT_REST = 0.15
-"""... and this share to another friction near rest at its joint."""
+"""... and this share for another friction effect near rest at its joint."""
 STILL_LEFT = 0.1
-"""Share of what a single leaves that a second cause may still leave beside it: forms differ, as above. By the same
-share of its gain another may be likelier, under its own noise, than a single that closes."""
-NIL = 4.0
-"""Standard deviations within which a size is nil: the rounding of dry friction near rest alone moves sizes by two."""
+"""Largest residual gain of a pair, as a share of that of its single. By the same share of its gain another model may be
+likelier, under its own noise, than a single that explains the error."""
+ZERO_WITHIN = 4.0
+"""Standard deviations within which a size is not significant: friction smoothing alone moves sizes by two."""
 RIVAL = 0.5
-"""An explanation with less than this share of the best one's gain leaves the rest of it unexplained: not a rival."""
+"""Least gain of a rival explanation, as a share of the best one's gain."""
 
 # Which of them these runs cannot tell apart
 
@@ -109,7 +107,7 @@ AGREE = 0.6
 WIDEST = 0.1
 """... and to less than this share of the gain."""
 
-# Errors of free runs, on the runs kept back
+# Errors of free runs, on the held-out runs
 
 HORIZONS_S = (0.1, 1.0, np.inf)
 """Lengths of the pieces [s]: what a controller looks ahead, a swing, and the whole run. Long free runs of a leg that
@@ -117,17 +115,18 @@ sticks are chaotic, and tell nothing of friction near rest; short ones do not ad
 BLOCK_S = 2.0
 """Length of a block that is resampled [s]: a few periods of the slowest motion."""
 DRAWS = 400
-"""Resamplings of the runs kept back."""
+"""Number of bootstrap resamples of the held-out runs."""
 SURE = 0.95
-"""Share of resampled runs, of those that chose nothing, in which what is said must hold."""
+"""Least share of resampled held-out runs in which a statement holds."""
 MATERIAL = 0.1
-"""Share by which the rms error of free runs must fall for a cause to matter; the user's to set (`--material`)."""
+"""Material: the smallest relative reduction of the free-run rms error that counts (`--material`)."""
 SUFFICES = 0.5
-"""Least share of what can be explained at all, listed effects and terms without a name together, that the named causes
-must explain for them to be the answer, in part or whole: less, and they imitate something else. And of the whole mean
-square beyond noise, where they are the answer in part."""
+"""Least share of the explainable error that the named causes must explain; otherwise they imitate something else.
+
+Explainable: by listed effects and generic terms together. For `partial` also the least share of the mean square error
+beyond noise."""
 GENERIC_TERMS = 4
-"""Most terms without a name that stand for what a library does not list."""
+"""Most generic terms, which represent what the library does not list."""
 SHORTLIST, SHORTLIST_EACH = 6, 2
 """Explanations whose free runs are measured, and how many of each number of effects at least: the likeliest."""
 EDGE = 1.5
@@ -139,7 +138,7 @@ FAR_WRONG = 3.0
 """Error of the nominal free run beyond which its fit may have hidden the one cause that there is. Then all other
 effects are fitted, too, where none of the best closes."""
 
-# What is told beside a verdict
+# What is reported in addition to a verdict
 
 CONFUSABLE = 0.7
 """Cosine above which a cause is said to be confusable with an effect."""

@@ -1,7 +1,6 @@
-"""How much of the simulation's error each cause makes, on runs that chose nothing.
+"""Share of each cause in the free-run error of the held-out runs.
 
-A generic extension, terms without a name that what is left over asks for, says how much of the rest could be explained
-at all.
+Generic terms, fitted to the residual, show how much of it could be explained at all.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from estimator.diagnosis.error_table import ErrorTable
 from estimator.diagnosis.model_search import start_size
 from estimator.diagnosis.refit import Model, refit
 from estimator.diagnosis.result import BudgetRow
-from estimator.diagnosis.score_statistics import Tests
+from estimator.diagnosis.score_statistics import ScoreTests
 from estimator.errors import FitError
 
 GENERIC_STEPS = 12
@@ -51,9 +50,11 @@ def budget(table: ErrorTable, row: int, without: Sequence[int], model: Model | N
                  for (what, e), value, a, b in zip(parts, point, low, high))
 
 
-def generic_extension(context: DiagnosisContext, model: Model, left: Tests) -> Model | None:
-    """`model` with the terms without a name that what it leaves over asks for most, fitted together; None where none
-    is detected, or where they cannot be fitted."""
+def generic_extension(context: DiagnosisContext, model: Model, left: ScoreTests) -> Model | None:
+    """`model` with the generic terms of the largest gain on its residual, fitted together.
+
+    None where no term is significant, or where they cannot be fitted.
+    """
     chosen: list[int] = []
     for _ in range(GENERIC_TERMS):
         known = left.gain(_columns(context, chosen)) if chosen else 0.0
@@ -67,7 +68,7 @@ def generic_extension(context: DiagnosisContext, model: Model, left: Tests) -> M
         return None
     start = list(zip(model.effects, model.sizes()))
     start += [(context.candidates[i].effect, start_size(context, left, i)) for i in chosen]
-    for count in range(len(start), len(model.effects), -1):  # fewer where all together do not settle
+    for count in range(len(start), len(model.effects), -1):  # fewer where all together do not converge
         try:
             return refit(model, start[:count], GENERIC_STEPS)
         except (FitError, np.linalg.LinAlgError):

@@ -1,4 +1,4 @@
-"""How far free runs of several models are off, on runs that chose nothing.
+"""Free-run errors of several models on held-out runs.
 
 A free run starts from the fitted motion and is driven by the measured torque alone, over pieces of `HORIZONS_S`. Its
 squared errors, in units of what noise alone leaves in a replicate of the same piece, are comparable over channels and
@@ -24,14 +24,14 @@ from estimator.prediction import FloorNoise, SmoothedRun, channel_names, floor_e
 
 @dataclass(frozen=True)
 class Unit:
-    """What errors are counted in: the noise alone of one model; and what is taken for measured."""
+    """Unit of the errors: the noise floor of one model; and the values taken as measured."""
 
     reference: Model
     noise: FloorNoise
     """Under which its replicates are drawn"""
     floor: FloatArray
     """(C,) mean squared error that noise alone leaves in each column"""
-    reader: Model
+    smoother: Model
     """The one that reads the pivot's angle, and ..."""
     pivots: tuple[FloatArray, ...]
     """... that angle in each run"""
@@ -73,9 +73,10 @@ class ErrorTable:
         return rng.integers(0, count, (DRAWS, count), dtype=np.intp)
 
     def lowers(self, model: int, than: int, by: float, draws: NDArray[np.intp], of: int) -> float:
-        """Share of resamplings in which `model` has less error than `than` by more than the share `by` of that of the
-        model `of`. All are of one resampling: a free run that strays once makes most of the error, and a fall that is
-        asked for in its units would not be seen wherever that piece is not drawn."""
+        """Share of resamplings in which error(than) - error(model) > by * error(of).
+
+        All three errors are of the same resampling, because one diverging piece can be most of the error.
+        """
         return float(np.mean([self.error(than, d) - self.error(model, d) > by * self.error(of, d) for d in draws]))
 
     def raises(self, model: int, than: int, by: float, of: int) -> bool:
@@ -86,10 +87,10 @@ class ErrorTable:
 
 
 class Measured(NamedTuple):
-    """Of one run."""
+    """Errors of one run."""
 
     squares: FloatArray
-    """(readers, M, B, C)"""
+    """(smoothers, M, B, C)"""
     floor: FloatArray
     """(C,)"""
     moments: FloatArray
@@ -97,22 +98,21 @@ class Measured(NamedTuple):
     misfits: FloatArray
     """(M,)"""
     pivots: FloatArray
-    """(readers, N)"""
+    """(smoothers, N)"""
 
 
 def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.int64],
-                   readers: Sequence[int] | None = None, noise: FloorNoise | None = None) -> ErrorTable:
-    """Errors of `models`, the nominal one first, on their confirm runs, one of `seeds` each, in units of what `noise`,
-    by default the reference's own, leaves of the `reference`. One of `readers`, by default of all models, reads the
-    pivot's angle.
+                   smoothers: Sequence[int] | None = None, noise: FloorNoise | None = None) -> ErrorTable:
+    """Errors of `models`, the nominal one first, on their confirm runs, in units of the `reference`'s noise floor.
 
-    No error counts for more than that of who takes every sensor's mean: a simulation that strays from the motion, once
-    it has, says nothing more. Raises `FitError` where the reference's simulation runs off.
+    The floor is of `noise`, by default the reference's own, with one of `seeds` a run. The smoother of one of
+    `smoothers`, by default of all models, supplies the pivot angle. Each squared error is capped at the sensor's
+    variance. Raises `FitError` where the reference's simulation diverges.
     """
     split = reference.split
     best = next((k for k, m in enumerate(models) if m is reference), len(models))
     every = [*models, *([reference] if best == len(models) else [])]
-    could = list(range(len(models)) if readers is None else readers)
+    could = list(range(len(models)) if smoothers is None else smoothers)
     drawn = noise or white_noise(reference.state.noise)
 
     def measured(k: int) -> Measured:
@@ -130,10 +130,10 @@ def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.
                                                                          [p.moments for p in parts]))
     bound = moments[1] - moments[0] ** 2
     misfits = np.stack([p.misfits for p in parts], axis=-1)
-    reader = int(np.argmin(misfits.sum(axis=1)[could]))
-    squares = np.concatenate([p.squares[reader] for p in parts], axis=1)
+    smoother = int(np.argmin(misfits.sum(axis=1)[could]))
+    squares = np.concatenate([p.squares[smoother] for p in parts], axis=1)
     floor = _least(floor, np.minimum(squares, bound))
-    unit = Unit(reference, drawn, floor, models[could[reader]], tuple(p.pivots[reader] for p in parts), bound,
+    unit = Unit(reference, drawn, floor, models[could[smoother]], tuple(p.pivots[smoother] for p in parts), bound,
                 misfits[0])
     return ErrorTable(_columns_of(reference), _bounded([squares], floor, bound),
                       misfits[0] - misfits, np.repeat(np.arange(len(parts)), lengths), tuple(models), unit)
@@ -213,8 +213,10 @@ def _columns_of(model: Model) -> tuple[tuple[str, float], ...]:
 
 def _squares(sensors: Sequence[str], fitted: Sequence[SmoothedRun], pivots: FloatArray
              ) -> tuple[FloatArray, FloatArray]:
-    """(P, M, B, C) mean squared errors over blocks of a run that the models are `fitted` to, an angle that no encoder
-    reads being each of `pivots` (P, N) in turn; and (2, C) mean, and mean square, of what each column measured."""
+    """(P, M, B, C) mean squared errors over blocks of a run, and (2, C) mean and mean square of each column.
+
+    `fitted` are the smoothed runs of the models. An angle without an encoder is each of `pivots` (P, N).
+    """
     found = predict_run(fitted, HORIZONS_S, misfits=False)
     rows = [found.channels.index(c) for c in sensors]
     size = max(10, int(BLOCK_S * found.rate_hz))

@@ -12,24 +12,23 @@ from estimator.diagnosis.model_search import significant
 
 
 def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
-    """Of explanations by equally many effects, the best, and those that are not told apart from it.
+    """The best of explanations by equally many effects, and those that are not told apart from it.
 
     The most likely stands for all, unless it leaves something detectable and another does not.
     """
     most, *others = sorted(adequate, key=lambda o: -o.gain)
     near = [most, *(o for o in others if is_close(o, most))]
     best = next((o for o in near if o.no_residual_effect), most)
-    return settled([best, *(o for o in near if o is not best and
+    return distinguishable([best, *(o for o in near if o is not best and
                              (o.no_residual_effect or not best.no_residual_effect or equivalent(o, best)))])
 
 
 def is_close(other: Explanation, most: Explanation) -> bool:
     """Whether `other` is about as likely as the `most` likely.
 
-    Second causes beside one and the same first are compared by what they add to it, not by the first one's gain
-    too.
+    Pairs with the same first cause are compared by the gains of their second causes alone.
     """
-    common = bool(most.beside) and most.beside == other.beside
+    common = bool(most.parent) and most.parent == other.parent
     share, short = most.gain_over_parent if common else most.gain, most.gain - other.gain
     if short <= share * (TIE_ALIKE if equivalent(other, most) else TIE) + TIE_GAIN:
         return True
@@ -45,11 +44,11 @@ def equivalent(one: Explanation, other: Explanation) -> bool:
     return first == second
 
 
-def settled(near: list[Explanation]) -> list[Explanation]:
-    """Those among effects of one group settled by the sizes that set them apart (`Effect.distinguishing_size`).
+def distinguishable(near: list[Explanation]) -> list[Explanation]:
+    """Explanations that remain after effects of one group are told apart by their `Effect.distinguishing_size`.
 
-    Where the best has such a size, those without it are out. Where it has none, those are out that say no more than
-    another does with fewer sizes: a spring without stiffness beside an offset of the torque.
+    If the best has a significant one, those without it are removed. Otherwise explanations that equal another one with
+    fewer sizes are removed: a spring of zero stiffness equals a torque offset.
     """
     best, others = near[0], near[1:]
     if set_apart(best):
@@ -59,7 +58,7 @@ def settled(near: list[Explanation]) -> list[Explanation]:
 
 
 def set_apart(explanation: Explanation) -> bool:
-    """Whether an effect of a group has the size that sets it apart from the others, beside its own scatter too."""
+    """Whether an effect of a group has a significant distinguishing size, by its own scatter too."""
     spread = np.sqrt(np.maximum(explanation.inflation, explanation.left.scatter))
     return any(e.equivalence_class and e.distinguishing_size is not None
                and significant(explanation.model, k, spread)[e.distinguishing_size]
@@ -67,6 +66,6 @@ def set_apart(explanation: Explanation) -> bool:
 
 
 def nested(plain: Explanation, other: Explanation) -> bool:
-    """Whether `plain` is `other` with the size nil that sets it apart: first of its effect's sizes, all else equal."""
+    """Whether `plain` is `other` with a distinguishing size of zero: the first of its effect, all else equal."""
     return equivalent(plain, other) and any(e.equivalence_class and e.distinguishing_size == 0
                                             for e in other.model.effects)

@@ -1,4 +1,4 @@
-"""`explain`: full re-fits of the best single effects, then pairs, then one triple, and what each leaves over."""
+"""`explain`: full re-fits of the best single effects, then pairs, then one triple; scores of their residuals."""
 
 from __future__ import annotations
 
@@ -16,30 +16,32 @@ from estimator.diagnosis.decision_rule import (
     COLLINEAR,
     FIRST_SINGLES,
     LEFT_AT_REST,
-    LEFT_OVER,
     MOST_GROWN,
-    NIL,
     PAIRS,
     PARENTS,
+    RESIDUAL_SHARE,
     RIVAL,
     SCATTERED,
     SINGLES,
     STILL_LEFT,
     TRIPLES,
     WORTH_TRYING,
+    ZERO_WITHIN,
 )
 from estimator.diagnosis.refit import Model, bootstrap_scores, score_discover, tests_of
-from estimator.diagnosis.score_statistics import RunScore, Tests, own_inflation
+from estimator.diagnosis.score_statistics import RunScore, ScoreTests, own_inflation
 from estimator.effects import Effect
 from estimator.errors import FitError
 
 Progress = Callable[[str, float], None]
 
 
-def explain(context: DiagnosisContext, tests: Tests, singles: list[Explanation], say: Progress,
+def explain(context: DiagnosisContext, tests: ScoreTests, singles: list[Explanation], say: Progress,
             promise: Callable[[Sequence[Explanation]], bool]) -> list[Explanation]:
-    """Fitted explanations; more effects only where none of the `singles` closes, and where they `promise` that they
-    matter. Then the best that closes, parts exchanged."""
+    """Fitted explanations: `singles`, and more effects only if no single explains the error and more can be material.
+
+    `promise` decides the latter. Then parts of the best explanation are exchanged.
+    """
     if not singles or not promise(singles):
         return singles
     found = combine(context, singles, say, promise)
@@ -51,7 +53,7 @@ def explain(context: DiagnosisContext, tests: Tests, singles: list[Explanation],
     return found + swapped(context, tests, best, {keys_of(e) for e in found})
 
 
-def swapped(context: DiagnosisContext, tests: Tests, best: Explanation, known: set[frozenset[str]]
+def swapped(context: DiagnosisContext, tests: ScoreTests, best: Explanation, known: set[frozenset[str]]
             ) -> list[Explanation]:
     """`best` with one effect after the other changed for each that it resembles, as far as not `known`."""
     model, out = best.model, []
@@ -72,13 +74,13 @@ def swapped(context: DiagnosisContext, tests: Tests, best: Explanation, known: s
                 scatter = best.left.scatter
                 more = (found.gain - mine.gain) / scatter  # both weighed under one noise, unlike `best`
                 out.append(replace(assess_residual(context, found, best.bias, scatter), gain=best.gain + more,
-                                   beside=best.beside if best.beside <= keys else frozenset(),
+                                   parent=best.parent if best.parent <= keys else frozenset(),
                                    gain_over_parent=best.gain_over_parent + more,
                                    by_run=best.by_run + found.by_run - mine.by_run))
     return out
 
 
-def resemble(context: DiagnosisContext, tests: Tests, i: int, k: int) -> bool:
+def resemble(context: DiagnosisContext, tests: ScoreTests, i: int, k: int) -> bool:
     """Whether the effects of two candidates are of one `Effect.equivalence_class` at one joint, or nearly collinear."""
     one, other = context.candidates[i].effect, context.candidates[k].effect
     if one.equivalence_class and one.equivalence_class == other.equivalence_class:
@@ -93,7 +95,7 @@ def keys_of(explanation: Explanation) -> frozenset[str]:
     return effects_of(explanation.model)
 
 
-def fit_first(context: DiagnosisContext, tests: Tests) -> list[Model]:
+def fit_first(context: DiagnosisContext, tests: ScoreTests) -> list[Model]:
     """The two most promising effects, each fitted alone; a search that begins again takes them over."""
     if context.first is None:
         starts = [start_of(context, tests, i) for i in promising(context, tests, SINGLES)[:FIRST_SINGLES]]
@@ -101,7 +103,7 @@ def fit_first(context: DiagnosisContext, tests: Tests) -> list[Model]:
     return context.first
 
 
-def fit_singles(context: DiagnosisContext, tests: Tests, first: Sequence[Model] = ()) -> list[Explanation]:
+def fit_singles(context: DiagnosisContext, tests: ScoreTests, first: Sequence[Model] = ()) -> list[Explanation]:
     """The most promising effects, each fitted alone, the likeliest first; the `first` of them are fitted."""
     # from where one step may lead nowhere
     far = best_shapes(context, tests) if context.excess_noise(context.nominal) else []
@@ -113,7 +115,7 @@ def fit_singles(context: DiagnosisContext, tests: Tests, first: Sequence[Model] 
     return fit_candidates(context, starts, first)
 
 
-def fit_others(context: DiagnosisContext, tests: Tests, singles: Sequence[Explanation]) -> list[Explanation]:
+def fit_others(context: DiagnosisContext, tests: ScoreTests, singles: Sequence[Explanation]) -> list[Explanation]:
     """`singles` and every effect of the library that was not tried, each fitted alone, the likeliest first.
 
     Where no single closes, a nominal fit that is far wrong may have hidden the one cause that there is.
@@ -124,17 +126,16 @@ def fit_others(context: DiagnosisContext, tests: Tests, singles: Sequence[Explan
     return fit_candidates(context, starts, [e.model for e in singles])
 
 
-def start_of(context: DiagnosisContext, tests: Tests, i: int) -> Start:
-    """Where a fit with candidate i alone begins."""
+def start_of(context: DiagnosisContext, tests: ScoreTests, i: int) -> Start:
+    """Start of a fit with candidate i alone."""
     return [(context.candidates[i].effect, start_size(context, tests, i))]
 
 
 def combine(context: DiagnosisContext, singles: Sequence[Explanation], say: Progress,
             promise: Callable[[Sequence[Explanation]], bool]) -> list[Explanation]:
-    """`singles`; where none closes, pairs; where none of these does, and they `promise` more, one triple.
+    """`singles`; if none explains the error, pairs; if no pair does, and they `promise` more, one triple.
 
-    What a single may leave over could be a difference of form, or a second cause: where it leaves something, a pair
-    that leaves next to nothing is preferred.
+    A single's residual is a difference of form or a second cause. A pair with almost no residual is preferred.
     """
     singles = closing(context, singles)
     if any(s.adequate for s in singles):
@@ -167,22 +168,22 @@ def closing(context: DiagnosisContext, singles: Sequence[Explanation]) -> list[E
 
 
 def backward_step(context: DiagnosisContext, explanation: Sequence[Explanation]) -> list[Explanation]:
-    """Those that leave little but hold an effect that is nil, fitted without it, as far as they close then.
+    """Explanations with a small residual and an effect that is not significant, re-fitted without that effect.
 
-    A nominal fit that is far wrong can hide the one cause there is from the first singles.
+    Only those that still explain the error. A nominal fit that is far wrong can hide the only cause at first.
     """
     starts = {}
     for e in explanation:
         there = presence(e.model, float(np.sqrt(e.left.scatter)))
-        little = e.no_residual_effect or context.gain(e.left, e.best_left) < LEFT_OVER * e.gain
+        little = e.no_residual_effect or context.gain(e.left, e.best_left) < RESIDUAL_SHARE * e.gain
         rest = [pair for pair, real in zip(zip(e.model.effects, e.model.sizes()), there) if real]
-        grown = e.beside == {effect.key for effect, _ in rest} and e.gain_over_parent < LEFT_OVER * e.gain
+        grown = e.parent == {effect.key for effect, _ in rest} and e.gain_over_parent < RESIDUAL_SHARE * e.gain
         if little and rest and not all(there) and not grown:  # what it was grown from is fitted as well already
             starts[keys_of(e)] = rest
     return [e for e in assess_residuals(context, fit_candidates(context, list(starts.values()))) if e.adequate]
 
 
-def promising(context: DiagnosisContext, tests: Tests, most: int, skip: Sequence[str] = ()) -> list[int]:
+def promising(context: DiagnosisContext, tests: ScoreTests, most: int, skip: Sequence[str] = ()) -> list[int]:
     """Candidates worth a re-fit, each effect in its best shape: the best by gain, and by gain over the common scatter
     instead of their own."""
     order = best_shapes(context, tests, skip)
@@ -203,8 +204,8 @@ def same_family(best: Explanation, pair: Explanation) -> bool:
     return any((e.family, e.joint) in own or 0.0 < abs(e.delay_s(s)) < lag_s for e, s in more)
 
 
-def start_size(context: DiagnosisContext, tests: Tests, i: int) -> FloatArray:
-    """One-step sizes of candidate i, with its shape; nil for those that do not define it, whose steps can be wild."""
+def start_size(context: DiagnosisContext, tests: ScoreTests, i: int) -> FloatArray:
+    """One-step sizes of candidate i, with its shape; zero for sizes that do not define it."""
     effect, shape = context.candidates[i].effect, context.candidates[i].shape
     size = np.zeros(len(effect.sizes))
     size[: effect.defining] = tests.size(context.columns[i][: effect.defining])
@@ -215,8 +216,10 @@ def start_size(context: DiagnosisContext, tests: Tests, i: int) -> FloatArray:
 
 def assess_residuals(context: DiagnosisContext, explanation: Sequence[Explanation], bias: Sequence[RunScore] = ()
                      ) -> list[Explanation]:
-    """Each with what it leaves over, gains over the scatter that the most likely one leaves; with its `bias`, which is
-    drawn where it is not given."""
+    """Each with the scores of its residual, over the scatter of the most likely one, and with its `bias`.
+
+    The bias is simulated where it is not given.
+    """
     if not explanation:
         return []
     scores = score_discover(explanation[0].model, context.candidates)
@@ -247,7 +250,8 @@ def drop_size_entries(score: RunScore, model: Model) -> RunScore:
 
 def assess_residual(context: DiagnosisContext, explanation: Explanation, replicates: Sequence[RunScore],
                     scatter: float | None, scores: Sequence[RunScore] | None = None) -> Explanation:
-    """With what it leaves over on the discover runs, and its gain over the scatter (by default its own)."""
+    """Explanation with the scores of its residual on the discover runs, and its gain over the scatter (by default its
+    own)."""
     model = explanation.model
     scores = scores or score_discover(model, context.candidates)
     left = tests_of(model, scores, [insert_size_entries(b, model) for b in replicates])
@@ -270,14 +274,13 @@ def assess_residual(context: DiagnosisContext, explanation: Explanation, replica
 def may_leave(model: Model, other: Effect) -> float:
     """Share of its gain that `model` may leave to another effect: forms differ, most of all near rest."""
     rubs = any(e.near_rest and e.joint == other.joint for e in model.effects)
-    return LEFT_AT_REST if rubs and other.near_rest else LEFT_OVER
+    return LEFT_AT_REST if rubs and other.near_rest else RESIDUAL_SHARE
 
 
 def presence(model: Model, spread: float) -> list[bool]:
-    """For each effect, whether a defining size is not nil within its interval, and none of a sign that it cannot have.
+    """For each effect, whether a defining size is significant, no size has an impossible sign, and shapes are in range.
 
-    A gear that does not twist, with its motor's friction and inertia for sizes, is no soft gear; nor is friction near
-    rest what its law says where that wants to be nearer than its range.
+    A gear of zero compliance with friction and inertia of its motor is no elastic gear.
     """
     out = []
     for k, (effect, size) in enumerate(zip(model.named, model.sizes())):
@@ -289,10 +292,12 @@ def presence(model: Model, spread: float) -> list[bool]:
 
 
 def significant(model: Model, which: int, spread: float | FloatArray) -> NDArray[np.bool_]:
-    """For each size of one effect of `model`, whether it differs from zero beside its deviation times `spread`, one
-    for all parameters or one each."""
+    """For each size of one effect of `model`, whether it differs from zero by its standard deviation times `spread`.
+
+    `spread` is one value, or one for each parameter.
+    """
     std = (spread * model.std())[model.places()[which]]
-    return np.asarray(np.abs(model.sizes()[which]) > NIL * std)[: len(model.effects[which].sizes)]
+    return np.asarray(np.abs(model.sizes()[which]) > ZERO_WITHIN * std)[: len(model.effects[which].sizes)]
 
 
 def insert_size_entries(score: RunScore, model: Model) -> RunScore:
@@ -313,8 +318,8 @@ def forward_step(context: DiagnosisContext, parents: Sequence[Explanation], most
     gains = {keys_of(e): e.gain for e in refitted}
     grown = []
     for e in refitted:
-        beside = next((keys_of(p) for p in parents if keys_of(p) < keys_of(e)), None)
-        if beside is not None:
-            grown.append(replace(e, beside=beside, gain_over_parent=e.gain - gains.get(beside, 0.0)))
+        smaller = next((keys_of(p) for p in parents if keys_of(p) < keys_of(e)), None)
+        if smaller is not None:
+            grown.append(replace(e, parent=smaller, gain_over_parent=e.gain - gains.get(smaller, 0.0)))
     bias = parents[0].bias if parents[0].adequate else ()  # what little its effect leaves hardly changes noise levels
     return assess_residuals(context, grown[:MOST_GROWN], bias)

@@ -1,7 +1,7 @@
 """`excess_noise`: channels whose noise a fit finds larger than the rig declares, or than neighbouring samples show.
 
-A model that lacks something unlike every listed term can leave it to the noise levels: each score is then small beside
-scores that scatter, and yet a gyro that is good to 5 mrad/s errs by 95.
+An error unlike every listed term can end up in the noise levels. Then all scores are small, but a gyro with 5 mrad/s
+of noise has a residual of 95.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.diagnosis.decision_rule import LOUD_SENSOR, LOUD_TORQUE, LOUD_UNDECLARED, STILL_LOUD
+from estimator.diagnosis.decision_rule import NOISY_SENSOR, NOISY_TORQUE, NOISY_UNDECLARED, STILL_NOISY
 from estimator.diagnosis.refit import Model, refit
 from estimator.fitting import TORQUE_SHARE, mistakes_torque
 from estimator.options import accel_level, encoder_level, gyro_level, torque_level
@@ -22,7 +22,7 @@ Ratios = Mapping[Channel, tuple[float, float]]
 """Channel to (noise found over its level, most it may be)."""
 
 def ratios(model: Model) -> Ratios:
-    """Of all channels but undeclared torques and encoders."""
+    """Noise ratios of all channels but undeclared torques and encoders."""
     known, noise, mechanism = model.split.known, model.state.noise, model.split.mechanism
     out: dict[Channel, tuple[float, float]] = {}
     driven = [torque_level(known, j, True) for j in mechanism.actuated]
@@ -31,7 +31,7 @@ def ratios(model: Model) -> Ratios:
         if declared is None and j in mechanism.passive:  # it lacks no more than motors' sensors err by
             declared = max((d for d in driven if d is not None), default=None)
         if declared is not None:
-            out[torque_of(j)] = float(level) / declared, LOUD_TORQUE
+            out[torque_of(j)] = float(level) / declared, NOISY_TORQUE
     return {**out, **motion_ratios(model)}
 
 
@@ -42,35 +42,35 @@ def motion_ratios(model: Model, undeclared: bool = False) -> Ratios:
     for j in map(int, np.flatnonzero(problem.has_encoder)):
         level, declared = float(noise.encoder[j]), encoder_level(known, j)
         if declared:
-            out[encoder_of(j)] = level / declared, LOUD_SENSOR
+            out[encoder_of(j)] = level / declared, NOISY_SENSOR
         elif undeclared:
-            out[encoder_of(j)] = level / max(1e-12, float(problem.shown.encoder[j])), LOUD_UNDECLARED
+            out[encoder_of(j)] = level / max(1e-12, float(problem.shown.encoder[j])), NOISY_UNDECLARED
     for k in range(problem.imu_count):
         levels = (noise.gyro[k], *noise.accel[k])
         known_levels = (gyro_level(known, k), accel_level(known, 0, k), accel_level(known, 1, k))
         for channel, level, readings, declared in zip(imu_channels(k), levels, (problem.gyro[k], *problem.accel[k]),
                                                       known_levels, strict=True):
             if declared is None:
-                out[channel] = float(level) / max(1e-12, white_noise_level(readings)), LOUD_UNDECLARED
+                out[channel] = float(level) / max(1e-12, white_noise_level(readings)), NOISY_UNDECLARED
             else:
-                out[channel] = float(level) / declared, LOUD_SENSOR
+                out[channel] = float(level) / declared, NOISY_SENSOR
     return out
 
 
 def excess_noise(model: Model, before: Ratios | None = None) -> str:
-    """The loudest channel in words; empty where none is too loud, beside what it was `before` if that is given."""
+    """The noisiest channel in words; empty where none exceeds its limit, or its ratio `before` if given."""
     worst, text = 1.0, ""
     for channel, (ratio, limit) in ratios(model).items():
         allowed = (limit * math.prod(e.rough.get(channel.kind, 1.0) for e in model.effects)) ** 2
         if before is not None:
-            allowed = max(allowed, 1.0 + STILL_LOUD * (before[channel][0] ** 2 - 1.0))
+            allowed = max(allowed, 1.0 + STILL_NOISY * (before[channel][0] ** 2 - 1.0))
         if ratio**2 > worst * allowed:
             worst, text = ratio**2 / allowed, in_words(channel, ratio)
     return text
 
 
 def in_words(channel: Channel, ratio: float) -> str:
-    """What is left in a channel, in units of its noise."""
+    """Residual of a channel in units of its noise, in words."""
     joint = (channel.joint or 0) + 1
     name = {"torque": f"torque at joint {joint}", "encoder": f"encoder of joint {joint}", "gyro": "gyro",
             "accel_x": "accelerometer's x axis", "accel_y": "accelerometer's y axis"}[channel.kind]

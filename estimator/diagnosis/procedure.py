@@ -1,9 +1,9 @@
-"""`diagnose`: what the simulation gets wrong, what that is, and what extending it gains.
+"""`diagnose`: what the simulation gets wrong, the cause, and what extending the model gains.
 
-Hold and friction's rounding, nominal fit, detection without names, scores of the library with the nominal parameters
-projected out, full re-fits of the best singles, of all others where none closes, then pairs, then one triple, and last,
-once, what each changes in the free runs of the confirm runs. A cause is named only where their error falls by it by
-what matters.
+1. Hold and friction smoothing velocity; nominal fit; detection by generic terms.
+2. Scores of the library, with the nominal parameters projected out.
+3. Full re-fits of the best singles, of all others if none explains the error, then pairs, then one triple.
+4. Free runs of the confirm runs, once. A cause is named only if it reduces their error by a material amount.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ from estimator.diagnosis.refit import (
     bootstrap_scores,
     deviance,
     fit_nominal,
-    likeliest_rounding,
+    likeliest_smoothing_velocity,
     refit,
     score_discover,
     tests_of,
 )
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
-from estimator.diagnosis.score_statistics import RunScore, Tests, columns_of
+from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
 from estimator.diagnosis.verdict import NOMINAL, Decision, by_likelihood, decide, first_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
-from estimator.fitting import between_samples, rounding_words
+from estimator.fitting import between_samples, describe_smoothing_velocity
 from estimator.likelihood import Candidate
 from estimator.model import Mechanism
 from estimator.numerics import jit
@@ -76,20 +76,21 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     say = progress or (lambda stage, fraction: None)
     hold, stated = options.hold, mechanism
     try:
-        with threadpool_limits(1), np.errstate(all="ignore"):  # a search may run off; where it ends is checked
+        with threadpool_limits(1), np.errstate(all="ignore"):  # a search may diverge; its end is checked
             split = split_runs(datasets, mechanism, options, gear_ratio, cores() if workers is None else workers)
-            kept_back = {split.names[i] for i in split.confirm}  # they choose nothing
+            held_out = {split.names[i] for i in split.confirm}  # they choose nothing
             place = {name: k for k, name in enumerate(split.names)}  # nothing hangs on the order in which runs came
-            seen = sorted((d for d in datasets if d.name not in kept_back), key=lambda d: place.get(d.name, 0))
+            seen = sorted((d for d in datasets if d.name not in held_out), key=lambda d: place.get(d.name, 0))
             hold, mechanism = between_samples(seen, mechanism, options)
-            seeks = options.rounding == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
-            split = replace(split, mechanism=mechanism, options=replace(split.options, hold=hold, rounding="given"))
+            seeks = options.smoothing_velocity == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
+            split = replace(split, mechanism=mechanism, options=replace(
+                split.options, hold=hold, smoothing_velocity="given"))
             found = _diagnose(split, seed, say, reference, material, stated if seeks else None)
             assert found is not None
             mechanism = found.mechanism or mechanism
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
-    told = rounding_words(stated, mechanism)
+    told = describe_smoothing_velocity(stated, mechanism)
     return replace(found, hold=hold, mechanism=mechanism, wall_s=time.perf_counter() - start,
                    warnings=(*found.warnings, *([told] if told else [])))
 
@@ -97,11 +98,11 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str, tuple[float, float]] | None,
               material: float, stated: Mechanism | None, bias: Sequence[RunScore] | None = None,
               ordinary: Model | None = None) -> Diagnosis | None:
-    """The diagnosis; beside the best explanation friction's rounding is sought again, from what is `stated`, and where
-    it is another there, all is done again with that, but for the `bias` of the scores: quantisers and noise make it.
+    """The diagnosis; None if its smoothing velocity does not outperform that of the `ordinary` model.
 
-    What is found with another rounding stands only where it betters the `ordinary` model, whose rounding is the
-    likeliest without any effect; else the answer is None, and the search goes on with that.
+    The friction smoothing velocity is estimated again together with the best explanation, from `stated`. If it differs,
+    the diagnosis is repeated with it, with the same `bias` of the scores. `ordinary` has the smoothing velocity
+    estimated without effects.
     """
     say("fitting the nominal model", 0.02)
     rng = np.random.default_rng(seed)
@@ -113,11 +114,11 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu, split.encoders)]
     say("scoring the library", 0.15)
     scores = score_discover(nominal, candidates)
-    say("rehearsing the nominal model", 0.2)
+    say("simulating bootstrap replicates", 0.2)
     if bias is None:
         try:
             bias = bootstrap_scores(nominal, candidates, scores, rng)
-        except FitError:  # a fit that is far wrong can have friction below zero, and its simulation run off
+        except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
             bias = [RunScore(np.zeros_like(s.score), s.information) for s in scores]
     context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng)
     tests = tests_of(nominal, scores, bias)
@@ -151,26 +152,26 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
             if again is not None:
                 return again
         options, _ = search(context, tests, say, None, promising, far_wrong)
-    say("opening the confirm runs", 0.85)
+    say("simulating the held-out runs", 0.85)
     concluded = conclude(context, base, tests, options, rng, material, known, ordinary)
     return None if concluded is None else replace(concluded, mechanism=split.mechanism)
 
 
-def search(context: DiagnosisContext, tests: Tests, say: Progress, stated: Mechanism | None,
+def search(context: DiagnosisContext, tests: ScoreTests, say: Progress, stated: Mechanism | None,
            promise: Callable[[Sequence[Explanation]], bool], far_wrong: Callable[[], bool]
            ) -> tuple[list[Explanation], Mechanism | None]:
-    """Fitted explanations; or, as soon as friction has another rounding beside the best, the mechanism with that."""
+    """Fitted explanations; or the mechanism with another smoothing velocity, as soon as the best one has another."""
     say("re-fitting the best explanations", 0.4)
     first = fit_first(context, tests)
-    other = rounding_beside(likeliest_of(first), stated)
+    other = smoothing_velocity_with(likeliest_of(first), stated)
     if other is not None:
         return [], other
     options = fit_singles(context, tests, first)
     best = likeliest_of([e.model for e in options])
-    other = None if any(best is m for m in first) else rounding_beside(best, stated)
+    other = None if any(best is m for m in first) else smoothing_velocity_with(best, stated)
     if other is not None:
         return [], other
-    say("looking at what they leave over", 0.6)
+    say("scoring their residuals", 0.6)
     options = assess_residuals(context, options[:MOST_ASSESSED])
     if options and not promise(options):
         return options, None
@@ -179,13 +180,13 @@ def search(context: DiagnosisContext, tests: Tests, say: Progress, stated: Mecha
         every = fit_others(context, tests, options)
         found = likeliest_of([e.model for e in every])
         if found is not None and not any(found is e.model for e in options):
-            other = rounding_beside(found, stated)
+            other = smoothing_velocity_with(found, stated)
             if other is not None:
                 return [], other
             options = assess_residuals(context, every[:MOST_ASSESSED])
     options = explain(context, tests, options, say, promise)
     more = max((e for e in options if len(e.model.effects) > 1), key=lambda e: (e.adequate, e.gain), default=None)
-    return options, None if more is None else rounding_beside(more.model, stated)
+    return options, None if more is None else smoothing_velocity_with(more.model, stated)
 
 
 def likeliest_of(models: Sequence[Model]) -> Model | None:
@@ -193,19 +194,18 @@ def likeliest_of(models: Sequence[Model]) -> Model | None:
     return min(models, key=deviance, default=None)
 
 
-def rounding_beside(model: Model | None, stated: Mechanism | None) -> Mechanism | None:
-    """The mechanism, where friction has another rounding beside the effects of `model`, sought from what is
-    `stated`."""
+def smoothing_velocity_with(model: Model | None, stated: Mechanism | None) -> Mechanism | None:
+    """The mechanism with the smoothing velocity estimated together with `model`, from `stated`; None if unchanged."""
     if stated is None or model is None:
         return None
     try:
-        found = likeliest_rounding(model, stated)
+        found = likeliest_smoothing_velocity(model, stated)
     except FitError:
         return None
     return None if np.array_equal(found.velocity_scales, model.split.mechanism.velocity_scales) else found
 
 
-def rank(context: DiagnosisContext, tests: Tests) -> tuple[CandidateScore, ...]:
+def rank(context: DiagnosisContext, tests: ScoreTests) -> tuple[CandidateScore, ...]:
     """Every effect of the library as scored."""
     out = []
     for i in best_shapes(context, tests):
@@ -218,7 +218,7 @@ def rank(context: DiagnosisContext, tests: Tests) -> tuple[CandidateScore, ...]:
     return tuple(out)
 
 
-def separability(context: DiagnosisContext, tests: Tests) -> tuple[tuple[str, ...], FloatArray]:
+def separability(context: DiagnosisContext, tests: ScoreTests) -> tuple[tuple[str, ...], FloatArray]:
     """Cosines between what the best shapes of the library would add, nominal parameters projected out."""
     order = best_shapes(context, tests)[:14]
     first = np.array([context.columns[i][0] for i in order])
@@ -228,11 +228,10 @@ def separability(context: DiagnosisContext, tests: Tests) -> tuple[tuple[str, ..
 
 
 def hidden_motion(model: Model, material: float, rng: np.random.Generator) -> str:
-    """Which sensor's noise hides motion, in words; empty where none does.
+    """The sensor whose noise hides motion, in words; empty without one.
 
-    A sensor that errs by more than it is known to do is no fault of the simulation by itself. It is one where the model
-    with the noise that the sensor is known to have predicts held-out runs materially better or worse, or cannot be
-    fitted.
+    A sensor noisier than declared is a fault of the simulation only if the model with the declared noise predicts the
+    held-out runs materially better or worse, or cannot be fitted.
     """
     noisy = noisy_sensors(model)
     if not noisy:
@@ -262,9 +261,11 @@ def nominal_error(context: DiagnosisContext, floor: FloorNoise, rng: np.random.G
 
 def promise(context: DiagnosisContext, found: Sequence[Explanation], material: float, rng: np.random.Generator,
             known: list[ErrorTable]) -> bool:
-    """Whether more effects than those `found` have could matter: there is error enough beside fewer, and the last one
-    takes away a good part of what must fall, or that error is beyond what a disturbance makes. What is measured is
-    `known` then."""
+    """Whether more effects than those `found` have could be material.
+
+    The error of fewer effects must be large enough, and the last effect must reduce it by a good part of the material
+    amount, unless the error is larger than a disturbance explains. Measured errors are appended to `known`.
+    """
     counts = sorted({len(e.model.effects) for e in found})
     best = by_likelihood(first_of_each(found))
     models = [context.nominal, *(e.model for e in best)]
@@ -279,7 +280,7 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], material: f
     return before * (1.0 - material) > 1.0 and (before > EDGE or last < before * (1.0 - SUFFICES * material))
 
 
-def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: Sequence[Explanation],
+def conclude(context: DiagnosisContext, base: Diagnosis, tests: ScoreTests, options: Sequence[Explanation],
              rng: np.random.Generator, material: float = MATERIAL, known: Sequence[ErrorTable] = (),
              ordinary: Model | None = None) -> Diagnosis | None:
     """Verdict, gain and budget by the confirm runs, and what a report draws; errors that are `known` already. None
@@ -290,7 +291,7 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
     except FitError as error:  # something was detected, or nothing would be decided here
         if ordinary is not None:
             return None
-        why = f"no simulation of the runs kept back can be carried through ({error})"
+        why = f"every simulation of the held-out runs diverges ({error})"
         return conclusion.unexplained(base, context.nominal, None, why)
     if ordinary is not None and not outdoes(decision, ordinary, material, rng):
         return None
@@ -326,8 +327,7 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: Tests, options: 
 
 
 def outdoes(decision: Decision | None, ordinary: Model, material: float, rng: np.random.Generator) -> bool:
-    """Whether something is established beside which the runs kept back err less than with the `ordinary` model, by what
-    matters."""
+    """True if a named cause reduces the test error by a material amount compared with the ordinary model."""
     if decision is None or decision.verdict not in ("named", "partial"):
         return False
     best = decision.best[0].model
@@ -340,7 +340,7 @@ def outdoes(decision: Decision | None, ordinary: Model, material: float, rng: np
 
 def minor_causes(context: DiagnosisContext, found: Diagnosis, more: Explanation, best: Explanation
                  ) -> tuple[Cause, ...]:
-    """What `more` holds beside `best`."""
+    """Causes of `more` in addition to those of `best`."""
     added = [e for e in more.model.effects if e.key not in keys_of(best)]
     p = chance_of(context, more, more.gain_over_parent, added)
     places = {(e.name, None if e.joint is None else e.joint + 1) for e in added}
@@ -358,7 +358,7 @@ def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanati
         return explanation
     if not again.state.converged or abs(again.state.beta[-1]) > bound:
         return explanation
-    return replace(explanation, model=replace(again, beside=1))
+    return replace(explanation, model=replace(again, nuisances=1))
 
 
 def chance_of(context: DiagnosisContext, explanation: Explanation, gain: float, effects: Sequence[Effect]) -> float:

@@ -1,4 +1,4 @@
-"""Fits of the runs of a session with any set of effects, and the scores of all others beside them."""
+"""Fits of the runs of a session with any set of effects, and the scores of all other effects."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import BAD_REPLICATE, LENT_BIAS, REPLICATED_SAMPLES, REPLICATES
-from estimator.diagnosis.score_statistics import RunScore, Tests, project, score_alone, score_run
+from estimator.diagnosis.score_statistics import RunScore, ScoreTests, project, score_alone, score_run
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import (
     MAX_ITERATIONS,
+    converge_motion,
     free_mask,
     gentle_start,
     iterate,
     mistakes_torque,
-    settle_motion,
     start_state,
 )
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
@@ -28,10 +28,10 @@ from estimator.parallel import parallel_map
 from estimator.prediction import SmoothedRun, draw_replicate, per_value, simulate_run, smooth_under
 from estimator.signals import SignalSet
 
-SETTLE_STEPS = 15
-"""Steps in which a fit's motion comes to rest afterwards, for objectives that can be compared."""
-ROUNDING_STEPS = 12
-"""Steps within which the speeds of friction's rounding are found from where a fit has ended."""
+CONVERGE_STEPS = 15
+"""Steps in which a fit's motion converges afterwards, for objectives that can be compared."""
+SMOOTHING_STEPS = 12
+"""Most steps for the friction smoothing velocities, from the end of a fit."""
 FIRST = 12
 """Steps of a gentle start in which beta is held, so that motion and noise levels come to it first."""
 
@@ -44,13 +44,13 @@ class Model:
     effects: tuple[Effect, ...]
     state: State
     problem: ExtendedProblem
-    beside: int = 0
+    nuisances: int = 0
     """The last so many effects are uncertainties of these records (a clock's), not of the leg."""
 
     @property
     def named(self) -> tuple[Effect, ...]:
         """Effects of the leg."""
-        return self.effects[: len(self.effects) - self.beside]
+        return self.effects[: len(self.effects) - self.nuisances]
 
     @property
     def width(self) -> int:
@@ -62,7 +62,7 @@ class Model:
         return self.problem.split(self.state.beta)[1]
 
     def places(self) -> list[slice]:
-        """Where the sizes of each effect stand in the parameter vector."""
+        """Slices of the parameter vector with the sizes of each effect."""
         return self.problem.places()
 
     def std(self) -> FloatArray:
@@ -73,10 +73,8 @@ class Model:
 def fit_nominal(split: RunSplit) -> Model:
     """Nominal fit of the discover runs. Raises `FitError`.
 
-    A model that is far wrong can take the torque for noise, or not settle; then the fit starts again from slow motion.
-    Where that leads nowhere either beta stays at its start, least squares on filtered motion, and only the motion and
-    the noise levels are sought: what is missing shows there too. Such a beta has no interval: its variances are
-    infinite.
+    If the model takes the torque for noise, or does not converge, the fit starts again from slow motion. If that fails
+    too, beta is least squares on filtered motion, with infinite variances; only motion and noise levels are estimated.
     """
     signals = split.signals(split.discover)
     n = split.mechanism.n
@@ -96,10 +94,10 @@ def fit_nominal(split: RunSplit) -> Model:
             break
     rest = blank.stiction(state.noise)
     if not np.isfinite(state.beta).all() or rest is None or not np.isfinite(state.x.q).all():
-        raise FitError("the nominal fit leads nowhere, so nothing can be said about what it leaves over")
+        raise FitError("the nominal fit does not converge, so its residual cannot be tested")
     lengths = [sum(len(s.time_s) for s in split.runs[i]) for i in split.discover]
     split = split.with_stiction(dict(zip(split.discover, np.split(rest, np.cumsum(lengths)[:-1]))))
-    state = settle_motion(blank.with_stiction(rest), replace(state, noise=state.noise.levels()), SETTLE_STEPS)
+    state = converge_motion(blank.with_stiction(rest), replace(state, noise=state.noise.levels()), CONVERGE_STEPS)
     if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
@@ -136,8 +134,8 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
           hold_shapes: bool = False, hold_limits: bool = True) -> Model:
     """Full non-linear fit of `start`'s runs with `effects` at their starting sizes; keeps `noise` if given.
 
-    `hold_shapes` estimates the sizes alone, `hold_limits` holds shapes that start at a limit of their range: a step
-    beyond it foresees what never comes. Raises `FitError`.
+    `hold_shapes` estimates the sizes alone; `hold_limits` fixes shapes that start at a limit of their range. Raises
+    `FitError`.
     """
     split = start.split
     problem = split.problem(split.discover, start.problem.stage.angle_range, [e for e, _ in effects])
@@ -155,14 +153,14 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
     state = iterate(problem, state, free, split.options, floors, limit)
     if floors is not None and mistakes_torque(problem, state, floors):
         raise FitError("the fit takes the torque for noise")
-    state = settle_motion(problem, state, SETTLE_STEPS)
+    state = converge_motion(problem, state, CONVERGE_STEPS)
     return Model(split, tuple(e for e, _ in effects), state, problem)
 
 
-def likeliest_rounding(model: Model, stated: Mechanism) -> Mechanism:
-    """`stated` with the speeds of friction's rounding that fit the discover runs best beside the effects of `model`.
+def likeliest_smoothing_velocity(model: Model, stated: Mechanism) -> Mechanism:
+    """`stated` with the friction smoothing velocities estimated on the discover runs together with `model`'s effects.
 
-    Without them a wider rounding takes up a part of what they do. Raises `FitError`.
+    Without the effects a larger smoothing velocity absorbs part of them. Raises `FitError`.
     """
     split = replace(model.split, mechanism=stated, stiction={})
     problem = split.problem(split.discover, model.problem.stage.angle_range, model.effects)
@@ -170,7 +168,7 @@ def likeliest_rounding(model: Model, stated: Mechanism) -> Mechanism:
     free = np.ones(state.beta.size, dtype=bool)
     free[: stated.p] = free_mask(stated, split.options)[0]
     floors = split.floors(problem, state.beta[: stated.p])
-    found = iterate(problem, state, free, split.options, floors, ROUNDING_STEPS, seeks_smoothing=True)
+    found = iterate(problem, state, free, split.options, floors, SMOOTHING_STEPS, seeks_smoothing=True)
     return problem.smoothed_over(found.smoothing).mechanism
 
 
@@ -276,6 +274,6 @@ def pooled_bias(bias: Sequence[RunScore], run: RunScore) -> RunScore:
     return RunScore(score * share, run.information)
 
 
-def tests_of(model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None) -> Tests:
+def tests_of(model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None) -> ScoreTests:
     """Efficient tests with the model's own parameters projected out."""
     return project(runs, model.problem.parameter_count, bias)

@@ -1,4 +1,4 @@
-"""Signature of an effect: what the fit leaves over, against the variable that the effect depends on."""
+"""Signature of an effect: the residual of the fit over the variable that the effect depends on."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def signature(nominal: Model, extended: Model, effect: Effect) -> Signature | No
     # what an effect adds to both its joint's torque and its encoder (a gear) shows in the encoder
     if added.torque_at_samples is not None and not any(c.kind == "encoder" for c in added.readings):
         row = int(np.argmax(np.std(added.torque_at_samples, axis=1)))
-        curve, y_label = added.torque_at_samples[row], f"left over at joint {row + 1} [{mechanism.force_unit}]"
+        curve, y_label = added.torque_at_samples[row], f"residual, joint {row + 1} [{mechanism.force_unit}]"
         before = _torque_left(nominal)[:, row]
         after = _torque_left(extended)[:, row]
         sign = -1.0

@@ -123,7 +123,7 @@ class BudgetRow:
 
 @dataclass(frozen=True)
 class Remainder:
-    """Where what is left over lives, by the term without a name that takes most of it away."""
+    """Place of the residual: the generic term that reduces it most."""
 
     joint: int | None
     """1-based; None for a sensor of the whole rig"""
@@ -133,14 +133,14 @@ class Remainder:
 
 @dataclass(frozen=True)
 class Rotation:
-    """Other runs kept back, the models fitted to the rest."""
+    """One rotation of the split: other held-out runs, and the models fitted to the rest."""
 
     runs: tuple[str, ...]
-    """Kept back"""
+    """Held out"""
     sizes: Mapping[str, float]
     """Of the effects that were tried, by `effect@joint.size`"""
     falls: bool
-    """Whether the error on these runs falls by what matters."""
+    """Whether the error on these runs falls by a material amount."""
 
 
 @dataclass(frozen=True)
@@ -189,17 +189,17 @@ class Diagnosis:
     """Present, but the simulation's error hardly falls by them."""
     remainder: Remainder | None = None
     rotations: tuple[Rotation, ...] = ()
-    """Only where the runs kept back left open whether the error falls; the first are those themselves. Then budget and
-    error are of all runs, each out of the fit that it judges."""
+    """Only if the held-out runs were inconclusive; the first rotation is theirs. Then budget and error are of all runs,
+    each held out of the fit that it tests."""
     material: float = MATERIAL
-    """Share of the rms error by which a cause that matters must lower it."""
+    """Smallest relative reduction of the rms error that counts."""
     hold: str = ""
     """How torque was taken to act between samples; empty where nothing was fitted."""
     mechanism: Mechanism | None = None
-    """With the speeds over which its friction's sign was rounded off, as stated or the likeliest."""
+    """With its friction smoothing velocities, as stated or estimated."""
     wall_s: float = 0.0
 
     @property
     def stability(self) -> float | None:
-        """Share of the rotations in which the error falls by what matters; None where there were none."""
+        """Share of the rotations in which the error falls by a material amount; None without rotations."""
         return sum(r.falls for r in self.rotations) / len(self.rotations) if self.rotations else None

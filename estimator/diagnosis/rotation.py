@@ -1,8 +1,7 @@
-"""`rotate`: errors of a few models on every run, each fitted without the runs that it is tried on.
+"""`rotate`: k-fold cross-validation of a few models (Stone 1974).
 
-The runs kept back chose nothing, and are few: where the error neither surely falls on them nor surely does not, every
-other run is kept back in its turn, the models are fitted to the rest, and the fall is judged over all
-(cross-validation, Stone 1974). Which effects are tried was chosen with those other runs; their sizes were not.
+If the test runs are inconclusive, the split rotates until every run has been a test run once. The sizes of the effects
+are fitted without the test runs; which effects are tried was chosen with them.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.data_split import RunSplit, kept_back
+from estimator.diagnosis.data_split import RunSplit, held_out
 from estimator.diagnosis.error_table import ErrorTable, measure_errors
 from estimator.diagnosis.refit import Model, fit_nominal, refit
 from estimator.diagnosis.result import Rotation
@@ -25,7 +24,7 @@ from estimator.prediction import FloorNoise
 
 @dataclass(frozen=True)
 class Turn:
-    """What one set of runs kept back says of models fitted to the others."""
+    """Errors of models on one set of held-out runs, fitted to the others."""
 
     runs: tuple[str, ...]
     values: FloatArray
@@ -39,16 +38,18 @@ class Turn:
 
 
 def rotate(split: RunSplit, table: ErrorTable, rng: np.random.Generator) -> tuple[ErrorTable, tuple[Turn, ...]] | None:
-    """`table`, which holds what its errors are counted in, with the errors of its models on all other runs beside those
-    on the runs kept back; None where there are no others, or where one of the models cannot be fitted or simulated."""
-    others = [g for g in kept_back(len(split.runs)) if g != split.confirm and len(g) < len(split.runs)]
+    """`table` with the errors of its models on all other runs in addition to the held-out runs; and the rotations.
+
+    `table` must contain its own unit. None where there are no other runs, or a model cannot be fitted or simulated.
+    """
+    others = [g for g in held_out(len(split.runs)) if g != split.confirm and len(g) < len(split.runs)]
     seeds = rng.integers(2**63, size=(len(others), len(split.runs)))
     if not others:
         return None
     unit = next(k for k, model in enumerate(table.models) if model is table.unit.reference)
-    reader = next((k for k, model in enumerate(table.models) if model is table.unit.reader), unit)
+    smoother = next((k for k, model in enumerate(table.models) if model is table.unit.smoother), unit)
     try:
-        turns = parallel_map(lambda k: turn(split, others[k], table.models, unit, reader, seeds[k], table.unit.noise),
+        turns = parallel_map(lambda k: turn(split, others[k], table.models, unit, smoother, seeds[k], table.unit.noise),
                              len(others), split.workers)
     except (FitError, np.linalg.LinAlgError):
         return None
@@ -58,23 +59,27 @@ def rotate(split: RunSplit, table: ErrorTable, rng: np.random.Generator) -> tupl
                    runs=np.concatenate([table.runs, *(t.places + n for t, n in zip(turns, first))])), tuple(turns)
 
 
-def turn(split: RunSplit, confirm: tuple[int, ...], models: Sequence[Model], unit: int, reader: int,
+def turn(split: RunSplit, confirm: tuple[int, ...], models: Sequence[Model], unit: int, smoother: int,
          seeds: NDArray[np.int64], noise: FloorNoise) -> Turn:
-    """`models` fitted to all runs but `confirm`, tried on those, in units of what `noise` leaves of the one in `unit`;
-    the one in `reader` reads the pivot's angle. Raises `FitError`."""
+    """Errors on `confirm` of `models` fitted to all other runs, in units of the noise floor of model `unit`.
+
+    The smoother of model `smoother` supplies the pivot angle. Raises `FitError`.
+    """
     rest = tuple(k for k in range(len(split.runs)) if k not in confirm)
     other = replace(split, fit=rest, screen=(), confirm=confirm, workers=1)
     nominal = fit_nominal(other)
     fitted = [nominal, *(refit(nominal, list(zip(m.effects, m.sizes()))) for m in models[1:])]
-    found = measure_errors(fitted, fitted[unit], seeds[: len(confirm)], [reader], noise)
+    found = measure_errors(fitted, fitted[unit], seeds[: len(confirm)], [smoother], noise)
     return Turn(tuple(split.names[k] for k in confirm), found.values, found.agreement, found.runs,
                 tuple(fitted[1].sizes()))
 
 
 def account(split: RunSplit, turns: Sequence[Turn], table: ErrorTable, row: int, material: float
             ) -> tuple[Rotation, ...]:
-    """Sizes of the effects of the model in `row`, and whether the error falls with it by the share `material`: on the
-    runs kept back, then in each of the `turns`. Empty without these."""
+    """Sizes of the effects of the model in `row`, and whether the error falls by the share `material`, by rotation.
+
+    The held-out runs come first, then each of `turns`. Empty without `turns`.
+    """
     if not turns:
         return ()
     model = table.models[row]

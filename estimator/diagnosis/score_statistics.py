@@ -49,7 +49,7 @@ def score_alone(problem: ExtendedProblem, state: State) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Tests:
+class ScoreTests:
     """Efficient scores of all candidate columns, by run and pooled."""
 
     by_run: FloatArray
@@ -67,7 +67,7 @@ class Tests:
 
     @property
     def scatter(self) -> float:
-        """How much more variance than white noise all that is tested has between runs: the median of `inflation`."""
+        """Variance between runs of all that is tested, over that of white noise: the median of `inflation`."""
         return float(np.median(self.inflation))
 
     def gain(self, columns: NDArray[np.intp]) -> float:
@@ -85,7 +85,7 @@ class Tests:
         return np.asarray((vectors[:, good] / values[good]) @ projected / scale)
 
     def p_value(self, columns: NDArray[np.intp]) -> float:
-        """Of the gain under no effect: F with the scatter's degrees of freedom."""
+        """p-value of the gain under no effect: F with the scatter's degrees of freedom."""
         k = len(columns)
         return float(fdtrc(k, self.freedom, max(self.gain(columns), 0.0) / k))
 
@@ -97,7 +97,7 @@ class Tests:
         return float(np.sqrt(needed / self.information[column, column]))
 
 
-def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | None = None) -> Tests:
+def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | None = None) -> ScoreTests:
     """Efficient scores with the first `nuisance` parameters projected out over all `runs`.
 
     `bias`, if given, holds for each run the mean score of replicates of the fitted model, which is subtracted.
@@ -117,16 +117,14 @@ def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | 
     information[:, hidden], information[:, :, hidden] = 0.0, 0.0
     pooled = information.sum(axis=0)
     inflation, freedom = _inflation(scores, np.einsum("rcc->rc", information))
-    return Tests(scores, scores.sum(axis=0), pooled, inflation, freedom, np.diag(total)[nuisance:].copy())
+    return ScoreTests(scores, scores.sum(axis=0), pooled, inflation, freedom, np.diag(total)[nuisance:].copy())
 
 
 def own_inflation(runs: Sequence[RunScore], free: NDArray[np.bool_], least: float) -> FloatArray:
-    """(m,) by how much the model's own first m parameters, as far as `free`, scatter between runs over what white
-    noise would make them; towards their median, which is not taken below `least`.
+    """(m,) variance inflation of the model's first m parameters: their scatter between runs over that of white noise.
 
-    Noise of the torque that lasts longer than a sample scatters a moment of gravity more than it does a bias of the
-    gyro. The efficient score of one parameter has all others projected out: by the inverse C of the pooled
-    information, s_k = (C s)_k / C_kk.
+    Only `free` parameters; shrunk to their median, which is at least `least`. Efficient score of one parameter, with C
+    the inverse of the pooled information: s_k = (C s)_k / C_kk.
     """
     out = np.full(free.size, least)
     which = np.flatnonzero(free)

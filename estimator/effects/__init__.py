@@ -1,4 +1,4 @@
-"""What a simulation of the leg can get wrong: one small class an effect."""
+"""Effects that a simulation of the leg can get wrong: one small class an effect."""
 
 from estimator.effects.base import (
     Axis,
@@ -15,12 +15,32 @@ from estimator.effects.base import (
     View,
 )
 from estimator.effects.derivatives import Laws, by_motion
-from estimator.effects.generic_terms import AnonymousReading, AnonymousTorque, battery
+from estimator.effects.generic_terms import GenericReading, GenericTorque, battery
 from estimator.effects.registry import ENTRY_POINT, UNTESTABLE, classes, library, placed
 from estimator.effects.timing import SensorTimeSkew
 
 __all__ = [
-    "ENTRY_POINT", "UNTESTABLE", "AnonymousReading", "AnonymousTorque", "Axis", "BodyEffect", "Effect",
-    "Laws", "Perturbation", "PlanKind", "Points", "Record", "SensorEffect", "SensorTimeSkew", "Shape", "Size",
-    "TorqueEffect", "View", "battery", "by_motion", "classes", "library", "placed"
+    "ENTRY_POINT",
+    "UNTESTABLE",
+    "Axis",
+    "BodyEffect",
+    "Effect",
+    "GenericReading",
+    "GenericTorque",
+    "Laws",
+    "Perturbation",
+    "PlanKind",
+    "Points",
+    "Record",
+    "SensorEffect",
+    "SensorTimeSkew",
+    "Shape",
+    "Size",
+    "TorqueEffect",
+    "View",
+    "battery",
+    "by_motion",
+    "classes",
+    "library",
+    "placed"
 ]

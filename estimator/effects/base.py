@@ -107,7 +107,7 @@ class View:
     weights: tuple[float, float]
     """Fractions of an interval at which its Gauss points lie."""
     starts: NDArray[np.intp]
-    """First sample of each gap-free stretch."""
+    """First sample of each gap-free segment."""
     dt_s: float
     angle_range: FloatArray
     """(n, 2) smallest and largest angle over all runs."""
@@ -124,8 +124,8 @@ class View:
         a, b = x[..., self.left], x[..., self.left + 1]
         return np.stack([(1.0 - w) * a + w * b for w in self.weights], axis=-2)
 
-    def stretches(self) -> list[slice]:
-        """Gap-free stretches of samples."""
+    def segments(self) -> list[slice]:
+        """Gap-free segments of samples."""
         stops = np.append(self.starts[1:], self.samples.q.shape[-1])
         return [slice(int(a), int(b)) for a, b in zip(self.starts, stops)]
 

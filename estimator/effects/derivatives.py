@@ -16,7 +16,7 @@ STEPS = {"q": 1e-5, "v": 1e-5, "a": 1e-3, "sign": 1e-4}
 
 
 def by_motion(effect: Joined, at: Points, size: FloatArray, view: View) -> dict[str, FloatArray]:
-    """Derivatives (...) of an effect's law by its own joint's angle, rate, acceleration and rounded sign."""
+    """Derivatives (...) of an effect's law by its own joint's angle, rate, acceleration and smoothed sign."""
     j = effect.joint or 0
     return {name: (effect.law(_moved(at, name, j, h), size, view)
                    - effect.law(_moved(at, name, j, -h), size, view)) / (2.0 * h) for name, h in STEPS.items()}

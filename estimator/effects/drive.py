@@ -13,7 +13,7 @@ from estimator.effects.timing import shifted
 from estimator.model import Mechanism
 from estimator.signals import Channel, Kind, torque_of
 
-STEEP = 0.1
+LEAST_MARGIN = 0.1
 """A saturated motor's current grows without bound; beyond this its slope, 32 then, stays."""
 
 
@@ -57,7 +57,7 @@ class TorqueSensorEffect(SensorEffect):
 class TorqueSaturation(TorqueSensorEffect):
     """The torque that acts falls short of what the current i says, u = i / sqrt(1 + 2 c i^2) = i - c i^3 + ...
 
-    So reading = u / sqrt(1 - 2 c u^2); where less than STEEP is left under the root it goes on straight.
+    So reading = u / sqrt(1 - 2 c u^2); where less than LEAST_MARGIN is left under the root it goes on straight.
     """
 
     name = "torque_saturation"
@@ -79,7 +79,7 @@ class TorqueSaturation(TorqueSensorEffect):
     @staticmethod
     def _current(torque: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
         """i, in units of the torque, and its slope."""
-        most = np.sqrt((1.0 - STEEP) / (2.0 * size[0])) if size[0] > 0.0 else np.inf
+        most = np.sqrt((1.0 - LEAST_MARGIN) / (2.0 * size[0])) if size[0] > 0.0 else np.inf
         known = np.clip(torque, -most, most)
         root = 1.0 - 2.0 * size[0] * known**2
         slope = root**-1.5

@@ -1,6 +1,7 @@
-"""Terms without a name: what no effect of the library would leave behind, but something else might.
+"""Generic terms: residuals that no effect of the library explains, as functions of the state.
 
-They serve the closure test. A verdict stands only where neither a listed effect nor one of these finds more.
+They test whether the residual is white. A verdict is accepted only if neither a listed effect nor a generic term is
+significant.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ READINGS: dict[str, Reading] = {
 }
 
 
-class AnonymousTorque(Effect):
+class GenericTorque(Effect):
     """size * law(motion) on one joint."""
 
     sizes = (Size("size", "N m", 0.01),)
@@ -82,7 +83,7 @@ class AnonymousTorque(Effect):
         return Perturbation(gauss, samples)
 
 
-class AnonymousReading(Effect):
+class GenericReading(Effect):
     """size * law(motion) on one sensor."""
 
     sizes = (Size("size", "1", 0.01),)
@@ -102,10 +103,10 @@ class AnonymousReading(Effect):
 
 
 def battery(mechanism: Mechanism, has_imu: bool, encoders: Sequence[int] | None = None) -> list[Effect]:
-    """All terms without a name that make sense on this rig; `encoders` as for `library`."""
-    found: list[Effect] = [AnonymousTorque(j, label, law) for j in range(mechanism.n)
+    """All generic terms that this rig can test; `encoders` as for `library`."""
+    found: list[Effect] = [GenericTorque(j, label, law) for j in range(mechanism.n)
                            for label, law in TORQUE_LAWS.items()]
     readable = range(mechanism.n) if encoders is None else encoders
     channels = [*IMU_CHANNELS, *map(encoder_of, readable[-1:])] if has_imu else [encoder_of(j) for j in readable]
-    found += [AnonymousReading(c, label, law) for c in channels for label, law in READINGS.items()]
+    found += [GenericReading(c, label, law) for c in channels for label, law in READINGS.items()]
     return found

@@ -42,7 +42,7 @@ class Half:
 
 
 class _HipEffect(Effect):
-    """Beside an effect's class: what it adds is that of two of its kind by turns."""
+    """Mixed with an effect's class: it adds what two effects of that class add alternately."""
 
     halves: tuple[Half, Half]
 

@@ -31,7 +31,7 @@ def classes() -> tuple[type[Effect], ...]:
 
 @cache
 def library_classes() -> tuple[type[Effect], ...]:
-    """The classes that have a sentence for a person in the modules beside this one, in the order of files and lines."""
+    """The classes with a `sentence` in the modules of this folder, in the order of files and lines."""
     package = __name__.rpartition(".")[0]
     modules = [import_module(f"{package}.{info.name}") for info in iter_modules([str(Path(__file__).parent)])]
     return tuple(kind for module in modules for kind in vars(module).values()
@@ -76,7 +76,7 @@ def _walking(effect: Effect, mechanism: Mechanism) -> str:
     if isinstance(effect, BodyEffect):
         return "a walker's foot stands elsewhere at every step"
     if effect.joint is not None and effect.joint not in mechanism.exchanged and not isinstance(effect, SensorEffect):
-        return "a walker's joint 1 is the torso against the vertical: nothing rubs or pulls there"
+        return "a walker's joint 1 is the torso against the vertical: no friction or spring acts there"
     return ""
 
 

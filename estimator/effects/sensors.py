@@ -50,7 +50,7 @@ class GyroScale(ImuEffect):
 
 
 class AccelerometerBias(ImuEffect):
-    """A constant on each axis."""
+    """reading = (a_x + b_x, a_y + b_y)."""
 
     name = "accelerometer_bias"
     sizes = (Size("bias_x", "m/s2", 0.01), Size("bias_y", "m/s2", 0.01))
@@ -157,7 +157,7 @@ class EncoderScale(EncoderEffect):
 
 
 class EncoderEccentricity(EncoderEffect):
-    """Once a turn of the angle measured: a sin q + b cos q, less its value at q = 0."""
+    """reading = q + a sin q + b (cos q - 1): once a turn of the measured angle."""
 
     name = "encoder_eccentricity"
     sizes = (Size("sine_amplitude", "rad", 0.005), Size("cosine_amplitude", "rad", 0.005))

@@ -44,7 +44,7 @@ class BaseCompliance(BodyEffect):
         t = view.mechanism.transform
         lever, momentum = self._momentum(view, self._rates(view))
         k = 2.0 / view.dt_s
-        driven = [differenced(momentum[where], view.dt_s) for where in view.stretches()]
+        driven = [differenced(momentum[where], view.dt_s) for where in view.segments()]
         base = size[0] * _filtered(driven, -k * k * SECOND, k, size)
         torque = t.T @ (lever * base)
         felt: dict[Channel, FloatArray] = {}
@@ -70,9 +70,9 @@ class BaseCompliance(BodyEffect):
         return whole, np.concatenate([beta, [value for *_, value in terms]])
 
     def body_motion(self, view: View, size: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """-s p and -s^2 p over M (s^2 + 2 zeta omega s + omega^2), from rest at the start of each stretch."""
+        """-s p and -s^2 p over M (s^2 + 2 zeta omega s + omega^2), from rest at the start of each segment."""
         momentum, k = self._momentum(view, view.samples.v)[1], 2.0 / view.dt_s
-        gained = [momentum[where] - momentum[where.start] for where in view.stretches()]
+        gained = [momentum[where] - momentum[where.start] for where in view.segments()]
         share = size[0] / FAR
         return share * _filtered(gained, -k * FIRST, k, size), share * _filtered(gained, -k * k * SECOND, k, size)
 
@@ -97,7 +97,7 @@ class BaseCompliance(BodyEffect):
 
 
 def _moments(mechanism: Mechanism, beta: FloatArray) -> FloatArray:
-    """(n,) g_i of each link; nil where the model has none."""
+    """(n,) g_i of each link; zero where the model has none."""
     out = np.zeros(mechanism.n)
     for value, p in zip(beta, mechanism.parameters):
         if p.term == "gravity":

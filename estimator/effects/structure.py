@@ -62,15 +62,15 @@ class RotorInertia(TorqueEffect):
 
 
 class EndStopContact(TorqueEffect):
-    """One-sided spring and damper beyond an angle; a negative angle is a stop on the other side."""
+    """k max(q - q0, 0), smoothed: a one-sided spring beyond the angle q0; q0 < 0 is a stop on the other side."""
 
     name = "end_stop_contact"
     positive = 1
     sizes = (Size("stiffness", "N m/rad", 0.5),)
     shapes = (Shape("angle_share", "1", (-0.9, -0.8, -0.65, 0.65, 0.8, 0.9), above=1.1, below=1.3),)
     strict = True
-    """What begins before half of the range is a spring that hardens, and what begins at its very end is never touched:
-    there the rounding of the law alone acts, a constant torque."""
+    """A stop that begins before half of the range is a hardening spring. One at its very end is never touched: there
+    the smoothed law adds a constant torque."""
     sentence = "the joint touches a stop at the end of its range"
     reference = "Hunt and Crossley 1975 (linearised)"
     experiment = "slow approach to both ends of the range"
@@ -83,8 +83,8 @@ class EndStopContact(TorqueEffect):
         side = np.sign(size[1])
         reach = abs(view.angle_range[j, 1 if side > 0 else 0])
         depth = side * q - abs(size[1]) * reach
-        rounded = 0.5 * (depth + np.sqrt(depth * depth + 1e-6))
-        return size[0] * side * rounded
+        smoothed = 0.5 * (depth + np.sqrt(depth * depth + 1e-6))
+        return size[0] * side * smoothed
 
 
 MOTOR = (Size("motor_viscous", "N m s/rad", 0.005, 0.05), Size("motor_coulomb", "N m", 0.01, 0.1),
@@ -156,7 +156,7 @@ class GearEffect(Effect):
 
 
 class JointElasticity(GearEffect):
-    """Twist T / k."""
+    """reading = q + T / k: the gear twists under the torque T through it."""
 
     name = "joint_elasticity"
     positive = 1
@@ -173,7 +173,7 @@ class JointElasticity(GearEffect):
 
 
 class Backlash(GearEffect):
-    """The link lies at one side or the other of a gap, by the sign of the torque through it."""
+    """reading = q + (gap / 2) tanh(T / T_c): the link lies at one side of the gap, by the torque T through it."""
 
     name = "backlash"
     positive = 1

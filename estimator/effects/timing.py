@@ -14,17 +14,17 @@ from estimator.signals import Channel, Kind, imu_channels, imu_readings
 
 
 def shifted(x: FloatArray, delay_s: float, view: View) -> FloatArray:
-    """x(t - delay) at the samples (N,), cubic spline within each stretch, its ends held."""
+    """x(t - delay) at the samples (N,), cubic spline within each segment, its ends held."""
     from scipy.ndimage import shift
 
     out = np.empty_like(x)
-    for where in view.stretches():
+    for where in view.segments():
         out[where] = shift(x[where], delay_s / view.dt_s, order=3, mode="nearest")
     return out
 
 
 class SensorTimeSkew(SensorEffect):
-    """The IMU reads what was true a time d ago."""
+    """reading(t) = y(t - d) for every channel y of the IMU."""
 
     name = "sensor_time_skew"
     sizes = (Size("skew", "s", 0.001),)

@@ -12,8 +12,8 @@ from estimator.fitting.fit import between_samples, fit
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, PASSIVE_SHARE, TORQUE_SHARE, iterate, mistakes_torque
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_state
-from estimator.fitting.latent_motion import settle_motion
-from estimator.fitting.mle import rounding_words
+from estimator.fitting.latent_motion import converge_motion
+from estimator.fitting.mle import describe_smoothing_velocity
 from estimator.fitting.next_measurement import Measurement, next_measurement
 from estimator.fitting.noise_levels import disturbance_levels, imu_levels, torque_levels
 from estimator.fitting.profile_likelihood import known_noise
@@ -30,6 +30,8 @@ __all__ = [
     "MarginalLikelihood",
     "Measurement",
     "between_samples",
+    "converge_motion",
+    "describe_smoothing_velocity",
     "design_rows",
     "disturbance_levels",
     "disturbance_likelihood",
@@ -49,8 +51,6 @@ __all__ = [
     "noise_floors",
     "of_noise",
     "require_scale",
-    "rounding_words",
-    "settle_motion",
     "start_state",
     "torque_levels",
     "weighted_least_squares",

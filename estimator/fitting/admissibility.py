@@ -1,9 +1,7 @@
-"""What no mechanism can be: parameters that a fit may not hand on in silence.
+"""Physically impossible parameters: which are fixed at zero, and which are reported as faults.
 
-Least squares and likelihood know nothing of masses: a torque of the wrong sign fits as well as the right one, with
-every inertia negative. Friction levels and rotor inertias that come out below zero are held there and the rest is
-fitted again; a mass matrix that is not positive definite, gravity that pulls upwards and links of impossible length
-have no such remedy, and are named.
+- A negative friction level or rotor inertia is fixed at zero; the other parameters are fitted again.
+- A mass matrix that is not positive definite, negative gravity terms and impossible link lengths are faults.
 """
 
 from __future__ import annotations
@@ -33,8 +31,10 @@ Fit = Callable[[Sequence[Dataset], Mechanism, FitOptions, Method], FitResult]
 
 
 def faults(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: FloatArray) -> tuple[str, ...]:
-    """Why `beta` (p,) is no mechanism's over the angles q (N, n), one sentence each; a value counts as wrong where it
-    is so by more than `SURE` of its standard deviations `std` (p,), infinite for one that is not determined."""
+    """Faults of `beta` (p,) over the angles q (N, n), one sentence each.
+
+    A value is wrong if it is so by more than `SURE` standard deviations `std` (p,), infinite where undetermined.
+    """
     found = []
     step = max(1, len(q) // ANGLES)
     masses = [k for k, p in enumerate(mechanism.parameters) if p.term in ("inertia", "rotor")]
@@ -47,7 +47,7 @@ def faults(mechanism: Mechanism, beta: FloatArray, std: FloatArray, q: FloatArra
     gravity = [k for k, p in enumerate(mechanism.parameters) if p.term == "gravity"]
     lifted = [k for k in gravity if beta[k] < -SURE * std[k]]
     if lifted and not any(beta[k] > SURE * std[k] for k in gravity):
-        found.append(f"gravity pulls upwards ({_values(mechanism, beta, std, lifted)})")
+        found.append(f"gravity acts upwards ({_values(mechanism, beta, std, lifted)})")
     return (*found, *(text for text, motor in strange_lengths(mechanism, beta, std) if not motor))
 
 

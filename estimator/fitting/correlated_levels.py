@@ -11,12 +11,12 @@ ENOUGH = 1e-12
 
 
 def excess_variance(declared: FloatArray, found: FloatArray) -> FloatArray:
-    """(m,) the likeliest variance of each of m channels over the mean square that it shows by itself.
+    """(m,) maximum-likelihood variance of each of m correlated channels over its own mean square.
 
     At a given correlation R, `declared` (m, m), the likeliest levels solve diag(R^-1 D^-1 S D^-1) = 1 for D, S the mean
     products of the channels. With x the root mean squares over the levels, x_i (A x)_i = 1, where A is the product of
     R^-1 with the correlation `found` (m, m), entry by entry: the minimum of x^T A x / 2 - sum log x. It is 1 where both
-    correlations are the same. Where A is not definite each channel stands for itself.
+    correlations are the same. Where A is not definite the channels count as independent.
     """
     a = np.linalg.inv(declared) * found
     x = np.ones(len(a))

@@ -23,7 +23,7 @@ def cramer_rao(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatA
 
 def fisher_information(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatArray, torque: FloatArray,
                        rate_hz: float, hold: str, noise: Noise) -> FloatArray:
-    """What one stretch says of beta, (p, p); that of several is their sum.
+    """Fisher information (p, p) of one segment about beta; that of several is their sum.
 
     Posed as `mle` poses it: the motion obeys the equation of motion, its states and the true torque are unknown
     and eliminated, encoders, torque and IMU carry white noise of the levels in `noise` (an encoder with an

@@ -1,9 +1,9 @@
 """Level and time constant of each joint's coloured disturbance torque, by marginal likelihood.
 
-What a model lacks is seldom white: friction wanders, cables pull, gears turn. As white noise it is explained by a
-smaller inertia, and intervals become too narrow. So each joint may have a disturbance of standard deviation s and time
-constant T (`estimator.likelihood.disturbance`). The motion and the disturbance are integrated out around the fitted
-motion (Laplace): with H the matrix of the latents and R the covariance of all residuals,
+Model error is seldom white. Taken for white noise it biases inertias low and makes intervals too narrow. So each joint
+may have a disturbance of standard deviation s and time constant T (`estimator.likelihood.disturbance`). The motion and
+the disturbance are integrated out around the fitted motion (Laplace), with H the information matrix of the latents and
+R the covariance of all residuals:
 
     -2 log p = least weighted squares + log det H + log det R
 
@@ -24,7 +24,7 @@ from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.run_scatter import student_quantile
 from estimator.fitting.shooting import SEGMENT_S
 from estimator.fitting.shooting_segments import Segments, filtered_motion
-from estimator.fitting.warm_start import LEAST_STRETCH, cut
+from estimator.fitting.warm_start import LEAST_SEGMENT, cut
 from estimator.likelihood import LatentProblem, Latents, Noise, Process, State
 from estimator.model import Mechanism
 from estimator.numerics import BlockTridiagonal, Swept, eliminate
@@ -53,14 +53,14 @@ SMALLEST = 1e-3
 
 
 class Disturbance(NamedTuple):
-    """What was found for the n joints."""
+    """Disturbances of the n joints."""
 
     level: FloatArray
     """(n,) [N m], 0 where there is none"""
     time_constant: FloatArray
     """(n,) [s]"""
     white: FloatArray
-    """(n,) level of the white noise beside it [N m]"""
+    """(n,) level of the white noise in addition to it [N m]"""
 
     def put(self, noise: Noise) -> Noise:
         """`noise` with these levels."""
@@ -134,12 +134,12 @@ def disturbed_problem(signals: Sequence[SignalSet], plain: LatentProblem) -> Lat
 def disturbance_likelihood(signals: Sequence[SignalSet], problem: LatentProblem, state: State,
                            disturbed: Callable[[Sequence[SignalSet]], LatentProblem] | None = None,
                            most: float = EXCERPT) -> MarginalLikelihood:
-    """At a fit's motion and parameters; of a long record the first part of each stretch, `most` samples in all.
+    """At a fit's motion and parameters; of a long record the first part of each segment, `most` samples in all.
 
     `disturbed` makes the disturbed problem of these parts, by default one without effects.
     """
     share = min(1.0, most / problem.total)
-    parts = [cut(s, slice(0, max(LEAST_STRETCH, round(share * len(s.time_s))))) for s in signals]
+    parts = [cut(s, slice(0, max(LEAST_SEGMENT, round(share * len(s.time_s))))) for s in signals]
     starts = problem.ends - [len(s.time_s) for s in signals]
     where = np.concatenate([start + np.arange(len(s.time_s)) for s, start in zip(parts, starts, strict=True)])
     own = (LatentProblem(parts, problem.mechanism, problem.collocation.hold, disturbed=True) if disturbed is None

@@ -1,4 +1,4 @@
-"""Which combinations of parameters the motion of a record does not excite, whatever method fits it.
+"""Combinations of parameters that the motion of a record does not excite, whatever method fits it.
 
 A direction of beta is seen through its part Z d of the regressor. Where that is no larger than what sensor noise
 alone puts there, the data says nothing about the direction, however small the residual: at rest every column of Z is
@@ -33,7 +33,7 @@ is noise, and least squares shrinks by as much. `mle` allows for noise and comes
 encoder, 10 s); below, it has ended far from the truth without knowing it. Noise alone is seen as 0.8 to 3."""
 FLAT = 1e-7
 """Root mean square of Z [rad/s2, m/s2, rad/s or 1] that is nothing, where measurements carry no noise at all."""
-ROUNDING = 1e-11
+ROUND_OFF = 1e-11
 """Share of a column's power that counts as noise in any case: sums of squares carry no more digits."""
 FEW_VALUES = 8
 """An encoder that shows no more values than this stands still; its noise is its step's."""
@@ -89,7 +89,7 @@ def _ratios(power: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArra
     """Ratios (p,) of power to noise, both (p, p), ascending, and the directions (p, p) that have them."""
     scale = 1.0 / np.sqrt(np.diag(power) + np.diag(noise))
     both = np.outer(scale, scale)
-    root = np.linalg.cholesky(noise * both + ROUNDING * np.eye(scale.size))
+    root = np.linalg.cholesky(noise * both + ROUND_OFF * np.eye(scale.size))
     whitened = np.linalg.solve(root, np.linalg.solve(root, power * both).T)
     ratios, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
     vectors = np.linalg.solve(root.T, vectors)
@@ -111,7 +111,7 @@ def _levels(s: SignalSet, options: FitOptions) -> dict[int | str, float]:
 
 
 def _noisier(s: SignalSet, levels: Mapping[int | str, float], rng: np.random.Generator) -> SignalSet:
-    """The stretch with noise of these levels added once more."""
+    """The segment with noise of these levels added once more."""
     angles, imu = s.angles.copy(), dict(s.imu)
     for place, level in levels.items():
         noise = level * rng.normal(size=len(angles))

@@ -61,9 +61,11 @@ def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, 
 
 
 def between_samples(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[str, Mechanism]:
-    """(hold, mechanism with its friction's rounding speeds), each as stated or the likeliest where `options` leave it
-    to the data; as a fit begins where none comes to an end."""
-    if AUTO not in (options.hold, options.rounding):
+    """(hold, mechanism with its friction smoothing velocities), as stated, or estimated where `options` say auto.
+
+    If no fit converges, the starting values.
+    """
+    if AUTO not in (options.hold, options.smoothing_velocity):
         return options.hold, mechanism
     try:
         result = estimate(datasets, mechanism, replace(options, noise={}), "mle")
@@ -91,7 +93,7 @@ def estimate(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     run = ESTIMATORS[method]
     if method == "mle" and options.latent == "free":
         from estimator.fitting.mle_free import fit_mle_free as run  # it alone needs sparse matrices
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that runs away is found out by itself
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that diverges raises
         return run(datasets, mechanism, options)
 
 

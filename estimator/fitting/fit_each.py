@@ -47,7 +47,7 @@ def fit_each(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 
 def _alike(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
            method: Method) -> list[tuple[list[int], list[SignalSet]]]:
-    """Groups of records with one stretch of the same length and rate that the method can take together."""
+    """Groups of records with one segment of the same length and rate that the method can take together."""
     groups: dict[tuple[int, float], tuple[list[int], list[SignalSet]]] = {}
     for k, data in enumerate(datasets):
         try:

@@ -42,8 +42,8 @@ ROUGH = 0.5
 SAME_NOISE = 0.003
 """Noise levels that changed by less than this share leave what the latents take of each channel as it was."""
 RISE = 1.05
-"""Growth of the objective by which a step went too far. (Measured: where one joint reversed beside a sample it doubled,
-and two runs alike, scored there, seemed to differ at p = 0.0002; a step on it was 0.7.)"""
+"""Growth of the objective above which a step was too long. (Measured: it doubled where a joint reversed close to a
+sample; the next step gave 0.7.)"""
 ANEW = 0.1
 """Change of a noise level beyond which objectives of before and after say nothing of a step."""
 LOOSE_AFTER = 15
@@ -58,28 +58,27 @@ PASSIVE_SHARE = 0.1
 """... the least model error of a passive joint as a share of the driven joints' noise. Without both a model that
 is far wrong ends at beta = 0, where the passive joint's equation holds exactly and all torque is noise."""
 REST_STEPS = 8
-"""Steps in which rest is sought anew; then it is kept, so that the fit can settle."""
+"""Steps in which samples at rest are updated; then they are fixed, so that the fit converges."""
 ROUGH_STEPS = 2
-"""Steps whose noise levels are too rough to tell over which speed friction is rounded off."""
+"""First steps, whose noise levels are too rough to estimate the friction smoothing velocity."""
 PASSIVE_WAIT = 1
-STEEP, SLOW = 0.985, 1.1
+FALL_FACTOR, RISE_FACTOR = 0.985, 1.1
 PASSIVE_EXPONENT = 4.0
-"""Where a passive joint's model error is nil its level falls by a constant factor a step; after PASSIVE_WAIT
-steps a fall steeper than STEEP is taken to this power. (Measured on legs of 10 s: with a gyro of 0.02 or 0.05 rad/s the
-level falls by 4 % a step, and 2 of 8 or 7 of 8 fits had not settled in 60 steps; all do within 12 to 51.) So is a rise
-slower than SLOW where runs have levels of their own, which come late: a level that fell too far came back by 5 % a
-step. (Elsewhere it keeps a leg with a hidden spring from settling.) Not where no joint is driven: two levels that are
-accelerated swing against each other."""
-MARGIN = 1.1
-"""On the misfit that a step foresees at the samples: the Gauss points add to it, and it may still grow."""
+"""Power to which a passive joint's change of noise level is raised, after PASSIVE_WAIT steps.
 
-RAN_AWAY = "the fit ran away; the starting values are too far from the data"
+Applies to a fall below FALL_FACTOR a step, and with noise levels by run to a rise below RISE_FACTOR. Without it a level
+that tends to zero falls by 4 % a step. It is off where no joint is driven: two accelerated levels oscillate. (Measured
+on legs of 10 s with a gyro of 0.02 or 0.05 rad/s: without it 2 or 7 of 8 fits do not converge in 60 steps.)"""
+MARGIN = 1.1
+"""Factor on the misfit that a step predicts at the samples: the Gauss points add to it, and it may still grow."""
+
+DIVERGED = "the fit diverged; the starting values are too far from the data"
 
 
 def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], options: FitOptions,
             floors: Noise | None, limit: int = MAX_ITERATIONS, rough: bool = False, seeks_smoothing: bool = False,
           levels_by_run: bool = False) -> State:
-    """Where Gauss-Newton on latents and the `free` parameters together ends, noise levels renewed each step.
+    """State at which Gauss-Newton on latents and the `free` parameters ends, noise levels updated at each step.
 
     Begins at `state`, which it leaves as it is. `floors` None keeps the noise levels; `rough` ends the search at ROUGH.
     `seeks_smoothing`: friction's smoothing velocity is estimated, too; until it is found, what dry friction leaves open
@@ -88,7 +87,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
     """
     state, problem = replace(state, converged=False), problem.smoothed_over(state.smoothing)
     index = np.flatnonzero(free)
-    settled, share, lowest, change, objective = 0, 1.0, np.inf, 0.0, np.inf
+    converged_steps, share, lowest, change, objective = 0, 1.0, np.inf, 0.0, np.inf
     before = np.zeros(index.size)
     effective_dof: Mapping[str, FloatArray] | None = None
     finds_stiction = problem.stiction(state.noise) is None
@@ -125,7 +124,7 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         state.covariance = np.zeros((state.beta.size, state.beta.size))
         state.covariance[np.ix_(index, index)] = covariance
         if not np.isfinite(state.beta).all():
-            raise FitError(RAN_AWAY)
+            raise FitError(DIVERGED)
         std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         moved = damping * float(np.max(np.abs(step_beta) / std, initial=0.0))
         if not index.size:
@@ -154,9 +153,9 @@ def iterate(problem: LatentProblem, state: State, free: NDArray[np.bool_], optio
         overshot = point.objective > RISE * objective and iteration < LOOSE_AFTER
         still = moved < enough and change < (0.1 if rough else 0.01) and not seeks_smoothing and not overshot
         objective = point.objective
-        settled = settled + 1 if still else 0
+        converged_steps = converged_steps + 1 if still else 0
         del point, solved  # before the next ones are made: they are large
-        if settled >= (1 if rough else 2):
+        if converged_steps >= (1 if rough else 2):
             state.converged = True
             break
     return state
@@ -173,14 +172,14 @@ def with_prior(point: Linearised, prior: Prior) -> Linearised:
 
 def newton_step(point: Linearised, solved: Swept, index: NDArray[np.intp]
                 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Step of the latents (N, b) and of the parameters `index`, whose information and covariance come with it.
+    """Step of the latents (N, b), step of the parameters `index`, and their information and covariance.
 
-    Raises `FitError` where the numbers ran away.
+    Raises `FitError` where they are not finite.
     """
     product = solved.product()
     information = point.corner[np.ix_(index, index)] - product[np.ix_(1 + index, 1 + index)]
     if not np.isfinite(information).all():
-        raise FitError(RAN_AWAY)
+        raise FitError(DIVERGED)
     covariance = pseudo_inverse(information)
     step_beta = -covariance @ (point.gradient_beta[index] - product[1 + index, 0])
     weights = np.zeros(point.chain.width)
@@ -191,9 +190,8 @@ def newton_step(point: Linearised, solved: Swept, index: NDArray[np.intp]
 def most_noise(problem: LatentProblem, joint: int, floors: Noise, disturbed: bool) -> float:
     """Highest level of white noise that a driven joint's measured torque is allowed [N m].
 
-    White noise is the sensor's: it does not move the joint. Beside a disturbance it is at most SHOWN times what
-    neighbouring samples show, for whatever is more than that moves the joint, and taken for the sensor's noise it would
-    be explained by a smaller inertia.
+    White noise is the sensor's: it does not move the joint. With a disturbance it is at most SHOWN times the noise
+    between neighbouring samples. More than that moves the joint, and as sensor noise would bias the inertia low.
     """
     if disturbed:
         return SHOWN * encoder_level(problem.torque[:, joint]) + float(floors.torque[joint])
@@ -228,8 +226,8 @@ def _update_noise(problem: LatentProblem, state: State, effective_dof: Mapping[s
         size = r.size if count is None else count
         freedom = max(size - gamma, 0.002 * size)
         ratio = float(np.sqrt(np.vdot(r, r) / freedom)) / previous
-        rises = old.scale is not None and 1.0 / STEEP < ratio < SLOW
-        value = previous * ratio ** (exponent if ratio < STEEP or rises else 1.0)
+        rises = old.scale is not None and 1.0 / FALL_FACTOR < ratio < RISE_FACTOR
+        value = previous * ratio ** (exponent if ratio < FALL_FACTOR or rises else 1.0)
         return max(floor, float(np.clip(value, previous / 2.0, previous * 3.0)))
 
     torque, encoder = old.torque.copy(), old.encoder.copy()

@@ -1,10 +1,8 @@
 """Hybrid extended Kalman filter on states and parameters, appendix B of the paper, eqs. (68)-(74).
 
-Where the print is wrong: (71) must read dP/dt = A P + P A^T + L Q L^T, the transpose is lost. A and L are taken
-at the estimate after the last measurement and kept until the next, as printed. Q comes from the torque's
-measurement noise, which the input u carries: its density is sigma_u^2 T_s; parameters have no noise of their
-own. A filter is recursive in time by nature, so samples are a loop here; records are not: R of them are
-filtered at once.
+Correction of the paper: (71) must read dP/dt = A P + P A^T + L Q L^T. A and L are evaluated at the estimate after the
+last measurement and kept until the next. Q is the density sigma_u^2 T_s of the torque's measurement noise; parameters
+have no process noise. R records are filtered at once.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ from estimator.signals import (
 SUBSTEPS = 4
 """Runge-Kutta steps between two samples."""
 EXACT_RAD = 1e-5
-"""Standard deviation of an encoder without noise [rad]; with less, P loses its definiteness to rounding."""
+"""Standard deviation of an encoder without noise [rad]; with less, P is not positive definite in double precision."""
 RATE_SPREAD = 0.5
 """First standard deviation of the rates [rad/s]: differences of a filtered record are wrong at its ends."""
 BETA_SPREAD = 0.3
@@ -207,7 +205,7 @@ def _advance_covariance(a: FloatArray, noise: FloatArray, p: FloatArray, h: floa
 
 @dataclass(frozen=True)
 class Start:
-    """What a filter is started from: WLS-FCD of the same record."""
+    """Start of a filter: WLS-FCD of the same record."""
 
     motion: Kinematics
     beta: FloatArray
@@ -216,7 +214,7 @@ class Start:
 
 def first_estimate(signals: SignalSet, mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
                    beta: FloatArray) -> Start:
-    """WLS-FCD on one stretch."""
+    """WLS-FCD on one segment."""
     design = design_rows([signals], mechanism, options)
     beta, _, sigma = weighted_least_squares(design.z, design.torque, free, beta, 1.0)
     return Start(design.motions[0], beta, sigma)
@@ -224,7 +222,7 @@ def first_estimate(signals: SignalSet, mechanism: Mechanism, options: FitOptions
 
 def build_filter(signals: SignalSet, mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
                  sigma: FloatArray) -> Filter:
-    """Noise as declared in `options`, otherwise as the stretch shows it; `sigma` (n,) torque residuals."""
+    """Noise as declared in `options`, otherwise as the segment shows it; `sigma` (n,) torque residuals."""
     imu = bool(signals.imu)
     encoders = tuple(j for j in range(mechanism.n) if np.isfinite(signals.angles[:, j]).all())
     levels = []
@@ -265,7 +263,7 @@ def first_state(start: Start, filter_: Filter) -> tuple[FloatArray, FloatArray]:
 
 
 def fit_hekf(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:
-    """Identify by (68)-(74) on one stretch after the other; the parameters and their covariance are handed on.
+    """Identify by (68)-(74) on one segment after the other; the parameters and their covariance are handed on.
 
     Raises `FitError` where the filter fails to integrate, as the paper reports of it.
     """

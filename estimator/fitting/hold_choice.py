@@ -1,4 +1,4 @@
-"""How the torque acts between samples, chosen by the likelihood where nobody says it.
+"""Hold of the torque between samples, chosen by the likelihood where nobody states it.
 
 Samples alone do not tell a torque that is held from one that ramps, or that a fast controller made. The motion between
 them does: each way moves the links a little differently, and only one leaves nothing over. The marginal likelihood of
@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.errors import FitError
-from estimator.fitting.gauss_newton import RAN_AWAY, newton_step
-from estimator.fitting.warm_start import LEAST_STRETCH, cut
+from estimator.fitting.gauss_newton import DIVERGED, newton_step
+from estimator.fitting.warm_start import LEAST_SEGMENT, cut
 from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.model import HOLDS, Mechanism
 from estimator.numerics import eliminate
@@ -40,7 +40,7 @@ plant on that grid, seldom by a rig's controller."""
 EXCERPT = 2000
 """Samples that are looked at, or ..."""
 SHARE = 4
-"""... one in so many of a longer record: of each stretch its first part."""
+"""... one in so many of a longer record: of each segment its first part."""
 LOST = 100.0
 """A hold so far behind the best after the first step, in log-likelihood, is taken no further."""
 
@@ -64,7 +64,7 @@ def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State
     """The likeliest of `HOLDS` given the fit of one of them; parameters that are not `free` stay."""
     total = fitted.total
     share = min(1.0, max(EXCERPT, total // SHARE) / total)
-    parts = [cut(s, slice(0, max(LEAST_STRETCH, round(share * len(s.time_s))))) for s in signals]
+    parts = [cut(s, slice(0, max(LEAST_SEGMENT, round(share * len(s.time_s))))) for s in signals]
     index = np.concatenate([start + np.arange(len(s.time_s)) for s, start in
                             zip(parts, fitted.ends - [len(s.time_s) for s in signals], strict=True)])
     x = state.x.of(index)
@@ -93,8 +93,10 @@ class _Runner:
     free: NDArray[np.intp]
 
     def step(self) -> float:
-        """Log-likelihood that is foreseen for the optimum, up to what all holds share, and a Gauss-Newton step on to
-        it; -inf where the equations cannot be solved. Raises `FitError` where it runs away."""
+        """Log-likelihood predicted for the optimum, without the part that all holds share; one Gauss-Newton step.
+
+        -inf where the equations cannot be solved. Raises `FitError` where the step diverges.
+        """
         problem, index = self.problem, self.free
         point = problem.linearise(self.x, self.beta, self.noise)
         try:
@@ -108,5 +110,5 @@ class _Runner:
         self.x = self.x.moved(latents)
         self.beta[index] += step
         if not (np.isfinite(self.beta).all() and np.isfinite(self.x.q).all()):
-            raise FitError(RAN_AWAY)
+            raise FitError(DIVERGED)
         return float(-0.5 * (squares + solved.log_determinant()) + 2.0 * np.sum(size * held.mean(axis=0)))

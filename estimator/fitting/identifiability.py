@@ -1,4 +1,4 @@
-"""Which parameters, or combinations of them, a record cannot determine.
+"""Parameters, or combinations of them, that a record does not determine.
 
 A combination is named by a direction: "beta2 -0.8*beta3" are amounts by which the parameters can change together
 without this data noticing.

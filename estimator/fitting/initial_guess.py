@@ -1,4 +1,4 @@
-"""Where a fit starts: filtered motion, its least squares, and noise levels as neighbouring samples show them."""
+"""Starting values of a fit: filtered motion, its least squares, and noise levels as neighbouring samples show them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mec
 
 
 def joint_correlation(mechanism: Mechanism, options: FitOptions) -> FloatArray | None:
-    """(n, n) declared between the joints' torques, those of passive joints by themselves; None where there is none.
+    """(n, n) declared correlation of the joints' torques, passive joints uncorrelated; None where none is declared.
 
     Raises `FitError` where it has not one row for each driven joint.
     """
@@ -76,11 +76,10 @@ def joint_correlation(mechanism: Mechanism, options: FitOptions) -> FloatArray |
 
 def gentle_start(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
                  free: NDArray[np.bool_], beta: FloatArray) -> State:
-    """The start from slow motion alone, with noise levels at what it leaves over, for a model that is far wrong.
+    """Start from slow motion alone, with noise levels at its residuals, for a model that is far wrong.
 
-    What a model lacks weighs least in slow motion. Levels as neighbours show them would bind such a fit to sensors
-    that err by a hundred times as much; it then ends at beta = 0, all torque taken for noise. (Measured on a gear that
-    twists by 0.3 rad/(N m): beta1 0.016 from the plain start, 0.173 from this one, the truth 0.181.)
+    Model error is smallest in slow motion. The usual start ends at beta = 0 there. (Measured on a gear that twists by
+    0.3 rad/(N m): beta1 is 0.016 from the usual start, 0.173 from this one, true 0.181.)
     """
     slow = replace(options, cutoff_hz=GENTLE * options.cutoff(signals[0].rate_hz))
     state = start_state(problem, signals, mechanism, slow, free, beta)

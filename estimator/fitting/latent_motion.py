@@ -1,8 +1,7 @@
-"""`settle_motion`: the most likely motion of a record with parameters and noise levels held.
+"""`converge_motion`: the most likely motion of a record with parameters and noise levels held.
 
-Where a joint reverses beside a sample, whole Gauss-Newton steps go to and fro between two motions, neither of which is
-the best: on legs with dry friction their objectives lay 20 to 9,000 above it, and differed by as much between two
-models alike. So a step that raises the objective is followed by a shorter one.
+Full Gauss-Newton steps alternate between two motions where a joint reverses close to a sample. So a step that raises
+the objective is followed by a shorter one. (Measured with dry friction: full steps end 20 to 9,000 above the optimum.)
 """
 
 from __future__ import annotations
@@ -22,14 +21,14 @@ FREE_STEPS = 3
 """Steps that are not shortened: they come from far off."""
 
 
-def settle_motion(problem: LatentProblem, state: State, limit: int) -> State:
+def converge_motion(problem: LatentProblem, state: State, limit: int) -> State:
     """`state` with the likeliest motion, sought from its own in up to `limit` steps.
 
     Where neither the problem nor the state knows what dry friction leaves open at rest, it is found on the way. Raises
     `FitError` where the equations become singular.
     """
     x, best, lowest, noise = state.x, state.x, np.inf, state.noise
-    settled, share, before = 0, 1.0, np.inf
+    converged_steps, share, before = 0, 1.0, np.inf
     seeks_rest = problem.stiction(noise) is None
     for iteration in range(limit + 1):
         if seeks_rest and iteration < REST_STEPS:
@@ -39,8 +38,8 @@ def settle_motion(problem: LatentProblem, state: State, limit: int) -> State:
         if point.objective < lowest:
             lowest, best = point.objective, x
         fall, before = before - point.objective, point.objective
-        settled = settled + 1 if abs(fall) < SAME_OBJECTIVE else 0
-        if settled == 2 or iteration == limit:
+        converged_steps = converged_steps + 1 if abs(fall) < SAME_OBJECTIVE else 0
+        if converged_steps == 2 or iteration == limit:
             break
         if iteration >= FREE_STEPS:
             share = max(0.1, 0.5 * share) if fall < 0.0 else min(1.0, 1.2 * share)

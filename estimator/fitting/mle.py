@@ -59,7 +59,7 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     auto, options = options.hold == AUTO, replace(options, hold=FIRST if options.hold == AUTO else options.hold)
     problem, state = _search(signals, mechanism, options, free, beta)
     stated, mechanism = mechanism, problem.mechanism
-    options = replace(options, rounding="given")
+    options = replace(options, smoothing_velocity="given")
     if auto:
         chosen = choose_hold(signals, mechanism, state, free, problem)
         if chosen.hold != FIRST:
@@ -79,26 +79,25 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     if chosen is not None:
         first = f"torque acts between samples by the '{chosen.hold}' hold: {chosen}"
         result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
-    said = tuple(text for text in (rounding_words(stated, mechanism), found) if text is not None)
+    said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), found) if text is not None)
     return replace(result, assumptions=(*result.assumptions, *said))
 
 
-def rounding_words(stated: Mechanism, found: Mechanism) -> str | None:
-    """What was found of the speed over which friction is rounded off; None where it is as stated."""
+def describe_smoothing_velocity(stated: Mechanism, found: Mechanism) -> str | None:
+    """Sentence on the estimated friction smoothing velocity; None where it is as stated."""
     wider = [j for j in range(found.n) if found.velocity_scales[j] > stated.velocity_scales[j]]
     if not wider:
         return None
     told = " and ".join(f"{found.velocity_scales[j]:.2g} {found.length_unit}/s at joint {j + 1}" for j in wider)
-    return (f"dry friction takes its full level not at once, but over about {told}: the likeliest; near rest its "
-            "torque is taken as unknown, once a passage")
+    return (f"friction smoothing velocity {told}, estimated; near rest the friction torque counts as unknown, with one "
+            "value for each zero crossing of the velocity")
 
 
 def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDArray[np.bool_], options: FitOptions
               ) -> float:
-    """Standard deviations by which prior and runs disagree: root of the fall of -2 log p without the prior, by known
-    value, over the scatter between runs; 0 without a prior.
+    """Standard deviations by which prior and runs disagree; 0 without a prior.
 
-    A prior that is far off is paid for with noise, beside which no single value seems wrong.
+    sqrt(fall of -2 log p without the prior / number of known values), over the scatter between runs.
     """
     if not options.prior:
         return 0.0
@@ -120,7 +119,7 @@ def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
             beta: FloatArray, near: State | None = None) -> tuple[LatentProblem, State]:
     """The likeliest motion, parameters and noise levels under one hold, from those `near` where there are any."""
     problem = LatentProblem(signals, mechanism, options.hold)
-    seeks_smoothing = options.rounding == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
+    seeks_smoothing = options.smoothing_velocity == AUTO and any(p.term == "coulomb" for p in mechanism.parameters)
     if suits(signals, mechanism, options):
         noise = known_noise(mechanism, options)
         spread = None if problem.spread is None else problem.spread[None]
@@ -228,7 +227,7 @@ def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[Sig
 
 
 def state_of(found: Searched, record: int, noise: Noise) -> State:
-    """What a search found for one of its records. Raises `FitError` where no start led anywhere."""
+    """State that a search found for one of its records. Raises `FitError` where no start led anywhere."""
     if not np.isfinite(found.objective[record]):
         raise FitError("no start of the search led anywhere; the record is too short or too noisy")
     q, v, u = np.split(found.x[record], 3, axis=-1)

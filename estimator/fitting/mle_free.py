@@ -8,8 +8,8 @@ residual of a sample depends on its neighbours only, so a step costs a time that
 The paper's numerical gradient and Hessian give the same minimum (tests/estimator/fitting/test_mle_free.py), at a cost
 that grows with the square of the samples for the gradient alone.
 
-(63) is used with its signs mended (`estimator.signals.imu.tilt`); (29) with the inverse covariance; (51) printed
-without its sign: the step is -H^-1 g. sin and cos are free of each other, as in the paper: no circle binds them.
+Corrections of the paper: the signs of (63) (`estimator.signals.imu.tilt`); (29) has the inverse covariance; the step
+(51) is -H^-1 g. As in the paper sin and cos are independent unknowns.
 """
 
 from __future__ import annotations
@@ -98,9 +98,9 @@ class FreeProblem:
         still = np.zeros_like(q)
         level = self.mechanism.regressor(q, still, still) * self._gravity
         q[:, 0] = 0.5 * np.pi
-        steep = self.mechanism.regressor(q, still, still) * self._gravity
-        z = self.mechanism.regressor(q, qd, qdd) - steep
-        return z + s[:, None, None] * steep + c[:, None, None] * level
+        by_gravity = self.mechanism.regressor(q, still, still) * self._gravity
+        z = self.mechanism.regressor(q, qd, qdd) - by_gravity
+        return z + s[:, None, None] * by_gravity + c[:, None, None] * level
 
     @property
     def _gravity(self) -> FloatArray:
@@ -124,7 +124,7 @@ class FreeProblem:
         return np.concatenate([torque.ravel(), (self.measured - w) / self.sigma])
 
     def jacobian(self, w: FloatArray, beta: FloatArray) -> tuple[sparse.csr_array, FloatArray]:
-        """Of `residual` by the latents, sparse, and by the free parameters (m n, free)."""
+        """Jacobian of `residual` by the latents, sparse, and by the free parameters (m n, free)."""
         s, c, v, a = self.motion(w)
         q, qd, qdd = (x[self.inner].copy() for x in (self.q, self.qd, self.qdd))
         q[:, 0] = np.arctan2(s, c)[self.inner]
@@ -142,10 +142,10 @@ class FreeProblem:
             q[:, 0] = 0.0
             level = (self.mechanism.regressor(q, still, still) * self._gravity) @ beta
             q[:, 0] = 0.5 * np.pi
-            steep = (self.mechanism.regressor(q, still, still) * self._gravity) @ beta
+            by_gravity = (self.mechanism.regressor(q, still, still) * self._gravity) @ beta
             for i in range(n):
                 by_speed = sparse.diags_array(by_rate[i]) @ pick + sparse.diags_array(by_accel[i]) @ first
-                rows.append(sparse.hstack([sparse.diags_array(steep[:, i]) @ pick,
+                rows.append(sparse.hstack([sparse.diags_array(by_gravity[:, i]) @ pick,
                                            sparse.diags_array(level[:, i]) @ pick, by_speed]))
         else:
             for i in range(n):
@@ -161,7 +161,7 @@ class FreeProblem:
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where the sum of squares is lowest."""
+    """Minimum of the sum of squares."""
 
     w: FloatArray
     beta: FloatArray
@@ -282,7 +282,7 @@ def fit_mle_free(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fit
 
 def _trajectories(problem: FreeProblem, signals: Sequence[SignalSet],
                   found: Minimum) -> tuple[tuple[Trajectory, ...], FloatArray]:
-    """Motion and sensor predictions by stretch, and the torque residual (m, n)."""
+    """Motion and sensor predictions by segment, and the torque residual (m, n)."""
     m = problem.mechanism
     s, c, v, a = problem.motion(found.w)
     q, qd, qdd = problem.q.copy(), problem.qd.copy(), problem.qdd.copy()

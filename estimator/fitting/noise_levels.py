@@ -27,8 +27,7 @@ def torque_levels(noise: Noise, mechanism: Mechanism) -> dict[str, float]:
 
 
 def imu_levels(noise: Noise) -> dict[str, float]:
-    """Of the gyro, of both accelerometer axes together (root mean square) and of each, with what correlates them; of
-    several IMUs the largest, and those of all."""
+    """Noise levels of gyro and accelerometer: both axes together (rms), each axis, and their correlation."""
     levels = [{"gyro{}_radps": float(gyro), "accel{}_mps2": float(np.sqrt(np.mean(accel**2))),
                "accel{}_x_mps2": float(accel[0]), "accel{}_y_mps2": float(accel[1])}
               for gyro, accel in zip(noise.gyro, noise.accel)]
@@ -52,7 +51,7 @@ def colour(noise: Noise) -> str:
 
 
 def independence(options: FitOptions) -> str:
-    """What is assumed of the channels' noise at one time, in words."""
+    """Assumption about the channels' noise at one time, in words."""
     declared = [name for name, given in (("the accelerometer's axes", bool(options.accel_correlation)),
                                          ("the torques", bool(options.torque_correlation))) if given]
     return "independent between channels" + (f", but for {' and '.join(declared)}, correlated as given"

@@ -36,7 +36,7 @@ Known = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of beta from elsewhere, at one beta."""
+    """Prior knowledge of beta, at one beta."""
 
     information: FloatArray
     """(p, p)"""
@@ -77,7 +77,7 @@ def prior_at(mechanism: Mechanism, known: Known, beta: FloatArray) -> Prior:
 
 def prior_values(mechanism: Mechanism, known: Known, beta: FloatArray, covariance: FloatArray
                  ) -> tuple[PriorValue, ...]:
-    """What was known, each beside what it is after the fit: beta (p,) and its covariance (p, p)."""
+    """Known values, each with its estimate after the fit: beta (p,) and its covariance (p, p)."""
     found = {}
     if any(name not in mechanism.names for name in known):
         fitted = _Bodies(mechanism, known, beta)

@@ -78,7 +78,7 @@ class Searched:
 
 
 def empty(records: Records, p: int) -> Searched:
-    """Nothing found yet."""
+    """An empty result."""
     runs, samples, n = records.angles.shape
     return Searched(np.full((runs, p), np.nan), np.full((runs, p, p), np.nan), np.full((runs, samples, 3 * n), np.nan),
                     np.full(runs, np.inf), np.zeros(runs, dtype=bool), np.zeros(runs, dtype=np.intp))
@@ -135,7 +135,7 @@ def first_guess(problem: BatchProblem, records: Records, degree: int,
 
     Exact joints are splines. A noisy joint is a polynomial plus multiples of the exact joints' angles: momentum
     is smoother than any one rate, so where the others jerk, this one jerks in proportion. The body is one of
-    uniform rods (`rods`), or least squares on that motion; noise in the motion pulls the latter towards nothing.
+    uniform rods (`rods`), or least squares on that motion; noise in the motion biases the latter towards zero.
     """
     from scipy.interpolate import CubicSpline
 
@@ -276,7 +276,7 @@ def descend(problem: BatchProblem, records: Records, x: FloatArray, beta: FloatA
 
 
 def _polish(problem: BatchProblem, records: Records, best: Searched) -> None:
-    """Full steps in latents and beta together from where searches ended: the minimum to rounding."""
+    """Full steps in latents and beta together from where searches ended: the minimum to machine precision."""
     for _ in range(POLISH_STEPS):
         where = np.flatnonzero(best.converged)
         if where.size == 0:

@@ -1,11 +1,10 @@
 """Recursive least squares, appendix A of the paper, eqs. (64)-(67).
 
-Where the print is wrong or silent: (64) uses the estimate of the sample before, beta(t_{k-1}), as its text says
-and its formula does not; the transposes of Joseph's form (67) are lost, P = (1 - K Z) P (1 - K Z)^T + K R K^T.
-R = B Sigma_u B^T has rank 2, and the 'small number' that regularises it is not given. The estimate hinges on it:
-errors in the angles let a heavily weighted passive row, whose right side is zero, pull all of beta to zero (on a
-leg with an encoder of 13 bits to 0.4 of the truth at 1 % of the others' variance). Here it is what `passive_nm`
-declares, and what the first fit leaves unexplained where nothing is declared.
+Corrections of the paper: (64) uses the estimate of the previous sample, beta(t_{k-1}); Joseph's form (67) is
+P = (1 - K Z) P (1 - K Z)^T + K R K^T. R = B Sigma_u B^T has rank 2, and the paper does not give the small number that
+regularises it. The estimate depends on it: with angle errors a heavily weighted passive row biases beta to zero (to
+0.4 of the truth with a 13-bit encoder at 1 % of the others' variance). Here it is `passive_nm`, by default the
+residual of the first fit.
 
 In exact arithmetic the recursion adds Z^T R^-1 Z to the inverse of P at every sample, so all its estimates are
 one running sum; that is how they are computed. tests/estimator/fitting/test_rls.py holds them against (64)-(67) step by

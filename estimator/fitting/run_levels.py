@@ -1,18 +1,12 @@
-r"""A noise level of each run's own, where runs ask for it.
+r"""Separate noise levels of runs, where runs differ significantly.
 
-With one level for all, a run that is noisier than the others weighs as much as they do. Each channel's runs are cut
-into pieces of one length; of each there is the logarithm of what is left over, as a variance. These are compared
-between runs and within them (analysis of variance of log variances: Bartlett and Kendall, J. R. Stat. Soc. Suppl. 8,
-1946):
-what noise and model make differ from piece to piece of one run does not count as a difference between runs. Runs get
-levels where that is beyond chance, and where equal weights would cost more than WORTH in the variance of what is
-estimated. A run's level is then drawn to the mean of all by what its pieces do not know of it (DerSimonian and Laird,
-Control. Clin. Trials 7, 1986), so a short run keeps nearly that of the others.
+Each run is cut into pieces of one length. Log variances of a channel's residual are compared between and within runs
+by analysis of variance (Bartlett and Kendall, J. R. Stat. Soc. Suppl. 8, 1946). Runs get separate levels if the
+difference is significant and equal weights would raise the variance of the estimates by more than WORTH. A run's level
+is then shrunk to the common one by its uncertainty (DerSimonian and Laird, Control. Clin. Trials 7, 1986).
 
-Of a channel of which the latents took all but a share f, what is left over tells little: the information about the
-logarithm of its variance is N f^2 / 2, since what is left grows with the level, which is sought, as well. So a variance
-by pieces counts 1 / f^2 times. (Measured: without it the torques of two runs
-of a real arm, whose encoders cannot tell it from its noise, fell to nothing.)
+If the latents take all but a share f of a channel's residual, the information about its log variance is N f^2 / 2. So
+a piece's variance counts 1 / f^2 times.
 """
 
 from __future__ import annotations
@@ -52,7 +46,7 @@ class Column(NamedTuple):
     name: str
     """As levels by joint and axis are called."""
     square: FloatArray
-    """(N,) what is left over, squared, times ..."""
+    """(N,) squared residual, times ..."""
     weight: FloatArray
     """(N,) ... the share of it that is noise"""
     taken: FloatArray
@@ -70,7 +64,7 @@ class RunLevels(NamedTuple):
     ratio: FloatArray
     """(R,) over the root mean square of all"""
     differ: bool
-    """Whether the runs differ by more than chance, and by what matters."""
+    """Whether the runs differ significantly and by a material amount."""
 
 
 def columns(problem: LatentProblem, noise: Noise, residuals: Mapping[str, FloatArray], taken: Mapping[str, FloatArray],

@@ -1,9 +1,8 @@
-r"""Do runs agree about the parameters, and how much wider are intervals where they do not?
+r"""Test whether runs agree about the parameters, and wider intervals where they do not.
 
-A fit has one beta for all runs, and a covariance H^-1 that knows of white noise only. Friction changes from day to day,
-encoders are zeroed anew, and what the model lacks differs with the motion: then runs disagree by more than their noise,
-and H^-1 promises too much. Of each run there are the score s_r and the information I_r at the optimum (sum s_r = 0,
-sum I_r = H). Where they have the same beta, s_r is normal with covariance I_r - I_r H^-1 I_r:
+The covariance H^-1 of a fit includes white noise only, and is too small if runs have different parameters. Run r has
+score s_r and information I_r at the optimum (sum s_r = 0, sum I_r = H). If all have the same beta, s_r is normal with
+covariance I_r - I_r H^-1 I_r:
 
 - Cochran's Q = sum s_r' I_r^-1 s_r is chi-squared with the sum of the ranks of I_r less that of H for its degrees of
   freedom (Cochran, Biometrics 10, 1954, for several parameters at once). What runs disagree about is often one
@@ -35,7 +34,7 @@ DISAGREE = 0.01
 LEAST_SHARE = 1e-6
 """Of what all runs know of a direction: a run that holds less says nothing of it, and runs that leave less to all
 others have no second witness."""
-SETTLED = 0.02
+CONVERGED = 0.02
 """Relative change of the variances between runs at which their search ends, or after ..."""
 STEPS = 300
 SEEN = 0.5
@@ -145,7 +144,7 @@ class RandomEffects(NamedTuple):
 
 
 def random_effects(score: FloatArray, information: FloatArray) -> RandomEffects:
-    """Of scores (R, m) and informations (R, m, m) at one optimum.
+    """Random effects by scores (R, m) and informations (R, m, m) at one optimum.
 
     Expectation and maximisation (Laird and Ware): a run's step I_r^-1 s_r is normal with covariance I_r^-1 + T, T the
     diagonal matrix of tau^2, and of runs that do not know all parameters the inverse is never taken.
@@ -162,7 +161,7 @@ def random_effects(score: FloatArray, information: FloatArray) -> RandomEffects:
         ci = c @ i
         unsure = np.einsum("rkk->k", c + ci @ spread @ ci.swapaxes(1, 2)) / len(s)
         before, tau2 = tau2, np.maximum(np.mean(effect**2, axis=0) + unsure, LEAST_SHARE)
-        if np.all(np.abs(np.log(tau2 / before))[tau2 > 0.01 * len(s)] < SETTLED):
+        if np.all(np.abs(np.log(tau2 / before))[tau2 > 0.01 * len(s)] < CONVERGED):
             break
     return RandomEffects(mean * size, np.sqrt(tau2) * size, effect * size, unsure * size**2)
 

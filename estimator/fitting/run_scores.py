@@ -1,4 +1,4 @@
-"""`score_runs`: what each run of a fit says of the parameters by itself."""
+"""`score_runs`: score and information of each run of a fit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from daq import FloatArray
-from estimator.fitting.warm_start import LEAST_STRETCH, cut
+from estimator.fitting.warm_start import LEAST_SEGMENT, cut
 from estimator.likelihood import LatentProblem, State
 from estimator.numerics import eliminate
 from estimator.signals import SignalSet, by_run
@@ -36,17 +36,15 @@ class RunScores(NamedTuple):
 
 def score_runs(signals: Sequence[SignalSet], problem_of: Problem, fitted: LatentProblem, state: State,
                beta: FloatArray) -> RunScores:
-    """Each run of `signals` scored at the motion and the noise levels of `state`, and at beta (m,); of a single run
-    each of its `segments`.
+    """Score and information of each run of `signals` at `state` and beta (m,); of a single run of each of its parts.
 
-    `problem_of` makes a run's problem of its stretches, as `fitted` was made of all. Latents of runs are not coupled,
-    so the scores add up to that of the fit; segments lose the equation of motion between them. Costs a Gauss-Newton
-    step.
+    `problem_of` returns the problem of some gap-free segments, as `fitted` is that of all. The scores of runs add up to
+    that of the fit; parts lose the equation of motion between them. Costs one Gauss-Newton step.
     """
     found = []
     parts = by_run(signals)
-    for run, stretches, where in parts if len(parts) > 1 else segments(signals, fitted, state):
-        problem = problem_of(stretches)
+    for run, own, where in parts if len(parts) > 1 else segments(signals, fitted, state):
+        problem = problem_of(own)
         as_it_is = np.full(problem.n, np.inf)  # no bound on a run's misfit
         point = problem.linearise(state.x.of(where), beta, state.noise.at(where), predicted_misfit=as_it_is)
         product = eliminate(point.chain).product()
@@ -59,13 +57,13 @@ def score_runs(signals: Sequence[SignalSet], problem_of: Problem, fitted: Latent
 
 def segments(signals: Sequence[SignalSet], fitted: LatentProblem, state: State
              ) -> list[tuple[str, list[SignalSet], slice]]:
-    """Name, stretch and samples of each of up to MOST_SEGMENTS segments of a single run; empty where it is too short.
+    """Name, signals and samples of each of up to MOST_SEGMENTS segments of a single run; empty where it is too short.
 
     A segment is longer than the torque's disturbance is correlated, and than SEGMENT_S.
     """
     constants = state.noise.time_constant[state.noise.disturbance > 0.0]
     least_s = max(SEGMENT_S, TIME_CONSTANTS * float(np.max(constants, initial=0.0)))
-    least = max(LEAST_STRETCH, round(least_s / fitted.dt), fitted.total // MOST_SEGMENTS)
+    least = max(LEAST_SEGMENT, round(least_s / fitted.dt), fitted.total // MOST_SEGMENTS)
     found = []
     for s, end in zip(signals, fitted.ends):
         count = len(s.time_s)

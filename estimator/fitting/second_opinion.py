@@ -57,7 +57,7 @@ def with_second_opinion(datasets: Sequence[Dataset], mechanism: Mechanism, optio
     """
     if result.method != "mle" or not result.converged or not result.trajectories or options.prior:
         return result
-    options = replace(options, hold=result.hold, rounding="given",
+    options = replace(options, hold=result.hold, smoothing_velocity="given",
                       fixed={**options.fixed, **dict.fromkeys(result.at_bound, 0.0)})
     shot = _shoot(datasets, result.mechanism, options, result)
     if shot is None:
@@ -93,7 +93,7 @@ def _shoot(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOption
 
 
 def _compared(result: FitResult, shot: Shot, free: NDArray[np.bool_]) -> SecondOpinion:
-    """`shot` beside `result`, without parameters that either leaves open."""
+    """Comparison of `shot` with `result`, without parameters that either leaves open."""
     mechanism = result.mechanism
     open_ = result.open_parameters | _named(undetermined(mechanism, shot.beta, shot.covariance, free))
     compared = free & np.array([name not in open_ for name in mechanism.names])

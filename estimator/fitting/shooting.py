@@ -1,6 +1,6 @@
 r"""`shoot`: parameters by output error over short segments, each from an initial state of its own (multiple shooting).
 
-Every gap-free stretch is cut into segments of about a second. The equation of motion, collocated as everywhere in
+Every gap-free segment is cut into segments of about a second. The equation of motion, collocated as everywhere in
 `estimator.model`, is integrated over each under the measured torque, and its readings y(t; beta, x_s) are held against
 those of encoders, gyros and accelerometers. Minimised over beta and the initial states x_s is
 
@@ -68,7 +68,7 @@ LOST = 100.0
 
 @dataclass(frozen=True)
 class Shot:
-    """What multiple shooting finds."""
+    """Result of multiple shooting."""
 
     beta: FloatArray
     """(p,)"""
@@ -140,7 +140,7 @@ class _Search:
         return np.asarray((squares / levels**2).mean(axis=1) / self.segments.size)
 
     def loss(self, point: _Point, levels: FloatArray) -> float:
-        """Of the whole, in the t loss."""
+        """Sum of the t loss."""
         misfit = np.where(point.lost, LOST, np.minimum(self.misfit(point.squares, levels), LOST))
         return float(self.segments.size @ np.log1p(misfit / FREEDOM) * (FREEDOM + 1.0))
 
@@ -194,7 +194,8 @@ class _Search:
                       np.where(good[:, None], squares, 0.0), ~good)
 
     def run(self, beta: FloatArray) -> tuple[_Point, _Step, bool, int]:
-        """From `beta` (p,) and the measured motion: the end, the step that would be next, whether it is none, steps."""
+        """Result of a search from `beta` (p,) and the measured motion: the end, the step that would be next, whether it
+        is none, steps."""
         point = _Point(np.array(beta, dtype=np.float64), *self.home, np.zeros((0, 0)), np.zeros(0, dtype=bool))
         best, damping, share = np.inf, 0.0, 1.0
         linear, step = self.linearised(point, None)

@@ -25,7 +25,7 @@ ROUNDS, INNER = 8, 8
 that are not there yet. (Measured: where dry friction turns round a segment may take 60 steps, most take 3.)"""
 LEAST_ERROR = 1e-8
 """Squared errors below this share of what the sensor reads are alike."""
-SETTLED = 1e-6
+CONVERGED = 1e-6
 """Share of the torque's spread, or where none acts of the largest term's, by which a simulation may miss its equation.
 (Measured: with 1e-3 the loss does not converge.)"""
 
@@ -58,7 +58,7 @@ class Part(NamedTuple):
 
 
 class Segments:
-    """Segments of all stretches, and what was read in them."""
+    """Shooting segments of all gap-free records, and their measurements."""
 
     def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, seconds: float
                  ) -> None:
@@ -209,7 +209,7 @@ class Segments:
         scale = float(np.std(self.data.torque, axis=0).max()) or float(np.max(np.abs(beta) * np.std(z, axis=(1, 2))))
         norm = _norm(part, defect)
         for _ in range(INNER):
-            active = ~(norm <= SETTLED * scale)
+            active = ~(norm <= CONVERGED * scale)
             if not active.any():
                 break
             step = np.zeros((len(q), self.state, 1))
@@ -224,7 +224,7 @@ class Segments:
             at, moved = better[of], better[samples]
             defect[:, at], slopes[..., at] = tried[0][:, at], tried[1][..., at]
             q[moved], v[moved] = trial_q[moved], trial_v[moved]
-        return q, v, norm <= SETTLED * scale
+        return q, v, norm <= CONVERGED * scale
 
     def errors(self, q: FloatArray, v: FloatArray, beta: FloatArray) -> FloatArray:
         """(S,) mean squared error of free runs from each segment's first state of q, v (N, n), in the variances of what

@@ -26,8 +26,8 @@ LEAST = 400
 """... but no fewer samples than these, and ..."""
 WORTH = 3
 """... no more than one part in so many: a record that has fewer is fitted as it is."""
-LEAST_STRETCH = 100
-"""Samples of a stretch that is worth taking part in an excerpt."""
+LEAST_SEGMENT = 100
+"""Samples of a segment that is worth taking part in an excerpt."""
 STEPS = 15
 """Most steps that are spent on an excerpt."""
 OUTLIER = 4.0
@@ -59,7 +59,7 @@ def from_excerpt(problem: LatentProblem, signals: Sequence[SignalSet], options: 
 
 
 def excerpt(problem: LatentProblem, signals: Sequence[SignalSet], x: Latents) -> list[tuple[int, slice]]:
-    """Stretches, by number, and the samples of each that are excited most; empty where there is nothing to gain."""
+    """Segments, by number, and the samples of each that are excited most; empty where there is nothing to gain."""
     wanted = max(LEAST, problem.total // SHARE)
     if wanted * WORTH > problem.total:
         return []
@@ -67,11 +67,11 @@ def excerpt(problem: LatentProblem, signals: Sequence[SignalSet], x: Latents) ->
     spread = np.maximum(values.std(axis=0), 1e-300)
     power = np.minimum(((values - values.mean(axis=0)) / spread) ** 2, OUTLIER).sum(axis=1)
     lengths = [len(s.time_s) for s in signals]
-    share = wanted / max(sum(n for n in lengths if n >= LEAST_STRETCH), 1)
+    share = wanted / max(sum(n for n in lengths if n >= LEAST_SEGMENT), 1)
     found = []
     for i, (part, n) in enumerate(zip(np.split(power, problem.ends[:-1]), lengths)):
-        size = min(n, max(LEAST_STRETCH, round(share * n)))
-        if size < LEAST_STRETCH:
+        size = min(n, max(LEAST_SEGMENT, round(share * n)))
+        if size < LEAST_SEGMENT:
             continue
         total = np.concatenate([[0.0], np.cumsum(part)])
         first = int(np.argmax(total[size:] - total[: n - size + 1]))
@@ -81,7 +81,7 @@ def excerpt(problem: LatentProblem, signals: Sequence[SignalSet], x: Latents) ->
 
 
 def cut(signals: SignalSet, where: slice) -> SignalSet:
-    """The samples `where` of a stretch."""
+    """The samples `where` of a segment."""
     return replace(signals, time_s=signals.time_s[where], angles=signals.angles[where], torque=signals.torque[where],
                    imu={name: values[where] for name, values in signals.imu.items()},
                    spread=None if signals.spread is None else signals.spread[where])

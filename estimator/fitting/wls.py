@@ -89,8 +89,8 @@ def driven_first(z: FloatArray, tau: FloatArray, free: NDArray[np.bool_], beta: 
                  mechanism: Mechanism) -> FloatArray:
     """beta (p,) from the equations of the driven joints alone, then the rest of it from those of the passive ones.
 
-    A passive joint's equation is homogeneous: an error in the motion pulls its least squares to beta = 0. Here it
-    only adds the parameters that no driven joint feels, on the scale of the others.
+    A passive joint's equation is homogeneous: an error in the motion biases its least squares to beta = 0. Here it
+    only adds the parameters that no driven joint's equation has, on the scale of the others.
     """
     driven, passive = list(mechanism.actuated), list(mechanism.passive)
     felt = free & (np.abs(z[:, driven]).max(axis=(0, 1)) > 0.0)
@@ -101,7 +101,7 @@ def driven_first(z: FloatArray, tau: FloatArray, free: NDArray[np.bool_], beta: 
 
 def stack_regressors(signals: Sequence[SignalSet], motions: Sequence[Kinematics], mechanism: Mechanism,
                      cutoff_hz: float | None, order: int) -> tuple[FloatArray, FloatArray]:
-    """Z (m, n, p) and torque (m, n) of all stretches, both through the same low pass.
+    """Z (m, n, p) and torque (m, n) of all segments, both through the same low pass.
 
     The common filter keeps tau = Z beta true for the filtered values: torque carries the steps of Coulomb
     friction that the filtered angles cannot show.
@@ -117,7 +117,7 @@ def stack_regressors(signals: Sequence[SignalSet], motions: Sequence[Kinematics]
 
 
 def free_mask(mechanism: Mechanism, options: FitOptions) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Which parameters are estimated, and beta with the fixed values put in. Raises `FitError` on a wrong name."""
+    """(p,) mask of the estimated parameters, and beta with the fixed values. Raises `FitError` on a wrong name."""
     beta = np.zeros(mechanism.p)
     free = np.ones(mechanism.p, dtype=bool)
     for name, value in options.fixed.items():
@@ -142,7 +142,7 @@ class Design(NamedTuple):
 
 
 def around_samples(torque: FloatArray, hold: str) -> FloatArray:
-    """What acts on the whole around each sample of torque (N, n), as a symmetric difference sees it.
+    """Mean torque around each sample of torque (N, n), as a symmetric difference sees it.
 
     Held torque acts half a sample late on average. Without this, differences of a noise-free walker step leave a
     free-run error of 45 rad^2 instead of 1.2, which is the figure of the paper's Table III.
@@ -186,7 +186,7 @@ def design_rows(signals: Sequence[SignalSet], mechanism: Mechanism, options: Fit
 def fit_wls(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> FitResult:
     """Identify by (28) from low-passed, differenced measurements; see `FitOptions.cutoff_hz`.
 
-    Errors in the angles bias this estimate towards zero: use `mle` where its intervals matter.
+    Errors in the angles bias this estimate towards zero: use `mle` for intervals.
     """
     start = time.perf_counter()
     signals = split_signals(datasets, mechanism, options)

@@ -150,8 +150,8 @@ def _intervals(n: int, block: int, fixed: int) -> Kernel:
                                     line[r, e * edge + d * n + j, w] = weight[i, at(start + w)] * t
                     for w in range(size):
                         k = left[at(start + w)]
-                        pull = holds[g, 0] * u[at(k), i] + holds[g, 1] * u[at(k + 1), i]
-                        t = weight[i, at(start + w)] * (torque[i, g, at(start + w)] - pull)
+                        acting = holds[g, 0] * u[at(k), i] + holds[g, 1] * u[at(k + 1), i]
+                        t = weight[i, at(start + w)] * (torque[i, g, at(start + w)] - acting)
                         line[r, block, w] = t
                         misfit[i] += t * t
                     for k in range(width - 1):

@@ -61,7 +61,7 @@ class BatchProblem:
 
     def linearise(self, records: Records, x: FloatArray, beta: FloatArray) -> Point:
         """At latents x (R, N, 3 n) and beta (R, p). Raises numpy.linalg.LinAlgError where it cannot be solved."""
-        with np.errstate(over="ignore", invalid="ignore"):  # a trial that ran away is found out by its objective
+        with np.errstate(over="ignore", invalid="ignore"):  # a trial that diverges has a large objective
             return self._linearise(records, x, beta)
 
     def _linearise(self, records: Records, x: FloatArray, beta: FloatArray) -> Point:

@@ -21,7 +21,7 @@ MOVING, LEAST_MOVING = 0.9, 0.1
 def whole_samples(share: FloatArray, driven: Sequence[int]) -> FloatArray:
     """(N, n) `share` of each torque sample's variance that is noise; of `driven` joints 1 where none rests, else 0.
 
-    The rest of one joint is in what is left over of the others. Where there are too few such samples shares stay.
+    Where one joint rests the correlated residuals of the others are not used; with too few such samples shares stay.
     """
     joints = list(driven)
     moving = np.min(share[:, joints], axis=1) > MOVING

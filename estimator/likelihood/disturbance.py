@@ -37,12 +37,12 @@ class Process(NamedTuple):
 
     @classmethod
     def of(cls, noise: Noise, dt: float) -> Process:
-        """As `noise` has it, sampled every `dt` [s]."""
+        """Process of `noise`, sampled every `dt` [s]."""
         variance = np.maximum(noise.disturbance, OFF * noise.torque) ** 2
         return cls(np.exp(-dt / noise.time_constant), variance * -np.expm1(-2.0 * dt / noise.time_constant), variance)
 
     def squares(self, e: FloatArray, ends: NDArray[np.int64]) -> FloatArray:
-        """(n,) weighted squares of e (N, n): of its steps, and of its first value in each stretch up to `ends`."""
+        """(n,) weighted squares of e (N, n): of its steps, and of its first value in each segment up to `ends`."""
         begin, left = _places(ends)
         steps = e[left + 1] - self.decay * e[left]
         return np.asarray(np.sum(steps**2, axis=0) / self.step + np.sum(e[begin] ** 2, axis=0) / self.first)
@@ -53,13 +53,15 @@ class Process(NamedTuple):
         return float(np.sum((ends[-1] - count) * np.log(self.step) + count * np.log(self.first)))
 
     def share(self, white: FloatArray) -> FloatArray:
-        """(n,) tr(C (C + white I)^-1) / N: the share of a long record's degrees of freedom that the process has, beside
-        white noise of variances `white` (n,). The mean over frequency of S / (S + white), S = step / |1 - a e^iw|^2."""
+        """(n,) tr(C (C + white I)^-1) / N: the process's share of a long record's degrees of freedom.
+
+        `white` (n,) are variances of white noise. Mean over frequency of S / (S + white), S = step / |1 - a e^iw|^2.
+        """
         a, q = self.decay, self.step
         return np.asarray(q / np.sqrt((q + white * (1.0 + a * a)) ** 2 - (2.0 * a * white) ** 2))
 
     def innovations(self, error: FloatArray, joint: int, white: float) -> FloatArray:
-        """(N,) what one joint's torque `error` (N,) of one stretch, the process and white noise of standard deviation
+        """(N,) what one joint's torque `error` (N,) of one segment, the process and white noise of standard deviation
         `white`, has that its past does not predict.
 
         Their sum is (1 - a L) error = (1 - b L) innovation with lag L (Box and Jenkins, Time Series Analysis, 1970, on
@@ -115,6 +117,6 @@ def expected_score(mechanism: Mechanism, q: FloatArray, beta: FloatArray, freedo
 
 
 def _places(ends: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First sample of each stretch, and the samples that begin an interval."""
+    """First sample of each segment, and the samples that begin an interval."""
     begin = np.concatenate([[0], ends[:-1]])
     return begin, np.setdiff1d(np.arange(ends[-1] - 1), ends[:-1] - 1)

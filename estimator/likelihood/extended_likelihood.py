@@ -1,8 +1,8 @@
 """`ExtendedProblem`: the latent likelihood of a mechanism with effects, and the derivative of more of them.
 
-Parameters are beta, then the sizes and shapes of each effect in turn. Effects are evaluated on the current
-motion. How a torque law depends on its joint's motion enters the Gauss-Newton matrix (without it a law that is
-steep where the joint rests does not converge); memory and readings do not, which costs iterations only.
+Parameters are beta, then the sizes and shapes of each effect. Effects are evaluated on the current motion. The
+Gauss-Newton matrix includes the derivatives of torque laws by their joint's motion, without which laws with a large
+slope near rest do not converge. It neglects those of memory and readings, which costs iterations only.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Stage:
-    """Where and when stretches of a record stand: what a `View` needs beyond the motion."""
+    """Places and times of the segments of a record: what a `View` needs beyond the motion."""
 
     run: tuple[int, ...]
-    """Number of the run of each stretch."""
+    """Number of the run of each segment."""
     session_s: tuple[float, ...]
-    """Session time of each stretch's first sample."""
+    """Session time of each segment's first sample."""
     time_s: tuple[float, ...]
-    """Time since the start of its run of each stretch's first sample."""
+    """Time since the start of its run of each segment's first sample."""
     angle_range: FloatArray
     """(n, 2)"""
     gear_ratio: float = 1.0
@@ -89,7 +89,7 @@ class ExtendedProblem(LatentProblem):
         return self.mechanism.p + sum(e.count for e in self.effects)
 
     def dry_levels(self, beta: FloatArray) -> dict[int, float]:
-        """As of a plain mechanism, with what the effects at a joint add."""
+        """Joint to its level of dry friction near rest [N m], with what the effects at the joint add."""
         found, at = super().dry_levels(beta), self.mechanism.p
         for effect in self.effects:
             size, at = beta[at : at + effect.count], at + effect.count
@@ -98,11 +98,11 @@ class ExtendedProblem(LatentProblem):
         return found
 
     def view(self, x: Latents, beta: FloatArray, torque: FloatArray | None = None) -> View:
-        """What effects see at (x, beta); `torque` (n, N) is what effects already take at the samples."""
+        """View of the effects at (x, beta); `torque` (n, N) is the torque of effects at the samples."""
         return self._seen(x, beta, torque)[0]
 
     def _seen(self, x: Latents, beta: FloatArray, torque: FloatArray | None = None) -> tuple[View, FloatArray]:
-        """As `view`; beside it the inverse of the inertia matrix at the samples (n, n, N)."""
+        """As `view`, and the inverse of the inertia matrix at the samples (n, n, N)."""
         m, c, left = self.mechanism, self.collocation, self.left
         motion = c.motion(x.q, x.v, left)
         taken = x.u if torque is None else x.u - torque.T
@@ -149,7 +149,7 @@ class ExtendedProblem(LatentProblem):
         return np.concatenate([np.gradient(part, self.dt) for part in parts]), np.concatenate(second)
 
     def places(self) -> list[slice]:
-        """Where the sizes and shapes of each effect stand in the parameter vector."""
+        """Slices of the parameter vector with the sizes and shapes of each effect."""
         stops = self.mechanism.p + np.cumsum([e.count for e in self.effects], dtype=int)
         return [slice(int(b) - e.count, int(b)) for e, b in zip(self.effects, stops)]
 
@@ -159,13 +159,13 @@ class ExtendedProblem(LatentProblem):
         return parameters[: self.mechanism.p], sizes
 
     def relaxed(self, parameters: FloatArray, slack: float) -> FloatArray:
-        """The parameter vector with every effect's law less steep; see `Effect.relaxed`."""
+        """The parameter vector with a smaller slope of every effect's law; see `Effect.relaxed`."""
         beta, sizes = self.split(parameters)
         return np.concatenate([beta, *(e.relaxed(size, slack) for e, size in zip(self.effects, sizes))])
 
     def extra(self, x: Latents, parameters: FloatArray, columns: bool = True) -> Extra:
-        """What the effects add at (x, parameters), and its derivatives by effects and candidates, unless no `columns`
-        are wanted."""
+        """Torques and readings that the effects add at (x, parameters), and their derivatives by effects and
+        candidates."""
         view, torque, at_samples, readings = self._acting(x, parameters)
         sizes = self.split(parameters)[1]
         n, count, total = self.n, self.left.size, self.total
@@ -222,7 +222,7 @@ class ExtendedProblem(LatentProblem):
         return own
 
     def simulated(self, parameters: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
-        """As `split`, for a simulation that has no record of the motor's motion."""
+        """Parameters like `split`, for a simulation that has no record of the motor's motion."""
         beta, sizes = self.split(parameters)
         for effect, size in zip(self.effects, sizes):
             beta = effect.simulated(beta, size, self.mechanism)

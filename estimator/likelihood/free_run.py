@@ -17,8 +17,8 @@ from estimator.model import simulate
 from estimator.signals import Channel, encoder_of, imu_readings, torque_of
 
 PASSES = 60
-SETTLED_RAD = 2e-5
-SETTLED_NM = 1e-6
+CONVERGED_RAD = 2e-5
+CONVERGED_NM = 1e-6
 LOST_RAD = 50.0
 """A simulation that is so far from the fitted motion is lost. (Measured: at rest under dry friction a piece of a tenth
 of a second went 1,439 rad.)"""
@@ -35,7 +35,7 @@ rad over 20 s: 721 evaluations in windows of 0.25 s, 558 of 0.5 s.)"""
 
 @dataclass(frozen=True)
 class FreeRun:
-    """Motion from each stretch's first state and the torque alone."""
+    """Motion from each segment's first state and the torque alone."""
 
     q: FloatArray
     """(N, n)"""
@@ -49,7 +49,7 @@ class FreeRun:
 def free_run(problem: ExtendedProblem, state: State, drive: FloatArray | None = None,
              horizon_s: float = np.inf, or_still: bool = False,
              near: tuple[FloatArray, FloatArray] | None = None) -> FreeRun | None:
-    """Simulate every stretch, or each piece of it of `horizon_s`, from its first state; None where it diverges.
+    """Simulate every segment, or each piece of it of `horizon_s`, from its first state; None where it diverges.
 
     With `or_still` a piece that diverges stays where it began: what one does says little of the others.
 
@@ -92,7 +92,7 @@ def _readings(plant: _Plant, q: FloatArray, v: FloatArray, taken: FloatArray) ->
 
 
 def pieces(problem: ExtendedProblem, horizon_s: float) -> list[slice]:
-    """Stretches cut into pieces of about `horizon_s`, of two samples at least."""
+    """Segments cut into pieces of about `horizon_s`, of two samples at least."""
     out = []
     for begin, end in zip([0, *problem.ends[:-1]], problem.ends):
         most = max(1, (end - begin) // 2)
@@ -115,7 +115,7 @@ class _Plant:
         self.or_still = or_still and not self.memory  # an iteration in which a piece is lost leads nowhere
         self.lost = 0
         self.alone: set[int] = set()
-        """First samples of the stretches whose parts do not settle together."""
+        """First samples of the segments whose parts do not converge together."""
         view = self.view(state.x.q, state.x.v)
         self.mechanism, self.all_beta = problem.mechanism, self.beta
         """Those of the simulation: with what effects add as bodies; motions (N, n) have their columns, too."""
@@ -145,8 +145,10 @@ class _Plant:
 
     def run_parts(self, parts: Sequence[slice], q: FloatArray, v: FloatArray, taken: FloatArray
                   ) -> tuple[FloatArray, FloatArray]:
-        """As `run`, of consecutive `parts` of one stretch, each from its own start: together, and one by one where that
-        does not settle."""
+        """Motion like `run`, of consecutive `parts` of one segment, each from its own start.
+
+        All are solved together; where that does not converge, one by one.
+        """
         c, whole = self.problem.collocation, slice(parts[0].start, parts[-1].stop)
         here = self.intervals(whole)
         begin = np.array([p.start for p in parts])
@@ -177,13 +179,12 @@ class _Plant:
         return bool(np.isfinite(q).all() and np.abs(q - self.start.q[where]).max() < LOST_RAD)
 
     def intervals(self, where: slice) -> slice:
-        """Intervals between the samples `where` of one stretch."""
+        """Intervals between the samples `where` of one segment."""
         first = int(np.searchsorted(self.problem.left, where.start))
         return slice(first, first + where.stop - where.start - 1)
 
     def remembered(self, q: FloatArray, v: FloatArray, samples: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What effects with a memory take at Gauss points (n, 2, K), and all at samples (n, N); not finite where the
-        motion is beyond bounds."""
+        """Torque of effects with memory at Gauss points (n, 2, K), and of all effects at samples (n, N)."""
         with np.errstate(all="ignore"):
             view = self.view(q, v, samples)
             gauss = added(self.memory, view)[0]
@@ -196,7 +197,7 @@ class _Plant:
             change = self.remembered(q, v, samples)[1] - samples
             samples = samples + share * change
             size = float(np.max(np.abs(change)))
-            if not size > SETTLED_NM:
+            if not size > CONVERGED_NM:
                 break
             share = _calmed(share, size, before)
             before = size
@@ -215,7 +216,7 @@ def _relaxed(plant: _Plant, parts: Sequence[slice], near: tuple[FloatArray, Floa
         q[:, : problem.n], v[:, : problem.n] = near
     edge = problem.n * 2 * problem.left.size
     taken = np.zeros(edge + problem.n * problem.total)
-    stretches = [[p for p in parts if begin <= p.start < end]
+    segments = [[p for p in parts if begin <= p.start < end]
                  for begin, end in zip([0, *problem.ends[:-1]], problem.ends)]
     share, before = 1.0, np.inf
     for k in range(PASSES):
@@ -225,14 +226,14 @@ def _relaxed(plant: _Plant, parts: Sequence[slice], near: tuple[FloatArray, Floa
                 return None
             taken = taken + share * (wanted - taken)
         next_q, next_v = np.empty_like(q), np.empty_like(v)
-        for stretch in stretches:
-            where = slice(stretch[0].start, stretch[-1].stop)
-            next_q[where], next_v[where] = plant.run_parts(stretch, q, v, taken[:edge].reshape(problem.n, 2, -1))
+        for segment in segments:
+            where = slice(segment[0].start, segment[-1].stop)
+            next_q[where], next_v[where] = plant.run_parts(segment, q, v, taken[:edge].reshape(problem.n, 2, -1))
         if not plant.is_kept(next_q, slice(0, problem.total)):
             return None
         moved = float(np.max(np.abs(next_q - q)))
         q, v = next_q, next_v
-        if not plant.memory or moved < SETTLED_RAD:
+        if not plant.memory or moved < CONVERGED_RAD:
             return q, v, plant.at_samples(q, v)
         if k >= HOPELESS and moved > LOOSE_RAD:
             return None
@@ -244,8 +245,7 @@ def _relaxed(plant: _Plant, parts: Sequence[slice], near: tuple[FloatArray, Floa
 def _marched(plant: _Plant, parts: Sequence[slice]) -> _Run | None:
     """As `_relaxed`, one short window after the other: effects are causal.
 
-    What grows with the motion feeds back over a whole record more than over a window. So a window in which steps do not
-    settle is halved.
+    A window in which the steps do not converge is halved.
     """
     problem = plant.problem
     q, v = plant.start.q.copy(), plant.start.v.copy()
@@ -267,7 +267,7 @@ def _marched(plant: _Plant, parts: Sequence[slice]) -> _Run | None:
 
 
 def _window(plant: _Plant, where: slice, before: _Run) -> _Run | None:
-    """`before` with the motion in `where` simulated from its first sample; None where that does not settle."""
+    """`before` with the motion in `where` simulated from its first sample; None where that does not converge."""
     q, v, samples = (x.copy() for x in before)
     taken, share, last = np.zeros((plant.problem.n, 2, plant.problem.left.size)), 1.0, np.inf
     for _ in range(WINDOW_PASSES):
@@ -281,7 +281,7 @@ def _window(plant: _Plant, where: slice, before: _Run) -> _Run | None:
             return None
         moved = float(np.max(np.abs(next_q - q[where])))
         q[where], v[where] = next_q, next_v
-        if moved < SETTLED_RAD:
+        if moved < CONVERGED_RAD:
             break
         share = _calmed(share, moved, last)
         last = moved

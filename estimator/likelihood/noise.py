@@ -43,8 +43,10 @@ class Noise:
     scale: NoiseScale | None = None
     """Of each of the N samples of one record, where runs differ in noise."""
     stiction: FloatArray | None = None
-    """(N, 2, n) variance [N^2 m^2] of the torque that dry friction may hold at each of these samples, and in the
-    interval from it on, where a search found it; see `find_stiction`."""
+    """(N, 2, n) variance [N^2 m^2] of the unknown friction torque at each sample and in the interval after it.
+
+    None before a search; see `find_stiction`.
+    """
 
     def at(self, samples: slice | NDArray[np.intp]) -> Noise:
         """At some of the samples of its record."""

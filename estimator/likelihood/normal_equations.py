@@ -1,4 +1,4 @@
-"""What passes between a problem and its solver: what effects add at one point, and the normal equations there."""
+"""Data between a problem and its solver: what effects add at one point, and the normal equations there."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Latents:
 
 
 class Accumulators(NamedTuple):
-    """Where normal equations are summed up."""
+    """Accumulators of normal equations."""
 
     chain: BlockTridiagonal
     square: FloatArray
@@ -48,7 +48,7 @@ class Accumulators(NamedTuple):
 
 @dataclass(frozen=True)
 class Extra:
-    """What effects add to the model at one point, and its derivative by their k sizes."""
+    """Contributions of effects to the model at one point, and their derivatives by the k sizes."""
 
     torque: FloatArray
     """(n, 2, K) torque that the motion needs beyond Z beta, at the Gauss points [N m]."""

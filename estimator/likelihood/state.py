@@ -11,7 +11,7 @@ from estimator.likelihood.normal_equations import Latents
 
 @dataclass
 class State:
-    """Where a fit stands. Its noise holds what single samples add: a noise scale of their run, and stiction."""
+    """State of a fit. Its noise holds what single samples add: a noise scale of their run, and stiction."""
 
     x: Latents
     beta: FloatArray

@@ -60,7 +60,7 @@ CURVED = 0.15
 
 
 class LatentProblem:
-    """All stretches of all runs on one stack of samples; see the module's text.
+    """All segments of all runs on one stack of samples; see the module's text.
 
     A search changes nothing of it: what a step finds is in the `State`, with the noise of each sample.
     """
@@ -187,15 +187,11 @@ class LatentProblem:
         return self.linearise(x, parameters, noise)
 
     def _inertia_gradient(self, beta: FloatArray, misfit: FloatArray, predicted: FloatArray | None) -> FloatArray:
-        """(p,) what makes a passive joint's misfit count as one of acceleration, not of torque.
+        """(p,) gradient by which a passive joint's misfit counts as acceleration, not as torque: -r^2 a / m^3.
 
-        Nothing measures a passive joint's torque: its equation is homogeneous in beta, and shrinking beta shrinks
-        its misfit r. The density of what drives the joint's acceleration carries the joint's inertia m = a . beta,
-        so r / m counts, whose gradient has - r^2 a / m^3 beside r r' / m^2. Without it a wrong model, or a weakly
-        excited leg, runs off to beta = 0, and a right one is low by one part in the torque's signal to noise ratio.
-        On the way there a misfit is that of latents which the same step puts right: more than was `predicted`, or at
-        first more than the samples, to which it sums where the noise level is its own estimate, would overshoot.
-        (Measured: counted in full it keeps beta 0.9 % high for the first four steps.)
+        A passive joint's equation is homogeneous in beta, so shrinking beta shrinks its misfit r. Therefore r / m
+        counts, m = a . beta the joint's inertia. Without this a weakly excited leg diverges to beta = 0. r^2 is bounded
+        by the `predicted` misfit, at first by the number of samples: the latents' step reduces the rest.
         """
         out = np.zeros(self.mechanism.p)
         most = np.full(self.n, self.total) if predicted is None else predicted
@@ -266,12 +262,12 @@ class LatentProblem:
         return level if rest is None else level + rest[:, 0]
 
     def angle_variance(self, joint: int, noise: Noise) -> float | FloatArray:
-        """Of a joint's encoder [rad^2]; (N,) where its readings are not alike."""
+        """Variance of a joint's encoder [rad^2]; (N,) where its readings are not alike."""
         level, scale = float(noise.encoder[joint]) ** 2, self.angle_scale(noise)
         return level if scale is None else level * scale[:, joint] ** 2
 
     def gyro_variance(self, imu: int, noise: Noise) -> float | FloatArray:
-        """Of an IMU's gyro [rad^2/s^2]; (N,) where runs are not alike."""
+        """Variance of an IMU's gyro [rad^2/s^2]; (N,) where runs are not alike."""
         level = float(noise.gyro[imu]) ** 2
         return level if noise.scale is None else level * noise.scale.gyro[imu] ** 2
 
@@ -291,7 +287,7 @@ class LatentProblem:
 
     def channels(self, variances: FloatArray, noise: Noise
                  ) -> list[tuple[Channel, tuple[int, ...], float | FloatArray]]:
-        """(channel, columns of the latents, variance) of every sensor that reads latents, or their sum, by itself."""
+        """(channel, columns of the latents, variance) of every sensor that reads one latent, or a sum of them."""
         n = self.n
         found: list[tuple[Channel, tuple[int, ...], float | FloatArray]] = []
         if noise.torque_correlation is None:

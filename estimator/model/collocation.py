@@ -107,7 +107,7 @@ class Collocation:
         return w[:, 0, None] * u[left].T[:, None, :] + w[:, 1, None] * u[after(left)].T[:, None, :]
 
     def between(self, u: FloatArray, ends: NDArray[np.intp]) -> FloatArray | None:
-        """Torque at the Gauss points beyond `torque` (n, 2, K), from samples u (N, n) of stretches that end before
+        """Torque at the Gauss points beyond `torque` (n, 2, K), from samples u (N, n) of segments that end before
         samples `ends`: of a smooth torque, what its spline has over a straight line. None for the other holds.
 
         A straight line between samples of what curves is low by the square of the step: of a torque of 3 Hz on a grid

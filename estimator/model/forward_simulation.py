@@ -2,7 +2,7 @@
 
 The equation of motion is collocated as in `estimator.model.collocation`, so a simulation and a fit mean the same by
 "the torque acts between samples". Newton's method on all samples together costs a few forward substitutions,
-linear in samples, and is implicit: the stiff rounded Coulomb sign needs no small step. Without a guess near the
+linear in samples, and is implicit: the stiff smoothed Coulomb sign needs no small step. Without a guess near the
 solution the motion is marched in windows.
 """
 
@@ -44,11 +44,11 @@ def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatA
              restarts: NDArray[np.intp] | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(q, qd, qdd), each (N, n), from the state q0, qd0 (n,) under torque samples tau (N, n).
 
-    `guess` is a motion (q, qd) near the solution, such as the measured one. `taken` (n, 2, N - 1) is torque
-    that something outside the mechanism takes at the Gauss points of each interval, `law` what it takes by the
-    motion; qdd is without either. At the samples `restarts` the motion begins anew, from the guess: many short
-    simulations for the price of one; where they do not settle together all is NaN. From the sample on where no solution
-    is found (the parameters are not those of a mechanism, or the motion leaves all bounds) it is NaN.
+    - `guess`: a motion (q, qd) near the solution, such as the measured one.
+    - `taken` (n, 2, N - 1): torque of effects at the Gauss points; `law`: their dependence on the motion.
+    - `restarts`: samples at which the motion begins anew from the guess. If these do not converge together, all is NaN.
+
+    NaN from the sample on where no solution is found.
     """
     n, beta = tau.shape[0], np.ascontiguousarray(beta, dtype=np.float64)
     held = None if restarts is None else np.isin(np.arange(1, n), restarts)
@@ -145,7 +145,7 @@ def _march(equation: _Equation, q: FloatArray, v: FloatArray) -> None:
 
 
 def _newton(equation: _Equation, where: slice, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Solve the collocation equations with the first sample held; None where Newton does not settle."""
+    """Solve the collocation equations with the first sample held; None where Newton does not converge."""
     n, b, torque = q.shape[1], 2 * q.shape[1], equation.torque(where)
     scale = 1e-9 * (1.0 + float(np.max(np.abs(torque))))
     with np.errstate(all="ignore"):

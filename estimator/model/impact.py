@@ -42,7 +42,7 @@ def land(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd: FloatArray) 
 
 
 def leg_length(mechanism: Mechanism, beta: FloatArray) -> float:
-    """[m] as p_12 and p_13 have it beside the first moments of swing leg and torso, least squares of both."""
+    """Leg length [m]: least squares of p_12 and p_13 over the first moments of swing leg and torso."""
     moments = _moments(mechanism, beta)[[SWING, TORSO]]
     inertias = np.array([_inertia(mechanism, beta, STANCE, k) for k in (SWING, TORSO)])
     return float(moments @ inertias / (moments @ moments))

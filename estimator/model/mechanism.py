@@ -21,7 +21,7 @@ from daq import FloatArray
 from estimator.model.terms import TERMS, World
 
 VELOCITY_SCALE = 0.005
-"""Velocity over which sign(qd) is rounded off where a rig does not say otherwise [rad/s]."""
+"""Default friction smoothing velocity [rad/s]."""
 Speeds = float | tuple[float, ...]
 """One for all joints, or one each."""
 
@@ -44,7 +44,7 @@ class Parameter(NamedTuple):
 
 
 class ImuPlace(NamedTuple):
-    """Where an IMU sits."""
+    """Place of an IMU."""
 
     link: int = 0
     """0-based"""
@@ -69,7 +69,7 @@ class Mechanism:
     gravity_mps2: float = 9.81
     """Gravity as an accelerometer feels it [m/s2]."""
     velocity_scale: Speeds = VELOCITY_SCALE
-    """Velocity over which sign(qd) is rounded off [rad/s]."""
+    """Friction smoothing velocity v_s [rad/s]: sign(qd) is qd / sqrt(qd^2 + v_s^2)."""
     length_unit: str = field(default="rad")
     """Unit of q: rad, or m for a prismatic joint."""
     zero: tuple[float, ...] = ()
@@ -112,7 +112,7 @@ class Mechanism:
 
     @property
     def lever_arm(self) -> float:
-        """Of the first IMU [m]."""
+        """Lever arm of the first IMU [m]."""
         return self.imus[0].lever_arm
 
     @property
@@ -158,7 +158,7 @@ class Mechanism:
 
     @cached_property
     def world(self) -> World:
-        """What terms know beside the motion."""
+        """Constants that terms depend on in addition to the motion."""
         return World(self.gravity, self.velocity_scales)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""`builders`: every mechanism that can be named; one of one's own is a file beside this one."""
+"""`builders`: every mechanism that can be named; a new mechanism is a file in this folder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Builder = Callable[..., Mechanism]
 
 @cache
 def builders() -> dict[str, Builder]:
-    """Name -> the function of that name in a module beside this one that returns a `Mechanism`."""
+    """Name -> the function of that name in a module of this folder that returns a `Mechanism`."""
     package = __name__.rpartition(".")[0]
     modules = [import_module(f"{package}.{info.name}") for info in iter_modules([str(Path(__file__).parent)])]
     return {name: function for module in modules for name, function in vars(module).items()
@@ -25,7 +25,7 @@ def builders() -> dict[str, Builder]:
 
 
 def settings_of(name: str) -> frozenset[str]:
-    """What the mechanism of this name can be told: keywords of its function. Raises KeyError where there is none."""
+    """Keywords of the function of the mechanism of this name. Raises KeyError where there is none."""
     return frozenset(signature(builders()[name]).parameters)
 
 

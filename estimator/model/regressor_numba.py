@@ -56,8 +56,10 @@ class FastTerms:
 
     def accelerate(self, angle: FloatArray, rate: FloatArray, torque: FloatArray, beta: FloatArray,
                    transposed: tuple[FloatArray, FloatArray] | None = None) -> tuple[FloatArray, FloatArray]:
-        """Accelerations (n, 1, K) and the inverse of the inertia matrix (n, n, K) at angles and rates (n, 1, K) under
-        torques (n, K); not finite where that matrix is singular."""
+        """Accelerations (n, 1, K) and inverse inertia matrix (n, n, K) at angles and rates (n, 1, K), torques (n, K).
+
+        Not finite where the inertia matrix is singular.
+        """
         n, _, count = rate.shape
         z, own = self(angle, rate, np.zeros_like(rate), rate, rate, beta, transposed)
         excess = torque - (beta @ z.reshape(len(beta), -1)).reshape(n, count)
@@ -67,7 +69,7 @@ class FastTerms:
 
     def forward_dynamics(self, q: FloatArray, v: FloatArray, tau: FloatArray, beta: FloatArray
                          ) -> tuple[FloatArray, FloatArray]:
-        """As `accelerate`, (n, K) and (n, n, K), of samples (K, n)."""
+        """Result of `accelerate`, (n, K) and (n, n, K), for samples (K, n)."""
         angle, rate = (np.ascontiguousarray(x.T)[:, None] for x in (q, v))
         qdd, inverse = self.accelerate(angle, rate, tau.T, beta)
         return qdd[:, 0], inverse

@@ -29,7 +29,7 @@ class Motion(NamedTuple):
 
 
 class World(NamedTuple):
-    """What terms know beside the motion."""
+    """Constants that terms depend on in addition to the motion."""
 
     gravity: float
     """Factor of sin(theta); see `Mechanism.gravity`."""
@@ -56,7 +56,7 @@ Mass = tuple[int, int, FloatArray | float]
 
 
 def smooth_sign(velocity: FloatArray, scale: float | FloatArray) -> FloatArray:
-    """sign(v) rounded off over `scale` [rad/s]: v / sqrt(v^2 + scale^2). Same shape as `velocity`."""
+    """Smoothed sign v / sqrt(v^2 + scale^2), smoothing velocity `scale` [rad/s]. Same shape as `velocity`."""
     return velocity / np.sqrt(velocity * velocity + scale * scale)
 
 
@@ -73,7 +73,7 @@ def mean_sign(a: FloatArray, b: FloatArray, scale: float | FloatArray
 
 
 class Term(ABC):
-    """What one unit of a parameter adds to the equations of motion, mass . acceleration + bias.
+    """Contribution of one unit of a parameter to the equations of motion, mass . acceleration + bias.
 
     Angles x and rates v have the link, or the joint, first: (n, ...).
     """
@@ -82,11 +82,11 @@ class Term(ABC):
     """Whether it lives in absolute link angles; else in joint angles."""
 
     def mass(self, at: At, x: FloatArray) -> list[Mass]:
-        """What multiplies accelerations."""
+        """Factor of the accelerations."""
         return []
 
     def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
-        """What is left where accelerations are zero."""
+        """Value at zero accelerations."""
         return []
 
     @abstractmethod
@@ -151,7 +151,7 @@ class Viscous(Term):
 
 
 class Coulomb(Term):
-    """The rounded sign of the joint's rate; of a stretch of motion its mean."""
+    """The smoothed sign of the joint's rate; over an interval of motion its mean."""
 
     def bias(self, at: At, x: FloatArray, v: FloatArray, world: World) -> list[Part]:
         return [(at[0], smooth_sign(v[at[0]], world.velocity_scale[at[0]]))]

@@ -37,7 +37,7 @@ class BlockTridiagonal:
 
     @classmethod
     def of(cls, diagonal: FloatArray, lower: FloatArray, right: FloatArray) -> BlockTridiagonal:
-        """From blocks diagonal (N, b, b), lower (N-1, b, b) = H[k+1, k] and right sides (N b, width)."""
+        """Matrix from blocks diagonal (N, b, b), lower (N-1, b, b) = H[k+1, k] and right sides (N b, width)."""
         n, b, _ = diagonal.shape
         chain = cls.zeros(n, b, right.shape[1])
         chain.diagonal[:] = diagonal
@@ -55,7 +55,7 @@ class BlockTridiagonal:
 
     @property
     def block(self) -> int:
-        """b"""
+        """Block size b."""
         return int(self.rows.shape[1])
 
     @property

@@ -87,7 +87,7 @@ class Kernel:
 
 
 def folder() -> Path:
-    """Where kernels are kept: $NUMBA_CACHE_DIR, or legid in the user's cache."""
+    """Folder of compiled kernels: $NUMBA_CACHE_DIR, or legid in the user's cache."""
     chosen = os.environ.get(HOME_VARIABLE)
     if chosen:
         return Path(chosen)

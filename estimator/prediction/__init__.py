@@ -1,15 +1,15 @@
-"""How far free runs of models are off: one table under every verb, verdict and page.
+"""Free-run errors of models: one table under every verb, verdict and page.
 
 Definitions, once for all:
 
 - A *free run* starts from the model's own smoothed state and is driven by the measured torque alone. That state is of
   the likeliest motion given all sensors of the run, the model's parameters held, noise levels estimated from that run.
-- A *horizon* h cuts each gap-free stretch into pieces of about h, each with its own start. Infinity is one piece a
-  stretch.
+- A *horizon* h cuts each gap-free segment into pieces of about h, each with its own start. Infinity is one piece a
+  segment.
 - An *error* is what the sensor read less what the simulation reads, squared and averaged. An angle that no encoder
-  measures, and every rate, is compared with the smoothed motion of one model, the *reader*.
-- A piece that diverges among others stays in its first state and is counted. A whole stretch that diverges has an
-  infinite error.
+  measures, and every rate, is compared with the smoothed motion of one model, the *smoother*.
+- A piece that diverges is replaced by its initial state and counted. A whole segment that diverges has an infinite
+  error.
 - The *noise floor* is the same error of records that the model itself would have given, with its noise.
 - Baselines: the last velocity kept; a constant prediction at the sensor's mean.
 """

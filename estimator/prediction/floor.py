@@ -21,7 +21,7 @@ ATTEMPTS = 10
 
 
 class FloorNoise(NamedTuple):
-    """What replicates are drawn with."""
+    """Noise with which bootstrap replicates are drawn."""
 
     noise: Noise
     rest: FloatArray
@@ -43,7 +43,7 @@ def floor_errors(one: SmoothedRun, rng: np.random.Generator, horizons_s: Sequenc
 
     The replicate has the model's motion and quantisers, and this `noise`, by default the levels of the run;
     `problem_of` gives the likelihood of its signals. Pieces start from the motion that would be fitted to it, whole
-    stretches from the true one. Raises `FitError` where the model's own simulation diverges.
+    segments from the true one. Raises `FitError` where the model's own simulation diverges.
     """
     noise = noise or white_noise(one.state.noise)
     problem, state = one.problem, replace(one.state, noise=noise.noise)

@@ -16,22 +16,22 @@ from estimator.result import TWO_SIDED
 from estimator.signals import Channel, angle_column, encoder_of, imu_channels, imu_columns
 
 HORIZONS_S = (0.1, 0.5, 1.0, 5.0, np.inf)
-"""Lengths of the pieces [s]: a controller's step, a swing, a second, several, and whole gap-free stretches. Long free
+"""Lengths of the pieces [s]: a controller's step, a swing, a second, several, and whole gap-free segments. Long free
 runs of a leg that sticks are chaotic and tell nothing of friction near rest; short ones do not add up what is slow."""
 SHORT_S = 1.0
-"""The horizon that stands for prediction, where the whole stretch stands for simulation."""
+"""The horizon that stands for prediction, where the whole segment stands for simulation."""
 
 
 @dataclass(frozen=True)
 class PredictedRun:
-    """One run as measured, as smoothed and as simulated by M models at H horizons; its stretches follow each other."""
+    """One run as measured, as smoothed and as simulated by M models at H horizons; its segments follow each other."""
 
     run: str
     rate_hz: float
     time_s: FloatArray
     """(N,), increasing across gaps"""
     ends: NDArray[np.intp]
-    """(S,) sample after each stretch's last"""
+    """(S,) sample after each segment's last"""
     channels: tuple[str, ...]
     """(C,) angles of all joints, their rates (`q1d`, ...), then each IMU's columns"""
     measured: FloatArray
@@ -40,7 +40,7 @@ class PredictedRun:
     """(M, C, N) as the sensors would read on each model's smoothed motion"""
     horizons_s: tuple[float, ...]
     simulated: FloatArray
-    """(M, H, C, N) as they would read on free runs; NaN from where a whole stretch diverges"""
+    """(M, H, C, N) as they would read on free runs; NaN from where a whole segment diverges"""
     starts: NDArray[np.intp]
     """(H, N) first sample of the piece that each sample is in"""
     lost: NDArray[np.intp]
@@ -54,7 +54,7 @@ class PredictedRun:
 
     @property
     def longest_s(self) -> float:
-        """Of its stretches."""
+        """Longest of its segments [s]."""
         return float(np.diff(self.ends, prepend=0).max() - 1) / self.rate_hz
 
     def trace(self, channel: str, model: int = 0, horizon_s: float = np.inf) -> FloatArray:
@@ -69,7 +69,7 @@ def predict_run(smoothed: Sequence[SmoothedRun], horizons_s: Sequence[float] = H
     """Free runs of each model from its own motion in `smoothed`, one a model, all of one run.
 
     `data` is that run where encoders may be compared that no model reads, such as a benchmark's. A horizon that no
-    stretch exceeds is as the whole. Bands are of the `covariances` (m, m), one a model, where any are given. Without
+    segment exceeds is as the whole. Bands are of the `covariances` (m, m), one a model, where any are given. Without
     `misfits` they are NaN.
     """
     first = smoothed[0]
@@ -87,7 +87,7 @@ def predict_run(smoothed: Sequence[SmoothedRun], horizons_s: Sequence[float] = H
 
 
 def _every(one: SmoothedRun, horizons_s: Sequence[float]) -> list[tuple[FloatArray, int]]:
-    """At each horizon, those that cut no stretch simulated once."""
+    """At each horizon, those that cut no segment simulated once."""
     found: dict[int, tuple[FloatArray, int]] = {}
     counts = [len(pieces(one.problem, h)) for h in horizons_s]
     for h, count in sorted(zip(horizons_s, counts), reverse=True):
@@ -165,8 +165,10 @@ def _until_lost(one: SmoothedRun, where: slice) -> tuple[FloatArray, FloatArray]
 
 
 def band(one: SmoothedRun, covariance: FloatArray, sigmas: float = TWO_SIDED) -> FloatArray | None:
-    """(C, N) half width by which the parameters' `covariance` (m, m) moves the free run of whole stretches, to first
-    order; None where parameters are not determined or a free run diverges."""
+    """(C, N) half width of the band of free runs by the parameters' `covariance` (m, m), to first order.
+
+    None where parameters are not determined or a free run diverges.
+    """
     if not np.isfinite(covariance).all():
         return None
     base = free_run(one.problem, one.state, one.drive)

@@ -15,12 +15,12 @@ from estimator.prediction.table import PredictionTable, tabulate
 
 
 def predict(models: Sequence[Predictor], runs: Iterable[Dataset], options: FitOptions,
-            horizons_s: Iterable[float] = HORIZONS_S, bands: bool = False, reader: int | None = None,
+            horizons_s: Iterable[float] = HORIZONS_S, bands: bool = False, smoother: int | None = None,
             seen: Callable[[Dataset, Sequence[SmoothedRun]], None] = lambda data, smoothed: None) -> PredictionTable:
     """Free-run errors of `models` on `runs`, given in the order in which they were recorded.
 
     Each run is smoothed once a model. Session time, on which friction that drifts depends, begins at the first run.
-    `bands`: with the 95 % band by the models' covariances. `reader`: see `tabulate`; where one is given the densities
+    `bands`: with the 95 % band by the models' covariances. `smoother`: see `tabulate`; where one is given the densities
     of the runs are left out. `seen` is told of each run's smoothed motions. Raises `FitError` where no motion can be
     estimated.
     """
@@ -29,15 +29,15 @@ def predict(models: Sequence[Predictor], runs: Iterable[Dataset], options: FitOp
     for data in runs:
         smoothed = [smooth(model, data, options, session_s) for model in models]
         covariances = [model.covariance for model in models] if bands else []
-        found.append(predict_run(smoothed, with_whole(horizons_s), data, covariances, reader is None))
+        found.append(predict_run(smoothed, with_whole(horizons_s), data, covariances, smoother is None))
         session_s += smoothed[0].problem.total * smoothed[0].problem.dt
         seen(data, smoothed)
-    return tabulate(found, reader)
+    return tabulate(found, smoother)
 
 
 def predict_filtered(models: Sequence[Predictor], runs: Iterable[Dataset], options: FitOptions,
                      horizon_s: float) -> PredictionTable:
-    """As `predict`, with every piece begun in filtered motion, which favours none of the `models`.
+    """Table like `predict`, with every piece started from filtered motion, which favours none of the `models`.
 
     For the choice between set-ups, whose smoothers believe their own model. Raises `FitError`.
     """
@@ -47,5 +47,5 @@ def predict_filtered(models: Sequence[Predictor], runs: Iterable[Dataset], optio
 
 
 def with_whole(horizons_s: Iterable[float]) -> tuple[float, ...]:
-    """Rising, each once, the whole stretch last."""
+    """Rising, each once, the whole segment last."""
     return tuple(sorted({*map(float, horizons_s), np.inf}))

@@ -31,11 +31,11 @@ class Predictor:
 
     @property
     def beta(self) -> FloatArray:
-        """(p,)"""
+        """Parameters beta (p,)."""
         return self.parameters[: self.mechanism.p]
 
     def problem(self, signals: Sequence[SignalSet], session_s: float = 0.0) -> ExtendedProblem:
-        """Likelihood of the stretches of one run, which begins at `session_s` [s] of its session."""
+        """Likelihood of the segments of one run, which begins at `session_s` [s] of its session."""
         begin = tuple(float(s.time_s[0] - signals[0].time_s[0]) for s in signals)
         reach = np.zeros((self.mechanism.n, 2)) if self.angle_range is None else self.angle_range
         stage = Stage((0,) * len(begin), tuple(session_s + b for b in begin), begin, reach, self.gear_ratio)

@@ -19,7 +19,7 @@ from estimator.signals import SignalSet, encoder_of, imu_channels, imu_columns, 
 
 def simulate_run(problem: ExtendedProblem, state: State, rng: np.random.Generator,
                  disturbance: FloatArray | None = None) -> FreeRun:
-    """What the model does under the torque in `state`; always the same where no joint is passive.
+    """Motion of the model under the torque in `state`; always the same where no joint is passive.
 
     `disturbance` (N, n) acts on passive joints. Raises `FitError` where its simulation does not stay with the run.
     """
@@ -35,7 +35,7 @@ def simulate_run(problem: ExtendedProblem, state: State, rng: np.random.Generato
 
 def draw_replicate(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet], rng: np.random.Generator,
              run: FreeRun | None = None, disturbance: FloatArray | None = None) -> list[SignalSet]:
-    """One synthetic record for each stretch in `signals` of `run`, by default a new one.
+    """One synthetic record for each segment in `signals` of `run`, by default a new one.
 
     `disturbance` (N, n) is what the torque readings of driven joints do not show. Angles fall on the grid of the real
     encoder where it shows one; the other noise is white at the levels found. Raises `FitError` as `simulate_run` does.

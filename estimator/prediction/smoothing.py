@@ -9,21 +9,21 @@ import numpy as np
 
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
-from estimator.fitting import iterate, noise_floors, settle_motion, start_state
+from estimator.fitting import converge_motion, iterate, noise_floors, start_state
 from estimator.likelihood import ExtendedProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.prediction.predictor import Predictor
 from estimator.signals import Kinematics, SignalSet, differentiate, split_signals
 
-SETTLE_STEPS = 15
+CONVERGE_STEPS = 15
 """Steps in which a motion converges whose noise levels still creep."""
 SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
 """Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
 LONGER = ((1000.0, 6), (200.0, 6), (40.0, 6), (16.0, 6), (8.0, 6), (4.0, 6), (2.0, 8), (1.4, 8), (1.0, 30))
 """... and where that leads to a motion that fits badly."""
 LOOSE_ENCODER = 16.0
-"""Most that an encoder's noise grows by together with a law that is less steep than found, and fits it worse."""
+"""Most that an encoder's noise grows by together with a law that is less relaxes than found, and fits it worse."""
 BAD = 3.0
 """Sum of squares over samples times channels above which a motion is tried again: about 1 where all is well."""
 
@@ -34,7 +34,7 @@ class SmoothedRun:
 
     run: str
     signals: tuple[SignalSet, ...]
-    """Its gap-free stretches"""
+    """Its gap-free segments"""
     problem: ExtendedProblem
     state: State
 
@@ -67,7 +67,7 @@ def smooth(model: Predictor, data: Dataset, options: FitOptions, session_s: floa
     held = np.zeros(state.beta.size, dtype=bool)
     state = iterate(problem, state, held, options, noise_floors(problem, mechanism, model.beta))
     if not state.converged:  # levels that still creep, such as that of a passive joint whose model is exact
-        state = settle_motion(problem, state, SETTLE_STEPS)
+        state = converge_motion(problem, state, CONVERGE_STEPS)
     return SmoothedRun(data.name, tuple(signals), problem, state)
 
 
@@ -82,7 +82,7 @@ def filtered(model: Predictor, data: Dataset, options: FitOptions) -> SmoothedRu
 
 
 def filtered_motion(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> list[Kinematics]:
-    """Angles and rates of each stretch by filtered differences."""
+    """Angles and rates of each segment by filtered differences."""
     return [differentiate(s, mechanism, min(10.0, 0.2 * s.rate_hz), options.filter_order, fused=True) for s in signals]
 
 
@@ -98,15 +98,15 @@ def smooth_under(problem: ExtendedProblem, begin: State, near: bool = False) -> 
     at rest is found anew where `problem` does not know it. Raises `FitError`.
     """
     tried = []
-    steep = not np.array_equal(problem.relaxed(begin.beta, np.inf), begin.beta)
-    for path in (SLACK[-1:] if near else LONGER if steep else SLACK, LONGER):
+    relaxes = not np.array_equal(problem.relaxed(begin.beta, np.inf), begin.beta)
+    for path in (SLACK[-1:] if near else LONGER if relaxes else SLACK, LONGER):
         try:
             state = _converged(problem, begin, path)
         except FitError as error:
             failure = error
             continue
         tried.append((per_value(problem, state), state))
-        if tried[-1][0] < BAD or (steep and path is LONGER):
+        if tried[-1][0] < BAD or (relaxes and path is LONGER):
             break
     if not tried:
         raise failure
@@ -114,17 +114,17 @@ def smooth_under(problem: ExtendedProblem, begin: State, near: bool = False) -> 
 
 
 def _converged(problem: ExtendedProblem, begin: State, path: Sequence[tuple[float, int]]) -> State:
-    """The motion that is reached from `begin` along a path of slacks, of the passive joint and of steep laws."""
+    """The motion that is reached from `begin` along a path of slacks, of the passive joint and of relaxes laws."""
     noise = begin.noise.levels()
     state = State(begin.x, begin.beta.copy(), noise, begin.covariance)
     for slack, limit in path:
         torque = noise.torque.copy()
         torque[list(problem.mechanism.passive)] *= slack
         state.beta = problem.relaxed(begin.beta, slack)
-        steep = not np.array_equal(state.beta, begin.beta)
-        encoder = noise.encoder * min(slack, LOOSE_ENCODER) if steep else noise.encoder
+        relaxes = not np.array_equal(state.beta, begin.beta)
+        encoder = noise.encoder * min(slack, LOOSE_ENCODER) if relaxes else noise.encoder
         state.noise = replace(noise, torque=torque, encoder=encoder)
-        state = settle_motion(problem, state, limit)
+        state = converge_motion(problem, state, limit)
     return state
 
 

@@ -24,7 +24,7 @@ RIDGES = np.logspace(-4.0, 2.0, 7)
 
 
 def taken(count: int) -> slice:
-    """Of so many samples those by which structure is sought."""
+    """Samples by which structure is sought, of so many in all."""
     return slice(None, None, max(1, count // MOST_SAMPLES))
 
 
@@ -33,7 +33,7 @@ def state_columns(q: FloatArray, v: FloatArray, others: FloatArray, ends: NDArra
     splines of each angle by direction of its motion; stop operators of the angles.
 
     Stop operators (Visintin, Differential Models of Hysteresis, 1994) stand for hysteresis; they begin at rest in each
-    stretch up to `ends`.
+    segment up to `ends`.
     """
     which = taken(len(q))
     q, v, ends = q[which], v[which], -(-ends // (which.step or 1))

@@ -39,13 +39,13 @@ class PredictionTable:
     """(B,) the run that each block is of, from 0"""
     channels: tuple[str, ...]
     read: NDArray[np.bool_]
-    """(C,) whether a sensor reads the channel in some run; the others are compared with the reader's smoothed motion"""
+    """(C,) whether a sensor reads the channel in some run; the others are compared with the motion of `smoother`"""
     horizons_s: tuple[float, ...]
-    """(H,) the last is infinite: whole stretches"""
+    """(H,) the last is infinite: whole segments"""
     samples: FloatArray
     """(B, C) samples compared"""
     squares: FloatArray
-    """(M, B, C, H) mean squared error over the block; infinite where a whole stretch diverges, NaN where nothing was
+    """(M, B, C, H) mean squared error over the block; infinite where a whole segment diverges, NaN where nothing was
     compared"""
     kept: FloatArray
     """(M, B, C, H) of a prediction that keeps the rate which each piece begins with, and everything else"""
@@ -53,7 +53,7 @@ class PredictionTable:
     """(M, B, C) of the smoothed motion itself: what is left where nothing is predicted"""
     variance: FloatArray
     """(C,) mean squared error of a constant prediction at the sensor's mean, over all runs"""
-    reader: int
+    smoother: int
     """The model whose smoothed motion stands in for what no sensor reads"""
     floor: FloatArray | None = None
     """(C, H) mean squared error that noise alone leaves; None where it was not asked for"""
@@ -70,7 +70,7 @@ class PredictionTable:
 
     def score(self, horizon_s: float, model: int = 0) -> float:
         """One number to choose set-ups by: mean over the joints of the log of error over that of the last velocity
-        kept; infinite where a piece diverges, or where no stretch is longer than the horizon."""
+        kept; infinite where a piece diverges, or where no segment is longer than the horizon."""
         if horizon_s not in self.horizons_s or self.lost[model, self.horizons_s.index(horizon_s)]:
             return np.inf
         ratios = [max(self.rms(model, c, horizon_s), 1e-12) / max(self.rms_kept(c, horizon_s, model), 1e-12)
@@ -95,7 +95,7 @@ class PredictionTable:
                          for m in range(len(self.squares))])
 
     def rms(self, model: int, channel: str, horizon_s: float, run: int | None = None) -> float:
-        """Root mean square error over all samples, of one run or of all; infinite where a whole stretch diverges, NaN
+        """Root mean square error over all samples, of one run or of all; infinite where a whole segment diverges, NaN
         where nothing was compared."""
         return self._root(self.squares[model, :, :, self.horizons_s.index(horizon_s)], channel, run)
 
@@ -116,7 +116,7 @@ class PredictionTable:
 
     def fit_percent(self, model: int, channel: str, horizon_s: float, run: int) -> float:
         """100 (1 - error / spread) [%], MATLAB's NRMSE fit of one run: 100 is exact, 0 a constant at the run's mean,
-        minus infinity where a whole stretch diverges."""
+        minus infinity where a whole segment diverges."""
         one = self.runs[run]
         spread = float(np.nanstd(one.measured[self.channels.index(channel)]))
         return 100.0 * (1.0 - self.rms(model, channel, horizon_s, run) / spread) if spread else np.nan
@@ -142,8 +142,8 @@ class PredictionTable:
         sums = np.where(weights > 0, self.squares[:, :, c, h], 0.0) * weights
         return paired_ratio(sums[model], sums[than], self.run)
 
-    def beside(self, other: PredictionTable) -> PredictionTable:
-        """With the models of `other` after these. Both are of the same runs."""
+    def joined_with(self, other: PredictionTable) -> PredictionTable:
+        """Table with the models of `other` after these. Both are of the same runs."""
         runs = tuple(_together(a, b) for a, b in zip(self.runs, other.runs, strict=True))
         return replace(self, runs=runs, squares=np.concatenate([self.squares, other.squares]),
                        samples=np.minimum(self.samples, other.samples), read=self.read & other.read,
@@ -183,21 +183,21 @@ def paired_ratio(a: FloatArray, b: FloatArray, run: NDArray[np.intp]) -> Ratio:
     return Ratio(value, (float(value * np.exp(-half)), float(value * np.exp(half))))
 
 
-def tabulate(runs: Sequence[PredictedRun], reader: int | None = None, floor: FloatArray | None = None
+def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None, floor: FloatArray | None = None
              ) -> PredictionTable:
-    """The table of `runs`. The `reader` is by default the model under which they are likeliest.
+    """The table of `runs`. The `smoother` is by default the model under which they are likeliest.
 
-    Horizons that no stretch exceeds are left out: they are as the whole.
+    Horizons that no segment exceeds are left out: they are as the whole.
     """
     first, longest = runs[0], max(r.longest_s for r in runs)
     horizons = tuple(h for h in first.horizons_s if np.isinf(h) or h < longest)
-    if reader is None:
-        reader = int(np.argmin(sum(r.misfits for r in runs)))
+    if smoother is None:
+        smoother = int(np.argmin(sum(r.misfits for r in runs)))
     which = [first.horizons_s.index(h) for h in horizons]
     measured = np.concatenate([r.measured for r in runs], axis=1)
     read = np.isfinite(measured).any(axis=1)
     edges = [_edges(r) for r in runs]
-    compared = [np.where(read[:, None], r.measured, r.smoothed[reader]) for r in runs]
+    compared = [np.where(read[:, None], r.measured, r.smoothed[smoother]) for r in runs]
     samples = np.concatenate([_sums(np.isfinite(y).astype(float), e) for y, e in zip(compared, edges)], axis=-1)
 
     def means(errors: Sequence[FloatArray]) -> FloatArray:
@@ -214,12 +214,12 @@ def tabulate(runs: Sequence[PredictedRun], reader: int | None = None, floor: Flo
     every = np.concatenate(compared, axis=1)
     return PredictionTable(
         tuple(runs), np.repeat(np.arange(len(runs)), [len(e) - 1 for e in edges]), first.channels, read, horizons,
-        samples.T, np.moveaxis(squares, 1, -1), np.moveaxis(kept, 1, -1), residual, np.nanvar(every, axis=1), reader,
+        samples.T, np.moveaxis(squares, 1, -1), np.moveaxis(kept, 1, -1), residual, np.nanvar(every, axis=1), smoother,
         floor if floor is None else floor[:, which])
 
 
 def _edges(run: PredictedRun) -> NDArray[np.intp]:
-    """Samples between which blocks of about `BLOCK_S` lie, each within one stretch."""
+    """Samples between which blocks of about `BLOCK_S` lie, each within one segment."""
     size, out = max(10, int(BLOCK_S * run.rate_hz)), [0]
     for begin, end in pairwise([0, *map(int, run.ends)]):
         out += [begin + int(x) for x in np.linspace(0, end - begin, max(1, (end - begin) // size) + 1)[1:]]

@@ -1,4 +1,4 @@
-"""`Validation`: one stretch of a prediction table, as measured and as simulated (Table V of the paper)."""
+"""`Validation`: one segment of a prediction table, as measured and as simulated (Table V of the paper)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from estimator.prediction.table import PredictionTable
 
 @dataclass(frozen=True)
 class Validation:
-    """One gap-free stretch of one run: measured against simulated from its first state and torque alone."""
+    """One gap-free segment of one run: measured against simulated from its first state and torque alone."""
 
     run: str
     time_s: FloatArray
@@ -35,12 +35,12 @@ class Validation:
 
 
 def validations_of(table: PredictionTable, model: int = 0) -> list[Validation]:
-    """The whole free runs of one model, one a gap-free stretch."""
+    """The whole free runs of one model, one a gap-free segment."""
     out = []
     for run in table.runs:
         n = run.residual_torque.shape[-1]
         simulated = run.simulated[model, run.horizons_s.index(np.inf), : 2 * n]
-        smoothed = run.smoothed[table.reader, : 2 * n]
+        smoothed = run.smoothed[table.smoother, : 2 * n]
         reference = np.where(np.isfinite(run.measured[: 2 * n]), run.measured[: 2 * n], smoothed)
         compared = np.where(table.read[: 2 * n, None], run.measured[: 2 * n], smoothed)
         for begin, end in pairwise([0, *map(int, run.ends)]):

@@ -20,7 +20,7 @@ from estimator.prediction.smoothing import SmoothedRun
 from estimator.signals import SINCE, STANCE, angle_column, torque_column
 
 MOST_STEPS = 5
-"""That are foretold from every step: beyond, nearly all free runs have fallen."""
+"""Steps that are predicted from every step: nearly all longer free runs fall."""
 LYING_RAD = np.pi / 2
 """Angle from upright at which the leg that stands, or the torso, lies."""
 INSTANT = 1e-6
@@ -75,7 +75,7 @@ class Walking(NamedTuple):
 
 
 def walking(data: Dataset, mechanism: Mechanism) -> Walking:
-    """What a free run takes of a record that `cut_steps` made."""
+    """Inputs of a free run from a record that `cut_steps` made."""
     torque = np.zeros((len(data), mechanism.n))
     for j in mechanism.actuated:
         torque[:, j] = data[torque_column(mechanism, j)]
@@ -122,8 +122,10 @@ def walk_ahead(runs: Sequence[tuple[Dataset, SmoothedRun]]) -> WalkAhead:
 
 def carry(record: Walking, mechanism: Mechanism, beta: FloatArray, hold: str, where: tuple[int, int], q0: FloatArray,
           qd0: FloatArray) -> FloatArray:
-    """(N, n) angles from the state q0, qd0 (n,) at the first of the samples `where`, across the touchdowns among them;
-    NaN from where the walker lies, or moves beyond all bounds."""
+    """(N, n) angles from the state q0, qd0 (n,) at the first of the samples `where`, across touchdowns.
+
+    NaN from where the walker has fallen, or the motion diverges.
+    """
     start, stop = where
     out, dt = np.full((stop - start, mechanism.n), np.nan), float(record.time_s[1] - record.time_s[0])
     inside = (record.first > start) & (record.first < stop)

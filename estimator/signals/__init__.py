@@ -1,4 +1,4 @@
-"""From columns to signals: filters, segments without gaps, the IMU's tilt and rate."""
+"""Signals from columns: filters, segments without gaps, the IMU's tilt and rate."""
 
 from estimator.signals.channels import (
     ACCEL_X,

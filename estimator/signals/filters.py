@@ -31,9 +31,7 @@ def _sections(order: int, share: float) -> FloatArray:
 
 @cache
 def _pass() -> Kernel:
-    """The kernel that sends rows y (c, n) through sections (s, 5) in place, as if each had always been at its first
-    value; what is constant stays so to the last digit.
-    """
+    """Kernel that filters rows y (c, n) by sections (s, 5) in place, with steady state at each row's first value."""
 
     def run(y: Any, sections: Any) -> None:
         for i in range(y.shape[0]):
@@ -102,7 +100,7 @@ def white_noise_level(x: FloatArray) -> float:
 
 
 def encoder_level(angle: FloatArray) -> float:
-    """What differences between neighbours show of an encoder's error: its quantum, or white noise."""
+    """Noise level of an encoder by differences between neighbours: its quantum, or white noise."""
     return max(white_noise_level(angle), quantum(angle) / np.sqrt(12.0))
 
 
@@ -118,7 +116,7 @@ def quantum(x: FloatArray) -> float:
     biggest = float(np.max(np.abs(x)))
     small = steps[steps < 50.0 * smallest]
     ratio = small / smallest
-    rounding = 1e-9 * biggest / smallest + 0.02
-    if rounding < 0.2 and small.size >= 3 and float(np.max(np.abs(ratio - np.rint(ratio)))) < rounding:
+    tolerance = 1e-9 * biggest / smallest + 0.02
+    if tolerance < 0.2 and small.size >= 3 and float(np.max(np.abs(ratio - np.rint(ratio)))) < tolerance:
         return smallest
     return 0.0

@@ -1,4 +1,4 @@
-"""What IMUs on the links of a planar tree show of its motion.
+"""Equations of IMUs on the links of a planar tree.
 
 The IMU sits on link m, l_m along it; theta_k are absolute link angles from hanging, t_k = (cos, sin) theta_k is the
 direction in which the end of link k moves as theta_k grows, e_k = (sin, -cos) theta_k that from its joint to its end.
@@ -113,7 +113,7 @@ def accelerometer_slopes(mechanism: Mechanism, place: ImuPlace, q: FloatArray, q
 
 
 def imu_readings(mechanism: Mechanism, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[Channel, FloatArray]:
-    """What all IMUs read, (N,) each, at joint angles and their derivatives (n, N)."""
+    """Readings of all IMUs, (N,) each, at joint angles and their derivatives (n, N)."""
     out: dict[Channel, FloatArray] = {}
     for k, place in enumerate(mechanism.imus):
         accel = accelerometer_at(mechanism, place, q, qd, qdd)
@@ -122,7 +122,7 @@ def imu_readings(mechanism: Mechanism, q: FloatArray, qd: FloatArray, qdd: Float
 
 
 def predicted_columns(mechanism: Mechanism, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
-    """As `imu_readings`, by column, of arrays (N, n)."""
+    """Readings of `imu_readings`, by column, of arrays (N, n)."""
     readings = imu_readings(mechanism, q.T, qd.T, qdd.T)
     return {name: readings[channel] for k in range(len(mechanism.imus))
             for name, channel in zip(imu_columns(k), imu_channels(k))}
@@ -130,7 +130,7 @@ def predicted_columns(mechanism: Mechanism, q: FloatArray, qd: FloatArray, qdd: 
 
 def tilt(accel_x: FloatArray, accel_y: FloatArray, gyro: FloatArray, rate_hz: float, lever_arm: float,
          cutoff_hz: float | None, order: int = 4) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(sin q1, cos q1, q1dd) from IMU samples (n,) by eq. (63) with its signs mended; inputs unfiltered.
+    """(sin q1, cos q1, q1dd) from IMU samples (n,) by eq. (63) with corrected signs; inputs unfiltered.
 
     All three are low-passed alike; gravity is taken from the sensor's own mean norm, which cancels a
     common accelerometer gain.

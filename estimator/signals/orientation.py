@@ -16,10 +16,10 @@ from estimator.signals.imu import accelerometer_at, accelerometer_slopes, fuse_t
 
 STARTS = 12
 """Angles all round at which the integral of a gyro is tried to begin."""
-STEPS, SETTLED_RAD = 20, 1e-5
+STEPS, CONVERGED_RAD = 20, 1e-5
 """Most steps of least squares, which end where no angle moves by more."""
 MODEL_MPS2, BIAS_RADPS = 0.5, 0.02
-"""By what filtered motion misses an accelerometer, and a usual gyro's bias: so much keeps that of a short stretch near
+"""By what filtered motion misses an accelerometer, and a usual gyro's bias: so much keeps that of a short segment near
 zero."""
 LEAST_MPS2 = 1e-6
 """What a record without noise leaves of an accelerometer is taken for no less."""
@@ -34,7 +34,7 @@ class Kinematics(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """As many sensors as there are joints, that together show all of them."""
+    """As many sensors as joints, which together determine all of them."""
 
     rows: FloatArray
     """(n, n): what each reads is its row times the joints' angles."""
@@ -116,12 +116,9 @@ def _ridden(known: FloatArray, readings: Sequence[Sequence[FloatArray]], places:
             mechanism: Mechanism, rate_hz: float, cutoff_hz: float | None, order: int) -> Kinematics:
     """The joints' motion from encoders `known` (3, N, e) and IMUs that ride on moving links.
 
-    Gyros and encoders give all rates and accelerations, and angles up to where each gyro's integral begins and what its
-    bias adds to it: two numbers an IMU, which the accelerometers show by `accelerometer_at`. Least squares finds them;
-    each beginning is first sought all round, from the base outwards. What filters and differences do to fast motion
-    they do to all joints alike, so that torques of a long chain, in which large accelerations cancel, stay true.
-    (Measured on seven links: with the gyro differenced once beside encoders differenced twice, and by the
-    trapezoidal rule, least squares' inertias are 51 % low, so 3 %.)
+    Gyros and encoders give rates, accelerations, and angles up to an initial angle and a bias for each IMU. Least
+    squares on the accelerometers (`accelerometer_at`) gives these two. All joints are filtered and differenced alike,
+    so that large accelerations of a long chain cancel. (Measured on seven links: inertias 3 % low; 51 % otherwise.)
     """
     gyro = np.stack([r[0] for r in readings], axis=1)
     felt = lowpass(np.stack([a for r in readings for a in r[1:]], axis=1), cutoff_hz, rate_hz, order).T
@@ -160,7 +157,7 @@ def _ridden(known: FloatArray, readings: Sequence[Sequence[FloatArray]], places:
         step = np.linalg.solve(np.einsum("raN,rbN->ab", weighted, slopes) + np.diag(damp),
                                np.einsum("raN,rN->a", weighted, r) + damp * x)
         x = x - step
-        if np.max(np.abs(step)) < SETTLED_RAD:
+        if np.max(np.abs(step)) < CONVERGED_RAD:
             break
     x[:imus] = (x[:imus] + np.pi) % (2.0 * np.pi) - np.pi
     return motion(x)

@@ -1,4 +1,4 @@
-"""`SignalSet`: one gap-free stretch of one run as the arrays an estimator works on."""
+"""`SignalSet`: one gap-free segment of one run as the arrays an estimator works on."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STANCE = "stance"
 
 @dataclass(frozen=True)
 class SignalSet:
-    """Measured samples of one stretch; a joint without an encoder has NaN angles."""
+    """Measured samples of one segment; a joint without an encoder has NaN angles."""
 
     run: str
     rate_hz: float
@@ -41,14 +41,14 @@ class SignalSet:
 
 
 def by_run(signals: Sequence[SignalSet]) -> list[tuple[str, list[SignalSet], slice]]:
-    """Name, stretches and samples of each run; stretches of a run follow each other, in time too."""
+    """Name, segments and samples of each run; segments of a run follow each other, in time too."""
     found: list[tuple[str, list[SignalSet], slice]] = []
     start = 0
     for s in signals:
         end = start + len(s.time_s)
         if found and found[-1][0] == s.run and found[-1][1][-1].time_s[-1] < s.time_s[0]:
-            _, stretches, where = found.pop()
-            found.append((s.run, [*stretches, s], slice(where.start, end)))
+            _, segments, where = found.pop()
+            found.append((s.run, [*segments, s], slice(where.start, end)))
         else:
             found.append((s.run, [s], slice(start, end)))
         start = end
@@ -77,7 +77,7 @@ def torque_column(mechanism: Mechanism, joint: int) -> str:
 
 
 def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> list[SignalSet]:
-    """Stretches of at least 20 samples of every run, without gaps in the columns that this fit reads.
+    """Segments of at least 20 samples of every run, without gaps in the columns that this fit reads.
 
     Only encoders that are in use are read: on the IMU path, where nothing else is said, all but joint 1's. Raises
     `FitError` naming the run and the column that is missing, or the joints that no sensor shows.
@@ -107,14 +107,14 @@ def split_signals(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
                                    {name: data[name][where] for name in imu}, _spread(data, where, levels),
                                    bool(mechanism.exchanged) and STANCE in data and data[STANCE][where.start] == 2))
     if not found:
-        raise GapError("no stretch of 20 samples without a gap in any run")
+        raise GapError("no segment of 20 samples without a gap in any run")
     if len({s.rate_hz for s in found}) > 1:
         raise FitError("the runs are on grids of different rates; give one rate_hz under [sampling]")
     return found
 
 
 def sigma_column(mechanism: Mechanism, joint: int) -> str:
-    """Of the standard deviation of each reading of a joint's angle (joint 0-based), where it is not the same."""
+    """Column of the standard deviation of a joint's angle (joint 0-based), where it varies."""
     return f"q{joint + 1}_sigma_{'m' if mechanism.length_unit == 'm' else 'rad'}"
 
 

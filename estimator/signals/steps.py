@@ -1,8 +1,8 @@
-"""`cut_steps`: a walker's record as stretches of one mechanism, the leg that stands and the one that swings by role.
+"""`cut_steps`: a walker's record as segments of one mechanism, the leg that stands and the one that swings by role.
 
 A record has its joints by leg: `q2_rad` and `tau2_nm` are the hip of leg 1, `q3_rad` and `tau3_nm` that of leg 2. The
 mechanism has them by role (`biped3` with `hips`), so as leg 2 stands the two change places. Around each touchdown, when
-nobody knows which leg carries the walker, samples are left out: a step is a stretch between two gaps.
+nobody knows which leg carries the walker, samples are left out: a step is a segment between two gaps.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LEGS = 1, 2
 SINCE = "since_touchdown_s"
 """Column that `cut_steps` adds: time since the last touchdown, NaN before the first."""
 SMEARED = 1e-3
-"""A stance this far from a whole number was interpolated between legs, and so were the angles beside it."""
+"""A stance this far from an integer was interpolated between legs, and so were the neighbouring angles."""
 AROUND_S, FEWEST = 0.05, 6
 """Of a touchdown, and samples at least, over which angles are parabolas before and after it."""
 SEEN = 6.0
@@ -106,12 +106,11 @@ def _stance(data: Dataset, found: Touchdowns, first: int) -> FloatArray:
 
 
 def find_touchdowns(data: Dataset) -> Touchdowns:
-    """Instants at which a foot landed, by the jump that it makes in the rates of all joints.
+    """Instants at which a foot landed, from the jump in the rates of all joints.
 
-    Around an instant t each angle is taken for one curve whose slope and curvature jump at t; the jump in slope over
-    its standard deviation, summed over joints, peaks there, and t is where the squares left over are least. The leg
-    whose foot is ahead carries the walker from then on: it walks towards growing angles. Raises `FitError` where no
-    jump stands out, or where one leg seems to land twice in a row.
+    Around an instant t each angle is a curve whose slope and curvature jump at t. The t with the largest jump over its
+    standard deviation is refined to the least residual. The walker moves towards growing angles, so the foremost leg
+    carries it next. Raises `FitError` where no jump is significant, or where one leg lands twice in a row.
     """
     angles = np.stack([data[f"q{j}_rad"] for j in (1, 2, 3)])
     level = np.array([max(white_noise_level(x[np.isfinite(x)]), 1e-12) for x in angles])

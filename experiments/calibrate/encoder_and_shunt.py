@@ -1,4 +1,4 @@
-"""What `legid calibrate encoder` and `shunt` do: records with the motor off into zero and offset, in words."""
+"""`legid calibrate encoder` and `shunt`: records with the motor off into zero and offset, in words."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ STOPS = 6
 
 
 def straight_wishes(records: int) -> list[Wanted]:
-    """What a person does for `--straight`."""
+    """Instructions for `--straight`."""
     return [Wanted(f"hold {k + 1}", "hold or clamp the leg straight, knee and all") for k in range(records)]
 
 
 def hanging_wishes(records: int) -> list[Wanted]:
-    """What a person does for a hanging leg: from either side in turn."""
+    """Instructions for a hanging leg: from either side alternately."""
     return [Wanted(f"stop {k + 1}", f"bend the knee {('forwards', 'backwards')[k % 2]} by hand, let go, wait until the "
                    "leg hangs still") for k in range(records)]
 
 
 def shunt_wishes() -> list[Wanted]:
-    """What a person does for the shunt."""
+    """Instructions for the shunt."""
     return [Wanted("the shunt", "let the leg hang still")]
 
 
@@ -101,5 +101,5 @@ def calibrate_shunt(raws: Sequence[RawRun], rig: Rig) -> Outcome:
 
 
 def fewest_stops(model: Model | None) -> int:
-    """How many stops of a hanging leg to ask for."""
+    """Number of stops of a hanging leg to ask for."""
     return STOPS if model is None else FEWEST_STOPS // 2

@@ -1,4 +1,4 @@
-"""What `legid calibrate imu` does: still records from files or from the chip, results into words and rig.toml."""
+"""`legid calibrate imu`: still records from files or from the chip, results into words and rig.toml."""
 
 from __future__ import annotations
 

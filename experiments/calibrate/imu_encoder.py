@@ -1,4 +1,4 @@
-"""What `legid calibrate imu-encoder` does: a moving link's encoder against the IMU on it, in words and rig.toml."""
+"""`legid calibrate imu-encoder`: a moving link's encoder against the IMU on it, in words and rig.toml."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from daq import Calibration, Dataset, FloatArray, InputError, Rig
 from daq.runs import IMU, SUFFIXES, RawRun, read_csv, read_run
 from daq.timing import align, align_table, measure_skew
-from estimator.calibration import ACCEL, EncoderFit, Found, Stretch, fit_imu
+from estimator.calibration import ACCEL, EncoderFit, Found, Segment, fit_imu
 from experiments.calibrate.motor_off import Wanted
 from experiments.calibrate.outcome import Outcome, rounded
 from experiments.console import text_table
@@ -23,7 +23,7 @@ FOUND = ("found", "+-", "unit")
 CHECK = ("before", "+-", "after", "+-", "unit")
 BEYOND_M = 0.005
 ACCEL_TERMS = [t.name for t in ACCEL[:5]]
-"""Those that go into rig.toml's accelerometer keys: all, or none where any is open or all may be nil."""
+"""Terms written to rig.toml's accelerometer keys: all of them, or none if one is open or none is significant."""
 USUAL_HZ = 10.0
 DEAREST = 0.1
 """Share of the rate: the band that is compared where the rig file names none."""
@@ -44,15 +44,15 @@ def compare(runs: Sequence[Dataset], rig: Rig) -> EncoderFit:
                 raise InputError(run.name, f"has no column {column}", "give runs of a link whose angle q1_rad an "
                                  "encoder measures and whose IMU is recorded")
     cutoff = rig.filter.cutoff_hz or min(DEAREST * rig.sampling.rate_hz, USUAL_HZ)
-    stretches = [Stretch(run["q1_rad"][here], np.column_stack([run[c][here] for c in IMU]))
+    segments = [Segment(run["q1_rad"][here], np.column_stack([run[c][here] for c in IMU]))
                  for run in runs for here in run.segments(COLUMNS)]
     skews = [skew.seconds for run in runs if (skew := measure_skew(run)) is not None]
-    return fit_imu(stretches, rig.sampling.rate_hz, cutoff, rig.imus[0].lever_arm_m, rig.mechanism.gravity_mps2,
+    return fit_imu(segments, rig.sampling.rate_hz, cutoff, rig.imus[0].lever_arm_m, rig.mechanism.gravity_mps2,
                    float(np.median(skews)) if skews else 0.0)
 
 
 def calibrate_by_encoder(raws: Sequence[RawRun] | None, paths: Sequence[str], rig: Rig) -> Outcome:
-    """From records in memory, else from files. Raises `InputError` or `FitError`."""
+    """Outcome by records in memory, else by files. Raises `InputError` or `FitError`."""
     runs = [read_moving(path, rig) for path in paths] if raws is None else [align(raw, rig) for raw in raws]
     fit = compare(runs, rig)
     native = raws is not None or not any(path.lower().endswith(SUFFIXES) for path in paths)
@@ -81,17 +81,17 @@ def encoder_text(fit: EncoderFit, rig: Rig) -> str:
 
 
 def open_terms(fit: EncoderFit) -> list[str]:
-    """What the record does not determine."""
+    """Terms that the record does not determine."""
     return [f.term.meaning for f in fit.found if not f.determined or f.term.name in fit.held]
 
 
 def found_rows(fit: EncoderFit) -> list[list[str]]:
-    """By determined term, under its meaning and `FOUND`."""
+    """One row of `FOUND` for each determined term, under its meaning."""
     return [[f.term.meaning, *_figures(f), f.term.unit] for f in fit.found if f.term.meaning not in open_terms(fit)]
 
 
 def check_rows(fit: EncoderFit) -> list[list[str]]:
-    """By signal, under its name and `CHECK`."""
+    """One row of `CHECK` for each signal, under its name."""
     return [[name, *(f"{v:.4f}" for v in (*before, *after)), unit]
             for (name, unit), before, after in zip(COMPARED, fit.before, fit.after)]
 

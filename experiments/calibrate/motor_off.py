@@ -69,7 +69,7 @@ def read_records(paths: Sequence[str]) -> list[RawRun]:
 
 
 def answer(question: str, ask: Ask | None = None) -> str:
-    """What the person says. Raises `InputError` where there is nobody."""
+    """Answer of the person. Raises `InputError` where there is nobody."""
     try:
         return (ask or input)(question)
     except EOFError:

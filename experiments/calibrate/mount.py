@@ -1,4 +1,4 @@
-"""What `legid calibrate mount` does: rest and swing into mount matrix and lever arm, in words."""
+"""`legid calibrate mount`: rest and swing into mount matrix and lever arm, in words."""
 
 from __future__ import annotations
 
@@ -63,28 +63,28 @@ def _outcome(fit: MountFit, rig: Rig, rests: int, sign: str, model: Model | None
     about = fit.angle_half + np.array([0.0, 0.0, friction])
     angles = ", ".join(f"{name} {h:.2g}" for name, h in zip("xyz", about))
     lines = [f"a swing of {np.degrees(fit.swing_rad):.0f} degrees from end to end, {rests} "
-             f"{'stretch' if rests == 1 else 'stretches'} at rest; noise of one sample {fit.noise[0]:.2g} rad/s, "
+             f"{'segment' if rests == 1 else 'segments'} at rest; noise of one sample {fit.noise[0]:.2g} rad/s, "
              f"{fit.noise[1]:.2g} m/s2",
              "imu_mount (rows: the link's axes in the chip's frame):", rows,
              f"known about the link's axes to +- {angles} rad (95 %)",
              f"{'right' if np.linalg.det(fit.mount) > 0 else 'left'}-handed, {_against(fit.mount, rig)}; {sign}",
              f"lever arm: {fit.lever_m:.5f} +- {fit.lever_half:.2g} m (95 %); rig.toml had "
              f"{rig.imus[0].lever_arm_m:g} m",
-             f"beside the line from the pivot: {fit.beside_m:+.5f} +- {fit.beside_half:.2g} m",
+             f"distance from the line through the pivot: {fit.side_offset_m:+.5f} +- {fit.side_offset_half:.2g} m",
              "gyro bias [rad/s]: " + _with_half(fit.gyro_bias_radps, fit.gyro_bias_half, 5),
              "accelerometer bias left [m/s2]: " + _with_half(fit.accel_bias_mps2, fit.accel_bias_half, 4)]
-    lines.append(f"friction may hold link 1 by {friction:.2g} rad beside the vertical: in the angle about z"
+    lines.append(f"friction may hold link 1 by {friction:.2g} rad off the vertical: in the angle about z"
                  if model is not None else
                  "about z, q1 = 0 is where the leg came to rest: friction may hold it (beta8 + beta9) / (beta4 g) rad "
-                 "beside the vertical, which is not in the interval; --model puts it there")
+                 "off the vertical, which the interval does not include; --model adds it")
     warnings = []
     sizes = np.abs(fit.accel_bias_mps2) - fit.accel_bias_half
     if sizes.max() > BIAS_WARN_MPS2:
-        warnings.append("the accelerometer reads beside gravity by more than "
-                        f"{BIAS_WARN_MPS2} m/s2; run legid calibrate imu --six-positions")
-    if abs(fit.beside_m) - fit.beside_half > max(0.1 * fit.lever_m, 0.005):
-        warnings.append(f"the IMU sits {abs(fit.beside_m) * 1e3:.0f} mm beside the line along link 1, which no "
-                        "estimator here reckons with; move it onto the line")
+        warnings.append(f"the accelerometer's bias is above {BIAS_WARN_MPS2} m/s2; "
+                        "run legid calibrate imu --six-positions")
+    if abs(fit.side_offset_m) - fit.side_offset_half > max(0.1 * fit.lever_m, 0.005):
+        warnings.append(f"the IMU sits {abs(fit.side_offset_m) * 1e3:.0f} mm off the line along link 1; "
+                        "no estimator models that: move it onto the line")
     values: dict[str, dict[str, object]] = {
         "calibration": {"imu_mount": [[rounded(float(np.round(v, 7))) for v in row] for row in fit.mount]}}
     if fit.lever_half > WIDEST_M:
@@ -126,7 +126,7 @@ def _moves(record: StillRecord) -> bool:
 
 
 def _rest_mean(record: StillRecord, c: Calibration) -> list[Mean] | None:
-    """Accelerometer's mean by axis over the longest stretch at rest; None where there is none of `LEAST_STILL_S`."""
+    """Accelerometer's mean by axis over the longest segment at rest; None where there is none of `LEAST_STILL_S`."""
     pieces, size = _pieces(record)
     longest, start = (0, 0), 0
     for k in range(len(pieces)):
@@ -141,7 +141,7 @@ def _rest_mean(record: StillRecord, c: Calibration) -> list[Mean] | None:
 
 
 def _rest_statistics(rests: Sequence[list[Mean]]) -> list[tuple[FloatArray, FloatArray]]:
-    """(mean, half of 95 %) by stretch; three and more also show how well the leg finds back to one pose."""
+    """(mean, half of 95 %) by segment; three and more also show how well the leg finds back to one pose."""
     values = np.array([[m.value for m in rest] for rest in rests])
     halves = np.array([[m.half for m in rest] for rest in rests])
     if len(rests) >= 3:

@@ -1,4 +1,4 @@
-"""What a calibration found: words for a person, values for rig.toml."""
+"""Outcome of a calibration: words for a person, values for rig.toml."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Outcome:
 
 
 def rounded(value: float) -> float:
-    """As it goes into rig.toml."""
+    """`value` with the digits that go into rig.toml."""
     return float(f"{value:.{DIGITS}g}")
 
 

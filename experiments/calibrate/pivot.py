@@ -1,4 +1,4 @@
-"""What `legid calibrate pivot` does: records at rest into the zero of the pivot sensor, in words."""
+"""`legid calibrate pivot`: records at rest into the zero of the pivot sensor, in words."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FEWEST = 3
 
 
 def pivot_wishes(records: int) -> list[Wanted]:
-    """What a person does: let the leg come to rest from either side in turn."""
+    """Instructions: let the leg come to rest from either side alternately."""
     return [Wanted(f"stop {k + 1}", f"push the leg {('forwards', 'backwards')[k % 2]}, let go, wait until it hangs "
                    "still") for k in range(records)]
 

@@ -1,4 +1,4 @@
-"""What `legid calibrate shunt --weight` does: holds with a known weight and without into the torque constant."""
+"""`legid calibrate shunt --weight`: holds with a known weight and without into the torque constant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What more than one command reads from its command line."""
+"""Arguments that several commands share."""
 
 from __future__ import annotations
 

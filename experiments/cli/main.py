@@ -25,7 +25,7 @@ HELP_ORDER = ("demo", "record", "calibrate", "info", "recover", "import_", "expo
               "init", "excite", "emulate", "live", "verify", "completion")
 """The order of `legid --help`; modules of the folder that are not in it come last."""
 TRACEBACK = "LEGID_TRACEBACK"
-"""Set in the environment, an error that nobody foresaw is raised as it is: for whoever mends it."""
+"""Environment variable under which an unexpected error keeps its traceback, for debugging."""
 
 EPILOG = """\
 a first session:
@@ -57,7 +57,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(**{"formatter_class": Words, **settings})
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As argparse does, with a suggestion for an option that there is not."""
+        """Arguments by argparse, with a suggestion for an unknown option."""
         found, unknown = self.parse_known_args(args, namespace)
         if unknown:
             command = self._commands().get(getattr(found, "command", ""), self)

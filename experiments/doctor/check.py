@@ -21,7 +21,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Heard:
-    """What the devices said while nobody commanded anything."""
+    """Readings of the devices while nothing was commanded."""
 
     raw: RawRun
     seconds: float

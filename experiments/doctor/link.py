@@ -23,7 +23,7 @@ CLEAR_WAIT_S = 0.5
 
 
 def before_opening(device: ControllerDevice) -> list[Check]:
-    """What can be seen without opening the port: who else has it; state and bit rate of a CAN interface."""
+    """Checks without opening the port: who else has it; state and bit rate of a CAN interface."""
     if device.can is not None:
         return [can_interface(str(device.can.get("channel", "can0")), device.can)] \
             if device.can.get("interface") == "socketcan" else []
@@ -125,7 +125,7 @@ def after_opening(controller: Drive, rig: Rig, device: ControllerDevice, told: b
 
 
 def _drive_alone(controller: Drive, rig: Rig) -> list[Check]:
-    """What a drive that is not our own firmware limits by itself, refuses, and does not do."""
+    """What a drive without legid's firmware limits, refuses and does not do."""
     checks = [Check("drive's watchdog", "FAIL", controller.refusal)] if controller.refusal else []
     limits, hello = controller.limits, controller.hello
     if limits is not None and hello is not None:

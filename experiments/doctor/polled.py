@@ -21,7 +21,7 @@ JITTER_COUNTS = 8
 
 
 def open_for_checks(stack: ExitStack, rig: Rig, where: str) -> tuple[list[Check], Sensors]:
-    """What can be opened, and a check for each device that cannot."""
+    """Devices that can be opened, and a check for each device that cannot."""
     checks, pivot, shunt = [], None, None
     if rig.devices.pivot is not None:
         try:

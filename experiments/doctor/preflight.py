@@ -1,4 +1,4 @@
-"""What `legid doctor` does: one check after another, each one line with what to do about a failure.
+"""`legid doctor`: one check after another, each one line with what to do about a failure.
 
 Nothing is driven: opening the controller stops the motor, and it is never armed.
 """

@@ -138,7 +138,7 @@ def _imu(heard: Heard, rig: Rig) -> dict[str, FloatArray]:
 def _motion(heard: Heard, rig: Rig, imu: bool, controller: bool) -> list[Check]:
     """Do encoders, Hall sensors and IMU agree in sign and scale?"""
     if not controller:
-        return [Check("signs and scales", "FAIL", "the controller's angles are needed; mend it first")]
+        return [Check("signs and scales", "FAIL", "the controller's angles are needed; fix the controller first")]
     telemetry = heard.raw.streams["/leg/telemetry"]
     both = np.isfinite(telemetry["knee_rad"]) & np.isfinite(telemetry["knee_hall_rad"])
     checks = []
@@ -160,7 +160,7 @@ def _imu_agrees(data: Dataset, rig: Rig) -> list[Check]:
     data = data.part(max(data.segments(["q1_rad", "gyro_radps", "accel_x_mps2", "accel_y_mps2"]), default=slice(0),
                          key=lambda s: s.stop - s.start))
     if len(data) < MOVE_RATE_HZ:
-        return [Check("gyro", "FAIL", "no second without a gap; mend what was found above first")]
+        return [Check("gyro", "FAIL", "no second without a gap; fix the failures above first")]
     q1, w = data["q1_rad"], data["gyro_radps"]
     g, arm = rig.mechanism.gravity_mps2, rig.imus[0].lever_arm_m
     turned = np.concatenate(([0.0], np.cumsum(0.5 * (w[1:] + w[:-1])) * data.dt_s))
@@ -180,7 +180,7 @@ def _imu_agrees(data: Dataset, rig: Rig) -> list[Check]:
 
 def _agree(name: str, what: str, x: FloatArray, y: FloatArray, remedy: str, enough: float = MOVED_RAD,
            drift: bool = False) -> Check:
-    """Slope of y over x beside a constant (and a drift in time), judged."""
+    """Check of the slope of y over x, fitted together with a constant and, with `drift`, a drift in time."""
     if float(np.std(x)) < enough and float(np.std(y)) < enough:
         return Check(name, "FAIL", f"{what}: the joint was not moved enough; swing it about half a radian to each side")
     terms = [x, np.ones_like(x), *([np.linspace(-1, 1, x.size)] if drift else [])]

@@ -43,5 +43,5 @@ def local_can() -> dict[str, Any]:
 
 
 def toml_of(settings: dict[str, Any]) -> str:
-    """As an inline table."""
+    """An inline table of TOML."""
     return "{" + ", ".join(f"{key} = {json.dumps(value)}" for key, value in settings.items()) + "}"

@@ -31,7 +31,7 @@ def emulate(rig: Rig, seed: int, clock: Clock, body: LegBody | None = None,
             hidden: Hidden = NOTHING) -> MockRig:
     """The rig that `rig` describes, hanging at rest, with the errors that its calibration takes out.
 
-    `hidden` is wrong beside them, and nothing in the rig file says so.
+    `hidden` adds errors that the rig file does not mention.
     """
     c = rig.calibration
     imu = ImuSettings(lever_arm_m=rig.imus[0].lever_arm_m, gravity_mps2=rig.mechanism.gravity_mps2, mount=c.imu_mount,

@@ -1,7 +1,6 @@
-"""What the emulated leg of a demo hides: one effect beside what its rig file says, for a diagnosis to find.
+"""Hidden effects of the emulated leg of a demo: one effect that its rig file does not mention.
 
-None of it shares code with the estimator's library, and the friction laws have other forms than the library's:
-a real leg keeps to no one's formula.
+They share no code with the estimator's library, and their friction laws have other forms than the library's.
 """
 
 from __future__ import annotations

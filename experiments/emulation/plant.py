@@ -1,6 +1,6 @@
 """`LegPlant`: physics of the emulated leg, body by body after Newton and Euler, from masses and lengths.
 
-Written apart from the estimator on purpose: it knows no beta, no regressor and no rounded sign. Each link is a
+It shares no code with the estimator: no beta, no regressor and no smoothed sign. Each link is a
 rigid body with mass, centre of mass and inertia; the knee's constraint force joins them; dry friction sticks.
 """
 

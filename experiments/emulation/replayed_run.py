@@ -49,7 +49,7 @@ ADDRESS = 0x6B
 
 
 class Replayed(NamedTuple):
-    """What a playback did."""
+    """Report on a playback."""
 
     messages: int
     imu_samples: int
@@ -75,7 +75,7 @@ def replay_run(path: Path, recording: Path | str, rig_text: str | None = None) -
     """
     raw = read_run(recording)
     if raw.damage:
-        raise InputError(raw.name, f"is damaged: {raw.damage[0]}", "play a whole run; legid recover mends a lost end")
+        raise InputError(raw.name, f"is damaged: {raw.damage[0]}", "replay a whole run; see legid recover")
     if not raw.streams["/leg/telemetry"].size:
         raise InputError(raw.name, "holds no telemetry", "play a run that legid record wrote")
     rig = recorded_rig(raw) if rig_text is None else parse_rig(rig_text)

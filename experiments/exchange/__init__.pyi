@@ -8,13 +8,13 @@ from .column_map import load_map as load_map
 from .column_map import map_text as map_text
 from .exports import export_run as export_run
 from .expression import runs_in as runs_in
-from .foreign import Foreign as Foreign
 from .guess import Guess as Guess
 from .guess import guess_map as guess_map
+from .imported import ImportedFile as ImportedFile
 from .reading import is_native as is_native
 from .reading import load_any_run as load_any_run
 from .reading import load_to_convert as load_to_convert
 from .reading import mapped as mapped
-from .reading import read_foreign as read_foreign
+from .reading import read_imported as read_imported
 from .ros2_export import export_ros2 as export_ros2
 from .units import si_unit as si_unit

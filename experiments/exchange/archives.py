@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from daq import InputError
-from experiments.exchange.foreign import Foreign, by_length
+from experiments.exchange.imported import ImportedFile, by_length
 from experiments.exchange.nested import vectors
 
 SUFFIXES = (".npz", ".npy", ".pt", ".pth", ".pkl", ".pickle", ".json", ".h5", ".hdf5")
@@ -29,7 +29,7 @@ STORAGES = {"DoubleStorage": "f8", "FloatStorage": "f4", "HalfStorage": "f2", "L
 """PyTorch's names of the kinds of numbers."""
 
 
-def read_archive(path: Path) -> Foreign:
+def read_archive(path: Path) -> ImportedFile:
     """Vectors of a file that its name's ending says the kind of, called as in `nested`. Raises `InputError`."""
     name = path.name.lower()
     read, joint = next((how for suffixes, how in _READERS if name.endswith(suffixes)), (_json, "."))
@@ -42,7 +42,7 @@ def read_archive(path: Path) -> Foreign:
     except Exception as error:  # readers raise what their format makes of a damaged file
         raise InputError(str(path), f"cannot be read as {path.suffix} ({type(error).__name__}: {error})",
                          "give a whole file") from None
-    return Foreign(path.name, by_length(columns))
+    return ImportedFile(path.name, by_length(columns))
 
 
 def _numpy(path: Path) -> Any:
@@ -176,7 +176,7 @@ class _Machine(pickle.Unpickler):
         self._numbers, self._big = numbers, big
 
     def find_class(self, module: str, name: str) -> Any:
-        """What stands for `module.name`."""
+        """Substitute of `module.name`."""
         if module in ("torch", "torch.storage") and name in STORAGES:
             return STORAGES[name]
         return _SAFE.get(f"{module}.{name}", _Inert)

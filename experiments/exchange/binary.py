@@ -8,14 +8,14 @@ import numpy as np
 
 from daq import FloatArray, InputError
 from experiments.exchange.archives import read_archive
-from experiments.exchange.foreign import Foreign, as_floats, by_length
+from experiments.exchange.imported import ImportedFile, as_floats, by_length
 from experiments.exchange.nested import vectors
 
 OWN_FACTS = ("rate_hz", "clock_bound_s")
 """Facts of an own export that are not columns."""
 
 
-def read_mat(path: Path) -> Foreign:
+def read_mat(path: Path) -> ImportedFile:
     """Vectors of a .mat file, called as in `nested`. Raises `InputError`."""
     from scipy.io import loadmat
 
@@ -28,10 +28,10 @@ def read_mat(path: Path) -> Foreign:
     columns = dict(vectors({k: v for k, v in content.items() if not k.startswith("__")}))
     facts = {name: repr(float(content[name])) for name in OWN_FACTS if np.ndim(content.get(name, [])) == 0}
     facts |= {"run": str(content["run"])} if isinstance(content.get("run"), str) else {}
-    return Foreign(path.name, by_length(columns), facts)
+    return ImportedFile(path.name, by_length(columns), facts)
 
 
-def read_parquet(path: Path) -> Foreign:
+def read_parquet(path: Path) -> ImportedFile:
     """Columns of numbers of a Parquet file; null is NaN. Raises `InputError`."""
     try:
         from pyarrow import parquet
@@ -48,4 +48,4 @@ def read_parquet(path: Path) -> Foreign:
             columns[name] = numbers
     written = {k.decode(): v.decode("utf-8", "replace") for k, v in (table.schema.metadata or {}).items()}
     facts = {name: written[f"legid.{name}"] for name in ("run", *OWN_FACTS) if f"legid.{name}" in written}
-    return Foreign(path.name, by_length(columns), facts)
+    return ImportedFile(path.name, by_length(columns), facts)

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from daq import InputError
-from experiments.exchange.foreign import Foreign, Table
+from experiments.exchange.imported import ImportedFile, Table
 
 SUFFIXES = (".asc", ".blf", ".trc")
 ODRIVE = {0x09: ("pos_estimate [turn]", "vel_estimate [turn/s]"), 0x14: ("Iq_setpoint [A]", "Iq_measured [A]"),
@@ -45,7 +45,7 @@ def is_candump(path: Path) -> bool:
     return head.startswith(b"(") and b"#" in head and b")" in head
 
 
-def read_can_log(path: Path) -> Foreign:
+def read_can_log(path: Path) -> ImportedFile:
     """One table a node and message, `odrive0/pos_estimate [turn]`, times from the log's first. Raises `InputError`."""
     import can
 
@@ -64,7 +64,8 @@ def read_can_log(path: Path) -> Foreign:
         raise InputError(str(path), "holds no message of an ODrive or a moteus with an angle, a current or a torque",
                          "log the bus while the drive reports")
     first = min(rows[0][0] for rows in tables.values())
-    return Foreign(path.name, tuple(_table(node, kind, rows, first) for (node, kind), rows in sorted(tables.items())))
+    return ImportedFile(path.name, tuple(
+        _table(node, kind, rows, first) for (node, kind), rows in sorted(tables.items())))
 
 
 def _table(node: str, kind: int, rows: list[tuple[float, tuple[float, ...]]], first: float) -> Table:

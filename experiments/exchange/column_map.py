@@ -17,11 +17,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import Column, Dataset, Doubt, FloatArray, InputError
+from daq import Column, Dataset, Flag, FloatArray, InputError
 from daq.runs import MIN_SAMPLES, MOST, is_contract_column
 from daq.timing import TimedColumns, align_channels
 from experiments.exchange.expression import ANY, names_in, with_computed
-from experiments.exchange.foreign import Foreign, Table, Wrong
+from experiments.exchange.imported import ImportedFile, Table, Wrong
 from experiments.exchange.units import factor
 
 ColumnMap = Mapping[str, Column]
@@ -42,7 +42,7 @@ def load_map(path: Path | str) -> dict[str, Column]:
     except OSError as error:
         raise InputError(where, error.strerror or str(error), "give the map, or let --guess write it") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(where, f"not valid TOML: {error}", "mend the line named") from None
+        raise InputError(where, f"not valid TOML: {error}", "correct that line") from None
     except msgspec.ValidationError as error:
         raise InputError(where, str(error).replace("`$", "`columns"), "see docs/exchange.md") from None
 
@@ -92,41 +92,41 @@ def is_guess(path: Path) -> bool:
     return head == f"{MARK}{crc32(text):08x}".encode()
 
 
-def applies(foreign: Foreign, columns: ColumnMap) -> bool:
+def applies(imported: ImportedFile, columns: ColumnMap) -> bool:
     """The file has a column that the map names."""
-    return any(any(names_in(column.name, foreign.names)) for column in columns.values())
+    return any(any(names_in(column.name, imported.names)) for column in columns.values())
 
 
-def identity(foreign: Foreign) -> dict[str, Column]:
+def identity(imported: ImportedFile) -> dict[str, Column]:
     """The map of a file that has the contract's own names."""
-    return {name: Column(name=name) for name in foreign.names if is_contract_column(name)}
+    return {name: Column(name=name) for name in imported.names if is_contract_column(name)}
 
 
-def apply_map(foreign: Foreign, columns: ColumnMap, rate_hz: float | None = None) -> Dataset:
+def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None = None) -> Dataset:
     """The file as a run, on a grid of `rate_hz` (default: that of its slowest signal).
 
     Columns that come at times of their own, or with delays of their own, are each put on the grid by the rule that
     native runs are; a column of the contract's name that the map does not mention is taken as it is. Raises
     `InputError` naming file and column.
     """
-    whole = {**identity(foreign), **columns}
+    whole = {**identity(imported), **columns}
     if any(ANY in column.name for column in whole.values()):
-        raise InputError(foreign.name, f"holds several runs by its map ({ANY})", "import it: legid import writes one "
+        raise InputError(imported.name, f"holds several runs by its map ({ANY})", "import it: legid import writes one "
                          "file a run")
-    foreign = with_computed(foreign, whole)
-    channels, wrong = _channels(foreign, whole)
+    imported = with_computed(imported, whole)
+    channels, wrong = _channels(imported, whole)
     if not channels:
-        raise InputError(foreign.name, "holds no column that the map names", "correct the map, or run --guess")
+        raise InputError(imported.name, "holds no column that the map names", "correct the map, or run --guess")
     rates = [1.0 / float(np.median(np.diff(c.time_s))) for c in channels]
     if rate_hz is None:
         rate_hz = float(f"{min(rates):.3g}")
-    run = align_channels(foreign.name, channels, rate_hz)
+    run = align_channels(imported.name, channels, rate_hz)
     if len(run) < MIN_SAMPLES:
-        raise InputError(foreign.name, f"gives {len(run)} samples, at least {MIN_SAMPLES} are needed",
+        raise InputError(imported.name, f"gives {len(run)} samples, at least {MIN_SAMPLES} are needed",
                          "record for longer, or check the unit of time_s")
-    used = {name for column in whole.values() for name in names_in(column.name, foreign.names)}
-    wrong = [*(one for one in foreign.wrong if not one.column or one.column in used), *wrong]
-    return replace(run, doubts=(Doubt("rows", _told(wrong)),)) if wrong else run
+    used = {name for column in whole.values() for name in names_in(column.name, imported.names)}
+    wrong = [*(one for one in imported.wrong if not one.column or one.column in used), *wrong]
+    return replace(run, flags=(Flag("rows", _told(wrong)),)) if wrong else run
 
 
 def _told(wrong: Sequence[Wrong]) -> str:
@@ -136,7 +136,7 @@ def _told(wrong: Sequence[Wrong]) -> str:
     return f"has {len(wrong)} wrong sample{'s' * (len(wrong) != 1)}, left out: {', '.join(rows)}{more}"
 
 
-def _channels(foreign: Foreign, columns: ColumnMap) -> tuple[list[TimedColumns], list[Wrong]]:
+def _channels(imported: ImportedFile, columns: ColumnMap) -> tuple[list[TimedColumns], list[Wrong]]:
     """Columns in SI units, those of the same times together; times count from the first. And the rows left out."""
     groups: dict[Key, dict[str, FloatArray]] = defaultdict(dict)
     clocks: dict[Key, FloatArray] = {}
@@ -144,18 +144,18 @@ def _channels(foreign: Foreign, columns: ColumnMap) -> tuple[list[TimedColumns],
     for name, column in columns.items():
         if name == TIME:
             continue
-        table = foreign.table_of(column.name)
-        key = next(k for k, t in enumerate(foreign.tables) if t is table), column.delay
-        clocks[key] = _clock(foreign, table, columns) - column.delay
+        table = imported.table_of(column.name)
+        key = next(k for k, t in enumerate(imported.tables) if t is table), column.delay
+        clocks[key] = _clock(imported, table, columns) - column.delay
         read = table.columns[column.name]
-        scale = column.sign * column.scale * factor(column.unit, name, foreign.name)
+        scale = column.sign * column.scale * factor(column.unit, name, imported.name)
         values = read if (scale, column.offset) == (1.0, 0.0) else scale * read + column.offset
         far = np.flatnonzero(np.abs(values) > MOST)
         wrong += [Wrong(f"row {k + 1}", column.name, f"is {values[k]:.3g}, larger than any reading") for k in far]
         groups[key][name] = np.where(np.abs(values) > MOST, np.nan, values) if far.size else values
     out = []
     for key, group in groups.items():
-        rows = _increasing(foreign.name, clocks[key])
+        rows = _increasing(imported.name, clocks[key])
         late = np.setdiff1d(np.arange(clocks[key].size), rows)
         wrong += [Wrong(f"row {k + 1}", "", "has no time" if not np.isfinite(clocks[key][k]) else
                         "its time is not after the one before") for k in late if key[1] == 0.0]
@@ -164,20 +164,20 @@ def _channels(foreign: Foreign, columns: ColumnMap) -> tuple[list[TimedColumns],
     return out, wrong
 
 
-def _clock(foreign: Foreign, table: Table, columns: ColumnMap) -> FloatArray:
+def _clock(imported: ImportedFile, table: Table, columns: ColumnMap) -> FloatArray:
     """The table's times [s]."""
     column = columns.get(TIME)
     if column is None:
         if table.time_s is None:
-            raise InputError(foreign.name, "has no times", 'name the column by [columns.time_s] and name = "..."')
+            raise InputError(imported.name, "has no times", 'name the column by [columns.time_s] and name = "..."')
         return table.time_s
-    home = foreign.table_of(column.name)
+    home = imported.table_of(column.name)
     read = home.columns[column.name]
     if home is not table:
-        raise InputError(foreign.name, f"has {read.size} times in {column.name!r} and "
+        raise InputError(imported.name, f"has {read.size} times in {column.name!r} and "
                                        f"{next(iter(table.columns.values())).size} samples in other columns",
                          "save them with one time for all")
-    time_s = column.scale * factor(column.unit, TIME, foreign.name) * read + column.offset
+    time_s = column.scale * factor(column.unit, TIME, imported.name) * read + column.offset
     return np.asarray(time_s - time_s[0]) if (column.unit, column.scale) != ("", 1.0) else np.asarray(time_s)
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq import FloatArray, InputError
-from experiments.exchange.foreign import Foreign, Table, Wrong
+from experiments.exchange.imported import ImportedFile, Table, Wrong
 from experiments.exchange.units import UNITS
 
 SEPARATORS = (",", ";", "\t", "|", " ")
@@ -35,7 +35,7 @@ class Dialect(NamedTuple):
     cells: int
 
 
-def read_delimited(path: Path) -> Foreign:
+def read_delimited(path: Path) -> ImportedFile:
     """The table in a text file; columns of words are left out, and rows with a wrong cell named.
 
     Raises `InputError`.
@@ -68,7 +68,7 @@ def read_delimited(path: Path) -> Foreign:
     text = {k: f"{cells[0].why} in {cells[0].place}" for k, cells in bad.items() if len(cells) > most}
     kept: dict[str, FloatArray] = {name: np.array(columns[k]) for k, name in enumerate(names) if k not in text}
     wrong = tuple([*long, *(one for k, cells in bad.items() if k not in text for one in cells)])
-    return Foreign(path.name, (Table(kept),), left_out={names[k]: what for k, what in text.items()}, wrong=wrong)
+    return ImportedFile(path.name, (Table(kept),), left_out={names[k]: what for k, what in text.items()}, wrong=wrong)
 
 
 def _lines(path: Path) -> list[str]:

@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import structs
 
 from daq import Column, FloatArray, InputError
-from experiments.exchange.foreign import Foreign, Table
+from experiments.exchange.imported import ImportedFile, Table
 
 OPERATORS: dict[type[ast.operator], Callable[[FloatArray, FloatArray], FloatArray]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
@@ -26,13 +26,13 @@ ANY = "{*}"
 NUMBERED = re.compile(r"\{(\d+)\}")
 
 
-def with_computed(foreign: Foreign, columns: Mapping[str, Column]) -> Foreign:
-    """`foreign` with a column for each expression among the names of `columns`. Raises `InputError`."""
+def with_computed(imported: ImportedFile, columns: Mapping[str, Column]) -> ImportedFile:
+    """`imported` with a column for each expression among the names of `columns`. Raises `InputError`."""
     for name in dict.fromkeys(column.name for column in columns.values()):
-        used = () if name in foreign.names or name in foreign.left_out else tuple(names_in(name, foreign.names))
+        used = () if name in imported.names or name in imported.left_out else tuple(names_in(name, imported.names))
         if used and used != (name,):
-            foreign = _with(foreign, name, used)
-    return foreign
+            imported = _with(imported, name, used)
+    return imported
 
 
 def names_in(text: str, names: list[str]) -> Iterator[str]:
@@ -60,33 +60,33 @@ def _ends(text: str, at: int, name: str) -> bool:
         re.match(r"\w", name[-1:]) and re.match(r"\w", after))
 
 
-def _with(foreign: Foreign, text: str, used: tuple[str, ...]) -> Foreign:
-    home = foreign.table_of(used[0])
+def _with(imported: ImportedFile, text: str, used: tuple[str, ...]) -> ImportedFile:
+    home = imported.table_of(used[0])
     place = {name: f"_{k}" for k, name in enumerate(dict.fromkeys(used))}
-    values = {place[name]: _on_times_of(home, foreign, name) for name in place}
-    source = "".join(place.get(found, piece) for piece, found in _tokens(text, foreign.names))
+    values = {place[name]: _on_times_of(home, imported, name) for name in place}
+    source = "".join(place.get(found, piece) for piece, found in _tokens(text, imported.names))
     try:
         with np.errstate(all="ignore"):
             made = _value(ast.parse(source.strip(), mode="eval").body, values)
     except (SyntaxError, KeyError, ValueError, RecursionError):
-        raise InputError(foreign.name, f"{text!r} is no column and no expression of its columns",
+        raise InputError(imported.name, f"{text!r} is no column and no expression of its columns",
                          "use + - * / and brackets on numbers and columns, names with signs in quotes") from None
     made = np.where(np.isfinite(made), made, np.nan)
     if not np.isfinite(made).any():
-        raise InputError(foreign.name, f"{text!r} has no row in which all its columns have a number",
+        raise InputError(imported.name, f"{text!r} has no row in which all its columns have a number",
                          "save them with one time for all")
-    tables = tuple(Table({**t.columns, text: made}, t.time_s) if t is home else t for t in foreign.tables)
-    return replace(foreign, tables=tables)
+    tables = tuple(Table({**t.columns, text: made}, t.time_s) if t is home else t for t in imported.tables)
+    return replace(imported, tables=tables)
 
 
-def _on_times_of(home: Table, foreign: Foreign, name: str) -> FloatArray:
+def _on_times_of(home: Table, imported: ImportedFile, name: str) -> FloatArray:
     """Column `name` at the times of `home`, by straight lines where it has times of its own."""
-    table = foreign.table_of(name)
+    table = imported.table_of(name)
     values = table.columns[name]
     if table is home:
         return values
     if table.time_s is None or home.time_s is None:
-        raise InputError(foreign.name, f"column {name!r} has {values.size} rows, the others of its expression "
+        raise InputError(imported.name, f"column {name!r} has {values.size} rows, the others of its expression "
                                        f"{next(iter(home.columns.values())).size}", "save them with one time for all")
     return np.interp(home.time_s, table.time_s, values, left=np.nan, right=np.nan)
 
@@ -103,18 +103,18 @@ def _value(node: ast.expr, values: Mapping[str, FloatArray]) -> FloatArray:
     raise ValueError
 
 
-def runs_in(foreign: Foreign, columns: Mapping[str, Column]) -> list[tuple[str, dict[str, Column]]]:
+def runs_in(imported: ImportedFile, columns: Mapping[str, Column]) -> list[tuple[str, dict[str, Column]]]:
     """(ending of its name, map) of every run that the map finds: one, or with `{*}` one a numbered cell."""
     if not any(ANY in column.name for column in columns.values()):
         return [("", dict(columns))]
-    numbers = sorted({int(k) for name in foreign.names for k in NUMBERED.findall(name)})
+    numbers = sorted({int(k) for name in imported.names for k in NUMBERED.findall(name)})
     out = []
     for k in numbers:
         own = {name: structs.replace(column, name=column.name.replace(ANY, f"{{{k}}}"))
                for name, column in columns.items()}
-        if all(set(names_in(column.name, foreign.names)) for column in own.values()):
+        if all(set(names_in(column.name, imported.names)) for column in own.values()):
             out.append((f"-{k:0{len(str(numbers[-1]))}d}", own))
     if not out:
-        raise InputError(foreign.name, f"has no numbered cell that holds all of the map's columns with {ANY}",
+        raise InputError(imported.name, f"has no numbered cell that holds all of the map's columns with {ANY}",
                          "name them as legid import shows them")
     return out

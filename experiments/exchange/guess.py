@@ -26,10 +26,10 @@ import numpy as np
 from daq import Column, Dataset, FloatArray, InputError
 from daq.runs import IMU
 from experiments.exchange.column_map import TIME, apply_map
-from experiments.exchange.foreign import Foreign
 from experiments.exchange.guess_chain import driven_joints, find_chain
 from experiments.exchange.guess_joint import find_joint
 from experiments.exchange.guess_physics import Pose, find_imu, find_knee
+from experiments.exchange.imported import ImportedFile
 from experiments.exchange.units import BRACKETED, unit_in_name
 
 PATTERNS = {
@@ -47,7 +47,7 @@ WORDS = {"gyro": "gyro, omega, wz or gz", "accel": "acc, ax", "tau2_nm": "torque
 MOST_LINKS = 5
 """Of a chain whose columns are guessed: signs are tried in all combinations."""
 MOST_RIVALS = 4
-"""Columns that are looked at beside the most likely one."""
+"""Columns that are tried in addition to the most likely one."""
 NOT_AN_ANGLE = r"vel|speed|rate|dot|temp|volt|setpoint|err|status|fault|acc"
 TIME_NAMES = r"^_*(time|t|timestamp|stamp|sec|seconds|zeit|clock|millis|micros|time_.*|t_.*|.*timestamp.*|.*time)$"
 STEP_S = (0.0002, 0.1)
@@ -57,7 +57,7 @@ AXIS = re.compile(r"[^a-zA-Z0-9]?([xyz])(?:[\s\[(_].*)?$", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Guess:
-    """What was found, with the reasons."""
+    """Guessed map, with the reasons."""
 
     columns: dict[str, Column]
     notes: dict[str, str]
@@ -71,25 +71,25 @@ class Guess:
     """Title -> what was measured and what physics makes of the other columns, both (n,) on the grid of `run`."""
 
 
-def guess_map(foreign: Foreign, gravity_mps2: float = 9.81) -> Guess:
-    """Columns of `foreign` with units and signs, for a hanging leg, a single joint or a chain. Raises `InputError`.
+def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81) -> Guess:
+    """Columns of `imported` with units and signs, for a hanging leg, a single joint or a chain. Raises `InputError`.
 
     A file with one angle, one torque and no gyro or accelerometer is a single joint's. One with three angles or more,
     or with two torques, is a chain's whose joints all have encoders.
     """
-    columns, notes, rivals = _by_name(foreign)
-    if _is_joint(foreign):
-        return _guess_joint(foreign, columns, notes)
-    if _is_chain(foreign):
-        return _guess_chain(foreign, columns, notes, gravity_mps2)
+    columns, notes, rivals = _by_name(imported)
+    if _is_joint(imported):
+        return _guess_joint(imported, columns, notes)
+    if _is_chain(imported):
+        return _guess_chain(imported, columns, notes, gravity_mps2)
     if "q2_rad" not in columns or "tau2_nm" not in columns:
         lacking = [name for name in ("q2_rad", "tau2_nm") if name not in columns]
         kinds = {"q2_rad": "q2", "tau2_nm": "tau"}
-        raise _lacking(foreign, " and ".join(lacking), {kinds[name]: WORDS[name] for name in lacking})
-    triads = {kind: _triad(foreign, kind) for kind in ("gyro", "accel")}
+        raise _lacking(imported, " and ".join(lacking), {kinds[name]: WORDS[name] for name in lacking})
+    triads = {kind: _triad(imported, kind) for kind in ("gyro", "accel")}
     axes = [Column(name=name) for name in (*triads["gyro"], *triads["accel"])]
     spare = {column.name: f"q{k + 3}_rad" for k, column in enumerate([*axes, *rivals])}
-    raw = apply_map(foreign, {**columns, **{spare[column.name]: column for column in (*axes, *rivals)}})
+    raw = apply_map(imported, {**columns, **{spare[column.name]: column for column in (*axes, *rivals)}})
     warnings, unexplained = [], []
     pose: Pose | None = None
     curves: dict[str, tuple[FloatArray, FloatArray]] = {}
@@ -104,7 +104,7 @@ def guess_map(foreign: Foreign, gravity_mps2: float = 9.81) -> Guess:
         pose = imu.pose
         curves["accel_x_mps2: read, and as gyro and gravity make it [m/s²]"] = imu.check
     elif "q1_rad" not in columns:
-        raise _lacking(foreign, "a gyro and two axes of an accelerometer, or an angle of the pivot",
+        raise _lacking(imported, "a gyro and two axes of an accelerometer, or an angle of the pivot",
                        {kind: WORDS[kind] for kind in ("gyro", "accel")} | {"q1": WORDS["q1_rad"]})
     knees = [find_knee(raw, columns, pose, gravity_mps2)]
     for rival in rivals:
@@ -124,63 +124,64 @@ def guess_map(foreign: Foreign, gravity_mps2: float = 9.81) -> Guess:
         notes.pop("q1_rad", None)
     order = [TIME, *IMU, "q1_rad", "q2_rad", "tau2_nm", "tau2_cmd_nm"]
     columns = {name: columns[name] for name in order if name in columns}
-    return Guess(columns, notes, warnings, unexplained, apply_map(foreign, columns), curves)
+    return Guess(columns, notes, warnings, unexplained, apply_map(imported, columns), curves)
 
 
-def _is_joint(foreign: Foreign) -> bool:
+def _is_joint(imported: ImportedFile) -> bool:
     """One measured angle, one measured torque, and no sensor of a leg: neither read nor left out."""
-    angles = len(_fitting(foreign, "q1", True)) + len(_fitting(foreign, "q2", True))
-    others = any(_kind(name) in ("gyro", "accel") for name in [*foreign.names, *foreign.left_out])
-    return angles == 1 and len(_fitting(foreign, "tau", True)) == 1 and not others
+    angles = len(_fitting(imported, "q1", True)) + len(_fitting(imported, "q2", True))
+    others = any(_kind(name) in ("gyro", "accel") for name in [*imported.names, *imported.left_out])
+    return angles == 1 and len(_fitting(imported, "tau", True)) == 1 and not others
 
 
-def _is_chain(foreign: Foreign) -> bool:
+def _is_chain(imported: ImportedFile) -> bool:
     """Angles of three joints or more, or torques of two, and no gyro or accelerometer: neither read nor left out."""
-    angles, torques = _angles(foreign), _fitting(foreign, "tau", True)
-    others = any(_kind(name) in ("gyro", "accel") for name in [*foreign.names, *foreign.left_out])
+    angles, torques = _angles(imported), _fitting(imported, "tau", True)
+    others = any(_kind(name) in ("gyro", "accel") for name in [*imported.names, *imported.left_out])
     return not others and 0 < len(torques) <= len(angles) <= MOST_LINKS and (len(angles) > 2 or len(torques) == 2)
 
 
-def _angles(foreign: Foreign) -> list[str]:
+def _angles(imported: ImportedFile) -> list[str]:
     """Columns that are measured angles by their names: by their numbers where each has one, else as in the file."""
-    names = sorted([*_fitting(foreign, "q1", True), *_fitting(foreign, "q2", True)], key=foreign.names.index)
+    names = sorted([*_fitting(imported, "q1", True), *_fitting(imported, "q2", True)], key=imported.names.index)
     numbers = [re.findall(r"\d+", name) for name in names]
     return sorted(names, key=lambda name: int(re.findall(r"\d+", name)[-1])) if all(numbers) else names
 
 
-def _guess_chain(foreign: Foreign, columns: dict[str, Column], notes: dict[str, str], gravity_mps2: float) -> Guess:
+def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str], gravity_mps2: float
+                 ) -> Guess:
     """The guess for a chain of joints, each with an encoder."""
-    angles = _angles(foreign)
+    angles = _angles(imported)
     theirs = {f"q{k}_rad": Column(name=name, unit=unit_in_name(name, "q2_rad")) for k, name in enumerate(angles, 1)}
-    for name, j in driven_joints(angles, sorted(_fitting(foreign, "tau", True), key=foreign.names.index)).items():
+    for name, j in driven_joints(angles, sorted(_fitting(imported, "tau", True), key=imported.names.index)).items():
         theirs[f"tau{j + 1}_nm"] = Column(name=name, unit=unit_in_name(name, "tau2_nm"))
     theirs |= {TIME: columns[TIME]} if TIME in columns else {}
-    found = find_chain(apply_map(foreign, theirs), {k: c for k, c in theirs.items() if k != TIME}, gravity_mps2)
+    found = find_chain(apply_map(imported, theirs), {k: c for k, c in theirs.items() if k != TIME}, gravity_mps2)
     theirs |= found.columns
     reasons = {TIME: notes[TIME]} if TIME in notes else {}
     last = max(name for name in theirs if name.startswith("tau"))
     curves = {f"{last}: read, and as the motion makes it [N m]": found.check}
-    return Guess(theirs, reasons | found.notes, found.warnings, found.unexplained, apply_map(foreign, theirs), curves)
+    return Guess(theirs, reasons | found.notes, found.warnings, found.unexplained, apply_map(imported, theirs), curves)
 
 
-def _guess_joint(foreign: Foreign, columns: dict[str, Column], notes: dict[str, str]) -> Guess:
+def _guess_joint(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str]) -> Guess:
     """The guess for one joint from the columns of `_by_name`, which are named as a leg's."""
     theirs = {"q1_rad": columns.get("q1_rad") or columns["q2_rad"], "tau1_nm": columns["tau2_nm"]}
     theirs |= {TIME: columns[TIME]} if TIME in columns else {}
-    joint = find_joint(apply_map(foreign, theirs), theirs)
+    joint = find_joint(apply_map(imported, theirs), theirs)
     theirs |= joint.columns
     reasons = {TIME: notes[TIME]} if TIME in notes else {}
     curves = {"tau1_nm: read, and as the motion makes it [N m]": joint.check}
-    return Guess(theirs, reasons | joint.notes, joint.warnings, joint.unexplained, apply_map(foreign, theirs), curves)
+    return Guess(theirs, reasons | joint.notes, joint.warnings, joint.unexplained, apply_map(imported, theirs), curves)
 
 
-def _by_name(foreign: Foreign) -> tuple[dict[str, Column], dict[str, str], list[Column]]:
+def _by_name(imported: ImportedFile) -> tuple[dict[str, Column], dict[str, str], list[Column]]:
     """Time, angles and torques, with the units that names state; others that are the knee's angle by their names."""
     columns, notes = {}, {}
     rivals: list[Column] = []
     kinds = {"q1_rad": ("q1", True), "q2_rad": ("q2", True), "tau2_nm": ("tau", True), "tau2_cmd_nm": ("tau", False)}
     for name, kind in kinds.items():
-        fitting = _fitting(foreign, *kind)
+        fitting = _fitting(imported, *kind)
         if fitting:
             theirs, *others = fitting
             unit = unit_in_name(theirs, name)
@@ -190,8 +191,8 @@ def _by_name(foreign: Foreign) -> tuple[dict[str, Column], dict[str, str], list[
                 rivals = [Column(name=other, unit=unit_in_name(other, name)) for other in others[:MOST_RIVALS]]
             elif others:
                 notes[name] += f" (as {', '.join(map(repr, others[:MOST_RIVALS]))} could be)"
-    if any(table.time_s is None for table in foreign.tables):
-        columns[TIME], notes[TIME] = _time(foreign)
+    if any(table.time_s is None for table in imported.tables):
+        columns[TIME], notes[TIME] = _time(imported)
     return columns, notes, rivals
 
 
@@ -199,20 +200,20 @@ def _kind(name: str) -> str:
     return next((kind for kind, pattern in PATTERNS.items() if re.search(pattern, name, re.IGNORECASE)), "")
 
 
-def _lacking(foreign: Foreign, what: str, words: Mapping[str, str]) -> InputError:
+def _lacking(imported: ImportedFile, what: str, words: Mapping[str, str]) -> InputError:
     """The error for a file without `what`; `words`: kind of signal -> how such columns are called.
 
     A column that is called so and cannot be used is named with the reason."""
-    useless = [f"{name!r} {why}" for name, why in foreign.left_out.items() if _kind(name) in words]
-    for name in foreign.names:
-        values = foreign.table_of(name).columns[name]
+    useless = [f"{name!r} {why}" for name, why in imported.left_out.items() if _kind(name) in words]
+    for name in imported.names:
+        values = imported.table_of(name).columns[name]
         if _kind(name) in words and not _changes(values):
             useless.append(f"{name!r} {'never changes' if np.isfinite(values).any() else 'is blank'}")
     if useless:
-        return InputError(foreign.name, f"lacks {what}: {', '.join(useless[:6])}",
-                          "mend those cells, or map another column by hand, see docs/exchange.md")
-    names = ", ".join(map(repr, foreign.names[:20]))
-    return InputError(foreign.name, f"lacks {what} by the names of its columns: {names}",
+        return InputError(imported.name, f"lacks {what}: {', '.join(useless[:6])}",
+                          "correct those cells, or map another column by hand: see docs/exchange.md")
+    names = ", ".join(map(repr, imported.names[:20]))
+    return InputError(imported.name, f"lacks {what} by the names of its columns: {names}",
                       f"name it by a word such as {'; '.join(words.values())}, or write the map by hand, see "
                       "docs/exchange.md")
 
@@ -222,35 +223,35 @@ def _changes(values: FloatArray) -> bool:
     return bool(known.size > 2 and np.ptp(known) > 0.0)
 
 
-def _fitting(foreign: Foreign, kind: str, measured: bool) -> list[str]:
+def _fitting(imported: ImportedFile, kind: str, measured: bool) -> list[str]:
     """The columns that may be of this kind by their names, the most likely first."""
     fitting: list[tuple[bool, bool, int, str]] = []
-    for name in foreign.names:
+    for name in imported.names:
         commanded = bool(re.search(NOT_MEASURED, name, re.IGNORECASE))
         if _kind(name) != kind or commanded == measured or re.match(TIME_NAMES, name, re.IGNORECASE):
             continue
         if kind in ("q1", "q2") and re.search(NOT_AN_ANGLE, name, re.IGNORECASE):
             continue
-        if _changes(foreign.table_of(name).columns[name]):
+        if _changes(imported.table_of(name).columns[name]):
             knee = bool(re.search("knee|knie|2", name, re.IGNORECASE))
             current = bool(re.search("current|strom|iq", name, re.IGNORECASE))
             fitting.append((knee, not current, -len(fitting), name))
     return [name for *_, name in sorted(fitting, reverse=True)]
 
 
-def _triad(foreign: Foreign, kind: str) -> list[str]:
+def _triad(imported: ImportedFile, kind: str) -> list[str]:
     """Columns of a sensor with up to three axes."""
-    names = [name for name in foreign.names if _kind(name) == kind and "bias" not in name.lower()
-             and np.isfinite(foreign.table_of(name).columns[name]).sum() > 2]
+    names = [name for name in imported.names if _kind(name) == kind and "bias" not in name.lower()
+             and np.isfinite(imported.table_of(name).columns[name]).sum() > 2]
     axes = [name for name in names if AXIS.search(name)]
     return (axes or names)[:3]
 
 
-def _time(foreign: Foreign) -> tuple[Column, str]:
+def _time(imported: ImportedFile) -> tuple[Column, str]:
     """The column that increases and is called so; its unit by its name, else by the step."""
-    useless = [f"{name!r} {why}" for name, why in foreign.left_out.items() if _called_time(name)]
-    for name in sorted(foreign.names, key=lambda n: not _called_time(n)):
-        values = foreign.table_of(name).columns[name]
+    useless = [f"{name!r} {why}" for name, why in imported.left_out.items() if _called_time(name)]
+    for name in sorted(imported.names, key=lambda n: not _called_time(n)):
+        values = imported.table_of(name).columns[name]
         known = np.flatnonzero(np.isfinite(values))
         steps = np.diff(values[known])
         if known.size < 0.99 * values.size or (steps >= 0).mean() <= 0.99 or np.median(steps) <= 0:
@@ -266,9 +267,9 @@ def _time(foreign: Foreign) -> tuple[Column, str]:
         if units and (_called_time(name) or step != 1.0):  # a count of rows has no unit
             return Column(name=name, unit=units[0]), f"it increases, in steps of {step:g} {units[0] or 's'}"
     if useless:
-        raise InputError(foreign.name, f"lacks a time: {', '.join(useless[:3])}",
+        raise InputError(imported.name, f"lacks a time: {', '.join(useless[:3])}",
                          "sort the rows by time, one row a sample, each with its time")
-    raise _lacking(foreign, "a time", {TIME: WORDS[TIME]})
+    raise _lacking(imported, "a time", {TIME: WORDS[TIME]})
 
 
 def _called_time(name: str) -> bool:

@@ -85,7 +85,7 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
         if torque.unit.lower() in ("a", "ma") or not torque.unit:
             warnings.append(f"the scale of tau{j + 1}_nm does not show: set scale to N m per {torque.unit or 'unit'} "
                             f"of {torque.name!r}" + ("" if torque.unit else " if it is not in N m at the joint"))
-    doubt = "" if sure else NOT_SURE
+    prefix = "" if sure else NOT_SURE
     found, notes = {}, {}
     for k in range(n):
         angle, before = columns[f"q{k + 1}_rad"], columns[f"q{max(k, 1)}_rad"]
@@ -94,12 +94,12 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
         less = "less the joint before, " if name != angle.name else ""
         found[f"q{k + 1}_rad"] = msgspec.structs.replace(angle, name=name, unit=unit, sign=1 if sign > 0 else -1)
         notes[f"q{k + 1}_rad"] = "NOT KNOWN: no unit and signs explain the torques" if unexplained else (
-            f"{doubt}in {unit or 'rad'}, sign {sign:+d}, {less}the equation of motion leaves {100 * first.left:.1f} % "
+            f"{prefix}in {unit or 'rad'}, sign {sign:+d}, {less}the equation of motion leaves {100 * first.left:.1f} % "
             f"of the torques (next best: {100 * second.left:.0f} %)")
     for j, sign in zip(driven, first.works):
         found[f"tau{j + 1}_nm"] = msgspec.structs.replace(columns[f"tau{j + 1}_nm"], sign=1 if sign > 0 else -1)
         notes[f"tau{j + 1}_nm"] = "NOT KNOWN: its sign does not show" if unexplained else (
-            f"{doubt}with sign {sign:+d} the inertia matrix is positive definite")
+            f"{prefix}with sign {sign:+d} the inertia matrix is positive definite")
     read = first.works[-1] * lowpass(filled(raw[f"tau{driven[-1] + 1}_nm"]), min(FAST_HZ, 0.2 * raw.rate_hz),
                                      raw.rate_hz)
     made = _regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1]] @ first.beta

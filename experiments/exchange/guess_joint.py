@@ -72,8 +72,8 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
         warnings.append(f"the scale of tau1_nm does not show: set scale to N m per {torque.unit or 'unit'} of "
                         f"{torque.name!r}" + ("" if torque.unit else " if it is not in N m at the joint"))
     known = not unexplained
-    doubt = "" if angle.unit or sure else NOT_SURE
-    notes = {"q1_rad": f"{doubt}one angle and one torque: a single joint; in {shown} its equation of motion leaves "
+    prefix = "" if angle.unit or sure else NOT_SURE
+    notes = {"q1_rad": f"{prefix}one angle and one torque: a single joint; in {shown} its equation of motion leaves "
                        f"{100 * left[unit]:.1f} % of the torque" if known else "NOT KNOWN: it does not fit the torque",
              "tau1_nm": f"with sign {works:+d} the inertia is positive" if known else
                         "NOT KNOWN: its sign does not show"}

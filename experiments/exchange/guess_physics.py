@@ -33,7 +33,7 @@ EXPLAINS = 0.5
 BRIDGED_S = 0.05
 """A longer gap is no straight line."""
 RING_S = 0.3
-"""So far beside such a gap filters still feel it."""
+"""Distance from such a gap within which it affects filters."""
 
 
 class Pose(NamedTuple):
@@ -200,10 +200,10 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
     notes = {"q2_rad": "NOT KNOWN: no unit and sign explains the torque",
              "tau2_nm": "NOT KNOWN: its sign does not show"}
     if known:
-        doubt = NOT_SURE if unsure else ""
-        notes = {"q2_rad": f"{doubt}in {unit}, sign {first.sign:+d}, the equation of motion leaves "
+        prefix = NOT_SURE if unsure else ""
+        notes = {"q2_rad": f"{prefix}in {unit}, sign {first.sign:+d}, the equation of motion leaves "
                            f"{100 * first.left:.1f} % of the torque (next best: {100 * second.left:.0f} %)",
-                 "tau2_nm": f"{doubt}with sign {first.works:+d} inertias are positive, and it does the knee's work"}
+                 "tau2_nm": f"{prefix}with sign {first.works:+d} inertias are positive, and it does the knee's work"}
     if torque.unit.lower() in ("a", "ma") or not torque.unit:
         warnings.append(f"the scale of tau2_nm cannot be seen: set scale to N m per {torque.unit or 'unit'} of "
                         f"{torque.name!r}" + ("" if torque.unit else " if it is not in N m at the joint"))
@@ -243,7 +243,7 @@ def _in_units(column: Column, values: FloatArray) -> dict[str, FloatArray]:
 
 
 def _near_gaps(gap: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
-    """(n,) True in and beside gaps that are too long for a straight line."""
+    """(n,) True in and next to gaps that are too long to interpolate linearly."""
     def reached(where: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
         reach = round(seconds * rate_hz)
         return np.convolve(where, np.ones(2 * reach + 1))[reach:reach + where.size] > 0.5

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from daq import FloatArray
-from experiments.exchange.foreign import as_floats
+from experiments.exchange.imported import as_floats
 
 LONGEST = 64
 """More columns than this are images and clouds, not signals."""

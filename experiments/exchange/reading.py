@@ -18,7 +18,7 @@ from experiments.exchange.can_log import SUFFIXES as CAN_LOGS
 from experiments.exchange.can_log import is_candump, read_can_log
 from experiments.exchange.column_map import ColumnMap, applies, apply_map, check_map, identity
 from experiments.exchange.delimited import read_delimited
-from experiments.exchange.foreign import Foreign
+from experiments.exchange.imported import ImportedFile
 from experiments.exchange.rosbag import read_bag
 
 NATIVE = "legid "
@@ -39,7 +39,7 @@ SOME_KINDS = (".mcap, .csv, .csv.gz, .txt, .tsv, .parquet, .mat, .npz, .npy, .h5
               "folder, or a CAN log (.log, .asc, .blf)")
 
 
-def read_foreign(path: Path | str) -> Foreign:
+def read_imported(path: Path | str) -> ImportedFile:
     """The samples of a file of any program, by its name's ending. Raises `InputError`."""
     path, name = Path(path), str(path).lower()
     if not path.exists():
@@ -88,15 +88,15 @@ def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Da
     csv = str(path).lower().endswith(SUFFIXES)
     if is_native(path) or (csv and not rig.columns):
         return _own(Path(path), rig, rate)
-    foreign = read_foreign(path)
+    imported = read_imported(path)
     columns = check_map(dict(rig.columns), "the rig file") if rig.columns else {}
-    if csv and not applies(foreign, columns):
+    if csv and not applies(imported, columns):
         return _own(Path(path), rig, rate)
-    run = mapped(foreign, columns, rate)
+    run = mapped(imported, columns, rate)
     lacking = missing(rig, ["time_s", *run.columns])
     if lacking is not None:
         raise InputError(str(path), f"gives no {lacking.column}",
-                         lacking.remedy if foreign.names == list(run.columns) else
+                         lacking.remedy if imported.names == list(run.columns) else
                          f"map a column to it by [columns.{lacking.column}] in the rig file, or by legid import")
     return run
 
@@ -111,26 +111,26 @@ def _own(path: Path, rig: Rig, rate_hz: float) -> Dataset:
     return align(read_run(path), rig, rate_hz)
 
 
-def mapped(foreign: Foreign, columns: ColumnMap, rate_hz: float | None) -> Dataset:
-    """`foreign` as a run by a map, or as what `legid export` wrote where the map does not speak of its columns."""
-    if columns and applies(foreign, columns):
-        return apply_map(foreign, columns, rate_hz)
-    own = {name: column for name, column in OWN_TOPICS.items() if column.name in foreign.names}
-    run = own_export(foreign, rate_hz) or apply_map(foreign, own or identity(foreign), rate_hz)
-    if own and CLOCK_BOUND in foreign.names:
-        return replace(run, clock_bound_s=float(foreign.table_of(CLOCK_BOUND).columns[CLOCK_BOUND][0]))
+def mapped(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None) -> Dataset:
+    """`imported` as a run by a map, or as what `legid export` wrote where the map does not speak of its columns."""
+    if columns and applies(imported, columns):
+        return apply_map(imported, columns, rate_hz)
+    own = {name: column for name, column in OWN_TOPICS.items() if column.name in imported.names}
+    run = own_export(imported, rate_hz) or apply_map(imported, own or identity(imported), rate_hz)
+    if own and CLOCK_BOUND in imported.names:
+        return replace(run, clock_bound_s=float(imported.table_of(CLOCK_BOUND).columns[CLOCK_BOUND][0]))
     return run
 
 
-def own_export(foreign: Foreign, rate_hz: float | None) -> Dataset | None:
+def own_export(imported: ImportedFile, rate_hz: float | None) -> Dataset | None:
     """The run that `legid export` wrote, to the bit; None where the file is not one, or the grid another."""
-    written = float(foreign.facts.get("rate_hz", "nan"))
-    if not np.isfinite(written) or "time_s" not in foreign.names or (rate_hz or written) != written:
+    written = float(imported.facts.get("rate_hz", "nan"))
+    if not np.isfinite(written) or "time_s" not in imported.names or (rate_hz or written) != written:
         return None
-    columns = dict(foreign.table_of("time_s").columns)
+    columns = dict(imported.table_of("time_s").columns)
     time_s = columns.pop("time_s")
-    return Dataset(foreign.facts.get("run", foreign.name), written, time_s, columns,
-                   float(foreign.facts.get("clock_bound_s", "0")))
+    return Dataset(imported.facts.get("run", imported.name), written, time_s, columns,
+                   float(imported.facts.get("clock_bound_s", "0")))
 
 
 def load_to_convert(path: Path | str, rig_path: Path | str | None, rate_hz: float | None) -> Dataset:
@@ -146,6 +146,6 @@ def load_to_convert(path: Path | str, rig_path: Path | str | None, rate_hz: floa
         raw = read_run(path)
         return align(raw, recorded_rig(raw), rate_hz)
     if not str(path).lower().endswith(SUFFIXES):
-        return mapped(read_foreign(path), {}, rate_hz)
+        return mapped(read_imported(path), {}, rate_hz)
     table = read_csv(path)
     return align_table(table, rate_hz or 1.0 / float(np.median(np.diff(table.time_s))))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from daq import InputError
-from experiments.exchange.foreign import Foreign, Table
+from experiments.exchange.imported import ImportedFile, Table
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 PARALLEL = ("position", "velocity", "effort")
@@ -24,7 +24,7 @@ LONGEST = 64
 """Arrays beyond this are images and clouds, not signals."""
 
 
-def read_bag(path: Path) -> Foreign:
+def read_bag(path: Path) -> ImportedFile:
     """One table a topic. `path` is a bag's folder, or its .mcap, .db3 or .bag file. Raises `InputError`."""
     try:
         from rosbags.highlevel import AnyReader
@@ -45,7 +45,7 @@ def read_bag(path: Path) -> Foreign:
     if not times:
         raise InputError(str(path), "holds no message", "record again")
     first = min(min(stamps) for stamps in times.values())
-    return Foreign(path.name, tuple(_table(rows[topic], times[topic], first) for topic in rows),
+    return ImportedFile(path.name, tuple(_table(rows[topic], times[topic], first) for topic in rows),
                    {"started_unix_ns": str(first)})
 
 

@@ -1,9 +1,9 @@
-"""What a torque plan tells about the parameters, and how that changes with the torque: for an optimiser.
+"""Fisher information of a torque plan about the parameters, and its gradient by the torque.
 
 F is the information of the default fit at the prior's own motion: the equation of motion at two Gauss points an
 interval, torque, encoders and gyro as in `trajectory_likelihood`, with one simplification:
 the accelerometer counts as a
-tilt sensor of sigma_a / g (its lever arm's share is small beside the gyro's). Latents are eliminated exactly,
+tilt sensor of sigma_a / g (its lever arm's share is small compared with the gyro's). Latents are eliminated exactly,
 
     F = min over Y of |J_beta - J_x Y|^2,
 
@@ -28,7 +28,7 @@ from estimator.likelihood import REST_SPREAD, TIGHT
 from estimator.model import Collocation, Mechanism, simulate
 
 SMOOTH_RADPS = 0.03
-"""Least velocity over which sign(qd) is rounded here: sharper ones make the optimiser's ground rough."""
+"""Least friction smoothing velocity here: smaller ones make the criterion rough for the optimiser."""
 STEP = 1e-6
 """Of the difference quotient, as a share of one radian or of the parameters."""
 
@@ -77,7 +77,7 @@ class PlanInformation:
         return other
 
     def move(self, torque: FloatArray, guess: Moved | None = None) -> Moved | None:
-        """The motion under torque (N,), each sample held to the next; None where it runs away."""
+        """The motion under torque (N,), zero-order hold; None where it diverges."""
         tau = np.zeros((torque.size, self.n))
         tau[:, self.driven] = torque
         rest = np.zeros(self.n)
@@ -110,16 +110,16 @@ class PlanInformation:
         diagonal[:, n + at, n + at] += self.v_weight
         diagonal[:, 2 * n + at, 2 * n + at] += self._torque_weight(moved.v)[0]
         right = np.zeros((count, b, p))
-        pulled = rows.swapaxes(1, 2) @ border
-        right[:-1] += pulled[:, :b]
-        right[1:] += pulled[:, b:]
+        at_ends = rows.swapaxes(1, 2) @ border
+        right[:-1] += at_ends[:, :b]
+        right[1:] += at_ends[:, b:]
         factor = cholesky_banded(_banded(diagonal, local[:, b:, :b]), lower=True, check_finite=False)
         y = cho_solve_banded((factor, True), right.reshape(-1, p), check_finite=False)
         corner = np.einsum("krp,krq->pq", border, border)
         information = corner - right.reshape(-1, p).T @ y
         ends = y.reshape(count, b, p)
-        left_over = border - rows @ np.concatenate([ends[:-1], ends[1:]], axis=1)
-        return Eliminated(0.5 * (information + information.T), ends, left_over, jac)
+        residual = border - rows @ np.concatenate([ends[:-1], ends[1:]], axis=1)
+        return Eliminated(0.5 * (information + information.T), ends, residual, jac)
 
     def _torque_weight(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """1 / variance of torque samples (N, n), and its derivative by v: a joint near rest holds any torque."""
@@ -134,15 +134,15 @@ class PlanInformation:
         n, count = self.n, len(moved.q)
         by_q, by_v = np.zeros((count, n)), np.zeros((count, n))
         y = np.einsum("kbp,pm->mkb", at.latents, weights)
-        r = np.einsum("krp,pm->mkr", at.left_over, weights) / np.repeat(TIGHT * self.torque_level, 2)
+        r = np.einsum("krp,pm->mkr", at.residual, weights) / np.repeat(TIGHT * self.torque_level, 2)
         slope = self._torque_weight(moved.v)[1]
         for m, w in enumerate(weights.T):
             along_q, along_v = y[m, :, :n], y[m, :, n : 2 * n]
             size = STEP / max(float(np.max(np.abs(y[m, :, : 2 * n]))), float(np.max(np.abs(w / self.beta))), 1e-300)
             for sign in (1.0, -1.0):
                 e = sign * size
-                pulled = self._pulled(moved.q - e * along_q, moved.v - e * along_v, self.beta + e * w, r[m])
-                part = sign * pulled / size  # twice the derivative: 2 / (2 size)
+                at_ends = self._carried_back(moved.q - e * along_q, moved.v - e * along_v, self.beta + e * w, r[m])
+                part = sign * at_ends / size  # twice the derivative: 2 / (2 size)
                 by_q[:-1] += part[:, 0]
                 by_v[:-1] += part[:, 1]
                 by_q[1:] += part[:, 2]
@@ -150,7 +150,7 @@ class PlanInformation:
             by_v += slope * y[m, :, 2 * n :] ** 2
         return by_q, by_v
 
-    def _pulled(self, q: FloatArray, v: FloatArray, beta: FloatArray, r: FloatArray) -> FloatArray:
+    def _carried_back(self, q: FloatArray, v: FloatArray, beta: FloatArray, r: FloatArray) -> FloatArray:
         """(K, 4, n): residuals r (K, 2 n) of the motion carried back to each interval's ends."""
         motion = self.collocation.motion(q, v, np.arange(len(q) - 1))
         slopes = self.collocation.terms(motion)[1]
@@ -186,7 +186,7 @@ class Eliminated:
     """(p, p)"""
     latents: FloatArray
     """(N, 3 n, p) Y: how q, v, u follow beta."""
-    left_over: FloatArray
+    residual: FloatArray
     """(N - 1, 2 n, p) the equation of motion's rows of J_beta - J_x Y."""
     jacobian: FloatArray
     """(n, 2, 4, n, N - 1) of the equation of motion, unscaled."""

@@ -1,4 +1,4 @@
-"""How large a torque may be: the prior model's motion against the rig's limits."""
+"""Largest torque of a plan: the prior model's motion against the rig's limits."""
 
 from __future__ import annotations
 
@@ -40,12 +40,13 @@ def peaks(moved: Moved) -> dict[str, float]:
             **{f"q{j + 1}_rad": float(np.abs(moved.q[:, j]).max()) for j in range(moved.q.shape[1])}}
 
 
-def neighbours(prior: PlanInformation, doubt: float) -> list[PlanInformation]:
-    """NEIGHBOURS priors whose parameters are all off by the share `doubt`, up or down as drawn, and still a body's."""
+def neighbours(prior: PlanInformation, model_error: float) -> list[PlanInformation]:
+    """NEIGHBOURS priors whose parameters are all off by the share `model_error`, up or down as drawn;
+    all are possible bodies."""
     rng, found = np.random.default_rng(0), []
     angles = np.linspace(-np.pi, np.pi, 25)[:, None] * np.eye(prior.n)[-1]
-    for _ in range(20 * NEIGHBOURS if doubt > 0 else 0):
-        beta = prior.beta * (1.0 + doubt * rng.choice((-1.0, 1.0), prior.beta.size))
+    for _ in range(20 * NEIGHBOURS if model_error > 0 else 0):
+        beta = prior.beta * (1.0 + model_error * rng.choice((-1.0, 1.0), prior.beta.size))
         if np.linalg.eigvalsh(prior.mechanism.inertia_matrix(angles, beta)).min() > 0:
             found.append(prior.with_beta(beta))
         if len(found) == NEIGHBOURS:

@@ -33,7 +33,7 @@ TAPER_S = 0.5
 """Torque comes and goes over this time: a step would shake the leg."""
 USUAL_NOISE = {"gyro_radps": 0.005, "accel_mps2": 0.05, "torque_nm": 0.02, "encoder_rad": 4e-4}
 """Where the prior model names no level."""
-DOUBT = 0.1
+MODEL_ERROR = 0.1
 """Share by which the prior's parameters may be off: models that far away must keep the limits too."""
 CRITERIA = {"d": 0.5, "worst": 0.95}
 """Share of the worst relative standard error in what is made small; the rest is the mean of all of them, both as
@@ -48,7 +48,7 @@ START_KNEE_HZ = 0.5
 START_SHARE = 0.5
 """Of its largest size: from there the optimiser has room."""
 FALLEN = 1e6
-"""What a plan counts whose motion runs away."""
+"""Criterion of a plan whose motion diverges."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Search:
-    """How a plan is looked for."""
+    """Settings of the search for a plan."""
 
     margin: float = 0.8
     """Share of each limit that is used."""
@@ -101,7 +101,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Design:
-    """The best plan found, beside the first draw: lines of equal amplitude and random phases."""
+    """The best plan found, and the first draw: lines of equal amplitude and random phases."""
 
     first: Candidate
     best: Candidate
@@ -132,9 +132,10 @@ def condition_number(information: FloatArray) -> float:
 class Bench:
     """A prior model on a rig: where plans are tried."""
 
-    def __init__(self, model: Model, rig: Rig, where: str, doubt: float = DOUBT) -> None:
-        """`where` names the model in errors; `doubt` see `DOUBT`. Raises `InputError` for a model of another rig, and
-        for a rig that no plan fits."""
+    def __init__(self, model: Model, rig: Rig, where: str, model_error: float = MODEL_ERROR) -> None:
+        """`where` names the model in errors; `model_error` see `MODEL_ERROR`.
+
+        Raises `InputError` for a model of another rig, and for a rig that no plan fits."""
         if (model.mechanism.model, model.mechanism.actuated) != (rig.mechanism.model, rig.mechanism.actuated):
             raise InputError(where, f"is of a {model.mechanism.model}, the rig is a {rig.mechanism.model} or drives "
                                     "other joints", "give a model of this rig")
@@ -152,7 +153,7 @@ class Bench:
         self._noise_hz = rig.sampling.rate_hz
         self._has_imu = model.mechanism.model == "leg2" and model.provenance.sensors == "imu"
         self.fine = self.prior(RATE_HZ)
-        self.others = neighbours(self.fine, doubt)
+        self.others = neighbours(self.fine, model_error)
 
     def prior(self, rate_hz: float) -> PlanInformation:
         """The information of plans sampled at this rate, of the fit that the rig's own rate would give."""
@@ -233,7 +234,7 @@ def _worth(candidate: Candidate, bench: Bench, search: Search) -> float:
 
 
 def merit(information: FloatArray, beta: FloatArray, share: float) -> tuple[float, FloatArray]:
-    """What is made small, and M (p, p) with d merit = -trace(M dF).
+    """Merit to be minimised, and M (p, p) with d merit = -trace(M dF).
 
     (1 - share) of the mean logarithm of the standard errors (in the sense of the determinant), `share` of the
     logarithm of the largest relative one, as a power mean. Raises LinAlgError where F is not positive definite.
@@ -293,7 +294,7 @@ def _bettered(bench: Bench, prior: PlanInformation, series: Series, start: Float
 
 
 def design_text(found: Design, limits: Limits) -> str:
-    """What was gained, what is predicted, and how near the limits it goes."""
+    """Gain, prediction, and distance from the limits, for a person."""
     ratio = found.best.std / found.first.std
     relative = found.best.std / np.abs(found.beta)
     worst_before = int(np.argmax(found.first.std / np.abs(found.beta)))

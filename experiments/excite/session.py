@@ -38,7 +38,7 @@ PARTS = ("fit", "screen", "fit", "confirm")
 
 @dataclass(frozen=True)
 class Choice:
-    """Which kinds take turns, and why."""
+    """Kinds of plans that alternate, and the reason."""
 
     kinds: tuple[PlanKind, ...]
     """TURN of them."""
@@ -197,7 +197,7 @@ def session_document(found: PlannedSession, rig: str, model: str, margin: float)
 
 
 def session_text(found: PlannedSession, folder: Path) -> str:
-    """What was chosen and why, the plans in order, and what all of them together are predicted to tell."""
+    """Choice with its reason, the plans in order, and their joint prediction, for a person."""
     lines = [*found.choice.reasons, *(f"by hand: {text}" for text in found.choice.by_hand), ""]
     for p in found.plans:
         peak = ", ".join(f"{name} {value:.3g}" for name, value in p.candidate.peaks.items())

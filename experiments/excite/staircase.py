@@ -15,7 +15,7 @@ RATE_HZ = 100.0
 def staircase(peak_nm: float, levels: int, ramp_s: float = RAMP_S, hold_s: float = HOLD_S) -> Plan:
     """Up and down in `levels` steps to `peak_nm` [N m] on both sides of zero, a smooth ramp and a hold each.
 
-    Slow ramps matter: a joint that swings through its rest stops where friction happens to hold it.
+    Slow ramps keep the joint from swinging past its rest, where friction would stop it at random.
     """
     up = np.linspace(0.0, peak_nm, levels + 1)
     side = np.concatenate([up, up[-2::-1]])

@@ -1,4 +1,4 @@
-"""Who may see the page: this machine, or whoever has the token. No page of another site may speak to it."""
+"""Access to the page: this machine, or whoever has the token. No page of another site may speak to it."""
 
 from __future__ import annotations
 

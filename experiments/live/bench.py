@@ -51,7 +51,7 @@ class Bench:
         return self._plans
 
     async def look_for_plans(self) -> None:
-        """Look anew, beside the event loop, which an emergency stop needs; not while something is recorded."""
+        """Look for plans again, off the event loop, which an emergency stop needs; not during a recording."""
         if not self.session.running:
             self._plans = await asyncio.to_thread(self._scan)
 
@@ -113,7 +113,7 @@ class Bench:
         return ""
 
     def why_not_record(self) -> str:
-        """Why no recording may start now; empty when one may. A fit goes on beside it, behind it in priority."""
+        """Why no recording may start now; empty when one may. A fit continues meanwhile at lower priority."""
         if self.session.latched:
             return "the emergency stop is pressed"
         if self.session.running:

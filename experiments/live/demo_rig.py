@@ -1,4 +1,4 @@
-"""An emulated rig beside the dashboard, in a process of its own that ends with it."""
+"""An emulated rig for the dashboard, in a separate process that ends with it."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class Job:
 
     @property
     def seconds(self) -> float:
-        """How long it has been running, or ran [s]."""
+        """Running time of the job [s]."""
         return (time.monotonic() - self._began_s) if self._took_s is None else self._took_s
 
     async def run(self) -> None:

@@ -15,7 +15,7 @@ from experiments.live import children
 
 
 class Quality(NamedTuple):
-    """Of one run."""
+    """Quality of one run."""
 
     sound: bool
     words: str
@@ -33,7 +33,7 @@ class _Document(Struct):
 
 
 async def look_at(path: Path) -> Quality:
-    """What `legid runs` says of it; a run of which nothing can be said is not sound."""
+    """Quality by `legid runs`; an unreadable run is not sound."""
     with TemporaryDirectory() as folder:
         out = Path(folder) / "runs.json"
         child = await children.start(["runs", str(path), "--json", str(out), "--quiet"], nice=True)

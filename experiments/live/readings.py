@@ -1,4 +1,4 @@
-"""What the page shows of a session, as text: `readings` makes the document that `page.js` puts into the page."""
+"""Text of the page for a session: `readings` makes the document that `page.js` puts into the page."""
 
 from __future__ import annotations
 

@@ -47,8 +47,10 @@ def serve(path: Path, rig: Rig, plans: Path, out: Path, host: str, port: int, wi
 
 
 def _hurry() -> None:
-    """This thread ahead of ordinary programs where that is granted, but behind a recorder, which stops the motor when
-    it hears nothing from here; what is started from here is ordinary again."""
+    """Raise this thread's priority, if permitted, above ordinary programs and below a recorder.
+
+    Processes started from here have ordinary priority again.
+    """
     with suppress(OSError, AttributeError):  # AttributeError: a system without these calls
         os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(1))
 

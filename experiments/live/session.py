@@ -30,7 +30,7 @@ LEAVE_S = 3.0
 
 
 class Phase(Enum):
-    """What the page says first."""
+    """First line of the page."""
 
     IDLE = "Idle"
     OPENING = "Opening devices"
@@ -59,7 +59,7 @@ class Session:
         self.rig, self.out = rig, out
         self.phase = Phase.IDLE
         self.words = READY
-        """One line beside the phase."""
+        """One line next to the phase."""
         self.motor = ""
         """What the recorder last knew of the motor; empty before any run."""
         self.unattended = False
@@ -97,7 +97,7 @@ class Session:
 
     @property
     def flaw(self) -> str:
-        """What the run that is on or was last has lost; empty when nothing."""
+        """Losses of the current or last run; empty without any."""
         s = self.status
         lost = [] if s is None else [f"{count} {what}" for count, what in (
             (s.imu_gaps, "gaps of the IMU"), (s.frames_lost, "frames of telemetry lost"),
@@ -231,7 +231,7 @@ class Session:
         ended = self._ended
         if ended is None:
             how = f"was killed by signal {-code}" if code < 0 else f"ended without a word: {said}"
-            ended = Ended("failed", f"the recorder {how}; legid recover mends its file",
+            ended = Ended("failed", f"the recorder {how}; repair its file with legid recover",
                           "the firmware's watchdog stops it; look at the leg before you go on")
         self.motor = ended.motor
         self.phase = Phase.EMERGENCY if self.latched else _ENDINGS[ended.kind]

@@ -17,7 +17,7 @@ def known_effects() -> dict[str, type[Effect]]:
         found = classes()
     except (ImportError, AttributeError, SyntaxError) as error:
         raise InputError(f"entry point group {ENTRY_POINT}", f"an installed effect does not load: {error}",
-                         "mend or uninstall the package that names it") from None
+                         "fix or uninstall the package that names it") from None
     known: dict[str, type[Effect]] = {}
     for kind in found:
         if not (isinstance(kind, type) and issubclass(kind, Effect)):

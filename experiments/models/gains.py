@@ -51,7 +51,7 @@ class Plant(NamedTuple):
 
 
 class Tolerances(NamedTuple):
-    """What the regulator weighs, and what is late."""
+    """Tolerances of the regulator, and its delays."""
 
     angle_rad: float = 0.05
     speed_radps: float = 1.0

@@ -1,4 +1,4 @@
-"""From [mechanism] and [terms] of a rig file to the estimator's mechanism."""
+"""The estimator's mechanism from [mechanism] and [terms] of a rig file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def mechanism_settings(rig: Rig, prismatic: bool = False) -> MechanismSettings:
 
 
 def fitted_settings(settings: MechanismSettings, mechanism: Mechanism) -> MechanismSettings:
-    """`settings` with the speeds over which a fit rounded friction's sign off."""
+    """`settings` with the friction smoothing velocities of a fit."""
     speeds = mechanism.velocity_scale
     if isinstance(speeds, tuple) and len(set(speeds)) == 1:
         speeds = speeds[0]

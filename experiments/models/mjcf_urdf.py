@@ -23,7 +23,7 @@ KINDS = ("mjcf", "urdf")
 
 @dataclass
 class Extras:
-    """What MJCF can hold of a model's effects, by joint from 1 where it is a joint's."""
+    """Parts of a model's effects that MJCF can represent, by joint from 1 where they belong to one."""
 
     springs: dict[int, tuple[float, float]] = field(default_factory=dict)
     """Stiffness [N m/rad] and the angle at which it rests [rad]."""

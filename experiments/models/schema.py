@@ -20,14 +20,14 @@ class _Part(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class ImuSettings(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where an IMU sits."""
+    """Place of an IMU."""
 
     link: Joint = 1
     lever_arm_m: NonNegative = 0.0
 
 
 class MechanismSettings(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What `build_mechanism` needs; joints count from 1."""
+    """Arguments of `build_mechanism`; joints count from 1."""
 
     model: str
     """Of `builders` of estimator.model."""
@@ -76,7 +76,7 @@ class EffectValue(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Provenance(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where the numbers come from."""
+    """Origin of the numbers."""
 
     runs: tuple[str, ...]
     method: str

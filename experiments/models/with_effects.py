@@ -24,7 +24,7 @@ from experiments.models.schema import EffectValue, Model
 
 
 def effects_fault(model: Model) -> str:
-    """What is wrong with the model's effects; empty when all is well."""
+    """Faults of the model's effects; empty without any."""
     if not model.effects:
         return ""
     known = known_effects()
@@ -89,7 +89,7 @@ def effect_value(effect: Effect, size: FloatArray) -> EffectValue:
 
 
 def widening_of(model: Model) -> list[float]:
-    """How many times as wide as by its standard deviation alone the 95 % interval of each parameter and size is."""
+    """Width of each 95 % interval of a parameter or size, over that by its standard deviation alone."""
     out = [1.0] * len(model.covariance)
     for k, (parameter, interval) in enumerate(zip(model.parameters, model.ci95)):
         variance = model.covariance[k][k]
@@ -112,7 +112,7 @@ def simulate_extended(model: Model, mechanism: Mechanism, time_s: FloatArray, to
                       ) -> FreeRun:
     """Motion from rest at q0 (n,) under the acting torque (N, n), and what all sensors would read.
 
-    Raises `WorkError` where the motion runs away.
+    Raises `WorkError` where the motion diverges.
     """
     rate = float((time_s.size - 1) / (time_s[-1] - time_s[0]))
     imus = len(mechanism.imus) if model.mechanism.has_imu else 0
@@ -127,5 +127,5 @@ def simulate_extended(model: Model, mechanism: Mechanism, time_s: FloatArray, to
                   np.zeros((parameters.size, parameters.size)))
     run = free_run(problem, state)
     if run is None:
-        raise WorkError("the simulated motion runs away; check the model's parameters and the plan's torque")
+        raise WorkError("the simulated motion diverges; check the model's parameters and the plan's torque")
     return run

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from daq import FloatArray
 
 MOST_SAMPLES = 6000
-"""Of one curve in a page: a minute at 100 Hz. Longer stretches end there, and their captions say so."""
+"""Of one curve in a page: a minute at 100 Hz. Longer segments end there, and their captions say so."""
 DIGITS = 5
 
 
@@ -31,7 +31,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Band:
-    """What lies between two curves (n,)."""
+    """Area between two curves (n,)."""
 
     label: str
     low: FloatArray

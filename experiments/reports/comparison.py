@@ -43,10 +43,10 @@ class ParameterPair:
 
 @dataclass(frozen=True)
 class HorizonError:
-    """Free-run rms errors of one sensor over one horizon; infinite where a model ran away."""
+    """Free-run rms errors of one sensor over one horizon; infinite where a model diverged."""
 
     horizon_s: float
-    """Infinite for whole stretches."""
+    """Infinite for whole segments."""
     column: str
     a: float
     b: float
@@ -79,7 +79,7 @@ class Comparison:
     table: PredictionTable
     """Of A and B"""
     runs: tuple[str, ...]
-    doubts: tuple[str, ...]
+    flags: tuple[str, ...]
     """What limits the answer: runs that were fitted, rigs that differ."""
     notes: tuple[str, ...] = ()
     """What limits the reading of z."""
@@ -88,11 +88,11 @@ class Comparison:
 
 
 def comparison_trust(found: Comparison) -> Trust:
-    """Who is better, in one line."""
+    """The better model, in one line."""
     total, files = len(found.errors), dict(zip(NAMES, found.files))
     wins = {name: [e for e in found.errors if e.better == name] for name in NAMES}
     wins = {name: some if len(some) > CHANCE * total else [] for name, some in wins.items()}
-    reasons = (*found.doubts, *found.notes)
+    reasons = (*found.flags, *found.notes)
     if found.errors and all(e.ci95 is None and not e.better for e in found.errors):
         smaller = sum(e.b < e.a for e in found.errors)
         return Trust("caution", "NOT DECIDED: these runs are too short for an interval, ten seconds are the least; the "
@@ -105,8 +105,8 @@ def comparison_trust(found: Comparison) -> Trust:
             best = min(wins[name], key=lambda e: _ratio(e) if name == "B" else -_ratio(e))
             told = f"{_ratio(best):.2g}" + (
                 "" if best.ci95 is None else f" [{best.ci95[0]:.2g}, {best.ci95[1]:.2g}]") if math.isfinite(
-                    _ratio(best)) else "one of them ran away"
-            return Trust("caution" if found.doubts else "good",
+                    _ratio(best)) else "one of them diverged"
+            return Trust("caution" if found.flags else "good",
                          f"{name} IS BETTER ({files[name]}): at {len(wins[name])} of {total} sensors and horizons, and "
                          f"the other at no more than chance gives; most at {_place(best)}, rms error of B over that of "
                          f"A {told}.", reasons)
@@ -150,7 +150,7 @@ def _cells(side: Estimate | None) -> tuple[str, str]:
 def error_rows(found: Comparison) -> list[list[str]]:
     """One row of ERROR_HEADER a horizon and sensor."""
     def rms(value: float) -> str:
-        return "ran away" if math.isinf(value) else f"{value:.4g}"
+        return "diverged" if math.isinf(value) else f"{value:.4g}"
 
     return [[horizon_text(e.horizon_s), e.column, rms(e.a), rms(e.b),
              f"{e.b / e.a:.3f}" if math.isfinite(e.a + e.b) and e.a > 0.0 else "",
@@ -158,7 +158,7 @@ def error_rows(found: Comparison) -> list[list[str]]:
 
 
 def comparison_text(found: Comparison) -> str:
-    """What a person reads after `legid compare`."""
+    """Text after `legid compare`."""
     trust = comparison_trust(found)
     return "\n".join([
         trust.sentence, *trust.reasons, "", *(f"{name}: {file}" for name, file in zip(NAMES, found.files)), "",
@@ -167,7 +167,7 @@ def comparison_text(found: Comparison) -> str:
 
 
 def comparison_document(found: Comparison) -> dict[str, Any]:
-    """`legid.comparison/1`; a horizon of null is a whole stretch, an error of null ran away."""
+    """`legid.comparison/1`; a horizon of null is a whole segment, an error of null diverged."""
     def side(one: Estimate | None) -> dict[str, Any] | None:
         return None if one is None else {"value": one.value, "std": one.std, "ci95": [one.low, one.high]}
 

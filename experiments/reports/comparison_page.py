@@ -59,7 +59,7 @@ def _traces(found: Comparison) -> list[Section]:
             picture_lines(first.time_s, [Line(f"{name} less measured", values - measured, colour)
                                          for name, values, colour in known],
                           f"error of {axis_label(column)}", f"{column}: the errors.", FIGURE_SECONDS)] if known else []
-    return [Section(f"Run {first.run}", ["Whole stretches, from the first state."], (), pictures)] if pictures else []
+    return [Section(f"Run {first.run}", ["Whole segments, from the first state."], (), pictures)] if pictures else []
 
 
 def ratio_plot(errors: Sequence[HorizonError]) -> str:

@@ -1,4 +1,4 @@
-"""What a diagnosis draws: error bars, signatures, traces, the heat map of separability, shifts of parameters."""
+"""Figures of a diagnosis: error bars, signatures, traces, the heat map of separability, shifts of parameters."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MOST_SHARE = 3.0
 """Of the nominal model's error, that a bar of the budget shows."""
 TRACE_SECONDS = 12.0
 CROWDED = 0.15
-"""Share of the range within which half of all bins must lie for an axis to be stretched about zero."""
+"""Share of the range within which half of all bins must lie for an axis to be scaled about zero."""
 Limits = tuple[float, float]
 
 
@@ -67,10 +67,10 @@ def error_bars(sensors: Mapping[str, SensorGain]) -> str:
 
 
 def waterfall(budget: Sequence[BudgetRow]) -> str:
-    """From the nominal model's error to what is left: each part where the one above it ends, with its interval."""
+    """Bars from the nominal model's error to the residual: each part where the one above it ends, with its interval."""
     parts = [row for row in budget if row.what != "noise"]
     noise = sum(row.share for row in budget if row.what == "noise")
-    names = {"nominal": "nominal model", "remainder": "left over"}
+    names = {"nominal": "nominal model", "remainder": "residual"}
     colours = {"nominal": BLUE, "cause": GREEN, "remainder": ORANGE}
 
     def paint(axes: Axes) -> None:
@@ -117,7 +117,7 @@ def signature_limits(signatures: Sequence[Signature]) -> dict[tuple[str, str], t
 
 
 def signature_plot(s: Signature, limits: tuple[Limits, Limits]) -> str:
-    """What is left over against the effect's natural variable, the extension's curve over it, and what it leaves."""
+    """Residuals of the nominal and the extended model over the effect's natural variable, and the effect's curve."""
     def paint(axes: Axes) -> None:
         axes.axhline(0.0, color=INK, linewidth=0.6)
         axes.errorbar(s.x, s.before, s.before_error, fmt="o", color=BLUE, markersize=4.0, linewidth=1.0,

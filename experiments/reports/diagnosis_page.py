@@ -60,21 +60,23 @@ ALPHA = 0.01
 def write_diagnosis(path: Path | str, found: Diagnosis, model: str, origin: Origin | None = None,
                     runs: Sequence[Dataset] = (), mechanism: Mechanism | None = None,
                     warnings: Sequence[str] = ()) -> None:
-    """Write the page, with the files that it was made from and what its parameters mean, where they are known. Raises
-    `InputError` where that place cannot be written."""
+    """Write the page, with its source files and the meaning of its parameters, where they are known.
+
+    Raises `InputError` where `path` cannot be written.
+    """
     write_page(path, f"Diagnosis of {model}: {verdict_words(found.verdict)}", confirm_words(found),
                [*diagnosis_sections(found, mechanism), *([origin_section(origin, runs)] if origin else [])], origin,
                verdict_box(found, warnings))
 
 
 def confirm_words(found: Diagnosis) -> str:
-    """What the answer rests on."""
+    """Runs that the verdict depends on."""
     used = sum(len(names) for names in found.runs.values())
     if not found.confirm_runs:
         return f"From {used} runs." if used else ""
-    turns = " These left it open; then each was kept back in its turn." if found.rotations else ""
-    kept = ", ".join(found.confirm_runs)
-    return f"From {used} runs, {len(found.confirm_runs)} of which chose nothing: {kept}.{turns}"
+    turns = " These were inconclusive, so every run was held out once." if found.rotations else ""
+    held_out = ", ".join(found.confirm_runs)
+    return f"From {used} runs, {len(found.confirm_runs)} of them held out: {held_out}.{turns}"
 
 
 LEVELS: dict[Verdict, Level] = {"none": "good", "named": "good", "partial": "caution", "one_of": "caution",
@@ -133,16 +135,16 @@ def _budget(found: Diagnosis) -> Section:
     tables = [Table(BUDGET_HEADER, budget_rows(found), right=frozenset({1, 2}))]
     if small:
         tables.append(Table(["effect", "size", "value", "95 % interval", "unit"], small,
-                            "present, below what matters", frozenset({2, 3})))
+                            "present, not material", frozenset({2, 3})))
     left = found.remainder
-    where = [] if left is None else [f"What is left shows most in {left.channel}, as a function of {left.depends_on}."]
+    where = [] if left is None else [f"The residual is largest in {left.channel}, as a function of {left.depends_on}."]
     turns = []
     if found.rotations:
         turns.append(rotation_words(found))
-        tables.append(Table(ROTATION_HEADER, rotation_rows(found), "every run kept back in its turn", frozenset({2})))
+        tables.append(Table(ROTATION_HEADER, rotation_rows(found), "every run held out once", frozenset({2})))
     return Section("What the error consists of", [budget_words(found), *turns, *where], tables,
                    [Picture(waterfall(found.budget), "Mean squared free-run error beyond noise alone, from the nominal "
-                            "model to the extended one: what each cause takes away, and what is left.")])
+                            "model to the extended one: the reduction by each cause, and the residual.")])
 
 
 def _about(cause: Cause) -> str:
@@ -158,17 +160,17 @@ def _errors(found: Diagnosis) -> Section:
         return Section("How far the simulation is off")
     rows = error_rows(found.sensors)
     before, after = found.torque_rms_nm
-    rows += [[f"torque left over, joint {j + 1} [N m]", f"{b:.4g}", f"{a:.4g}", ""]
+    rows += [[f"torque residual, joint {j + 1} [N m]", f"{b:.4g}", f"{a:.4g}", ""]
              for j, (b, a) in enumerate(zip(before, after))]
     tables = [Table(ERROR_HEADER, rows, "rms errors, in the unit of the sensor", frozenset({1, 2, 3})),
               *short_tables(found.short)]
     return Section(
         "How far the simulation is off",
-        [f"Free-run simulation of {', '.join(found.confirm_runs)}: started once, then driven by the measured torque "
-         "alone. Nothing was fitted to or chosen by these runs. " + gap_text(found)],
+        [f"Free-run simulation of {', '.join(found.confirm_runs)}: one initial state, then the measured torque alone. "
+         "These runs were not used to fit or to choose. " + gap_text(found)],
         tables,
-        [Picture(error_bars(found.sensors), "Free-run error by sensor; the numbers are in the sensor's own unit. What "
-                 "noise alone leaves is measured on rehearsals: records that the extended model itself would give.")])
+        [Picture(error_bars(found.sensors), "Free-run error by sensor, in the sensor's own unit. The error of noise "
+                 "alone is measured on bootstrap replicates: records simulated by the extended model.")])
 
 
 def short_tables(short: ShortRuns | None) -> list[Table]:
@@ -190,10 +192,10 @@ def _candidates(found: Diagnosis) -> Section:
             for c in found.candidates]
     return Section(
         "Candidates",
-        ["Every effect of the library, scored by itself beside the nominal model, whose parameters are free to absorb "
-         "what they can. A cause makes others score as well: that is why the best are fitted in full before anything "
-         "is named. The score is like a number of standard deviations; the gain is twice the log likelihood, over the "
-         "scatter between runs; p counts all that was tried."],
+        ["Every effect of the library, scored individually; the nominal parameters may absorb part of it. "
+         "One cause raises the scores of similar effects. So the best are fitted in full before one is named. "
+         "The score counts standard deviations. The gain is twice the log likelihood, divided by the scatter between "
+         "runs. p is corrected for the number of effects tried."],
         [Table(header, rows, right=frozenset({1, 2, 3, 4, 5}))])
 
 
@@ -218,10 +220,9 @@ def _neighbours(found: Diagnosis, least: float = 0.7) -> dict[tuple[str, int | N
 def _signatures(found: Diagnosis) -> Section:
     limits = signature_limits(found.signatures)
     pictures = [Picture(signature_plot(s, limits[s.x_label, s.y_label]),
-                        f"{key_label(s.title)}: what the nominal model leaves over (mean of each bin and its standard "
-                        "error), what the effect adds, and what the extended model leaves. The nominal parameters take "
-                        "on what they can of an effect: what they leave need not run along its curve, and may run "
-                        "against it.")
+                        f"{key_label(s.title)}: residual of the nominal model (mean and standard error of each bin), "
+                        "the effect's law, and the residual of the extended model. The nominal parameters absorb part "
+                        "of an effect, so their residual need not follow its curve.")
                 for s in found.signatures]
     return Section("Signature", (), (), pictures)
 
@@ -243,9 +244,8 @@ def _separability(found: Diagnosis) -> Section:
     if len(keys) < 2:
         return Section("What can be told apart")
     picture = Picture(heat_map([key_label(key) for key in keys], cosines),
-                      "Cosine between what two effects would change in these runs once the nominal parameters have "
-                      "taken their share. Near 1 or -1 these runs cannot tell the two apart; columns are numbered as "
-                      "rows are.")
+                      "Cosine between the changes that two effects make in these runs, projected off the nominal "
+                      "parameters. Near 1 or -1 these runs cannot tell the two apart. Columns are numbered like rows.")
     return Section("What can be told apart", (), (), [picture])
 
 
@@ -272,7 +272,7 @@ def _parameters(found: Diagnosis, mechanism: Mechanism | None) -> Section:
     header += ["extended", "95 % interval", "shift / std"]
     return Section(
         "What the extension does to the parameters",
-        ["What the nominal model leaves out, its parameters take on as far as they can: they are off by this much."],
+        ["The nominal parameters absorb part of the missing effects. These shifts are their bias."],
         [Table([*header, *told], rows, right=frozenset({1, 2, 3, 4, 5}))],
         [Picture(shift_plot(nominal, extended), "Parameters of the extended model against those of the nominal one.")])
 
@@ -297,8 +297,8 @@ def _ruled_out(found: Diagnosis) -> Section:
     rows = [[labels[c.effect, c.joint], detectable_text(c), c.unit] for c in gone]
     return Section(
         "Ruled out",
-        ["None of these shows beside the nominal model, down to the size given: smaller ones these runs would not "
-         "show. Where it says none, the nominal parameters imitate the effect, and these runs say nothing of it."],
+        ["None of these is detected at or above the size given. These runs would not show smaller sizes. "
+         "None: the nominal parameters imitate the effect, so these runs cannot test it."],
         [Table(["effect", "smallest detectable", "unit"], rows, right=frozenset({1}))])
 
 
@@ -308,6 +308,6 @@ def _untestable(found: Diagnosis) -> Section:
 
 
 def _runs(found: Diagnosis) -> Section:
-    uses = {"fit": "fitted", "screen": "fitted, and used to choose", "confirm": "opened once, at the end"}
+    uses = {"fit": "fitted", "screen": "fitted, and used to choose", "confirm": "held out, opened once at the end"}
     rows = [[uses[group], ", ".join(names)] for group, names in found.runs.items() if names]
     return Section("Runs", (), [Table(["use", "runs"], rows)] if rows else ())

@@ -21,7 +21,7 @@ def effect_label(effect: str, joint: int | None) -> str:
 
 
 def key_label(key: str) -> str:
-    """The same from the estimator's key; a term without a name keeps its own words."""
+    """The same from the estimator's key; a generic term keeps its own words."""
     return effect_label(*split_key(key)) if key.partition("@")[2].isdecimal() else key
 
 
@@ -86,9 +86,9 @@ def share_text(sensors: Mapping[str, SensorGain], closed: float | None, ci95: tu
     if ci95 is not None:
         low, high = ((before - _left(c, before)) / (before - 1.0) for c in ci95)
         interval = f" (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
-    return (f"The extension closes {100 * (before - after) / (before - 1.0):.0f} % of the gap between the nominal "
-            f"model's rms error and what noise alone would leave{interval}: over all sensors, from {before:.3g} times "
-            f"noise alone to {after:.2g} times.")
+    return (f"The extension closes {100 * (before - after) / (before - 1.0):.0f} % of the gap between the nominal rms "
+            f"error and that of noise alone{interval}: over all sensors from {before:.3g} to {after:.2g} times noise "
+            "alone.")
 
 
 def _over_noise(sensors: Mapping[str, SensorGain]) -> float:
@@ -103,32 +103,31 @@ def _left(closed: float, before: float) -> float:
 
 
 def short_title(short: ShortRuns) -> str:
-    """What was simulated in pieces, and why."""
-    return (f"rms errors in pieces of {short.horizon_s:g} s, each from the motion fitted there, in which noise adds up "
-            "to less")
+    """Title of the errors over pieces."""
+    return f"rms errors over pieces of {short.horizon_s:g} s, in which noise adds up to less"
 
 
 BUDGET_HEADER = ["part of the simulation's error", "share", "95 % interval"]
 
 
 def budget_words(found: Diagnosis) -> str:
-    """What the budget's shares are of, and by how much the error fell."""
-    where = "all runs, each out of the fit that it judges" if found.rotations else "runs that chose nothing"
-    words = f"Where the free runs' mean squared error beyond noise alone comes from, on {where}"
+    """Meaning of the budget's shares, and the reduction of the error."""
+    where = "all runs, each held out once" if found.rotations else "the held-out runs"
+    words = f"Contributions to the mean squared free-run error beyond noise alone, on {where}"
     if found.error is None:
         return f"{words}:"
-    return (f"{words} (rms error {found.error[0]:.2f} times what noise alone leaves, {found.error[1]:.2f} with what "
-            "was found):")
+    return (f"{words} (rms error {found.error[0]:.2f} times that of noise alone, {found.error[1]:.2f} with the causes "
+            "found):")
 
 
-ROTATION_HEADER = ["runs kept back", "size, fitted to the others", "value", "error falls"]
+ROTATION_HEADER = ["held-out runs", "size, fitted to the others", "value", "error falls"]
 
 
 def rotation_words(found: Diagnosis) -> str:
-    """Why every run was kept back in its turn, and in how many turns the error falls."""
-    return (f"The runs kept back left open whether the error falls by {100 * found.material:.0f} %, so every run was "
-            f"kept back in its turn: it falls so in {sum(r.falls for r in found.rotations)} of {len(found.rotations)} "
-            "turns.")
+    """Why the split was rotated, and in how many rotations the error falls."""
+    return (f"The held-out runs do not show whether the error falls by {100 * found.material:.0f} %. So the split was "
+            f"rotated until every run was held out once. The error falls in {sum(r.falls for r in found.rotations)} of "
+            f"{len(found.rotations)} rotations.")
 
 
 def rotation_rows(found: Diagnosis) -> list[list[str]]:
@@ -138,21 +137,21 @@ def rotation_rows(found: Diagnosis) -> list[list[str]]:
 
 
 def budget_rows(found: Diagnosis) -> list[list[str]]:
-    """One row of BUDGET_HEADER a part; the nominal model's whole error is what the shares are of."""
-    names = {"remainder": "left over", "noise": "noise alone, for comparison"}
+    """One row of BUDGET_HEADER for each part, as a share of the nominal model's error."""
+    names = {"remainder": "residual", "noise": "noise alone, for comparison"}
     return [[names.get(row.what) or effect_label(row.effect or "", row.joint), f"{100 * row.share:.1f} %",
              f"{100 * row.ci95[0]:.1f} to {100 * row.ci95[1]:.1f} %"] for row in found.budget if row.what != "nominal"]
 
 
 def causes_title(found: Diagnosis) -> str:
-    """What the list of causes is; without any there are only warnings."""
+    """Title of the list of causes; without any there are only warnings."""
     if not found.causes:
         return "Warnings"
     return {"one_of": "One of these", "unexplained": "The closest, not sufficient"}.get(found.verdict, "Causes")
 
 
 def diagnosis_text(found: Diagnosis) -> str:
-    """What a person reads after `legid diagnose`: the verdict first."""
+    """Text after `legid diagnose`: the verdict first."""
     blocks = [found.sentence]
     if found.budget:
         blocks.append(f"{budget_words(found)}\n" + text_table(BUDGET_HEADER, budget_rows(found), {1, 2}))
@@ -164,11 +163,11 @@ def diagnosis_text(found: Diagnosis) -> str:
             ["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}))
     if found.immaterial:
         rows = [row for cause in found.immaterial for row in size_rows(cause)]
-        blocks.append("Present, below what matters:\n" + text_table(
+        blocks.append("Present, not material:\n" + text_table(
             ["effect", "size", "value", "95 % interval", "unit"], rows, {2, 3}))
     if found.sensors:
         blocks.append("\n".join([
-            f"Free-run error (rms) on {', '.join(found.confirm_runs)}, which chose nothing:",
+            f"Free-run error (rms) on the held-out runs {', '.join(found.confirm_runs)}:",
             text_table(ERROR_HEADER, error_rows(found.sensors), {1, 2, 3}), gap_text(found)]).rstrip())
     if found.short is not None:
         blocks.append("\n".join([
@@ -192,6 +191,5 @@ def diagnosis_text(found: Diagnosis) -> str:
 def _candidates(found: Diagnosis) -> str:
     chosen = {(cause.effect, cause.joint) for cause in found.causes}
     others = [c for c in found.candidates if (c.effect, c.joint) not in chosen][:RUNNERS_UP]
-    title = "Runners-up, as scored one by one beside the nominal model:" if chosen else \
-        "The nearest of the library, as scored beside the nominal model:"
+    title = "Next best effects, scored individually:" if chosen else "Best effects of the library, scored individually:"
     return f"{title}\n" + text_table(CANDIDATE_HEADER, [candidate_row(c) for c in others], {1, 2, 3, 4})

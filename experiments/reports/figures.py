@@ -24,7 +24,7 @@ INK, GRID = "#010203", "#040506"
 BLUE, ORANGE, GREEN, GREY = "#3d85c6", "#e06c1f", "#2f9e62", "#8a8f98"
 WIDTH_IN, HEIGHT_IN = 4.6, 2.4
 """So narrow that its letters can be read across a phone."""
-LETTERS, BESIDE = 54, 5
+LETTERS, MARK = 54, 5
 """What fits into one line of a legend, and what an entry's mark takes of it."""
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 10.0, "axes.edgecolor": INK,
@@ -98,7 +98,7 @@ def finish(axes: Axes, entries: int, x_label: str, y_label: str) -> None:
     """Labels, and a legend of so many entries above the axes."""
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
-    letters = sum(len(label) + BESIDE for label in axes.get_legend_handles_labels()[1])
+    letters = sum(len(label) + MARK for label in axes.get_legend_handles_labels()[1])
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False, fontsize=9.0,
                 ncols=entries if entries < 4 and letters <= LETTERS else 2, borderaxespad=0.2, handlelength=1.3,
                 handletextpad=0.5, columnspacing=1.1)
@@ -132,5 +132,5 @@ def standalone(svg: str) -> str:
 
 
 def window(time_s: FloatArray, seconds: float) -> slice:
-    """The first `seconds` of a stretch: what a figure can show without becoming a smear."""
+    """The first `seconds` of a segment: what a figure can show without becoming a smear."""
     return slice(0, int(np.searchsorted(time_s, time_s[0] + seconds, side="right")))

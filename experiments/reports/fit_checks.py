@@ -1,4 +1,4 @@
-"""What a fit's own residuals, intervals and physics say of it, as findings.
+"""Findings about a fit from its own residuals, intervals and physics.
 
 The thresholds stand here and in docs/trust.md, which says what they were held against.
 """
@@ -27,7 +27,7 @@ PRECISE = 0.1
 
 
 def check_fit(result: FitResult) -> list[Finding]:
-    """Findings beside those in `result`: faults alone where there are any, else doubts and facts."""
+    """Findings in addition to those in `result`: faults alone if there are any, else suspect results and facts."""
     names = {p.name for p in result.mechanism.parameters} - set(result.fixed)
     if not result.converged:
         return [Finding("fault", "not_converged", "the fit did not converge")]
@@ -38,20 +38,20 @@ def check_fit(result: FitResult) -> list[Finding]:
     impossible = _impossible(result)
     if impossible:
         return [Finding("fault", "impossible", text) for text in impossible]
-    return [*_doubts(result), *_facts(result)]
+    return [*_findings(result), *_facts(result)]
 
 
-def _doubts(result: FitResult) -> list[Finding]:
+def _findings(result: FitResult) -> list[Finding]:
     """Reasons not to trust the parameters."""
     apart = disagreement(result)
     found = [] if apart is None else [Finding("doubt", "estimators_disagree", apart)]
     if result.method in ("mle", "shooting"):
         allowed = f"; the intervals allow for what {units(result)} disagree about" if _disputes(result) else \
             "" if result.method == "shooting" else " and the intervals are too narrow"
-        found += [Finding("doubt", "torque_residual", f"the torque left over at joint {j} has structure (correlation "
-                          f"{r:.2f}, {STRUCTURE:g} allowed), so something is missing in the model{allowed}: see legid "
-                          "diagnose") for j, r in _structure(result).items() if r > STRUCTURE]
-        found += _sensor_doubts(result)
+        found += [Finding("doubt", "torque_residual", f"the torque residual of joint {j} is autocorrelated ({r:.2f}; "
+                          f"limit {STRUCTURE:g}): the model is missing something{allowed}. Run legid diagnose")
+                  for j, r in _structure(result).items() if r > STRUCTURE]
+        found += _sensor_findings(result)
         found += _repeating_torques(result)
     found += [Finding("doubt", "prior", text) for text in contradictions_of(result)]
     if result.undetermined:
@@ -68,11 +68,11 @@ def _facts(result: FitResult) -> list[Finding]:
             *([Finding("fact", "runs_disagree", f"{units(result).capitalize()} disagree about {disputes}: the next run "
                        "may differ as much")]
               if disputes else []),
-            *([Finding("fact", "loose", f"Known loosely: {', '.join(loose)}")] if loose else []),
-            Finding("fact", "not_shown", "What no residual shows: a wrong scale of a sensor passes for other "
-                    "parameters. Calibrate"),
-            Finding("fact", "not_shown", "How far a simulation follows the leg is not known until legid validate has "
-                    "tried it on other runs")]
+            *([Finding("fact", "loose", f"Wide intervals: {', '.join(loose)}")] if loose else []),
+            Finding("fact", "not_shown", "No residual shows a wrong sensor scale: it changes the parameters instead. "
+                    "Calibrate the sensors"),
+            Finding("fact", "not_shown", "The accuracy of a simulation is not known yet. Run legid validate on other "
+                    "runs")]
 
 
 def _impossible(result: FitResult) -> list[str]:
@@ -97,7 +97,7 @@ def _structure(result: FitResult) -> dict[int, float]:
             for j in result.mechanism.actuated if (name := f"torque {j + 1}") in found}
 
 
-def _sensor_doubts(result: FitResult) -> list[Finding]:
+def _sensor_findings(result: FitResult) -> list[Finding]:
     """What passive joints and the sensors' own residuals say against a fit.
 
     Nothing drives a passive joint, and no torque sensor's noise is in its equation: an error beyond that noise is the
@@ -106,15 +106,15 @@ def _sensor_doubts(result: FitResult) -> list[Finding]:
     found: list[Finding] = []
     passive, driven = result.noise.get("passive_joint_nm", 0.0), result.noise.get("torque_nm", 0.0)
     if passive > driven > 0.0:
-        found.append(Finding("doubt", "passive_joint", f"the equation of a joint that nothing drives is off by "
-                             f"{passive:.2g} N m, more than the driven one's torque by noise ({driven:.2g}), so the "
-                             "model or a sensor is wrong: see legid diagnose"))
+        found.append(Finding("doubt", "passive_joint", "the torque residual of a joint without a motor is "
+                             f"{passive:.2g} N m, above the torque noise of the driven joint ({driven:.2g} N m): the "
+                             "model or a sensor is wrong. Run legid diagnose"))
     for name, residuals in residuals_of(result).items():
         if not name.startswith("torque"):
             far = float(np.max(np.abs(autocorrelation(name, residuals).values[NEIGHBOURS:])))
             if far > STRONG:
-                found.append(Finding("doubt", "sensor_residual", f"what is left over of {name} has structure "
-                                     f"(correlation {far:.2f}, {STRONG:g} allowed): see legid diagnose"))
+                found.append(Finding("doubt", "sensor_residual", f"the residual of {name} is autocorrelated "
+                                     f"({far:.2f}; limit {STRONG:g}). Run legid diagnose"))
     return found
 
 
@@ -137,8 +137,7 @@ def _repeating_torques(result: FitResult) -> list[Finding]:
         size = float(np.sqrt(share * np.mean(e[:, j] ** 2)))
         if share > REPEATED and size > noise:
             found.append(Finding("doubt", "repeating_torque", f"an unmeasured torque of {size:.2g} N m (rms) at joint "
-                                 f"{j + 1} repeats as a function of the state, so a law is missing in the model: see "
-                                 "legid diagnose"))
+                                 f"{j + 1} is a function of the state: the model lacks a term. Run legid diagnose"))
     return found
 
 

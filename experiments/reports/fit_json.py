@@ -105,7 +105,7 @@ def model_of(result: FitResult, settings: MechanismSettings, hold: str, runs: Se
 
 
 def noise_document(noise: Mapping[str, float]) -> dict[str, float | list[float]]:
-    """Levels by channel; those of single axes and joints in lists beside the one that stands for all of them."""
+    """Noise levels by channel; levels of single axes and joints are lists, in addition to the common level."""
     found: dict[str, float | list[float]] = {}
     for name, level in noise.items():
         channel = next((whole for one, whole in LISTED if one.fullmatch(name)), None)

@@ -138,8 +138,8 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
         unknown = open_torque(result, path, j)
         told = [*(line.values for line in lines), np.where(unknown, np.nan, path.tau[:, j])]
         if unknown.any():
-            beside = np.convolve(unknown, np.ones(3), mode="same") > 0.0  # so that the two curves meet
-            lines.append(Line("model near rest, not known", np.where(beside, path.tau[:, j], np.nan), FAINT, 0.6))
+            widened = np.convolve(unknown, np.ones(3), mode="same") > 0.0  # so that the two curves meet
+            lines.append(Line("model near rest, not known", np.where(widened, path.tau[:, j], np.nan), FAINT, 0.6))
         lines.append(Line(f"model ({result.method})", told[-1], ORANGE, 0.9))
         if not driven:
             lines.append(Line("zero", np.zeros_like(path.time_s), GREY, 1.0, dashed=True))
@@ -195,7 +195,7 @@ def _excerpt(path: Trajectory, part: slice) -> str:
 
 
 def _residuals(result: FitResult) -> list[Section]:
-    """MATLAB's `resid`: is what is left over white, and independent of the input?"""
+    """MATLAB's `resid`: is the residual white and independent of the input?"""
     auto, cross = residual_tests(result)
     if not auto:
         return []

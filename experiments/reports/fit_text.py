@@ -79,20 +79,20 @@ def _channel(result: FitResult, name: str) -> tuple[str, str]:
 
 
 def run_noise_lines(result: FitResult) -> list[str]:
-    """A line for each channel in which runs differ: the quietest run, the loudest, and what follows."""
+    """A line for each channel whose noise differs between runs: lowest and highest level, and the consequence."""
     found, lines = result.run_noise, list[str]()
     if found is None:
         return lines
     for name, own in found.levels.items():
         told, unit = _channel(result, name)
-        quiet, loud = int(np.argmin(own)), int(np.argmax(own))
-        lines.append(f"noise of runs differs: {told} {own[quiet]:.3g} {unit} ({found.runs[quiet]}) to {own[loud]:.3g} "
-                     f"({found.runs[loud]}); each run weighs by its own")
+        quiet, noisy = int(np.argmin(own)), int(np.argmax(own))
+        lines.append(f"noise of runs differs: {told} {own[quiet]:.3g} {unit} ({found.runs[quiet]}) to {own[noisy]:.3g} "
+                     f"({found.runs[noisy]}); each run is weighted by its own level")
     return lines
 
 
 def fit_text(result: FitResult, model: str) -> str:
-    """What a person reads after a fit."""
+    """Text after a fit."""
     lines = [*([prior_sentence(result), ""] if result.prior else []),
              f"{model}, {result.method}, sensors {result.sensors}: {result.samples} samples, "
              f"{result.iterations} iterations, {result.wall_s:.2f} s, "

@@ -1,4 +1,4 @@
-"""Which form friction has in a motion without motors: what each of its terms takes of the energy that is lost."""
+"""Form of friction in a motion without motors: what each of its terms takes of the energy that is lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far ahead a model predicts, as text, section of a page and JSON: the horizons of a prediction table."""
+"""Prediction errors of a model by horizon, as text, section of a page and JSON: the horizons of a prediction table."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class _Row(NamedTuple):
     horizon_s: float
     """Of the table"""
     length_s: float
-    """The same, or that of the longest stretch where the horizon is whole stretches"""
+    """The same, or that of the longest segment where the horizon is whole segments"""
     pieces: int
 
 
@@ -54,22 +54,22 @@ def horizons_rows(table: PredictionTable) -> tuple[list[str], list[list[str]]]:
     return header, rows
 
 
-def horizons_doubts(table: PredictionTable) -> list[str]:
-    """What of it is not to be relied on."""
-    doubts = [f"at {row.length_s:.3g} s {lost} of {row.pieces} simulations of {name} diverged; they count as if the "
+def horizon_flags(table: PredictionTable) -> list[str]:
+    """Reasons not to rely on some errors."""
+    flags = [f"at {row.length_s:.3g} s {lost} of {row.pieces} simulations of {name} diverged; they count as if the "
               "joints had stayed where they were" for row in _rows(table) if np.isfinite(row.horizon_s)
               for name, lost in zip(("the model", "the other model"), _lost(table, row)) if lost]
     worse = [h for h in table.horizons_s if h <= 1.0 and any(
         not table.rms(0, c, h) < table.rms_kept(c, h) for c in table.angles)]
-    doubts += [f"at {h:g} s the last velocity, kept, predicts a joint better than the model" for h in worse]
-    return doubts
+    flags += [f"at {h:g} s the last velocity, kept, predicts a joint better than the model" for h in worse]
+    return flags
 
 
 def horizons_text(table: PredictionTable) -> str:
-    """What a person reads."""
+    """Text for a person."""
     header, rows = horizons_rows(table)
     return "\n".join(["", TITLE, text_table(header, rows, right=set(range(1, len(header)))),
-                      *(f"warning: {doubt}" for doubt in horizons_doubts(table))])
+                      *(f"warning: {flag}" for flag in horizon_flags(table))])
 
 
 def horizons_section(table: PredictionTable) -> Section:
@@ -79,11 +79,11 @@ def horizons_section(table: PredictionTable) -> Section:
         "How far ahead the model predicts",
         ["Free runs over pieces of a horizon, each from the model's own smoothed state: rms errors in the unit of the "
          "column, next to those of the last velocity kept. Noise alone: the readings about the smoothed motion."],
-        [Table(header, rows, right=frozenset(range(1, len(header))))], notes=[*horizons_doubts(table)])
+        [Table(header, rows, right=frozenset(range(1, len(header))))], notes=[*horizon_flags(table)])
 
 
 def horizons_document(table: PredictionTable) -> list[dict[str, Any]]:
-    """`horizons` of `legid.validation/1`, one entry a horizon; null where a whole stretch diverges."""
+    """`horizons` of `legid.validation/1`, one entry a horizon; null where a whole segment diverges."""
     def by_joint(value: Callable[[str], float]) -> dict[str, float]:
         return {column: float(value(column)) for column in table.angles}
 

@@ -85,7 +85,7 @@ class Section:
 
 @dataclass(frozen=True)
 class VerdictBox:
-    """What a page says before anything else."""
+    """Box at the top of a page."""
 
     tone: Level
     title: str
@@ -94,7 +94,7 @@ class VerdictBox:
 
 
 def uplot_folder() -> Path | None:
-    """Where uPlot's bundle is installed; None where it is not."""
+    """Folder of uPlot's bundle; None where it is not installed."""
     found = find_spec("uplot")
     folder = Path(found.origin).parent / "static" if found is not None and found.origin else None
     return folder if folder is not None and (folder / SCRIPT).exists() and (folder / STYLE).exists() else None
@@ -136,7 +136,7 @@ def _prose(text: str) -> Markup:
 
 
 def _cell(text: str) -> Markup:
-    """The same as one element, since on a phone a cell lays out its children one beside the other."""
+    """The same as one element: on a phone a cell lays out its children in a row."""
     from markupsafe import Markup
 
     words = _prose(text)

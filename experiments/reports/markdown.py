@@ -1,4 +1,4 @@
-"""`Section`s to a Markdown page; its pictures become SVG files beside it."""
+"""`Section`s to a Markdown page; its pictures become SVG files in the same folder."""
 
 from __future__ import annotations
 

@@ -26,12 +26,12 @@ SENSORS = {"gyro": "legid calibrate imu --rig RIG", "accel": "legid calibrate im
 def next_step(found: Diagnosis) -> str:
     """One line: place, action and command."""
     if found.verdict == "fit_failed":
-        return "Look at each run by itself: legid fit RUN... --rig RIG --each"
+        return "Fit each run separately: legid fit RUN... --rig RIG --each"
     if found.verdict == "none":
-        return "Try the model on runs that it has not seen: legid validate MODEL.json NEW_RUN... --rig RIG"
+        return "Validate the model on new runs: legid validate MODEL.json NEW_RUN... --rig RIG"
     if found.verdict == "named":
-        return ("Try the extended model on runs that it has not seen: legid diagnose RUN... --rig RIG --model-out "
-                "MODEL.json, then legid validate MODEL.json NEW_RUN... --rig RIG")
+        return ("Validate the extended model on new runs: legid diagnose RUN... --rig RIG --model-out MODEL.json, then "
+                "legid validate MODEL.json NEW_RUN... --rig RIG")
     if found.verdict == "one_of" or found.remainder is None:
         return ("Record what tells the causes apart: legid excite --rig RIG --model MODEL.json --next DIAGNOSIS.json "
                 "--session NEXT" if found.causes else

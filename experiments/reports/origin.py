@@ -1,4 +1,4 @@
-"""What a document, a model and a page say of the files that they were made from."""
+"""Sources of a document, a model and a page: the files that they were generated from."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def with_origin(document: Mapping[str, Any], origin: Origin, runs: Sequence[Data
 
 
 def origin_from(sources: Sequence[Source]) -> Origin:
-    """Of a result that a script asked for: the program and the run files."""
+    """Origin of a result that a script asked for: the program and the run files."""
     return msgspec.structs.replace(origin_of(), runs=tuple(sources))
 
 

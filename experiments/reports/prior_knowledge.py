@@ -1,4 +1,4 @@
-"""What was known before a fit, and what to measure next, as text and as a section of a page."""
+"""Prior knowledge of a fit, and the next value to measure, as text and as a section of a page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HOW = {"l": "with a ruler, joint to joint", "m": "on a scale", "lc": "by balanci
 
 
 def prior_sentence(result: FitResult) -> str:
-    """That a fit used a prior; empty where it used none."""
+    """Sentence on the prior of a fit; empty without one."""
     if not result.prior:
         return ""
     names = ", ".join(f"{one.name} = {one.value:.4g} +- {one.std:.2g}" for one in result.prior)
@@ -40,7 +40,7 @@ def prior_rows(result: FitResult) -> list[list[str]]:
 
 
 def measure_sentence(result: FitResult) -> str:
-    """Which one value to measure next, how much it would help, and what to write; empty where none is worth it."""
+    """The next value to measure, its benefit, and what to write; empty where none is worth it."""
     found = next_measurement(result)
     if found is None:
         return ""
@@ -77,7 +77,7 @@ def _unit(result: FitResult, name: str) -> str:
 
 
 def knowledge_section(result: FitResult) -> list[Section]:
-    """What was known before, and what to measure next; empty where there is neither."""
+    """Section on the prior and the next value to measure; empty without either."""
     advice = measure_sentence(result)
     if not result.prior and not advice:
         return []

@@ -22,7 +22,7 @@ from estimator.likelihood import Noise, Process, held_variance
 LAGS = 25
 SHARE = 0.99
 STRONG = 0.2
-"""Correlation beyond which a residual is structure that matters, however many samples make a smaller one certain."""
+"""Autocorrelation beyond which a residual counts as material structure, whatever the number of samples."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Correlation:
 
 
 def correlate(first: Sequence[FloatArray], second: Sequence[FloatArray], lags: FloatArray) -> FloatArray:
-    """(k,) normalised correlation of `first` (t + lag) with `second` (t), summed over stretches; NaN takes no part."""
+    """(k,) normalised correlation of `first` (t + lag) with `second` (t), summed over segments; NaN takes no part."""
     total, scale = np.zeros(lags.size), [0.0, 0.0]
     means = [np.nanmean(np.concatenate(list(x))) for x in (first, second)]
     for a, b in zip(first, second):
@@ -68,7 +68,7 @@ def correlate(first: Sequence[FloatArray], second: Sequence[FloatArray], lags: F
 
 
 def autocorrelation(what: str, residuals: Sequence[FloatArray], step: int = 1) -> Correlation:
-    """Of residuals by stretch, at lags 1 to `LAGS`, times `step`."""
+    """Autocorrelation of residuals by segment, at lags 1 to `LAGS`, times `step`."""
     lags = step * np.arange(1.0, LAGS + 1)
     count = sum(int(np.isfinite(e).sum()) for e in residuals)
     band = NormalDist().inv_cdf(0.5 + SHARE / 2) / count**0.5
@@ -92,7 +92,7 @@ def torque_step(result: FitResult, j: int, residuals: Sequence[FloatArray]) -> i
 
 
 def cross_correlation(what: str, residuals: Sequence[FloatArray], inputs: Sequence[FloatArray]) -> Correlation:
-    """Of residuals with an input, at lags -`LAGS` to `LAGS`; a positive one is the input's past."""
+    """Correlation of residuals with an input, at lags -`LAGS` to `LAGS`; a positive one is the input's past."""
     lags = np.arange(-float(LAGS), LAGS + 1)
     count = sum(int(np.isfinite(e).sum()) for e in residuals)
     far = np.arange(1.0, 4 * LAGS + 1)
@@ -102,8 +102,10 @@ def cross_correlation(what: str, residuals: Sequence[FloatArray], inputs: Sequen
 
 
 def open_torque(result: FitResult, path: Trajectory, j: int) -> NDArray[np.bool_]:
-    """(n,) samples at which dry friction near rest may hold joint `j`, from 0, against more torque than its noise: the
-    model says nothing of the torque there, and what is left over does not judge it."""
+    """(n,) samples near rest at which dry friction of joint `j`, from 0, may balance more torque than its noise.
+
+    The model does not determine the torque there, so the residual does not count.
+    """
     m, found = result.mechanism, np.zeros(len(path.time_s), bool)
     rms = float(result.torque_residual_rms[j])
     sigma = torque_level(result, j, rms) if j in m.actuated else result.noise.get("passive_joint_nm", rms)
@@ -143,7 +145,7 @@ def torque_innovations(result: FitResult, path: Trajectory, j: int) -> FloatArra
 
 
 def residuals_of(result: FitResult) -> dict[str, list[FloatArray]]:
-    """Channel -> measured less estimated, by stretch: sensors, and the torque of every joint, NaN where it is open;
+    """Channel -> measured less estimated, by segment: sensors, and the torque of every joint, NaN where it is open;
     a channel without any is left out."""
     def left(path: Trajectory) -> Mapping[str, FloatArray]:
         sensors = {name: path.measured[name] - path.predicted[name] for name in path.measured if name in path.predicted}

@@ -25,7 +25,7 @@ def disputed(result: FitResult) -> list[int]:
 
 
 def units(result: FitResult) -> str:
-    """What may disagree: runs, or segments of a single run."""
+    """Units that may disagree: runs, or segments of a single run."""
     return f"{'run' if result.agreement is None else result.agreement.unit}s"
 
 
@@ -50,7 +50,7 @@ def agreement_lines(result: FitResult) -> list[str]:
 
 
 def agreement_section(result: FitResult) -> list[Section]:
-    """What runs disagree about, with what each of them says; nothing where nobody asked."""
+    """Section on disagreements between runs, with the values of each; empty where nobody asked."""
     found, lines = result.agreement, agreement_lines(result)
     if found is None:
         return []

@@ -121,7 +121,7 @@ def _clocks(raw: RawRun) -> list[str]:
         return [f"clocks: {error}", *clock_warnings(0.0, configured(raw, "link"))]
     lines = [f"{label}: {words}" for label, words in found.clocks.items()]
     lines += second_shunt(raw, fine)
-    lines += [f"warning: a fit of this run is to be doubted: {doubt}" for doubt in found.doubts]
+    lines += [f"warning: a fit of this run is suspect: {flag}" for flag in found.flags]
     if skew is not None:
         lines.append(f"IMU against encoders, by correlation of gyro and pivot: {skew.seconds * 1e3:+.2f} +- "
                      f"{skew.std_s * 1e3:.2f} ms (positive: the IMU is late)")
@@ -131,7 +131,7 @@ def _clocks(raw: RawRun) -> list[str]:
 
 
 def second_shunt(raw: RawRun, run: Dataset) -> list[str]:
-    """How the second shunt's torque compares with the drive's; empty where there is none."""
+    """Comparison of the second shunt's torque with the drive's; empty where there is none."""
     readings = raw.streams["/shunt"]
     if not readings.size:
         return []
@@ -150,7 +150,7 @@ def second_shunt(raw: RawRun, run: Dataset) -> list[str]:
 
 
 def clock_bound_s(raw: RawRun) -> float:
-    """How well the controller's clock is known in the worst boot [s]; 0 without probes."""
+    """Uncertainty of the controller's clock in the worst boot [s]; 0 without probes."""
     probes = raw.streams["/leg/clock"]
     fit = fit_answers if is_polled(raw) else fit_ticks
     return max((fit(probes[probes["boot_id"] == boot], int(probes["host_tx_ns"][0])).bound_s
@@ -158,7 +158,7 @@ def clock_bound_s(raw: RawRun) -> float:
 
 
 def clock_warnings(bound_s: float, link: Mapping[str, object]) -> list[str]:
-    """What a person should know of a clock bound [s] and of the link's own facts; empty when all is well."""
+    """Warnings on a clock bound [s] and on the link's own facts; empty without any."""
     lines = []
     if bound_s > BOUND_S:
         lines.append(f"warning: the controller's clock is known to {bound_s * 1e3:.1f} ms only, more than "

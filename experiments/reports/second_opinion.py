@@ -1,4 +1,4 @@
-"""What a second estimator says of a fit, as text, JSON and a section of the page."""
+"""Second estimator's opinion of a fit, as text, JSON and a section of the page."""
 
 from __future__ import annotations
 

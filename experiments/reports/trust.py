@@ -21,13 +21,13 @@ from experiments.reports.html import Level, VerdictBox
 from experiments.reports.run_agreement import units
 
 NAMED = 2
-"""Kinds of doubt that the first line names."""
+"""Kinds of suspect results that the first line names."""
 IN_SHORT: dict[str, str] = {
-    "estimators_disagree": "two estimators disagree", "torque_residual": "the torque residual has structure",
-    "passive_joint": "a passive joint's equation is off", "sensor_residual": "a sensor's residual has structure",
+    "estimators_disagree": "two estimators disagree", "torque_residual": "the torque residual is autocorrelated",
+    "passive_joint": "a passive joint has a torque residual", "sensor_residual": "a sensor residual is autocorrelated",
     "repeating_torque": "an unmeasured torque repeats", "prior": "the runs contradict [prior]",
-    "undetermined": "these runs leave parameters open", "rig_contradiction": "the rig file contradicts a run"}
-"""Kind of a doubt -> the first line's words for it; its own line says the rest."""
+    "undetermined": "these runs do not determine all parameters", "rig_contradiction": "the rig file contradicts a run"}
+"""Kind of a suspect result -> its words in the first line; its own line has the figures."""
 
 
 @dataclass(frozen=True)
@@ -51,34 +51,36 @@ class Trust:
 
 
 def fit_trust(result: FitResult) -> Trust:
-    """Of a fit by itself: its own findings and those of `check_fit`, joined; one short line, then a reason a line. Free
-    runs are `validation_trust`'s."""
+    """Trust in a fit, from its findings and those of `check_fit`: one short line, then one line for each reason.
+
+    `validation_trust` judges free runs.
+    """
     findings = (*result.findings, *check_fit(result))
     faults = [one for one in findings if one.role == "fault"]
     if faults:
         return _of_faults(faults)
-    doubts = [one for one in findings if one.role == "doubt" or one.kind == "rig_contradiction"]
+    suspect = [one for one in findings if one.role == "doubt" or one.kind == "rig_contradiction"]
     reasons = tuple(_line(f"the rig file contradicts a run: {one}" if one.kind == "rig_contradiction" else one.text)
-                    for one in doubts)
+                    for one in suspect)
     facts = tuple(f"{one}." for one in findings if one.role == "fact")
     torque = list(torque_fits(result).values())
     disputes = any(one.kind == "runs_disagree" for one in findings)
     tested = result.method in ("mle", "shooting")
-    if result.method == "shooting" and any(one.kind == "estimators_disagree" for one in doubts):
+    if result.method == "shooting" and any(one.kind == "estimators_disagree" for one in suspect):
         return Trust("caution", "TRUST WITH CARE: two estimators disagree; multiple shooting is reported.",
                      (*reasons, *facts))
-    if doubts:
+    if suspect:
         use = () if not torque else (
-            "Good for torque feedforward within the motion fitted." if min(torque) >= GOOD_FIT else
+            "Good for torque feedforward within the fitted motion." if min(torque) >= GOOD_FIT else
             "Good for rough torque feedforward only." if min(torque) >= ROUGH_FIT else
             "Not good for torque feedforward either.",)
-        return Trust("caution", f"DO NOT TRUST the parameters: {_in_short(doubts)}.", (*reasons, *use, *facts))
+        return Trust("caution", f"DO NOT TRUST the parameters: {_in_short(suspect)}.", (*reasons, *use, *facts))
     if tested and not result.mechanism.actuated:
         return Trust("caution", "TRUST the ratios of the parameters within their intervals: no torque was measured.",
                      (f"Their scale is that of {', '.join(result.fixed)}, which was given.", *facts))
     if not tested or not torque:
-        return Trust("caution", f"NOT TESTED: what {result.method} leaves over is coloured by its filters and cannot "
-                     "judge the parameters; mle's can.", facts)
+        return Trust("caution", f"NOT TESTED: the filters of {result.method} colour its residual, which cannot test "
+                     "the parameters. Use mle.", facts)
     if min(torque) < GOOD_FIT:
         return Trust("caution", "TRUST the parameters within their intervals; the model's torque is rough.", facts)
     if disputes:
@@ -95,9 +97,9 @@ def _of_faults(faults: Sequence[Finding]) -> Trust:
     return Trust("bad", f"NOT TO BE USED: {short or '; '.join(texts)}.", tuple(map(_line, texts)) if short else ())
 
 
-def _in_short(doubts: Sequence[Finding]) -> str:
-    """The first kinds of doubt, and how many more there are."""
-    kinds = list(dict.fromkeys(IN_SHORT[one.kind] for one in doubts))
+def _in_short(suspect: Sequence[Finding]) -> str:
+    """The first kinds of suspect results, and how many more there are."""
+    kinds = list(dict.fromkeys(IN_SHORT[one.kind] for one in suspect))
     more = [f"and {len(kinds) - NAMED} more"] if len(kinds) > NAMED else []
     return ", ".join([*kinds[:NAMED], *more])
 
@@ -115,16 +117,20 @@ def deciding(table: PredictionTable) -> list[str]:
 
 
 def fits_of(table: PredictionTable, run: int, horizon_s: float, model: int = 0) -> dict[str, float]:
-    """Channel that the run's sensors read -> fit [%]; minus infinity where a whole stretch diverges. A horizon that no
-    stretch exceeds is as the whole."""
+    """Measured channel -> fit [%] of one run; minus infinity where a whole segment diverges.
+
+    A horizon longer than every segment means whole segments.
+    """
     horizon_s = horizon_s if horizon_s in table.horizons_s else np.inf
     found = {name: table.fit_percent(model, name, horizon_s, run) for name in table.judged}
     return {name: share for name, share in found.items() if not np.isnan(share)}
 
 
 def validation_trust(table: PredictionTable, seen: Sequence[str] = (), contradictions: Sequence[str] = ()) -> Trust:
-    """Of free runs: over whole runs, or over pieces of a second at least. `seen` are runs that the model was fitted
-    to."""
+    """Trust in free runs: over whole runs, or over pieces of a second at least.
+
+    `seen` are runs that the model was fitted to.
+    """
     def worst(horizon_s: float) -> tuple[float, str]:
         return min((share, f"{name} in {one.run}") for k, one in enumerate(table.runs)
                    for name, share in fits_of(table, k, horizon_s).items() if name in deciding(table))
@@ -132,11 +138,11 @@ def validation_trust(table: PredictionTable, seen: Sequence[str] = (), contradic
     (whole, where), (short, where_short) = worst(np.inf), worst(SHORT_S)
     seconds = min(one.longest_s for one in table.runs)
     level, sentence = _for_what(whole, where, short, where_short, seconds)
-    doubts = [f"run {run} was fitted, so it shows nothing of other motion" for run in seen]
-    doubts += list(contradictions)
-    if doubts and level == "good":
-        return Trust("caution", f"TRUST WITH CARE: {'; '.join(doubts)}. {sentence}")
-    return Trust(level, sentence, tuple(f"{text[:1].upper()}{text[1:]}." for text in doubts))
+    suspect = [f"the model was fitted to run {run}, which so does not test it" for run in seen]
+    suspect += list(contradictions)
+    if suspect and level == "good":
+        return Trust("caution", f"TRUST WITH CARE: {'; '.join(suspect)}. {sentence}")
+    return Trust(level, sentence, tuple(f"{text[:1].upper()}{text[1:]}." for text in suspect))
 
 
 def _for_what(whole: float, where: str, short: float, where_short: str, seconds: float) -> tuple[Level, str]:
@@ -149,12 +155,12 @@ def _for_what(whole: float, where: str, short: float, where_short: str, seconds:
                            f"{seconds:.0f} s ({told}).")
     if max(whole, short) >= ROUGH_FIT:
         return "caution", (f"ROUGH: over {SHORT_S:g} s {told_short}; over {seconds:.0f} s {told}. "
-                           "See legid diagnose for what is missing.")
-    return "bad", f"DO NOT TRUST: {told} over {seconds:.0f} s, {told_short} over {SHORT_S:g} s. See legid diagnose."
+                           "Run legid diagnose to find what is missing.")
+    return "bad", f"DO NOT TRUST: {told} over {seconds:.0f} s, {told_short} over {SHORT_S:g} s. Run legid diagnose."
 
 
 def _percent(share: float) -> str:
-    return f"{share:.1f} %" if np.isfinite(share) else "none, it ran away"
+    return f"{share:.1f} %" if np.isfinite(share) else "none, it diverged"
 
 
 def model_contradictions(model: MechanismSettings, rig: MechanismSettings) -> list[str]:

@@ -53,7 +53,7 @@ FIT_HEADER = ["run", "sensor", "fit, whole run", f"fit, pieces of {SHORT_S:g} s"
 def fit_rows(table: PredictionTable) -> list[list[str]]:
     """One row of FIT_HEADER a sensor of a run; the band as its rms half width, in the sensor's unit."""
     def share(value: float) -> str:
-        return f"{value:.1f} %" if np.isfinite(value) else "ran away"
+        return f"{value:.1f} %" if np.isfinite(value) else "diverged"
 
     rows = []
     for k, one in enumerate(table.runs):
@@ -66,7 +66,7 @@ def fit_rows(table: PredictionTable) -> list[list[str]]:
 
 
 def validation_text(table: PredictionTable) -> str:
-    """What a person reads after `legid validate`."""
+    """Text after `legid validate`."""
     validations = validations_of(table)
     header, rows = validation_rows(validations)
     unit = length_unit(validations[0])
@@ -75,7 +75,7 @@ def validation_text(table: PredictionTable) -> str:
              "fit: 100 % is exact, 0 % no better than the mean. Band: by how much the parameters' own uncertainty "
              "moves the simulation; an error far beyond it is something that the model lacks.",
              f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s."]
-    lines += [f"{v.run}: the simulation ran away from the measurement" for v in validations if v.diverged]
+    lines += [f"{v.run}: the simulation diverged" for v in validations if v.diverged]
     return "\n".join(lines)
 
 
@@ -119,7 +119,7 @@ def validation_section(table: PredictionTable) -> Section:
                           f"Joint {j + 1}: the error" + ("; shaded, what the parameters' uncertainty explains of it."
                                                         if half is not None else "."), FIGURE_SECONDS,
                           bands=[] if half is None else [Band("95 % by parameters", -half, half, GREY)])]
-    notes = [f"{v.run}: the simulation ran away from the measurement." for v in validations if v.diverged]
+    notes = [f"{v.run}: the simulation diverged." for v in validations if v.diverged]
     tables = [Table(FIT_HEADER, fit_rows(table), "Fit: 100 % is exact, 0 % no better than the mean; the band is the "
                     "rms of its half width, in the sensor's unit", frozenset({2, 3, 4})),
               Table(header, rows, right=frozenset(range(1, len(header))))]

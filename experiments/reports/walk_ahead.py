@@ -1,4 +1,4 @@
-"""How many steps ahead a walker's model predicts, as text, section of a page and JSON: `WalkAhead` of a validation."""
+"""Steps that a walker's model predicts, as text, section of a page and JSON: `WalkAhead` of a validation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def walk_rows(found: WalkAhead) -> tuple[list[str], list[list[str]]]:
 
 
 def fall_text(run: Whole) -> str:
-    """How far one run's free run goes."""
+    """Length of one run's free run."""
     if run.fell_s is None:
         return f"{run.run}: the free run from its first step walks all {run.steps} steps"
     return (f"{run.run}: the free run from its first step falls after {run.fell_s:.2f} s, in step {run.fell_step} of "
@@ -29,7 +29,7 @@ def fall_text(run: Whole) -> str:
 
 
 def walk_text(found: WalkAhead) -> str:
-    """What a person reads."""
+    """Text for a person."""
     header, rows = walk_rows(found)
     return "\n".join(["", TITLE, text_table(header, rows, right=set(range(len(header)))),
                       *(fall_text(run) for run in found.whole)])

@@ -1,4 +1,4 @@
-"""Which rig file a command goes by: the one given, the one that a run holds, or ./rig.toml."""
+"""Choice of the rig file of a command: the one given, the one that a run holds, or ./rig.toml."""
 
 from __future__ import annotations
 

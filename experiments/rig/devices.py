@@ -77,7 +77,7 @@ def open_shunt(device: ShuntDevice, where: str) -> Iterator[CurrentShunt]:
 
 
 def wiring(device: ControllerDevice, rig: Rig | None = None) -> Wiring:
-    """What the driver of this device is told; without a rig file, of a drive on the joint itself."""
+    """Wiring for the driver of this device; without a rig file, of a drive on the joint itself."""
     found = Wiring(device.port, device.baud, device.can, device.node, device.rate_hz, watchdog_ms=device.watchdog_ms)
     if rig is None:
         return found

@@ -70,7 +70,7 @@ def probe(facts: RigFacts, say: Callable[[str], None], ports: Sequence[str] | No
 
 
 def drives_at(place: ControllerDevice) -> Iterator[ControllerDevice]:
-    """What to greet there: our own firmware first, then every drive that answers to a look for it, by its node."""
+    """Drives to greet there: our own firmware first, then every drive that answers to a look for it, by its node."""
     yield place
     for kind in drive_kinds():
         try:

@@ -13,7 +13,7 @@ QUESTION = "This drive has no E-stop input. Is a hard-wired emergency stop, whic
 
 
 def confirm_estop(rig: Rig, at_hand: bool, ask: Callable[[str], str] | None = None) -> None:
-    """Nothing, where the rig has our own firmware or somebody says that the stop is there (`at_hand`, or now).
+    """Confirm the E-stop, unless the rig has legid's firmware or a person says that it is there (`at_hand`, or now).
 
     Raises `WorkError` where it is not, `InputError` where nobody can be asked.
     """

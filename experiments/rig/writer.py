@@ -13,7 +13,7 @@ Line = Callable[..., str]
 
 @dataclass(frozen=True)
 class RigFacts:
-    """What `legid init` asks for or finds; the defaults are those of a small leg. SI units."""
+    """Facts that `legid init` asks for or finds; the defaults are those of a small leg. SI units."""
 
     model: str = "leg2"
     links: int = 2
@@ -137,7 +137,7 @@ def write_rig(path: Path, facts: RigFacts, more: str = "") -> str:
 
 
 def already_there(path: Path) -> InputError:
-    """What is said of a rig file that exists."""
+    """Message about a rig file that exists."""
     return InputError(str(path), "exists already", "give a new name: a rig file is never overwritten")
 
 

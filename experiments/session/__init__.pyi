@@ -1,9 +1,9 @@
 from .choices import Choice as Choice
 from .choices import choose_terms as choose_terms
 from .choices import with_choices as with_choices
-from .doubts import RunDoubt as RunDoubt
-from .doubts import contradictions as contradictions
-from .doubts import require_one_rig as require_one_rig
+from .flags import RunFlag as RunFlag
+from .flags import contradictions as contradictions
+from .flags import require_one_rig as require_one_rig
 from .inputs import driven as driven
 from .prepare import Prepared as Prepared
 from .prepare import Runs as Runs

@@ -1,4 +1,4 @@
-"""What rig.toml is silent about, chosen by the records: terms, encoders' zeros, friction's rounding."""
+"""Entries that rig.toml leaves open, chosen from the records: terms, encoder zeros, friction smoothing velocity."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from experiments.models import MechanismSettings, build_mechanism
 from experiments.session.setup import Setup, setup_of
 
 SPEED_SHARE = 1e-3
-"""Of a slide's speed, over which its friction's sign is rounded: what 0.005 rad/s is of a joint at 5 rad/s."""
+"""Friction smoothing velocity of a slide over its speed: the same as 0.005 rad/s for a joint at 5 rad/s."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Choice:
 
     @property
     def entry(self) -> str:
-        """As it stands in rig.toml."""
+        """Entry in the form of rig.toml."""
         value = list(self.value) if isinstance(self.value, tuple) else self.value
         return f"{self.key} = {value!r}".replace("'", '"') + f" under [{self.table}]"
 
@@ -58,13 +58,13 @@ def with_choices(rig: Rig, choices: Sequence[Choice]) -> Rig:
 
 def choose_terms(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
                  fixed: Mapping[str, float] | None = None) -> tuple[Choice, ...]:
-    """Rotor inertias, torque offsets, encoders' zeros and friction's rounding, each where `[terms]` says nothing."""
+    """Choices of rotor inertias, torque offsets, encoder zeros and smoothing velocity that `[terms]` leaves open."""
     bare = structs.replace(rig, terms=structs.replace(rig.terms, encoder_zero=()))
     setup = setup_of(datasets, bare, sensors, fixed)
     chosen: list[Choice] = []
     terms = rig.terms
     if setup.mechanism.length_unit == "m" and terms.friction_velocity_radps is None:
-        chosen.append(_rounding(setup))
+        chosen.append(_smoothing_velocity(setup))
     try:
         with np.errstate(all="ignore"):
             zeros = _zeros(setup) if terms.encoder_zero is None else []
@@ -79,13 +79,13 @@ def choose_terms(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = No
     return tuple(chosen)
 
 
-def _rounding(setup: Setup) -> Choice:
+def _smoothing_velocity(setup: Setup) -> Choice:
     speed = float(np.percentile(np.abs(np.concatenate(
         [k.qd.ravel() for k in filtered_motion(split_signals(setup.datasets, setup.mechanism, setup.options),
                                                setup.mechanism, setup.options)])), 99.0))
     value = float(f"{max(SPEED_SHARE * speed, 1e-9):.1g}")
     return Choice("terms", "friction_velocity_radps", value, f"a slide that moves at {speed:.2g} m/s",
-                  "friction's sign is rounded over a thousandth of that")
+                  "the friction smoothing velocity is a thousandth of that")
 
 
 def _extra_terms(setup: Setup, rig: Rig) -> list[Choice]:
@@ -105,7 +105,7 @@ def _extra_terms(setup: Setup, rig: Rig) -> list[Choice]:
         wanted = tuple(j for j in joints if f"{key}_{j}" in found)
         if wanted:
             falls = " and ".join(f"{100 * found[f'{key}_{j}']:.0f} %" for j in wanted)
-            out.append(Choice("terms", key, wanted, why, f"slow torque not fitted is foretold {falls} better"))
+            out.append(Choice("terms", key, wanted, why, f"it predicts slow torque of other runs {falls} better"))
     return out
 
 

@@ -10,7 +10,7 @@ from msgspec import structs
 
 from daq import Dataset, FloatArray, Rig
 from experiments.session.choices import Choice, choose_terms, with_choices
-from experiments.session.doubts import RunDoubt, doubts_of
+from experiments.session.flags import RunFlag, flags_of
 from experiments.session.inputs import driven
 from experiments.session.runs import load_runs
 from experiments.session.setup import Setup, setup_of
@@ -21,7 +21,7 @@ Runs = Sequence[Path | str | Dataset]
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a verb works on, and what was done to get there."""
+    """Input of a verb, and the steps that prepared it."""
 
     setup: Setup
     """Mechanism, options and the runs that are used."""
@@ -31,13 +31,13 @@ class Prepared:
     """Runs that are not used."""
     choices: tuple[Choice, ...] = ()
     """Entries of `rig` that the records chose."""
-    doubts: tuple[RunDoubt, ...] = ()
+    flags: tuple[RunFlag, ...] = ()
     """Of the runs that are used."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a person should know before the result: runs left out, and doubts."""
-        return (*map(str, self.set_aside), *map(str, self.doubts))
+        """Warnings to be read before the result: runs left out, and flags."""
+        return (*map(str, self.set_aside), *map(str, self.flags))
 
 
 def prepare(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[str, float] | None = None,
@@ -60,7 +60,7 @@ def prepare(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping[
     choices = choose_terms(kept, rig, sensors, fixed) if choose else ()
     known = with_choices(rig, choices)
     return Prepared(setup_of(kept, known, sensors, fixed, latent, beta), known, gone, choices,
-                    doubts_of(kept, rig))
+                    flags_of(kept, rig))
 
 
 def as_datasets(runs: Runs, rig: Rig, damaged: bool = False) -> tuple[Dataset, ...]:

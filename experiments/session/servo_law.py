@@ -1,7 +1,7 @@
-"""A servo's position law in the place of a torque channel: what it was commanded and what it read make its torque.
+"""A servo's position law in place of a torque channel: torque from the command and the encoder's reading.
 
-The law takes the encoder's reading, as the servo's own controller does, quantised as it is; what the servo really gave
-beside it is torque noise to a fit, which estimates it.
+The law uses the quantised reading, as the servo's controller does. The fit estimates the deviation of the real torque
+as torque noise.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""From a rig and runs to what the estimator takes: the mechanism, the options, the runs less their zeros."""
+"""The estimator's input from a rig and runs: the mechanism, the options, the runs less their zeros."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FREE_SWING = "no joint is driven, for every torque of every run is exactly zero"
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything a fit or a validation needs beside its method."""
+    """Everything a fit or a validation needs in addition to its method."""
 
     settings: MechanismSettings
     mechanism: Mechanism
@@ -37,10 +37,10 @@ class Setup:
 def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
              fixed: Mapping[str, float] | None = None, latent: str = "trajectory",
              beta: NDArray[np.float64] | None = None) -> Setup:
-    """Mechanism and options by the rig, for runs that are in memory, less encoders' zeros that it declares: those by
-    a known `beta` (p,), else beside beta.
+    """Mechanism and options of `rig` for runs in memory, with the encoder zeros that it declares subtracted.
 
-    Raises `InputError`, and `FitError` where the zeros are not to be found.
+    The zeros are estimated with a known `beta` (p,), else together with beta. Raises `InputError`, and `FitError` if
+    the zeros cannot be estimated.
     """
     settings = mechanism_settings(rig, prismatic=any("q1_m" in d and "q1_rad" not in d for d in datasets))
     try:
@@ -102,7 +102,7 @@ def choose_sensors(rig: Rig, datasets: Sequence[Dataset], wanted: str | None) ->
 
 
 def fit_options(rig: Rig, sensors: str, fixed: Mapping[str, float], latent: str = "trajectory") -> FitOptions:
-    """What the rig file knows, as the estimator's options."""
+    """The estimator's options by the rig file."""
     of_each = {"accel_mps2": ("accel_x_mps2", "accel_y_mps2"),
                "torque_nm": tuple(f"torque{j}_nm" for j in sorted(rig.mechanism.actuated)),
                "passive_nm": tuple(f"passive{j}_nm" for j in range(1, joint_count(rig.mechanism) + 1)
@@ -121,10 +121,11 @@ def fit_options(rig: Rig, sensors: str, fixed: Mapping[str, float], latent: str 
         noise |= {name: level for name, level in given.items() if level is not None}
     if rig.noise.disturbance is not None:
         noise |= disturbance_levels(rig.noise.disturbance, joint_count(rig.mechanism))
-    rounding = "auto" if rig.terms.friction_velocity_radps is None else "given"
+    smoothing = "auto" if rig.terms.friction_velocity_radps is None else "given"
     joints = rig.mechanism.encoders
     encoders = None if joints is None else tuple(j - 1 for j in sorted(joints))
-    return FitOptions(sensors=sensors, encoders=encoders, hold=rig.sampling.hold, rounding=rounding, noise=noise,
+    return FitOptions(sensors=sensors, encoders=encoders, hold=rig.sampling.hold,
+                      smoothing_velocity=smoothing, noise=noise,
                       prior={name: (entry[0], entry[1]) for name, entry in rig.prior.items()},
                       accel_correlation=rig.noise.accel_correlation, torque_correlation=rig.noise.torque_correlation,
                       cutoff_hz=rig.filter.cutoff_hz, filter_order=rig.filter.order, fixed=dict(fixed), latent=latent)

@@ -1,4 +1,4 @@
-"""Set-ups that are wrong, looked for where a fit is no mechanism's or leaves much: what mends them, in words."""
+"""Wrong set-ups, searched for when a fit is impossible or its residual is large, and their remedies in words."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from estimator.signals import angle_column, is_plain
 from experiments.session.setup import Setup
 
 SUSPICIOUS = 0.1
-"""Share of the torque that slow least squares leaves over, from which on other readings of the columns are tried."""
+"""Residual of slow least squares, as a share of the torque, above which other readings of the columns are tried."""
 NAMED = 2
 """Most readings that are named, where they say the same."""
 ONE_WAY = 2.0
@@ -32,12 +32,12 @@ ONE_WAY = 2.0
 
 
 class Suspicion(NamedTuple):
-    """What looks wrong in a set-up."""
+    """Suspected faults of a set-up."""
 
     remedies: tuple[str, ...] = ()
-    """What looks wrong and what to write into the rig file, the likeliest first; empty where nothing mends anything."""
+    """What looks wrong and what to write into the rig file, the likeliest first; empty if nothing helps."""
     against: tuple[str, ...] = ()
-    """Why the records as they are read cannot be used, where something mends them; empty where they still can."""
+    """Why the records cannot be used as they are read, if there is a remedy; empty if they can."""
 
 
 def suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float,
@@ -55,7 +55,7 @@ def suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
 
 
 def require_sound(setup: Setup) -> None:
-    """Raises `FitError` where the records contradict themselves as they are read, naming what mends that."""
+    """Raises `FitError` with a remedy if the records contradict themselves as they are read."""
     seen = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, False)
     if seen.against:
         raise FitError(f"the columns cannot be right: {'; '.join(seen.against)}; {'; or '.join(seen.remedies)}")

@@ -14,12 +14,13 @@ from estimator.model import Mechanism
 from estimator.signals import angle_column, imu_columns, split_signals, torque_column
 
 FEWEST = 3
-"""Runs that must be left over for one to be held against them."""
+"""Fewest other runs with which one is compared."""
 STILL_SHARE = 0.01
 """A joint whose range in a run is below this share of its range in the others stands still there."""
 STRANGE_LEFT, STRANGE_TIMES = 0.6, 3.0
-"""Of a run's slow torque the parameters of the others must leave more than this share, and so many times what they
-leave of the median run, for it to be of another rig.
+"""A run is of another rig if its residual under the others' parameters exceeds both limits.
+
+They are a share of its slow torque, and a multiple of the median run's residual.
 (Measured: at most 0.54 and 2 times on 20 runs of real records.)"""
 
 
@@ -69,9 +70,9 @@ def _broken(data: Dataset, mechanism: Mechanism, options: FitOptions) -> str:
         needed = [c for c in (*imus, *_columns(mechanism, options)) if c in data]
         worst = max(needed, key=lambda c: int(np.sum(~np.isfinite(data[c]))))
         share = float(np.mean(~np.isfinite(data[worst])))
-        return (f"it has no stretch of 20 samples without a gap at {data.rate_hz:g} Hz ({100 * share:.0f} % of {worst} "
+        return (f"it has no segment of 20 samples without a gap at {data.rate_hz:g} Hz ({100 * share:.0f} % of {worst} "
                 "is missing); a lower rate_hz under [sampling] bridges pauses of its sampling")
-    except FitError:  # a column that is missing is an input to be mended
+    except FitError:  # a missing column is an input error
         pass
     return ""
 

@@ -44,7 +44,7 @@ class FitTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """Runs to simulate that the fit does not see."""
     published: dict[str, float] = {}
     relative_error_percent: tuple[float, ...] = ()
-    """By joint: rms of what the model leaves over, as a share of the measured torque's rms."""
+    """By joint: rms of the model's torque residual, as a share of the measured torque's rms."""
 
 
 class SweepTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -66,7 +66,7 @@ class DiagnoseTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True
     published: dict[str, float] = {}
     """Sizes of those effects, by the size's name."""
     again: Annotated[int, Meta(ge=0)] = 0
-    """How often to repeat it with other seeds of its rehearsals: whether a verdict hangs on them."""
+    """Number of repetitions with other seeds of the bootstrap replicates: does the verdict depend on them?"""
 
 
 class CalibrateTask(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -98,7 +98,7 @@ class _Cases(Struct, forbid_unknown_fields=True, frozen=True):
 
 @dataclass(frozen=True)
 class Fitted:
-    """What became of a fit: a result, or the line in which it was refused."""
+    """Outcome of a fit: a result, or the line in which it was refused."""
 
     task: FitTask
     result: FitResult | None
@@ -107,7 +107,7 @@ class Fitted:
     validation_refusal: str = ""
 
     def relative_error_percent(self) -> list[float]:
-        """By joint, see `FitTask`; NaN for a joint without torque."""
+        """Relative errors by joint, see `FitTask`; NaN for a joint without torque."""
         if self.result is None or not self.result.trajectories:
             return []
         tau = np.concatenate([t.tau_measured for t in self.result.trajectories])
@@ -118,7 +118,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Swept:
-    """What became of a sweep: (method, cutoff) to the published parameters' estimates, or to the line of a refusal."""
+    """Outcome of a sweep: (method, cutoff) to the published parameters' estimates, or to the line of a refusal."""
 
     task: SweepTask
     found: Mapping[tuple[str, float], Mapping[str, float] | str]
@@ -131,7 +131,7 @@ class Swept:
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What became of a diagnosis."""
+    """Outcome of a diagnosis."""
 
     task: DiagnoseTask
     found: Diagnosis | None
@@ -141,8 +141,8 @@ class Diagnosed:
     others: tuple[tuple[str, tuple[str, ...]], ...] = ()
     """Verdict and effects of every repetition."""
 
-    def left_over_percent(self) -> tuple[list[float], list[float]]:
-        """What the nominal and the extended model leave over on the confirm runs, as shares of `drive_rms`, by joint.
+    def residual_percent(self) -> tuple[list[float], list[float]]:
+        """Torque residual of the nominal and the extended model on the confirm runs [% of `drive_rms`], by joint.
 
         NaN for a joint that nothing drives; empty where there is no gain to tell of.
         """
@@ -177,7 +177,7 @@ class Diagnosed:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What became of a calibration."""
+    """Outcome of a calibration."""
 
     task: CalibrateTask
     found: EncoderFit | None
@@ -330,7 +330,7 @@ def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:
                             for c in d.found.causes},
                   "torque_rms": {"before": list(d.found.torque_rms_nm[0]), "after": list(d.found.torque_rms_nm[1])},
                   "other_seeds": [{"verdict": verdict, "causes": list(causes)} for verdict, causes in d.others],
-                  "left_over_percent": dict(zip(("before", "after"), d.left_over_percent()))}
+                  "residual_percent": dict(zip(("before", "after"), d.residual_percent()))}
     return entry
 
 

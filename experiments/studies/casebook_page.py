@@ -67,7 +67,7 @@ def _verdict_in_short(d: Diagnosed) -> str:
 
 
 def study_sections(study: Study) -> list[Section]:
-    """What is known, then every fit, then every diagnosis."""
+    """Sections: the published facts, then every fit, then every diagnosis."""
     title = study.case.title
     return [Section(title, [" ".join(study.case.known.split()), f"Source: {study.case.source}."]),
             *[_fit_section(title, f) for f in study.fits], *_side_by_side(study),
@@ -107,7 +107,7 @@ def _fit_words(f: Fitted) -> str:
     errors = [f"{e:.2f}" for e in f.relative_error_percent() if np.isfinite(e)]
     words += [f"relative error {', '.join(errors)} %"] if errors else []
     left = ", ".join(f"{r:.3g}" for r in f.result.torque_residual_rms)
-    return "; ".join([*words, f"left over {left} {f.result.mechanism.force_unit}"])
+    return "; ".join([*words, f"residual {left} {f.result.mechanism.force_unit}"])
 
 
 def _verdict_words(d: Diagnosed) -> str:
@@ -121,7 +121,7 @@ def _verdict_words(d: Diagnosed) -> str:
 
 
 def _repeated_words(d: Diagnosed) -> str:
-    """How the same diagnosis ends with other seeds of its rehearsals."""
+    """How the same diagnosis ends with other seeds of its bootstrap replicates."""
     if not d.others or d.found is None:
         return ""
     same = sum(other == d.ending for other in d.others)
@@ -192,7 +192,7 @@ def _sweep_section(title: str, w: Swept) -> Section:
 
 
 def _side_by_side(study: Study) -> list[Section]:
-    """Fits of one model to the same records that differ in what was given: what each form of it leaves over."""
+    """Residuals of several fits of one model to the same records that differ in what was given."""
     fits = [(f, f.result) for f in study.fits if f.result is not None]
     if len({(f.task.rig, f.task.runs, f.task.method) for f, _ in fits}) != 1 or len(fits) < 2:
         return []
@@ -204,7 +204,7 @@ def _side_by_side(study: Study) -> list[Section]:
                  for (f, r), std in zip(fits, spread)]
         rows.append([parameter.name, parameter.meaning, *cells])
     unit = fits[0][1].mechanism.force_unit
-    rows += [["", f"left over, joint {j + 1} [{unit}]", *[f"{r.torque_residual_rms[j]:.4g}" for _, r in fits]]
+    rows += [["", f"residual, joint {j + 1} [{unit}]", *[f"{r.torque_residual_rms[j]:.4g}" for _, r in fits]]
              for j in range(fits[0][1].mechanism.n)]
     header = ["parameter", "meaning", *[f.task.title for f, _ in fits]]
     return [Section(f"{study.case.title}: forms of the model side by side",
@@ -238,15 +238,15 @@ def _diagnosis_section(title: str, d: Diagnosed) -> Section:
                             right=frozenset({2, 3, 4})))
     if found.sensors:
         rows = error_rows(found.sensors)
-        rows += [[f"left over of what drives joint {j + 1}", f"{b:.2f} %", f"{a:.2f} %", ""]
-                 for j, (b, a) in enumerate(zip(*d.left_over_percent())) if np.isfinite(b)]
+        rows += [[f"residual over the torque that drives joint {j + 1}", f"{b:.2f} %", f"{a:.2f} %", ""]
+                 for j, (b, a) in enumerate(zip(*d.residual_percent())) if np.isfinite(b)]
         tables.append(Table(["rms error", "nominal", "extended", "noise alone"], rows,
                             f"on {', '.join(found.confirm_runs)}, which chose nothing. {gap_text(found)}",
                             frozenset({1, 2, 3})))
         pictures.append(Picture(error_bars(found.sensors), "Free-run error by sensor."))
     tables += short_tables(found.short)
     limits = signature_limits(found.signatures)
-    pictures += [Picture(signature_plot(s, limits[s.x_label, s.y_label]), f"{key_label(s.title)}: what is left over, "
+    pictures += [Picture(signature_plot(s, limits[s.x_label, s.y_label]), f"{key_label(s.title)}: the residual, "
                          "and what the effect adds.") for s in found.signatures]
     for trace in found.traces[:1]:
         pictures += [Picture(trace_plot(trace, column), f"{column} in {trace.run}: measured, nominal, extended.")
@@ -258,7 +258,7 @@ def _calibration_words(c: Calibrated) -> str:
     if c.found is None:
         return f"refused: {c.refusal}"
     before, after = np.degrees(c.found.before[3, 0]), np.degrees(c.found.after[3, 0])
-    return (f"on the half not fitted, the angle by gravity is {before:.2f} degrees rms beside the encoder, "
+    return (f"on the half not fitted, the angle by gravity differs from the encoder by {before:.2f} degrees rms, "
             f"{after:.2f} after calibration; published, by fusion with the gyro: below "
             f"{np.degrees(c.task.angle_below_rad):.0f}")
 

@@ -1,4 +1,4 @@
-"""What one command does, without its arguments: record, fit, diagnose, validate, simulate, demo."""
+"""Work of one command, without its arguments: record, fit, diagnose, validate, simulate, demo."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What changed between two sessions of one rig: both prepared together, so that they differ by their runs alone."""
+"""Changes between two sessions of one rig: both prepared together, so that they differ by their runs alone."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class ChangeFound:
 
 def find_change(runs: Sequence[Path | str | Dataset], against: Sequence[Path | str | Dataset], rig: Rig,
                 damaged: bool = False) -> ChangeFound:
-    """What differs between `runs` and the earlier runs `against` of the same rig. Raises `InputError` for runs that do
-    not belong together."""
+    """Changes between `runs` and the earlier runs `against` of the same rig. Raises `InputError` for runs that do not
+    belong together."""
     known_effects()
     reference = [replace(d, name=f"reference {d.name}") for d in as_datasets(against, rig, damaged)]
     prepared = prepare([*reference, *as_datasets(runs, rig, damaged)], rig, damaged=damaged)

@@ -24,10 +24,10 @@ def compare_models(models: tuple[Model, Model], files: tuple[str, str], runs: Se
         require_mechanism(model, one.setup, file)
     require_sound(prepared[0].setup)
     a, b = (predict([predictor_of(model)], progress(one.setup.datasets, f"simulating {file}", unit="run"),
-                    one.setup.options, horizons_s, reader=0) for model, file, one in zip(models, files, prepared))
-    table, names = a.beside(b), [data.name for data in prepared[0].setup.datasets]
+                    one.setup.options, horizons_s, smoother=0) for model, file, one in zip(models, files, prepared))
+    table, names = a.joined_with(b), [data.name for data in prepared[0].setup.datasets]
     return Comparison(files, parameter_pairs(models), tuple(horizon_errors(table)), table, tuple(names),
-                      (*prepared[0].warnings, *_doubts(models, files, names)), _notes(models), prepared[0].set_aside)
+                      (*prepared[0].warnings, *_flags(models, files, names)), _notes(models), prepared[0].set_aside)
 
 
 def parameter_pairs(models: tuple[Model, Model]) -> tuple[ParameterPair, ...]:
@@ -60,7 +60,7 @@ def _entries(model: Model) -> dict[str, tuple[str, str, Estimate]]:
     return out
 
 
-def _doubts(models: tuple[Model, Model], files: tuple[str, str], runs: Sequence[str]) -> list[str]:
+def _flags(models: tuple[Model, Model], files: tuple[str, str], runs: Sequence[str]) -> list[str]:
     found = [f"{file} was fitted to {', '.join(seen)}: there its errors are too small." for model, file in
              zip(models, files) if (seen := [run for run in runs if run in model.provenance.runs])]
     found += [f"{file} does not say which runs it was fitted to. If these are among them, its errors are too small."

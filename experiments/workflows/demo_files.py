@@ -1,4 +1,4 @@
-"""The files that a demo leaves behind beside its runs."""
+"""The files that a demo writes in addition to its runs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult | None) -> dict[st
     write_page(written["fit report"], "The emulated leg: the nominal fit", fit_summary(result, setup.settings.model),
                [*sections, origin_section(origin)], origin, fit_trust(result).verdict(result.warnings))
     told = diagnosis_sections(demo.diagnosis, setup.mechanism)
-    told[1:1] = [Section("What was hidden", [f"The leg was emulated, and beside what its rig file says it had "
+    told[1:1] = [Section("What was hidden", [f"The leg was emulated, and in addition to its rig file it had "
                                              f"{demo.hidden.words}."]),
                  truth_section(setup.mechanism, demo.estimates(), demo.truth)]
     write_page(written["report"], f"The emulated leg: {verdict_words(demo.diagnosis.verdict)}",

@@ -16,12 +16,12 @@ from experiments.session import Setup
 
 @dataclass(frozen=True)
 class Demo:
-    """What the demo hid, what it found and where it put it."""
+    """The hidden effect, the findings and the files of a demo."""
 
     hidden: Hidden
     setup: Setup
     result: FitResult
-    """The nominal fit, on the runs that the diagnosis did not keep back."""
+    """The nominal fit, on the runs that the diagnosis did not hold out."""
     diagnosis: Diagnosis
     model: Model
     """Extended, or nominal where the diagnosis extended nothing."""
@@ -40,5 +40,5 @@ class Demo:
         return estimates_of(self.result)
 
     def inside(self) -> int:
-        """How many parameters of the plant lie inside their 95 % intervals."""
+        """Number of the plant's parameters inside their 95 % intervals."""
         return sum(one.holds(self.truth[name]) for name, one in self.estimates().items())

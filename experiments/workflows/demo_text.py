@@ -1,4 +1,4 @@
-"""What the demo says at its end."""
+"""Text at the end of the demo."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from experiments.workflows.demo_result import Demo
 
 
 def demo_text(demo: Demo) -> str:
-    """What was hidden, what was found, the parameters against the truth, and where everything is."""
+    """Hidden effect, findings, parameters against the truth, and files, for a person."""
     found, mechanism = demo.diagnosis, demo.setup.mechanism
     runs = sum(len(names) for names in found.runs.values())
     extended = bool(demo.model.effects)

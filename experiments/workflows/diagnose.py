@@ -1,4 +1,4 @@
-"""A diagnosis of run files: what is checked before it, and what a saved model needs beside it."""
+"""A diagnosis of run files: checks before it, and what a saved model needs in addition."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ GAIN = "torque_gain"
 def diagnose_prepared(prepared: Prepared, seed: int = 0, reference: Mapping[str, tuple[float, float]] | None = None,
                    progress: Callable[[str, float], None] | None = None, workers: int | None = None,
                    material: float = MATERIAL) -> Diagnosis:
-    """Diagnose the runs of `prepared`, in the order given, on `workers` processes (by default one a core).
+    """The diagnosis of the runs of `prepared`, in the order given, on `workers` processes (by default one a core).
 
-    Columns that contradict themselves are no effect's: then the verdict is fit_failed, with what mends them. Raises
-    `InputError` for runs that do not belong together.
+    Columns that contradict each other give the verdict fit_failed with a remedy. Raises `InputError` for runs that do
+    not belong together.
     """
     known_effects()
     setup, rig = prepared.setup, prepared.rig
-    notes = (*(str(one) for one in prepared.doubts), *setup.notes)
+    notes = (*(str(one) for one in prepared.flags), *setup.notes)
     imus = setup.mechanism.imus
     if setup.options.sensors == "imu" and len(imus) > 1:
         raise InputError("the rig file", f"has {len(imus)} IMUs; a diagnosis knows the faults of one",
@@ -57,7 +57,7 @@ def diagnose_prepared(prepared: Prepared, seed: int = 0, reference: Mapping[str,
 
 
 def with_known_gain(not_testable: Mapping[str, str], rig: Rig) -> dict[str, str]:
-    """What motion cannot test, and of the torque gain what a known weight has shown where the rig file has it."""
+    """`found` with effects that motion cannot test, and the torque gain by a known weight where the rig file has it."""
     c = rig.calibration
     half = c.torque_constant_half_nm_per_a
     if half is None or GAIN not in not_testable:
@@ -69,8 +69,10 @@ def with_known_gain(not_testable: Mapping[str, str], rig: Rig) -> dict[str, str]
 
 
 def without_benchmark(setup: Setup) -> Setup:
-    """No run keeps the angle of a joint whose encoder is not in use, such as the pivot's beside an IMU: a diagnosis may
-    not read it."""
+    """`setup` without angles of unused encoders, such as the pivot's on a rig with an IMU.
+
+    A diagnosis must not read them.
+    """
     m, used = setup.mechanism, setup.options.encoders_of(setup.mechanism.n)
     hidden = {angle_column(m, j) for j in range(m.n) if j not in used}
     return setup if not hidden else replace(setup, datasets=tuple(

@@ -1,4 +1,4 @@
-"""Where independent pieces of work run: this process, local processes, or a Dask cluster that is already there.
+"""Execution of independent pieces of work: this process, local processes, or a Dask cluster that is already there.
 
 Every executor hands back (index, result) as pieces finish, in any order. A piece is a module-level function and
 one picklable argument.
@@ -104,7 +104,7 @@ class ClusterExecutor:
 
 
 def choose_executor(workers: int | None, cluster: str | None) -> Executor:
-    """What `--workers` and `--cluster` ask for; by default one process a core."""
+    """Executor by `--workers` and `--cluster`; by default one process a core."""
     if cluster is not None:
         return ClusterExecutor(cluster)
     count = workers if workers is not None else cores()

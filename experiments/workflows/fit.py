@@ -18,7 +18,7 @@ from experiments.reports import fit_document
 from experiments.session import (
     Choice,
     Prepared,
-    RunDoubt,
+    RunFlag,
     Runs,
     SetAside,
     Setup,
@@ -54,7 +54,7 @@ class Fitted:
     choices: tuple[Choice, ...]
     aside: tuple[SetAside, ...] = ()
     """Runs that were not used."""
-    doubts: tuple[RunDoubt, ...] = ()
+    flags: tuple[RunFlag, ...] = ()
     """Of the runs that were."""
     servo_gain: tuple[float, float, float] | None = None
     """Value and 95 % interval of a servo's gain that the fit found"""
@@ -102,7 +102,7 @@ def fit_runs(runs: Runs, rig: Rig, *, sensors: str | None = None, fixed: Mapping
         gain, known = (size, size - half, size + half), structs.replace(
             known, servo=structs.replace(known.servo, gain=size))
         findings.append(_gain_finding(gain, rig, result.mechanism, f"{name} = {value:g}"))
-    return Fitted(setup, _joined(result, findings), known, choices, prepared.set_aside, prepared.doubts, gain)
+    return Fitted(setup, _joined(result, findings), known, choices, prepared.set_aside, prepared.flags, gain)
 
 
 def _checked(setup: Setup, method: Method = "mle") -> tuple[FitResult, tuple[Finding, ...]]:
@@ -110,8 +110,8 @@ def _checked(setup: Setup, method: Method = "mle") -> tuple[FitResult, tuple[Fin
     try:
         result = fit_admissible(setup.datasets, setup.mechanism, setup.options, method)
     except FitError as error:
-        mends = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, True).remedies
-        raise FitError("; ".join([str(error), *["; or ".join(mends)] * bool(mends)])) from None
+        fixes = suspect(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio, True).remedies
+        raise FitError("; ".join([str(error), *["; or ".join(fixes)] * bool(fixes)])) from None
     result = with_second_opinion(setup.datasets, setup.mechanism, setup.options, result)
     kinds = {one.kind for one in result.findings}
     suspected = not result.converged or bool(kinds & {"impossible", "level_negative"})
@@ -128,10 +128,10 @@ def _joined(result: FitResult, findings: Sequence[Finding]) -> FitResult:
 
 
 def _of_runs(prepared: Prepared) -> list[Finding]:
-    """Runs that were set aside, and doubts of the others."""
+    """Runs that were set aside, and flags of the others."""
     return [*(Finding("warning", "run_set_aside", str(run)) for run in prepared.set_aside),
-            *(Finding("warning", "rig_contradiction" if one.doubt.kind == "rig" else "run_doubt", str(one))
-              for one in prepared.doubts)]
+            *(Finding("warning", "rig_contradiction" if one.flag.kind == "rig" else "run_doubt", str(one))
+              for one in prepared.flags)]
 
 
 def _noise_findings(result: FitResult) -> list[Finding]:

@@ -29,9 +29,9 @@ CHANNELS = {"gyro": ("gyro_radps",), "accel_x": ("accel_x_mps2", "accel_mps2"),
 
 def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = None,
                  start: Sequence[float] | None = None, noise_seed: int | None = None) -> Dataset:
-    """Run of `model` under `plan` from rest at `start` [rad]; samples act between each other as the model's hold says.
+    """Run of `model` under `plan` from rest at `start` [rad], with the model's hold of the torque between samples.
 
-    Raises `InputError` (the plan does not fit the mechanism) or `WorkError` (the motion runs away).
+    Raises `InputError` (the plan does not fit the mechanism) or `WorkError` (the motion diverges).
     """
     mechanism = build_mechanism(model.mechanism)
     if mechanism.exchanged:
@@ -62,7 +62,7 @@ def _nominal_columns(model: Model, mechanism: Mechanism, tau: FloatArray, q0: Fl
                      ) -> dict[str, FloatArray]:
     q, qd, qdd = simulate(mechanism, np.array(model.beta), q0, np.zeros(mechanism.n), tau, 1.0 / rate, model.hold)
     if not np.isfinite(q).all():
-        raise WorkError("the simulated motion runs away; check the model's parameters and the plan's torque")
+        raise WorkError("the simulated motion diverges; check the model's parameters and the plan's torque")
     readings = {encoder_of(j): q[:, j] for j in range(mechanism.n)}
     readings |= {torque_of(j): tau[:, j] for j in mechanism.actuated}
     if model.mechanism.has_imu:

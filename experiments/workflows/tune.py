@@ -25,9 +25,9 @@ MOST_SAMPLES = 60_000
 FINEST_SEEN_HZ = 200.0
 """Grid on which predictions are held against the record, whatever grid the fit was on."""
 GAIN = 0.03
-"""Share by which the prediction of runs not fitted must get better for an entry to change."""
+"""Least relative reduction of the prediction error of held-out runs for an entry to change."""
 SAME = 0.01
-"""Share by which grids predict alike: then the finest is right, a coarse one blurs what is fast."""
+"""Relative difference of prediction errors below which grids count as equal; then the finest is chosen."""
 DISAGREE = 0.05
 """Share of itself by which a parameter may differ between grids without a word."""
 RIGID = ("inertia", "gravity")
@@ -49,7 +49,7 @@ class Trial:
 
 @dataclass
 class Tuning:
-    """What was chosen, what else was tried, and what is to be doubted."""
+    """Chosen entries, tried values and flags."""
 
     choices: list[Choice] = field(default_factory=list)
     aside: tuple[SetAside, ...] = ()
@@ -57,7 +57,7 @@ class Tuning:
     after: Trial | None = None
     tried: list[tuple[str, str, str]] = field(default_factory=list)
     """Entry, value, error on runs not fitted."""
-    doubts: list[str] = field(default_factory=list)
+    flags: list[str] = field(default_factory=list)
 
     @property
     def predicts(self) -> bool:
@@ -80,7 +80,7 @@ def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
     out.before = bench.trial(rig)
     best = bench.trial(best_rig) if out.choices else out.before
     if best.score > out.before.score + np.log(1.0 + GAIN):
-        out.doubts.append("the terms chosen foretell runs not fitted worse than none: left out")
+        out.flags.append("the chosen terms predict the other runs worse than no terms: left out")
         out.choices, best_rig, best = [], rig, out.before
     entries = _entries(bench, rig, best)
     grids: dict[float, Trial] = {}
@@ -109,7 +109,7 @@ def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
     out.after = best
     if not out.predicts:
         out.choices = []
-    out.doubts += _disagreement(grids)
+    out.flags += _disagreement(grids)
     return out
 
 
@@ -224,8 +224,8 @@ def _disagreement(grids: Mapping[float, Trial]) -> list[str]:
     if not off:
         return []
     told = ", ".join(f"{name} by {100 * share:.0f} %" for name, share in off.items())
-    return [f"between grids of {min(sound):g} and {max(sound):g} Hz parameters differ, {told}: more than any interval "
-            "of one fit; something fast is missing in the model"]
+    return [f"parameters differ between grids of {min(sound):g} and {max(sound):g} Hz: {told}. "
+            "The model lacks fast dynamics; the intervals do not include this difference"]
 
 
 def _text(value: object) -> str:
@@ -242,17 +242,17 @@ def tuning_rows(found: Tuning) -> list[list[str]]:
 
 
 def tuning_text(found: Tuning) -> str:
-    """What a person reads: one table, then what it is worth."""
+    """Text for a person: one table, then what it is worth."""
     rows = tuning_rows(found)
     lines = [text_table(["entry", "chosen", "why", "what it changes"], rows, set())] if rows else [
-        "rig.toml as it is predicts best: nothing to change" if found.predicts else
-        "nothing is chosen: no fit to half of the runs predicts the other half, whatever entry was tried.\n"
+        "no change: rig.toml predicts best as it is" if found.predicts else
+        "nothing is chosen: no fit to half of the runs predicts the other half.\n"
         "Run legid fit on the same runs: its first lines say what is wrong."]
     if found.predicts and found.before is not None and found.after is not None:
-        lines += ["", f"error over pieces of {SHORT_S:g} s of runs not fitted (rms, by joint): "
+        lines += ["", f"rms prediction error over {SHORT_S:g} s on held-out runs, by joint: "
                       f"{_errors(found.before)} before, {_errors(found.after)} after"]
     lines += [f"warning: {run}" for run in found.aside]
-    lines += [f"warning: {doubt}" for doubt in found.doubts]
+    lines += [f"warning: {flag}" for flag in found.flags]
     return "\n".join(lines)
 
 
@@ -263,7 +263,7 @@ def tuning_document(found: Tuning) -> dict[str, Any]:
             "tried": [{"entry": entry, "value": value, "error": error} for entry, value, error in found.tried],
             "error_before": None if found.before is None else found.before.rmse.tolist(),
             "error_after": None if found.after is None else found.after.rmse.tolist(),
-            "horizon_s": SHORT_S, "doubts": found.doubts,
+            "horizon_s": SHORT_S, "doubts": found.flags,
             "set_aside": [run.document for run in found.aside]}
 
 

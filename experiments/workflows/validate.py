@@ -47,7 +47,7 @@ class ValidationReport:
 
     @property
     def validations(self) -> list[Validation]:
-        """The whole free runs of the model, one a gap-free stretch."""
+        """The whole free runs of the model, one a gap-free segment."""
         return validations_of(self.table)
 
     @property
@@ -62,15 +62,15 @@ class ValidationReport:
 def validate_prepared(model: Model, prepared: Prepared, where: str, files: Sequence[Source] = (),
                       against: Model | None = None, horizons_s: Sequence[float] = HORIZONS_S, bands: bool = False
                       ) -> ValidationReport:
-    """As `validate_model`, on the runs of `prepared`, which were read from `files`, with what it is worth."""
+    """Report like that of `validate_model`, on the runs of `prepared`, which were read from `files`, with its trust."""
     setup, seen = prepared.setup, seen_in_fit(model, files)
     table, steps = validate_model(model, setup, where, against, horizons_s, bands)
-    against_rig = [*contradictions(prepared.doubts), *model_contradictions(model.mechanism, setup.settings)]
+    against_rig = [*contradictions(prepared.flags), *model_contradictions(model.mechanism, setup.settings)]
     return ValidationReport(prepared, table, steps, seen, validation_trust(table, seen, against_rig))
 
 
 class Validated(NamedTuple):
-    """What a validation measured."""
+    """Result of a validation."""
 
     table: PredictionTable
     """Of the model, then of the other one it is held against"""
@@ -82,7 +82,7 @@ def validate_model(model: Model, setup: Setup, where: str, against: Model | None
                    horizons_s: Sequence[float] = HORIZONS_S, bands: bool = False) -> Validated:
     """Free runs of `model` on the runs of `setup`, next to those of the model `against`; `where` names it in errors.
 
-    The horizon `SHORT_S` and whole stretches are always among the horizons. `bands` by the covariance of `model`.
+    The horizon `SHORT_S` and whole segments are always among the horizons. `bands` by the covariance of `model`.
     Raises `InputError` for a model of another mechanism, `FitError` for runs whose columns contradict themselves.
     """
     require_mechanism(model, setup, where)
@@ -104,7 +104,7 @@ def predict_setup(models: Sequence[Predictor], setup: Setup, horizons_s: Sequenc
             walked.append((data, smoothed[0]))
 
     return predict([models[0], *others], progress(setup.datasets, "simulating", unit="run"), setup.options,
-                   {*horizons_s, SHORT_S}, bands, reader=0, seen=seen)
+                   {*horizons_s, SHORT_S}, bands, smoother=0, seen=seen)
 
 
 def fitted_predictor(result: FitResult) -> Predictor:

@@ -175,7 +175,7 @@ def test_only_plain_data_frames_are_taken(monkeypatch: pytest.MonkeyPatch) -> No
     link = scripted(monkeypatch, data_frame(), data_frame(is_extended_id=True), data_frame(is_fd=True),
                     can.Message(arbitration_id=4, is_error_frame=True, data=bytes(8)), data_frame(2))
     assert link.read() == (CanFrame(1, b"\1"), CanFrame(2, b"\1"))
-    assert (link.foreign, link.errors) == (2, 1)
+    assert (link.other_frames, link.errors) == (2, 1)
 
 
 def test_bus_off_is_named_after_what_came_before_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,7 +86,7 @@ def scores(seeds: range, made: Case, sensors: str, method: Method) -> np.ndarray
     found = []
     for seed in seeds:
         leg, data = made(seed)
-        options = FitOptions(sensors=sensors, hold="auto", rounding="auto")
+        options = FitOptions(sensors=sensors, hold="auto", smoothing_velocity="auto")
         try:
             result = fit(data, leg2(lever_arm=leg.lever), options, method)
         except FitError:

@@ -12,7 +12,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "casebook", help="put public records through fit, validate and diagnose",
         description="For each known folder of public records under DIR: fit, validate and diagnose with the rig file "
-                    "shipped for it, and put what is published beside what is found, on one page.")
+                    "shipped for it, and compare the results with the published ones on one page.")
     parser.add_argument("folder", metavar="DIR", help="the directory that holds the folders")
     add_output(parser, "--html", "page", help="write the page")
     add_output(parser, "--json", "legid.casebook/1", help="write the figures as JSON (schema legid.casebook/1)")

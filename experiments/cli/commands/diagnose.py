@@ -20,10 +20,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Describe the command."""
     parser = subparsers.add_parser(
         "diagnose", help="name what the model gets wrong and measure what extending it gains",
-        description="Fit the nominal model, look for what it leaves over, name the cause where the data allows it, "
-                    "and measure on runs that chose nothing how much the extended model gains. Give several runs "
+        description="Fit the nominal model and test its residual for causes. Name the cause if the data determine it. "
+                    "Measure on held-out runs how much the extended model gains. Give several runs "
                     "(eight of 20 s are good) in the order in which they were recorded. Exit status 1 when no "
-                    "diagnosis is possible (JSON is written all the same).")
+                    "diagnosis is possible; the JSON is written all the same.")
     parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
     add_rig(parser)
     add_output(parser, "--json", "legid.diagnosis/1", help="write the diagnosis as JSON (schema legid.diagnosis/1)")
@@ -32,9 +32,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                help="write the extended model (the nominal one where nothing was named) for validate and simulate")
     add_force(parser)
     parser.add_argument("--seed", metavar="N", type=whole_number(0, 2**32 - 1), default=0,
-                        help="rehearsals and intervals are drawn from it; default: 0")
+                        help="seed of the bootstrap replicates and intervals; default: 0")
     parser.add_argument("--material", metavar="SHARE", type=share, default=0.1,
-                        help="a cause matters where the rms error of free runs falls by this share of it; default: 0.1")
+                        help="smallest relative reduction of the free-run rms error that counts as material; "
+                             "default: 0.1")
     parser.add_argument("--workers", metavar="N", type=whole_number(1, MOST_WORKERS),
                         help="processes that share the work; default: one a core")
     parser.add_argument("--fix", metavar="NAME=VALUE", action="append", default=[], type=assignment,
@@ -84,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         from experiments.reports import write_diagnosis
 
         write_diagnosis(args.html, found, setup.settings.model, origin, setup.datasets, setup.mechanism,
-                        contradictions(prepared.doubts))
+                        contradictions(prepared.flags))
     if found.verdict == "fit_failed":
         raise WorkError(found.sentence)
     if args.model_out:

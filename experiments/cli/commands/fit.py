@@ -81,8 +81,8 @@ def run(args: argparse.Namespace) -> int:
     setup, result = fitted.setup, fitted.result
     trust = fit_trust(result)
     print("\n".join([trust.sentence, *trust.reasons, "", fit_text(result, setup.settings.model)]))
-    for doubt in fitted.doubts:
-        warn(str(doubt))
+    for flag in fitted.flags:
+        warn(str(flag))
     if args.json and origin:
         write_json(args.json, with_origin(fitted.document, origin, setup.datasets))
     if args.html and origin:

@@ -23,7 +23,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("files", metavar="FILE", nargs="+",
                         help=".csv, .txt, .mat, .npz, .h5, .pt, .pkl, .json, .parquet, .mcap, .db3, or a bag's folder")
     parser.add_argument("--map", metavar="COLUMNS.toml", required=True, help="the map of columns")
-    parser.add_argument("--guess", action="store_true", help="write the map, from the first file, and a page beside it")
+    parser.add_argument("--guess", action="store_true",
+                        help="write a map guessed from the first file, and a page next to it")
     parser.add_argument("--out", metavar="DIR", default=".", help="where the runs go; default: here")
     add_force(parser)
     parser.add_argument("--rate", metavar="HZ", type=float, help="samples per second; default: the slowest signal's")
@@ -37,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     from daq import InputError
     from daq.runs import write_csv
     from experiments.console import make_directory, printable, warn
-    from experiments.exchange import apply_map, load_map, read_foreign, runs_in
+    from experiments.exchange import apply_map, load_map, read_imported, runs_in
 
     if args.guess:
         return _guess(args)
@@ -50,16 +51,16 @@ def run(args: argparse.Namespace) -> int:
     bad = 0
     for file, target in _targets(args.files, out):
         try:
-            foreign = read_foreign(file)
-            for ending, own in runs_in(foreign, columns):
+            imported = read_imported(file)
+            for ending, own in runs_in(imported, columns):
                 place = target.with_name(f"{target.stem}{ending}.csv")
                 if place.resolve() in given:
                     raise InputError(str(place), "exists already", "give another directory with --out")
-                data = apply_map(foreign, own, args.rate)
+                data = apply_map(imported, own, args.rate)
                 rows = write_csv(data, place, replace=args.force)
                 print(f"{place}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
-                for doubt in data.doubts:
-                    warn(f"{file} {doubt}")
+                for flag in data.flags:
+                    warn(f"{file} {flag}")
         except InputError as error:
             if len(args.files) == 1:
                 raise
@@ -85,14 +86,14 @@ def _guess(args: argparse.Namespace) -> int:
 
     from daq import InputError, WorkError, write_file
     from experiments.console import text_table
-    from experiments.exchange import guess_map, guess_text, is_guess, read_foreign
+    from experiments.exchange import guess_map, guess_text, is_guess, read_imported
     from experiments.reports import GUESS_HEADER, guess_rows, guess_section, guess_verdict, write_page
 
     target, page = Path(args.map), Path(args.map).with_suffix(".html")
     if target.exists() and not (args.force or is_guess(target)):
         raise InputError(str(target), "exists already, and was changed by hand",
                          "leave --guess out to import by it, or give --force to write it anew")
-    found = guess_map(read_foreign(args.files[0]))
+    found = guess_map(read_imported(args.files[0]))
     print(text_table(GUESS_HEADER, guess_rows(found), set()))
     write_file(target, guess_text(found.columns, found.notes).encode(), changed=True)
     write_page(page, f"Columns of {Path(args.files[0]).name}", "A guess: look at it before it is used.",

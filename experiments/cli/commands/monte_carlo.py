@@ -16,8 +16,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "monte-carlo", help="the simulation study of the paper, Table III",
         description="Simulate noisy records of one step of the three-link walker, fit each by every method, simulate "
-                    "the models freely and print Table III beside the paper's numbers. An interrupted study goes on "
-                    "where it stopped when the same command is given again.")
+                    "the models freely and print Table III next to the paper's numbers. The same command continues an "
+                    "interrupted study.")
     parser.add_argument("model", choices=("biped3",), help="the walker of section V")
     parser.add_argument("--runs", type=whole_number(1, MOST_RUNS), default=1000, help="runs a case; default: 1000")
     parser.add_argument("--cases", type=_cases, default=(1, 2, 3, 4, 5), metavar="1,2,...",
@@ -39,7 +39,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="where finished work is kept, with runs.parquet and report.html; "
                              "default: monte-carlo-out")
     add_output(parser, "--json", "legid.monte-carlo/1", help="write the table as JSON (schema legid.monte-carlo/1)")
-    add_output(parser, "--markdown", "text page", help="write the page as Markdown too, its pictures beside it")
+    add_output(parser, "--markdown", "text page", help="write the page as Markdown too, with its pictures next to it")
     add_force(parser)
     parser.add_argument("--note", default="", metavar="TEXT", help="a sentence for the end of the page")
     parser.set_defaults(run=run)

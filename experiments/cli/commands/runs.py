@@ -14,7 +14,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "runs", help="list recorded runs with their verdicts",
         description="Every .mcap file in DIR and below, oldest first: when, how long, which rig, how well its clock is "
-                    "known, what was lost, and the verdict of the newest diagnosis JSON beside it that used it.")
+                    "known, what was lost, and the verdict of the newest diagnosis JSON in its folder that used it.")
     parser.add_argument("folder", metavar="DIR", help="folder with run files, or one run")
     parser.add_argument("--model", help="only runs of this rig model (leg2, ...)")
     parser.add_argument("--since", metavar="DATE", type=_day, help="only runs recorded on this day (UTC) or later")

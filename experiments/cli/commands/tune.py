@@ -11,10 +11,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Describe the command."""
     parser = subparsers.add_parser(
         "tune", help="choose a rig's set-up by its records",
-        description="Grid, hold, filter, encoders' error and zeros, rotor and offset terms, friction's rounding: each "
-                    "is chosen by how well a fit to half of the runs predicts the other half, and told in one table "
-                    "with what it changes. Entries that rig.toml has are kept, but for those of [sampling]. "
-                    "Exit status 1 when no fit predicts, and nothing is chosen.")
+        description="Choose grid, hold, filter, encoder error and zeros, rotor and offset terms and friction smoothing "
+                    "velocity by cross-validation. A value is chosen if a fit to half of the runs predicts the other "
+                    "half better with it. Entries of rig.toml outside [sampling] are kept. "
+                    "Exit status 1 when no fit predicts; nothing is chosen then.")
     parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
     add_rig(parser)
     parser.add_argument("--sensors", choices=("imu", "encoder"),

@@ -19,7 +19,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--sensors", choices=("imu", "encoder"),
                         help="what the pivot's angle is compared with; default: imu where all runs have its columns")
     parser.add_argument("--against", metavar="MODEL.json",
-                        help="another model, such as a published one, whose errors stand beside")
+                        help="another model, such as a published one, to compare the errors with")
     add_horizons(parser)
     add_output(parser, "--json", "legid.validation/1", help="write the errors as JSON (schema legid.validation/1)")
     add_output(parser, "--html", "page", help="write a report page")

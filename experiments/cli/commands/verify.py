@@ -9,8 +9,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Describe the command."""
     parser = subparsers.add_parser(
         "verify", help="check the files that a JSON, model or report was made from",
-        description="Read the SHA-256 of runs, rig file and model that FILE carries, look for these files beside it "
-                    "and in the folders given, and compare. Exit status 1 where one has changed or is missing.")
+        description="Compare runs, rig file and model with the SHA-256 sums in FILE. The files are looked for in its "
+                    "folder and in the folders given. Exit status 1 when one has changed or is missing.")
     parser.add_argument("file", metavar="FILE", help="a JSON, a MODEL.json or a report page of legid")
     parser.add_argument("folders", metavar="DIR", nargs="*",
                         help="where to look, folders below included; default: FILE's own and the current folder")

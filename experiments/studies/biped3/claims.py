@@ -1,4 +1,4 @@
-"""What the study is asked to show, each demand beside what was measured."""
+"""Demands on the study: each demand with the measured figure."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def runner_up(table: Table, case: int) -> Cell | None:
 
 
 def lead(table: Table, case: int) -> float:
-    """How many standard errors the runner-up's mean error is above that of mle, run by run where neither failed."""
+    """Difference of the runner-up's mean error from that of mle in standard errors, run by run where neither failed."""
     second = runner_up(table, case)
     if second is None or (case, "mle") not in table.errors:
         return np.nan

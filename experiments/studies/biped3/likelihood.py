@@ -1,4 +1,4 @@
-"""How much better than the truth an estimate explains its own record: the likelihood ratio of the study's mle.
+"""Likelihood of an estimate against that of the truth on its own record: the likelihood ratio of the study's mle.
 
 Its distribution does not depend on how the model is parametrised: for an efficient estimator it is chi-squared with
 as many degrees of freedom as there are parameters, also where the parameters' errors are so large that covariances
@@ -19,7 +19,7 @@ from estimator.signals import split_signals
 from experiments.studies.walker import Step, motor_mechanism
 
 STEPS = 12
-SETTLED = 1e-6
+CONVERGED = 1e-6
 """A step of the latents that would lower the sum of squares by less than this ends the search for the best motion."""
 
 
@@ -50,7 +50,7 @@ def smallest_misfit(problem: BatchProblem, records: Records, beta: FloatArray, s
             point = problem.linearise(records, x, beta)
         except np.linalg.LinAlgError:
             break
-        if (point.decrease < SETTLED).all():
+        if (point.decrease < CONVERGED).all():
             return point.objective
         x = x + point.step
     if len(beta) == 1:

@@ -16,8 +16,8 @@ def reasons(table: Table) -> list[str]:
     """One or two sentences each."""
     found = [
         "The paper prints neither controller nor initial state nor hold between samples. Here they are the walker of "
-        "Grizzle, Abba and Plestan (2001) just after an impact of its periodic gait, torque held for 10 ms. Errors "
-        "therefore differ in size from the print even where a method is the same.",
+        "Grizzle, Abba and Plestan (2001) just after an impact of its periodic gait, with a zero-order hold of 10 ms. "
+        "Errors therefore differ in size from the paper even where a method is the same.",
         _differences(table),
         "The paper's MLE (1.15 to 1.24) carries the bias of differences too. The MLE here does not: its motion is one "
         "function whose derivatives are exact, under torque that acts as the hold says.",
@@ -25,13 +25,13 @@ def reasons(table: Table) -> list[str]:
         "Least squares compares a symmetric difference with the mean of the torques held before and after the sample; "
         "with the held torque of the sample itself its error in case 1 would be 45 rad² without any noise.",
         _singular(table),
-        "WLS weighs each joint's torque by its own residual. With the known covariance in (29) (`--methods wls-known`) "
-        "and the small number that RLS needs as its passive entry its mean error in case 3 is 33 rad² in place of "
+        "WLS weighs each joint's torque by its own residual. `--methods wls-known` uses the known covariance in (29) "
+        "and the small passive entry that RLS needs. Its mean error in case 3 is then 33 rad² in place of "
         "115 with 0.03 N m, and 75 with 0.316.",
         "RLS needs a small number in place of the passive joint's variance, which the paper does not give. Here it is "
         "the square of 0.03 N m. Other levels from 0.001 to 10 N m raise or lower its errors, and leave them far above "
         "those of MLE in cases 1 to 4.",
-        "HEKF knows the hold here, and is better than the print where the absolute angle is nearly exact; with more "
+        "HEKF knows the hold here, and is better than in the paper where the absolute angle is nearly exact; with more "
         "noise its linearisation fails, as the paper reports.",
         "A simulation counts as failed where the inertia matrix becomes singular on the way or a rate passes 10⁴ "
         "rad/s, or where there is no fit. The paper does not say what it counted.",

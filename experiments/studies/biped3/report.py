@@ -46,7 +46,7 @@ def as_printed(value: float) -> str:
 
 
 def table_rows(table: Table, case: Case) -> list[list[str]]:
-    """One case of Table III side by side with the print."""
+    """One case of Table III side by side with the paper's."""
     rows = []
     for method in table.methods:
         cell = table.cell(case.number, method)
@@ -61,7 +61,7 @@ def table_rows(table: Table, case: Case) -> list[list[str]]:
 
 
 def trust_rows(table: Table) -> list[list[str]]:
-    """What the estimates are worth against what is possible."""
+    """Estimates against the bound."""
     rows = []
     for case in table.cases:
         floor = table.cell(case.number, FLOOR)
@@ -76,10 +76,10 @@ def trust_rows(table: Table) -> list[list[str]]:
 
 
 def study_text(table: Table, wall_s: float) -> str:
-    """What a person reads after `legid monte-carlo`."""
+    """Text after `legid monte-carlo`."""
     lines = [f"biped3, protocol {table.protocol.name}, {table.runs} runs a case, seed {table.seed}: "
              f"{wall_s:.0f} s now, {table.seconds:.0f} s of processor time in all",
-             "summed squared angle error of the free run [rad^2], beside Table III of the paper; excess: above the "
+             "summed squared angle error of the free run [rad^2], next to Table III of the paper; excess: above the "
              f"{figure(table.true_error)} that true parameters leave", ""]
     rows = [[str(case.number), *row] for case in table.cases for row in table_rows(table, case)]
     lines += [text_table(["case", *HEADER], rows, set(range(2, len(HEADER) + 1))), "",
@@ -128,7 +128,7 @@ def study_sections(table: Table, machine: str, note: str = "") -> list[Section]:
         Section("Distribution of the errors",
                 ["Share of all runs whose error is below the value on the axis; a curve that ends below 1 has failed "
                  "runs."], pictures=[_distribution(table, case.number) for case in table.cases]),
-        *([Section("Where numbers differ from the print, and why", notes=reasons(table))]
+        *([Section("Where numbers differ from the paper, and why", notes=reasons(table))]
           if table.protocol == OURS else []),
         _making(table, machine, note)]
     return sections
@@ -138,9 +138,9 @@ def _table_iii(table: Table) -> Section:
     right = frozenset(range(1, len(HEADER)))
     return Section(
         "Table III",
-        ["Sample mean and variance of the summed squared angle error [rad²] of the identified model, simulated from "
-         "the true state under the true torque for 0.68 s, beside the paper's print. Variance of both torques 0.1 "
-         "N²m², relative angles free of noise, 100 Hz.",
+        ["Sample mean and variance of the summed squared angle error [rad²] of the identified model, next to the "
+         "paper's. Each is simulated for 0.68 s from the true state under the true torque. Variance of both torques "
+         "0.1 N²m², relative angles free of noise, 100 Hz.",
          "Floor: the same records with the true states given to least squares (rows weighted alike), so that only "
          "torque noise is left. "
          "Failed: no fit, or a simulation that did not reach its end; failed runs are left out of mean, variance and "

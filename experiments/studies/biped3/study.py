@@ -62,7 +62,7 @@ class Block:
 
     @property
     def name(self) -> str:
-        """Of the file that keeps its result."""
+        """Name of the file that keeps its result."""
         protocol = "" if self.protocol == OURS else f"{self.protocol.name}-"
         return (f"{protocol}case{self.case.number}-{self.method}-seed{self.seed}-"
                 f"runs{self.first}-{self.first + self.count}")
@@ -70,7 +70,7 @@ class Block:
 
 @dataclass(frozen=True)
 class BlockResult:
-    """What came out, one entry a run."""
+    """Results, one entry a run."""
 
     beta: FloatArray
     """(R, 8), NaN where the fit failed"""

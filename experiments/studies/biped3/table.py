@@ -1,4 +1,4 @@
-"""A study's runs as the numbers of Table III, beside the paper's print, the floor and the Cramer-Rao bound."""
+"""A study's runs as the numbers of Table III, with the paper's, the floor and the Cramer-Rao bound."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Cell:
 
     @property
     def standard_error(self) -> float:
-        """Of `mean`."""
+        """Standard error of `mean`."""
         return float(np.sqrt(self.variance / max(self.runs - self.failed, 1)))
 
 
@@ -115,7 +115,7 @@ class Table:
 
     @property
     def seconds(self) -> float:
-        """Of processor time, all workers together."""
+        """Seconds of processor time, all workers together."""
         return sum(cell.seconds for cell in self.cells)
 
     @property

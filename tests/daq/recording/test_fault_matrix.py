@@ -27,7 +27,7 @@ CELLS = [
     ("supply voltage invalid", "stopping", "stopped by SIGTERM"),
     ("nothing goes down", "stopping", "stopped by SIGTERM"),
     ("pivot Hall angle invalid", "driving", "limit q1_rad tripped: .* cannot be checked"),
-    ("host stands still for 150 ms", "driving", "leg controller: fault latched: watchdog; nothing to mend .*; "
+    ("host stands still for 150 ms", "driving", "leg controller: fault latched: watchdog; check the cable .*; "
      "then legid doctor --clear-faults"),
     ("drive says a fault", "driving", "leg controller: fault latched: overcurrent; look for a joint that is blocked"),
 ]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.recording.plausibility import Doubts, Plausibility, TwoAngles
+from daq.recording.plausibility import Plausibility, SuspectTimes, TwoAngles
 from daq.rig import Calibration, Limits
 from drivers.protocol import Hello, Telemetry
 
@@ -39,7 +39,7 @@ def doubted(seconds: float, lie=lambda t, frame: frame, torque=lambda t: 0.0, kn
         told = lie(t, frame)
         if told is not None:
             checks.frame(told, ns)
-        found = checks.doubts(ns)._asdict()
+        found = checks.suspects(ns)._asdict()
         for name, bound in bounds.items():
             if found[name] is not None and found[name] > bound:
                 return name, t
@@ -118,7 +118,7 @@ def test_a_controller_whose_clock_runs_at_half_speed_falls_behind() -> None:
     assert at_s < 0.3
 
 
-def imu_doubts(rows: np.ndarray, turned=lambda t: 0.0, hall=lambda t: 0.1) -> Doubts:
+def imu_doubts(rows: np.ndarray, turned=lambda t: 0.0, hall=lambda t: 0.1) -> SuspectTimes:
     """After all samples, in drains of five, beside telemetry with the pivot's Hall angle; armed at once."""
     checks = Plausibility(LIMITS, Calibration(), HELLO, IMU_HZ, 0)
     checks.arm()
@@ -127,7 +127,7 @@ def imu_doubts(rows: np.ndarray, turned=lambda t: 0.0, hall=lambda t: 0.1) -> Do
         ns = round(t * 1e9)
         checks.frame(replace(FRAME, seq=k % 65536, tick_us=2000 * k, pivot_hall_rad=hall(t)), ns)
         checks.batch(rows[k:k + 5].astype(np.int16), turned(t), ns, False)
-    return checks.doubts(ns)
+    return checks.suspects(ns)
 
 
 def noise(n: int = 200) -> np.ndarray:

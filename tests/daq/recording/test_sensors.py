@@ -142,7 +142,7 @@ def test_a_pivot_sensor_that_disagrees_with_the_gyro_fails_its_check() -> None:
             plausible.pivot(t_ns, 0.0 if loose else turned + 7e-4 * rng.standard_normal())
             raw = rng.integers(-5, 5, (2, 6)).astype(np.int16)
             plausible.batch(raw, turned, t_ns + 1_000_000, False)
-            failed_s = max(failed_s, plausible.doubts(t_ns).pivot_s or 0.0)
+            failed_s = max(failed_s, plausible.suspects(t_ns).pivot_s or 0.0)
         assert (failed_s > 0.03) is loose
 
 

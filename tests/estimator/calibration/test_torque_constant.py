@@ -59,7 +59,7 @@ def test_the_weight_s_own_error_widens_it() -> None:
     (holds(1, count=5), "5 usable holds with the weight, at least 6"),
     (holds(1, reach=0.1), "too much alike in angle; use more torque"),
     (holds(1, sides=(1,)), "approached from one side"),
-    (holds(1)._replace(current=-holds(1).current), "pulls the wrong way"),
+    (holds(1)._replace(current=-holds(1).current), "acts in the wrong direction"),
     (holds(1)._replace(angle_rad=np.where(holds(1).weighted == 1, 1.3 + 0.3 * holds(1).angle_rad, holds(1).angle_rad)),
      "too much alike|do not part"),
 ])

@@ -14,10 +14,10 @@ from estimator.diagnosis.candidate_fit import hopeful
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.diagnosis.model_search import closing
-from estimator.diagnosis.score_statistics import Tests
+from estimator.diagnosis.score_statistics import ScoreTests
 from estimator.errors import FitError
 
-NONE_LEFT = Tests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.ones(1), 1.0, np.zeros(0))
+NONE_LEFT = ScoreTests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.ones(1), 1.0, np.zeros(0))
 
 
 @dataclass(frozen=True)

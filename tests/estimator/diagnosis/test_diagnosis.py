@@ -41,7 +41,7 @@ CONTRACT = {
     "base_compliance", "torque_ripple", "torque_offset", "torque_saturation", "torque_delay", "sensor_time_skew",
     "gyro_bias", "gyro_scale", "accelerometer_bias", "imu_misalignment", "imu_lever_arm", "encoder_offset",
     "encoder_scale", "encoder_eccentricity"}
-CHOSEN = FitOptions(sensors="imu", hold="auto", rounding="auto")
+CHOSEN = FitOptions(sensors="imu", hold="auto", smoothing_velocity="auto")
 
 
 def test_the_library_is_the_contract() -> None:
@@ -249,7 +249,7 @@ def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, li
     assert any("no intervals" in warning for warning in base(nominal, {}, None).warnings)
 
 
-def test_a_rehearsal_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
+def test_a_replicate_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
                                                monkeypatch: pytest.MonkeyPatch) -> None:
     leg, data = runs
     split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))

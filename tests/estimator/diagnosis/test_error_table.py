@@ -40,7 +40,7 @@ def test_the_model_under_which_the_runs_are_likeliest_reads_the_pivots_angle(mon
     seeds = np.zeros(1, dtype=np.int64)
 
     table = error_table.measure_errors(models, models[2], seeds)
-    assert table.unit.reader is models[1]
+    assert table.unit.smoother is models[1]
     assert [table.error(k) for k in range(3)] == pytest.approx([1.0, 1.0, 101.0], rel=1e-3)
     told = error_table.measure_errors(models, models[2], seeds, [2])  # who may not read does not
     assert [told.error(k) for k in range(3)] == pytest.approx([99.0, 99.0, 1.0], rel=1e-3)

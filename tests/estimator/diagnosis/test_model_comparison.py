@@ -69,10 +69,10 @@ def test_a_clear_second_is_no_tie(gain: float, by_run: list[float]) -> None:
     assert names(indistinguishable_set([scale, explanation(RotorInertia(1), gain, by_run)])) == ["encoder_scale"]
 
 
-@pytest.mark.parametrize(("beside", "told"), [
+@pytest.mark.parametrize(("parent", "told"), [
     (frozenset({"sensor_time_skew"}), ["quadratic_drag"]), (frozenset(), ["quadratic_drag", "stribeck_friction"])])
-def test_second_causes_are_compared_by_what_they_were_sought_for(beside: frozenset[str], told: list[str]) -> None:
-    drag, stribeck = (replace(explanation(kind(1), gain, by_run), beside=beside, gain_over_parent=1047.0)
+def test_second_causes_are_compared_by_what_they_were_sought_for(parent: frozenset[str], told: list[str]) -> None:
+    drag, stribeck = (replace(explanation(kind(1), gain, by_run), parent=parent, gain_over_parent=1047.0)
                       for kind, gain, by_run in ((QuadraticDrag, 319_713.0, [0.0] * 6),
                                                  (StribeckFriction, 319_410.0, [50.0, 51.0, 49.0, 52.0, 50.0, 51.0])))
     assert names(indistinguishable_set([drag, stribeck])) == told

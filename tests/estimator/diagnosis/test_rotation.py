@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis import rotation
-from estimator.diagnosis.data_split import RunSplit, kept_back
+from estimator.diagnosis.data_split import RunSplit, held_out
 from estimator.diagnosis.error_table import ErrorTable, choose_rows
 from estimator.diagnosis.rotation import Turn, account, rotate
 from estimator.errors import FitError
@@ -37,24 +37,24 @@ def table_of(*errors: tuple[float, ...]) -> ErrorTable:
     count = len(errors[0])
     return ErrorTable(COLUMNS, values, np.zeros((len(errors), count)), np.repeat(np.arange(count), 2),
                       cast(Any, tuple(range(len(errors)))),
-                      cast(Any, SimpleNamespace(reference=len(errors) - 1, reader=0, noise=None)))
+                      cast(Any, SimpleNamespace(reference=len(errors) - 1, smoother=0, noise=None)))
 
 
 @pytest.mark.parametrize("count", range(2, 14))
 def test_each_run_is_kept_back_once_and_never_all(count: int) -> None:
-    groups = kept_back(count)
+    groups = held_out(count)
     assert sorted(k for g in groups for k in g) == list(range(count))
     assert all(0 < len(g) < count for g in groups) and len(groups) > 1
 
 
 def test_of_four_neighbours_in_excitation_one_is_in_each_group() -> None:
-    assert kept_back(8) == [(1, 6), (2, 7), (3, 4), (0, 5)]
+    assert held_out(8) == [(1, 6), (2, 7), (3, 4), (0, 5)]
 
 
 def turned(split: Split, table: ErrorTable, monkeypatch: pytest.MonkeyPatch) -> tuple[ErrorTable, tuple[Turn, ...]]:
-    def turn(_: object, confirm: tuple[int, ...], models: list[str], unit: int, reader: int, *__: object) -> Turn:
+    def turn(_: object, confirm: tuple[int, ...], models: list[str], unit: int, smoother: int, *__: object) -> Turn:
         assert unit == 1  # what the errors on the runs kept back are counted in
-        assert reader == 0  # who reads the pivot's angle there
+        assert smoother == 0  # who reads the pivot's angle there
         found = table_of(*[tuple(10.0 * (m + 1) + k for k in confirm) for m in range(len(models))])
         return Turn(tuple(split.names[k] for k in confirm), found.values, found.agreement, found.runs,
                     (np.array([0.1 * confirm[0]]),))

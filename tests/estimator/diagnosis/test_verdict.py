@@ -15,13 +15,13 @@ from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.error_table import ErrorTable, _bounded
 from estimator.diagnosis.result import Diagnosis
-from estimator.diagnosis.score_statistics import Tests
+from estimator.diagnosis.score_statistics import ScoreTests
 from estimator.diagnosis.verdict import (
     Decision,
     choose,
+    is_material,
     is_open,
     judge,
-    matters,
     second_cause,
     shortfall,
     shortlisted,
@@ -30,7 +30,7 @@ from estimator.diagnosis.verdict import (
 from estimator.errors import FitError
 
 BLOCKS, RUNS = 20, 2
-NOTHING_LEFT = Tests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.ones(1), 1.0, np.zeros(0))
+NOTHING_LEFT = ScoreTests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.ones(1), 1.0, np.zeros(0))
 
 
 def table_of(*errors: float, agreement: list[list[float]] | None = None, seed: int = 0) -> ErrorTable:
@@ -62,7 +62,7 @@ class Named:
     distinguishing_size: int | None = None
 
 
-@pytest.mark.parametrize("errors, agreement, is_material", [
+@pytest.mark.parametrize("errors, agreement, material", [
     ((3.0, 1.2), [[0, 0], [900, 800]], True),
     ((3.0, 2.9), [[0, 0], [900, 800]], False),  # beyond doubt by the likelihood, and of no consequence
     ((3.0, 1.2), [[0, 0], [900, -20]], True),  # a law of another form; the error of both runs falls
@@ -70,10 +70,10 @@ class Named:
     ((3.0, 3.4), [[0, 0], [900, 800]], False),  # it makes the free run worse
     ((1.02, 1.0), [[0, 0], [40, 50]], False)])
 def test_a_cause_matters_where_the_error_falls_and_the_runs_are_likelier(
-        errors: tuple[float, ...], agreement: list[list[float]], is_material: bool) -> None:
+        errors: tuple[float, ...], agreement: list[list[float]], material: bool) -> None:
     table = table_of(*errors, agreement=agreement)
     draws = table.draws(np.random.default_rng(1))
-    assert matters(table, 1, 0, MATERIAL, draws) is is_material
+    assert is_material(table, 1, 0, MATERIAL, draws) is material
 
 
 def test_one_free_run_that_strays_does_not_hide_that_the_error_falls_everywhere() -> None:
@@ -83,7 +83,7 @@ def test_one_free_run_that_strays_does_not_hide_that_the_error_falls_everywhere(
     table.values[0, 9] *= 52.0**2
     draws = table.draws(np.random.default_rng(1))
     assert np.mean([table.error(0, d) - table.error(1, d) > MATERIAL * table.error(0) for d in draws]) < 0.8
-    assert matters(table, 1, 0, MATERIAL, draws)
+    assert is_material(table, 1, 0, MATERIAL, draws)
 
 
 def test_what_falls_in_most_resamplings_and_little_in_all_does_not_matter() -> None:
@@ -93,7 +93,7 @@ def test_what_falls_in_most_resamplings_and_little_in_all_does_not_matter() -> N
     table.values[0, 9] *= 30.0**2
     draws = table.draws(np.random.default_rng(1))
     assert table.error(0) > 50.0 and table.lowers(2, 1, MATERIAL, draws, 0) > 0.3
-    assert not matters(table, 2, 1, MATERIAL, draws, 0) and matters(table, 1, 0, MATERIAL, draws)
+    assert not is_material(table, 2, 1, MATERIAL, draws, 0) and is_material(table, 1, 0, MATERIAL, draws)
 
 
 def test_a_run_that_errs_more_with_a_cause_speaks_against_it() -> None:
@@ -101,7 +101,7 @@ def test_a_run_that_errs_more_with_a_cause_speaks_against_it() -> None:
     assert not table.raises(1, 0, MATERIAL, 0)
     table.values[1, BLOCKS // RUNS :] = table.values[0, BLOCKS // RUNS :] * 1.3
     assert table.raises(1, 0, MATERIAL, 0)
-    assert not matters(table, 1, 0, MATERIAL, table.draws(np.random.default_rng(1)))
+    assert not is_material(table, 1, 0, MATERIAL, table.draws(np.random.default_rng(1)))
 
 
 def test_it_stays_open_whether_an_error_falls_where_one_run_strays() -> None:
@@ -109,17 +109,17 @@ def test_it_stays_open_whether_an_error_falls_where_one_run_strays() -> None:
     together 23.9 to 1.13."""
     table = table_of(1.5, 1.0, agreement=[[0, 0], [900, 300]])
     draws = table.draws(np.random.default_rng(1))
-    assert matters(table, 1, 0, MATERIAL, draws)
+    assert is_material(table, 1, 0, MATERIAL, draws)
     table.values[1, 9] *= 8.0**2
-    assert not matters(table, 1, 0, MATERIAL, draws) and table.error(1) > table.error(0)
+    assert not is_material(table, 1, 0, MATERIAL, draws) and table.error(1) > table.error(0)
     assert is_open(table, 1, 0, MATERIAL, draws)
     small = table_of(1.5, 1.48, agreement=[[0, 0], [900, 300]])
-    assert not is_open(small, 1, 0, MATERIAL, draws)  # surely below what matters
+    assert not is_open(small, 1, 0, MATERIAL, draws)  # surely not material
     assert not is_open(table_of(1.5, 1.2, agreement=[[0, 0], [20, -90]]), 1, 0, MATERIAL, draws)
 
 
 def test_an_error_that_falls_but_not_for_sure_is_not_said_to_stay() -> None:
-    for after, words in ((0.8, "errs less, but not surely"), (23.0, "errs as much as before")):
+    for after, words in ((0.8, "but not significantly"), (23.0, "does not reduce")):
         table = table_of(23.5, after, agreement=[[0, 0], [20, -900]])
         assert words in shortfall(table, 1, MATERIAL)
 
@@ -161,7 +161,7 @@ def test_what_leaves_much_has_to_show_on_all_runs(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(verdict, "over_floor", lambda table, *_: table)
     context = cast(Any, SimpleNamespace(nominal=None))
     for table, expected in ((first, "unexplained"), (table_of(9.0, 1.2), "named")):
-        monkeypatch.setattr(verdict, "measured_beside", lambda *_, table=table: table)
+        monkeypatch.setattr(verdict, "measure_together", lambda *_, table=table: table)
         found = verdict.decide(context, NOTHING_LEFT, [best], MATERIAL, np.random.default_rng(1))
         assert found is not None and found.verdict == expected
     assert len(turns) == 1
@@ -186,12 +186,12 @@ def test_where_one_explanation_cannot_be_simulated_the_noise_of_another_is_the_u
     def measured(models: list[str], reference: str, *_: object) -> str:
         tried.append(reference)
         if reference != "nominal":
-            raise FitError("the rehearsals diverge")
+            raise FitError("the replicates diverge")
         return f"in units of {reference}"
 
     monkeypatch.setattr(verdict, "measure_errors", measured)
     context = cast(Any, SimpleNamespace(split=SimpleNamespace(confirm=(1, 6))))
-    found = verdict.measured_beside(context, cast(Any, ["nominal", "first", "second"]), [0, 1],
+    found = verdict.measure_together(context, cast(Any, ["nominal", "first", "second"]), [0, 1],
                                     np.random.default_rng(0))
     assert found == "in units of nominal" and tried == ["first", "second", "nominal"]
 
@@ -207,7 +207,7 @@ def test_errors_that_are_known_are_not_measured_again(monkeypatch: pytest.Monkey
                     unit=cast(Any, SimpleNamespace(reference=first)))
     monkeypatch.setattr(verdict, "extend_errors", extended)
     context = cast(Any, SimpleNamespace(split=None))
-    found = verdict.measured_beside(context, cast(Any, [nominal, first, third]), [0, 1],
+    found = verdict.measure_together(context, cast(Any, [nominal, first, third]), [0, 1],
                                     np.random.default_rng(0), [known])
     assert asked == [third] and [found.error(k) for k in range(3)] == pytest.approx([5.0, 2.0, 3.0])
 
@@ -254,7 +254,7 @@ def test_the_other_runs_are_asked_of_a_second_cause_only_where_it_is_open_whethe
     table.values[2, 4] *= 4.0**2  # one piece strays with both, and makes the fall unsure
     table.values[1, 4] *= 3.5**2
     asked = Decision("named", (single,), table, 1, (), 1, 0, None, table.draws(np.random.default_rng(1)))
-    assert not matters(table, 2, 1, MATERIAL, asked.draws)
+    assert not is_material(table, 2, 1, MATERIAL, asked.draws)
     assert second_cause([(single, 1), (pair, 2), (other, 3)], asked, MATERIAL) == ([pair], 2)
     unlikely = table_of(9.0, 1.5, 1.25, agreement=[[0, 0], [900, 900], [700, 800]])
     assert second_cause([(single, 1), (pair, 2)], replace(asked, table=unlikely), MATERIAL) is None
@@ -302,7 +302,7 @@ def test_a_leg_that_no_model_simulates_is_unexplained_and_not_undiagnosed(monkey
 
     monkeypatch.setattr(procedure, "decide", diverge)
     context = cast(DiagnosisContext, SimpleNamespace(split=None, nominal=None))
-    found = procedure.conclude(context, Diagnosis("none", ""), cast(Tests, None), [], np.random.default_rng(0))
+    found = procedure.conclude(context, Diagnosis("none", ""), cast(ScoreTests, None), [], np.random.default_rng(0))
     assert found.verdict == "unexplained" and "the free run diverges" in found.sentence and not found.causes
 
 

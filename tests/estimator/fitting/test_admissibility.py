@@ -56,7 +56,7 @@ def test_what_no_masses_can_do_is_named() -> None:
     std = np.full(9, 1e-4)
     leg = np.array([0.1, 0.02, 0.03, 0.4, 0.1, 0.0, 0.0, 0.0, 0.0])
     assert faults(leg2(), leg, std, q) == ()
-    assert "gravity pulls upwards" in faults(leg2(), leg * np.array([1, 1, 1, -1, -1, 1, 1, 1, 1]), std, q)[0]
+    assert "gravity acts upwards" in faults(leg2(), leg * np.array([1, 1, 1, -1, -1, 1, 1, 1, 1]), std, q)[0]
     assert "positive definite" in faults(leg2(), leg + 0.05 * (np.arange(9) == 2), std, q)[0]
     assert faults(leg2(), leg - 0.45 * (np.arange(9) == 3), std, q) == ()  # a counterweight
     assert "length of 2.5e+02 m" in faults(leg2(), leg * np.array([1e3, 1e3, 1e3, 1, 1, 1, 1, 1, 1]), std, q)[0]

@@ -15,7 +15,7 @@ from estimator.signals import split_signals
 from tests.support.mujoco_leg import Leg, random_leg
 from tests.support.ornstein_uhlenbeck import disturbed_record
 
-OPTIONS = FitOptions(sensors="imu", hold="linear", rounding="auto")
+OPTIONS = FitOptions(sensors="imu", hold="linear", smoothing_velocity="auto")
 LEVEL, CONSTANT, WHITE = 0.02, 0.1, 0.02
 Made = tuple[Leg, Dataset, FitResult]
 

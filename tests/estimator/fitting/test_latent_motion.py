@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.fitting.latent_motion import settle_motion
+from estimator.fitting.latent_motion import converge_motion
 from estimator.likelihood import ExtendedProblem, Latents, Noise, Stage, State, find_stiction
 from estimator.model import leg2
 from estimator.numerics import eliminate
@@ -51,7 +51,7 @@ def whole_steps(problem: ExtendedProblem, state: State, count: int) -> list[floa
 
 def test_the_motion_settles_where_whole_steps_do_not(sticking: tuple[ExtendedProblem, State]) -> None:
     problem, start = sticking
-    settled = settle_motion(problem, start, 60)
+    settled = converge_motion(problem, start, 60)
     least = objective(problem, settled)
     swinging = whole_steps(problem, start, 30)
     assert max(swinging[-10:]) - min(swinging[-10:]) > 5.0  # else there is nothing to settle here
@@ -63,17 +63,17 @@ def test_the_motion_is_the_same_from_elsewhere_where_rest_is_allowed_for(stickin
     """Without what friction leaves open at rest, every reversal between two samples has a minimum of its own."""
     problem, start = sticking
     problem = problem.with_stiction(find_stiction(problem, start.x.v, start.beta, one_per_crossing=False))
-    settled = settle_motion(problem, start, 100)
+    settled = converge_motion(problem, start, 100)
     shift = 1e-3 * np.random.default_rng(3).normal(size=(problem.total, problem.block))
     other = replace(start, x=settled.x.moved(shift))
     assert objective(problem, other) > 2.0 * objective(problem, settled)
-    other = settle_motion(problem, other, 100)
+    other = converge_motion(problem, other, 100)
     assert objective(problem, other) == pytest.approx(objective(problem, settled), abs=3.0)
 
 
 def test_the_best_motion_is_kept_where_steps_run_out(sticking: tuple[ExtendedProblem, State]) -> None:
     problem, start = sticking
     before = objective(problem, start)
-    found = [objective(problem, settle_motion(problem, start, limit)) for limit in (1, 2, 4, 8)]
+    found = [objective(problem, converge_motion(problem, start, limit)) for limit in (1, 2, 4, 8)]
     assert objective(problem, start) == before  # what a search begins at stays as it is
     assert before >= found[0] >= found[1] >= found[2] >= found[3]

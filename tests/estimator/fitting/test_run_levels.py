@@ -188,4 +188,5 @@ def test_levels_by_run_are_told(plant: Plant) -> None:
     assert found.run_noise is not None
     assert told["levels"]["gyro_radps"] == pytest.approx(found.run_noise.levels["gyro_radps"])
     line, = (line for line in fit_text(found, "leg2").splitlines() if "gyro" in line and "differs" in line)
-    assert line.startswith("noise of runs differs: gyro 0.009") and line.endswith("(run1); each run weighs by its own")
+    assert line.startswith("noise of runs differs: gyro 0.009")
+    assert line.endswith("(run1); each run is weighted by its own level")

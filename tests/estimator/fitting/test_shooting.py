@@ -102,7 +102,7 @@ def test_a_healthy_leg_is_found_with_either_sensor_and_both_estimators_agree(sen
     rng = np.random.default_rng(1)
     leg = random_leg(rng)
     runs, mechanism = [record(leg, rng, seconds=10.0, name=str(k)) for k in range(2)], leg2(lever_arm=leg.lever)
-    options = FitOptions(sensors=sensors, hold="auto", rounding="auto")
+    options = FitOptions(sensors=sensors, hold="auto", smoothing_velocity="auto")
     opinion = with_second_opinion(runs, mechanism, options, fit_admissible(runs, mechanism, options)).second_opinion
     assert opinion is not None and opinion.method == "shooting" and opinion.held_out is None
     assert opinion.largest < MOST_DISAGREEMENT
@@ -113,7 +113,7 @@ def test_a_healthy_leg_is_found_with_either_sensor_and_both_estimators_agree(sen
 def test_a_geared_pendulum_is_found_whatever_noise_its_encoder_is_said_to_have(level: float) -> None:
     truth = GearedPendulum()
     run = record_geared(truth, np.random.default_rng(0))
-    options = replace(ENCODER, hold="auto", rounding="auto", noise={"encoder_rad": level})
+    options = replace(ENCODER, hold="auto", smoothing_velocity="auto", noise={"encoder_rad": level})
     mle = fit_admissible([run], joint1(), options)
     found = with_second_opinion([run], joint1(), options, mle)
     if level < 1e-3:  # the inertia of mle is down to 84 and 3 % of the truth

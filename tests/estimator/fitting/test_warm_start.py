@@ -8,7 +8,7 @@ import pytest
 from daq.dataset import Dataset
 from estimator.fitting import mle, warm_start
 from estimator.fitting.fit import fit
-from estimator.fitting.warm_start import LEAST, LEAST_STRETCH, WORTH, excerpt
+from estimator.fitting.warm_start import LEAST, LEAST_SEGMENT, WORTH, excerpt
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model.mechanism import leg2
@@ -47,7 +47,7 @@ def test_the_moving_part_is_taken() -> None:
 
 def test_short_records_and_short_stretches_have_none() -> None:
     assert excerpt(*prepared([still(LEAST * WORTH - 1, slice(0, 900))])) == []
-    pieces = [still(LEAST_STRETCH - 10, slice(0, 50), f"run{i}") for i in range(40)]
+    pieces = [still(LEAST_SEGMENT - 10, slice(0, 50), f"run{i}") for i in range(40)]
     assert excerpt(*prepared(pieces)) == []
     both = [still(3000, slice(0, 900)), *pieces[:5]]
     assert [number for number, _ in excerpt(*prepared(both))] == [0]

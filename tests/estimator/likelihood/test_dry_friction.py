@@ -46,7 +46,7 @@ def test_another_engines_friction_is_inside_its_interval(rate_hz: int, monkeypat
     mechanism = leg2(lever_arm=leg.lever)
 
     def scores(rounding: str) -> np.ndarray:
-        found = fit([run], mechanism, FitOptions(sensors="imu", hold="average", rounding=rounding))
+        found = fit([run], mechanism, FitOptions(sensors="imu", hold="average", smoothing_velocity=rounding))
         assert found.converged
         return np.abs((found.beta - true) / found.std)
 

@@ -89,7 +89,7 @@ def test_a_pendulum_without_error_errs_by_the_noise_floor() -> None:
 def test_misfits_prefer_the_truth_by_run() -> None:
     runs = [swing_run(0.02, seed=k, encoder=1e-4) for k in range(3)]
     table = predict([pendulum(), pendulum(PENDULUM * np.array([1.05, 1, 1, 1]))], runs, OPTIONS, (0.1,))
-    assert (table.misfits[1] > table.misfits[0] + 10.0).all() and table.reader == 0
+    assert (table.misfits[1] > table.misfits[0] + 10.0).all() and table.smoother == 0
 
 
 def test_a_simulation_that_diverges_is_counted() -> None:

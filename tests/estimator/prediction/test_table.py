@@ -59,7 +59,7 @@ def test_a_stretch_that_diverges_has_no_error_and_counts_as_the_sensors_mean() -
 
 def test_models_stand_beside_each_other() -> None:
     a, b = (tabulate([predicted_run("r", RATE, WAVE, {np.inf: error})]) for error in (0.1, 0.3))
-    both = a.beside(b)
+    both = a.joined_with(b)
     assert [both.rms(m, "q1_rad", np.inf) for m in (0, 1)] == pytest.approx([0.1, 0.3])
     assert both.compared(1, 0, "q1_rad", np.inf).value == pytest.approx(3.0)
     assert both.runs[0].trace("q1_rad", 1) == pytest.approx(WAVE["q1_rad"] + 0.3)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from daq.rig import load_rig, parse_rig
-from estimator.calibration.imu_encoder import EncoderFit, Stretch, fit_imu
+from estimator.calibration.imu_encoder import EncoderFit, Segment, fit_imu
 from estimator.errors import FitError
 from experiments.calibrate.imu_encoder import compare, read_moving
 from experiments.cli import main
@@ -22,7 +22,7 @@ RATE = 100.0
 RECORD = REAL / "song_imu" / "pitch_medium_120s.csv.gz"
 TRUTH = {"gyro_bias": 0.02, "gyro_scale": -0.015, "gyro_late": 0.0042, "accel_bias_x": 0.15, "accel_bias_y": -0.08,
          "accel_scale_x": 0.02, "accel_scale_y": -0.01, "accel_skew": 0.006, "accel_turn": 0.012, "lever_arm": 0.21,
-         "beside": 0.004, "accel_late": 0.0028}
+         "side_offset": 0.004, "accel_late": 0.0028}
 NOISE = np.array([0.01, 0.1, 0.1])
 
 
@@ -45,8 +45,8 @@ def readings(motion: Motion, t: np.ndarray, late: np.ndarray | float = 0.0) -> n
     e = TRUTH
     qd = motion.at(t - late - e["gyro_late"])[1]
     q, rate, acceleration = motion.at(t - late - e["accel_late"])
-    x = e["lever_arm"] * acceleration - e["beside"] * rate**2 + G * np.sin(q)
-    y = -e["lever_arm"] * rate**2 - e["beside"] * acceleration - G * np.cos(q)
+    x = e["lever_arm"] * acceleration - e["side_offset"] * rate**2 + G * np.sin(q)
+    y = -e["lever_arm"] * rate**2 - e["side_offset"] * acceleration - G * np.cos(q)
     c, s = np.cos(e["accel_turn"]), np.sin(e["accel_turn"])
     x, y = c * x - s * y, s * x + c * y
     return np.column_stack([(1 + e["gyro_scale"]) * qd + e["gyro_bias"],
@@ -68,7 +68,7 @@ def fitted(motion: Motion, seconds: float, seed: int = 0, late: np.ndarray | flo
            ) -> EncoderFit:
     t = np.arange(round(seconds * RATE)) / RATE
     read = readings(motion, t, late) + coloured(np.random.default_rng(seed), t.size)
-    return fit_imu([Stretch(encoder(motion, t), read)], RATE, 10.0, lever, G, 0.005)
+    return fit_imu([Segment(encoder(motion, t), read)], RATE, 10.0, lever, G, 0.005)
 
 
 def test_intervals_cover_the_truth_under_coloured_noise() -> None:
@@ -117,7 +117,7 @@ def test_a_motion_that_does_not_tell_the_lever_leaves_it_where_it_was() -> None:
     t = np.arange(3000) / RATE
     stranger = readings(Motion((0.3, 1.1), (0.6, 0.3)), t)
     with pytest.raises(FitError, match=r"do not show one motion|belong together"):
-        fit_imu([Stretch(encoder(WIDE, t), stranger)], RATE, 10.0, 0.2, G)
+        fit_imu([Segment(encoder(WIDE, t), stranger)], RATE, 10.0, 0.2, G)
     with pytest.raises(FitError, match=r"less than 0\.1 rad"):
         fitted(Motion((1.0,), (0.02,)), 30.0)
     with pytest.raises(FitError, match="too few"):

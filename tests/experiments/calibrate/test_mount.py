@@ -73,9 +73,9 @@ def test_mount_and_lever_are_found_without_bias_and_within_their_intervals(motio
         turn = found.mount @ mount.T
         assert np.linalg.det(turn) > 0.99  # the handedness is told from data
         np.testing.assert_allclose(found.mount @ found.mount.T, np.eye(3), atol=1e-12)
-        errors.append([found.lever_m - LEG.lever, found.beside_m, *Rotation.from_matrix(turn).as_rotvec(),
+        errors.append([found.lever_m - LEG.lever, found.side_offset_m, *Rotation.from_matrix(turn).as_rotvec(),
                        *(found.accel_bias_mps2 - accel_bias), *(found.gyro_bias_radps - gyro_bias)])
-        halves.append([found.lever_half, found.beside_half, *found.angle_half, *found.accel_bias_half,
+        halves.append([found.lever_half, found.side_offset_half, *found.angle_half, *found.accel_bias_half,
                        *found.gyro_bias_half])
         assert found.noise == pytest.approx((GYRO, ACCEL), rel=0.1)  # dry friction leaves corners
     off, allowed = np.array(errors), np.array(halves)

@@ -11,7 +11,7 @@ from daq.errors import InputError
 from daq.rig import Column
 from experiments.exchange.can_log import read_can_log, registers
 from experiments.exchange.column_map import apply_map
-from experiments.exchange.reading import read_foreign
+from experiments.exchange.reading import read_imported
 
 T = np.arange(0.0, 2.0, 0.01)
 TURNS = 0.1 * np.sin(3.0 * T)
@@ -26,7 +26,7 @@ def test_an_odrive_s_angle_and_current_become_a_run(suffix: str, tmp_path: Path)
             for late, command, values in sent:
                 log.on_message_received(can.Message(timestamp=1.7e9 + t + late, arbitration_id=3 << 5 | command,
                                                     is_extended_id=False, data=struct.pack("<ff", *values)))
-    foreign = read_foreign(path)
+    foreign = read_imported(path)
     assert foreign.names == ["odrive3/pos_estimate [turn]", "odrive3/vel_estimate [turn/s]", "odrive3/Iq_setpoint [A]",
                              "odrive3/Iq_measured [A]"]
     run = apply_map(foreign, {"q1_rad": Column(name="odrive3/pos_estimate [turn]", unit="turn"),
@@ -64,6 +64,6 @@ def test_logs_of_others(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("(1436509052.249713) vcan0 044#2A366C2BBA\n")
     (tmp_path / "b.log").write_text("(14x) vcan0 044#2A\n")
     with pytest.raises(InputError, match="no message of an ODrive or a moteus"):
-        read_foreign(tmp_path / "a.log")
+        read_imported(tmp_path / "a.log")
     with pytest.raises(InputError, match="cannot be read as a CAN log"):
-        read_foreign(tmp_path / "b.log")
+        read_imported(tmp_path / "b.log")

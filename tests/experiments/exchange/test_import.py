@@ -18,9 +18,9 @@ from estimator.fitting.fit import fit
 from experiments.cli import main
 from experiments.exchange.column_map import apply_map, load_map, map_text
 from experiments.exchange.delimited import read_delimited
-from experiments.exchange.reading import load_any_run, read_foreign
+from experiments.exchange.reading import load_any_run, read_imported
 from experiments.session.setup import setup_of
-from tests.support.foreign_files import matlab, plotjuggler, ros2_bag, spreadsheet
+from tests.support.imported_files import matlab, plotjuggler, ros2_bag, spreadsheet
 from tests.support.mujoco_leg import Leg, record
 
 LEG = Leg(coulomb=(0.01, 0.02))
@@ -73,7 +73,7 @@ def test_the_map_in_the_rig_file_does_the_same(run: Dataset, tmp_path: Path) -> 
     assert main(["import", str(theirs), "--guess", "--map", str(tmp_path / "c.toml")]) == 0
     (tmp_path / "rig.toml").write_text(RIG + (tmp_path / "c.toml").read_text())
     read = load_any_run(theirs, load_rig(tmp_path / "rig.toml"))
-    mapped = apply_map(read_foreign(theirs), load_map(tmp_path / "c.toml"), 100.0)
+    mapped = apply_map(read_imported(theirs), load_map(tmp_path / "c.toml"), 100.0)
     for name in ("q2_rad", "tau2_nm", "gyro_radps"):
         np.testing.assert_array_equal(read[name], mapped[name])
     assert np.abs(np.abs(read["q2_rad"]) - np.abs(run["q2_rad"])).max() < 1e-12

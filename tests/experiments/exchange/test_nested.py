@@ -13,7 +13,7 @@ from daq.rig import Column, load_rig
 from daq.runs.csv_run import read_csv
 from experiments.cli import main
 from experiments.exchange.column_map import apply_map
-from experiments.exchange.reading import load_any_run, read_foreign
+from experiments.exchange.reading import load_any_run, read_imported
 from tests.support.nested_files import Maker, cells, npz, pickled, records, structs, torch_archive
 
 T = np.arange(200) / 100.0
@@ -29,7 +29,7 @@ def test_each_kind_by_its_names_with_relative_angles(file: str, make: Maker, nam
                                                      tmp_path: Path) -> None:
     make(COLUMNS, tmp_path / file)
     t, a, b = names
-    run = apply_map(read_foreign(tmp_path / file), {
+    run = apply_map(read_imported(tmp_path / file), {
         "time_s": Column(name=t), "q1_rad": Column(name=a), "q2_rad": Column(name=f"{b} - {a}")}, 100.0)
     np.testing.assert_allclose(run["q2_rad"], np.interp(run.time_s, T, RELATIVE), atol=1e-6)
     assert len(run) >= len(T) - 1
@@ -39,7 +39,7 @@ def test_groups_of_hdf5(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "x.h5", "w") as file:
         file["log/t"], file["log/q"] = T, np.column_stack([COLUMNS["a"], COLUMNS["b"]])
-    assert read_foreign(tmp_path / "x.h5").names == ["log/q[1]", "log/q[2]", "log/t"]
+    assert read_imported(tmp_path / "x.h5").names == ["log/q[1]", "log/q[2]", "log/t"]
 
 
 class Harmful:
@@ -53,7 +53,7 @@ class Harmful:
 def test_a_pickle_runs_nothing(tmp_path: Path) -> None:
     data = pickle.dumps({"x": Harmful(tmp_path / "harm"), **COLUMNS})
     (tmp_path / "x.pkl").write_bytes(data)
-    assert set(read_foreign(tmp_path / "x.pkl").names) == set(COLUMNS)
+    assert set(read_imported(tmp_path / "x.pkl").names) == set(COLUMNS)
     assert not (tmp_path / "harm").exists()
     pickle.loads(data)
     assert (tmp_path / "harm").exists()  # what any other reader would have done
@@ -69,7 +69,7 @@ def test_a_storage_that_is_too_short_is_refused(tmp_path: Path) -> None:
         for name, data in parts.items():
             archive.writestr(name, data[:16] if name.endswith("data/1") else data)
     with pytest.raises(InputError, match=r"cannot be read as \.pt"):
-        read_foreign(tmp_path / "y.pt")
+        read_imported(tmp_path / "y.pt")
 
 
 def test_cells_are_a_run_each(tmp_path: Path) -> None:
@@ -91,13 +91,13 @@ def test_cells_are_a_run_each(tmp_path: Path) -> None:
 def test_expressions_that_cannot_be(name: str, words: str, tmp_path: Path) -> None:
     npz(COLUMNS, tmp_path / "x.npz")
     with pytest.raises(InputError) as caught:
-        apply_map(read_foreign(tmp_path / "x.npz"), {"time_s": Column(name="t"), "q1_rad": Column(name=name)})
+        apply_map(read_imported(tmp_path / "x.npz"), {"time_s": Column(name="t"), "q1_rad": Column(name=name)})
     assert words in str(caught.value)
 
 
 def test_names_with_signs_in_them(tmp_path: Path) -> None:
     npz({"t": T, "/j/a-x": COLUMNS["a"], "/j/a": COLUMNS["b"], "a": T}, tmp_path / "x.npz")
-    run = apply_map(read_foreign(tmp_path / "x.npz"), {
+    run = apply_map(read_imported(tmp_path / "x.npz"), {
         "time_s": Column(name="t"), "q1_rad": Column(name="/j/a-x"), "q2_rad": Column(name="/j/a-x - 2*(/j/a)"),
         "q3_rad": Column(name="'a' / 4")}, 100.0)
     np.testing.assert_allclose(run["q2_rad"], COLUMNS["a"] - 2.0 * COLUMNS["b"])
@@ -158,7 +158,7 @@ def test_a_grid_finer_than_the_record_is_said(tmp_path: Path) -> None:
     for grid in (50, 100):
         (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
                                            f"[sampling]\nrate_hz = {grid}\n")
-        said[grid] = [str(one) for one in load_any_run(tmp_path / "x.csv", load_rig(tmp_path / "rig.toml")).doubts]
+        said[grid] = [str(one) for one in load_any_run(tmp_path / "x.csv", load_rig(tmp_path / "rig.toml")).flags]
     assert said[50] == [] and "each counts 2 times" in said[100][0] and "set rate_hz = 50" in said[100][0]
 
 
@@ -166,4 +166,4 @@ def test_the_measured_angle_goes_before_the_desired_one(tmp_path: Path) -> None:
     from experiments.exchange.guess import _fitting
 
     npz({"shoulder_des_pos": COLUMNS["a"], "shoulder_meas_pos": COLUMNS["b"]}, tmp_path / "x.npz")
-    assert _fitting(read_foreign(tmp_path / "x.npz"), "q1", True) == ["shoulder_meas_pos"]
+    assert _fitting(read_imported(tmp_path / "x.npz"), "q1", True) == ["shoulder_meas_pos"]

@@ -107,12 +107,12 @@ def test_signatures_of_rivals_share_their_axes() -> None:
 def test_text_begins_with_the_verdict_and_ends_with_what_next() -> None:
     text = diagnosis_text(synthetic())
     assert text.startswith(synthetic().sentence)
-    assert "falls so in 2 of 3 turns" in text and "on all runs, each out of the fit that it judges" in text
-    order = ["kept back in its turn", "stribeck_friction, joint 2: excess_torque  0.0471", "Causes:", "0.04 .. 0.06",
-             "Free-run error", "Runners-up", "Cannot be tested", "warning: few runs",
+    assert "The error falls in 2 of 3 rotations." in text and "on all runs, each held out once" in text
+    order = ["every run was held out once", "stribeck_friction, joint 2: excess_torque  0.0471", "Causes:",
+             "0.04 .. 0.06", "Free-run error", "Next best effects", "Cannot be tested", "warning: few runs",
              "Next experiment: Slow reversals.", "Runs: fit r1.csv, r3.csv"]
     assert [text.index(words) for words in order] == sorted(text.index(words) for words in order)
-    runners = text[text.index("Runners-up"):text.index("Cannot")]
+    runners = text[text.index("Next best effects"):text.index("Cannot")]
     assert "stribeck" not in runners and "presliding_friction, joint 2" in runners
 
 

@@ -65,7 +65,7 @@ def fits(folder: Path) -> dict[str, str]:
 
 def test_a_spring_that_nobody_told_of_is_doubted_and_a_plain_leg_trusted(fits: dict[str, str]) -> None:
     assert fits["none"] == "TRUST the parameters within their intervals, and the model's torque."
-    assert fits["joint_stiffness"].startswith("DO NOT TRUST the parameters: the torque residual has structure")
+    assert fits["joint_stiffness"].startswith("DO NOT TRUST the parameters: the torque residual is autocorrelated")
 
 
 def test_a_leg_with_two_encoders_is_trusted_too() -> None:
@@ -83,7 +83,7 @@ def test_a_leg_with_two_encoders_is_trusted_too() -> None:
     told = fit_trust(said[0.15])
     assert told.sentence.startswith("DO NOT TRUST the parameters: ") and len(told.sentence) <= 120
     assert "an unmeasured torque repeats" in told.sentence
-    assert any("at joint 1 repeats as a function of the state" in reason for reason in told.reasons)
+    assert any("at joint 1 is a function of the state" in reason for reason in told.reasons)
     assert "coloured" not in " ".join(exact.assumptions)
 
 
@@ -136,17 +136,17 @@ def test_what_sensors_and_the_undriven_joint_leave_over_is_asked_too() -> None:
     sound = synthetic_fit()
     assert fit_trust(sound).level == "good"
     loud = replace(sound, noise={**sound.noise, "torque_nm": 0.02, "passive_joint_nm": 0.022})
-    assert "a joint that nothing drives is off by" in fit_trust(loud).reasons[0]
+    assert "residual of a joint without a motor" in fit_trust(loud).reasons[0]
     paths = []
     for path in sound.trajectories:
         slow = 0.15 * np.sin(0.8 * path.time_s)
         paths.append(replace(path, measured={**path.measured, "gyro_radps": path.measured["gyro_radps"] + slow}))
     both = fit_trust(replace(loud, trajectories=tuple(paths)))
-    assert both.sentence == ("DO NOT TRUST the parameters: a passive joint's equation is off, a sensor's residual has "
-                             "structure.")
-    assert "left over of gyro_radps has structure" in both.reasons[1]
+    assert both.sentence == ("DO NOT TRUST the parameters: a passive joint has a torque residual, a sensor residual is "
+                             "autocorrelated.")
+    assert "residual of gyro_radps is autocorrelated" in both.reasons[1]
     more = replace(loud, trajectories=tuple(paths), undetermined=(Combination((("beta8", 1.0),)),))
-    assert fit_trust(more).sentence.endswith("a sensor's residual has structure, and 1 more.")
+    assert fit_trust(more).sentence.endswith("a sensor residual is autocorrelated, and 1 more.")
 
 
 def prediction(error: float, short: float) -> PredictedRun:
@@ -219,7 +219,7 @@ def horizon(a: float, b: float, low: float | None = None, high: float = 0.0) -> 
     ([horizon(2.0, 1.0, 0.4, 0.6)] + [horizon(1.0, 1.0, 0.9, 1.1)] * 9, "NEITHER is better: of 10")])
 def test_who_is_better(errors: list[HorizonError], words: str) -> None:
     one = tabulate([prediction(0.1, 0.1)])
-    found = Comparison(("a.json", "b.json"), (), tuple(errors), one.beside(one), ("r",), ())
+    found = Comparison(("a.json", "b.json"), (), tuple(errors), one.joined_with(one), ("r",), ())
     assert comparison_trust(found).sentence.startswith(words)
     text, document = comparison_text(found), comparison_document(found)
     assert "nan" not in text.replace("scan", "") and document["trust"]["sentence"].startswith(words)

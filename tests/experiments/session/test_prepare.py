@@ -15,7 +15,7 @@ from experiments.models import mechanism_settings
 from experiments.reports.fit_json import fit_document
 from experiments.reports.trust import fit_trust
 from experiments.session import prepare
-from experiments.session.doubts import contradictions, require_one_rig
+from experiments.session.flags import contradictions, require_one_rig
 from experiments.session.runs import load_runs
 from experiments.workflows.fit import fit_runs
 from tests.support.fits import synthetic_fit
@@ -45,11 +45,11 @@ def test_what_a_run_was_recorded_on_is_held_against_the_rig_in_use() -> None:
     own = load_rig(FIXTURES / "rig.toml")
     other = parse_rig((FIXTURES / "rig.toml").read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.1"))
     path = FIXTURES / "healthy.mcap"
-    assert contradictions(prepare([path], own).doubts) == []
+    assert contradictions(prepare([path], own).flags) == []
     found = prepare([path], other)
-    assert contradictions(found.doubts) == [
+    assert contradictions(found.flags) == [
         "healthy.mcap was recorded with imu.lever_arm_m = 0.2, the rig file in use says 0.1"]
-    assert [one.doubt.kind for one in found.doubts] == ["rig"] and str(found.doubts[0]) in found.warnings
+    assert [one.flag.kind for one in found.flags] == ["rig"] and str(found.flags[0]) in found.warnings
     (run,) = load_runs([path], own)
     require_one_rig([run, replace(run, recorded_on=None), run])
     with pytest.raises(InputError, match="was recorded on another rig than healthy"):

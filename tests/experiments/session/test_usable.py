@@ -42,7 +42,7 @@ def stranger(run: Dataset) -> Dataset:
 
 
 @pytest.mark.parametrize(("spoil", "why"), [
-    (locked, "joint 2 never moves"), (torn, "no stretch of 20 samples"), (stuck, "tau1_nm never changes"),
+    (locked, "joint 2 never moves"), (torn, "no segment of 20 samples"), (stuck, "tau1_nm never changes"),
     (stranger, "of another rig"), (lambda run: negated(run, "tau2_nm"), "of another rig"),
     (lambda run: with_column(run, "q1_rad", np.degrees(run["q1_rad"])), "of another rig")])
 def test_the_run_is_named_with_the_reason(spoil: object, why: str) -> None:

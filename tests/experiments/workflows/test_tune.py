@@ -21,7 +21,7 @@ def test_what_is_chosen_is_told_and_written(tmp_path: Path, capsys: pytest.Captu
     assert rig.read_text() == text  # not asked to
     printed = capsys.readouterr().out
     assert "[terms] torque_offset" in printed and "a constant in the measured torque" in printed
-    assert "of runs not fitted" in printed
+    assert "on held-out runs" in printed
     found = json.loads(out.read_text())
     assert found["error_after"][0] < 0.7 * found["error_before"][0]
     tried = {t["entry"] for t in found["tried"]}

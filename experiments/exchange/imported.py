@@ -1,0 +1,78 @@
+"""Samples of a file of any program, as it calls them: tables of columns that share their rows."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from daq import FloatArray, InputError
+
+
+class Table(NamedTuple):
+    """Columns of one length."""
+
+    columns: Mapping[str, FloatArray]
+    """The file's name of a column -> (n,), NaN where there is no sample."""
+    time_s: FloatArray | None = None
+    """(n,) times that the format itself gives, from the file's first [s]; None where a column holds the time."""
+
+
+class Wrong(NamedTuple):
+    """A cell, or a row, that is not used."""
+
+    place: str
+    """`line 61` of a text file, `row 60` of samples; both count from 1."""
+    column: str
+    """Empty for the whole row."""
+    why: str
+
+
+@dataclass(frozen=True)
+class ImportedFile:
+    """One file."""
+
+    name: str
+    tables: tuple[Table, ...]
+    facts: Mapping[str, str] = field(default_factory=dict)
+    """What the file says of itself: the rate and clock of an own export."""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """Columns that are no numbers -> what they hold instead, and where."""
+    wrong: tuple[Wrong, ...] = ()
+    """Cells and rows that were set aside, in the file's order."""
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all columns, in the file's order."""
+        return [name for table in self.tables for name in table.columns]
+
+    def table_of(self, column: str) -> Table:
+        """The table that holds `column`. Raises `InputError` naming columns that are there."""
+        for table in self.tables:
+            if column in table.columns:
+                return table
+        if column in self.left_out:
+            raise InputError(self.name, f"column {column!r} {self.left_out[column]}", "correct that cell, or empty it")
+        close = difflib.get_close_matches(column, self.names, 1, 0.6)
+        some = ", ".join(self.names[:12]) + (", ..." if len(self.names) > 12 else "")
+        raise InputError(self.name, f"has no column {column!r}", f"did you mean {close[0]!r}?" if close
+                         else f"it has {some}" if some else "it holds no column of numbers")
+
+
+def by_length(columns: Mapping[str, FloatArray]) -> tuple[Table, ...]:
+    """Columns (n,) grouped into tables, the longest first."""
+    lengths = sorted({values.size for values in columns.values()}, reverse=True)
+    return tuple(Table({name: values for name, values in columns.items() if values.size == n}) for n in lengths)
+
+
+def as_floats(values: object) -> FloatArray | None:
+    """(n,) floats of what a file holds, times as seconds; None where it is no column of numbers."""
+    array = np.asarray(values)
+    if array.ndim != 1 or array.size < 2:
+        return None
+    if array.dtype.kind == "M":
+        return np.asarray((array - array[0]).astype("timedelta64[ns]").astype(np.float64) * 1e-9)
+    return array.astype(np.float64) if array.dtype.kind in "fiub" else None
