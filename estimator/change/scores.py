@@ -72,13 +72,20 @@ def fit_reference(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
                         (*candidates, *unnamed), len(candidates), refused)
 
 
-def score_run(fit: ReferenceFit, data: Dataset) -> RunScore:
-    """At the likeliest motion of the run under the reference model and its noise. Raises `FitError`."""
+def noisiness(fit: ReferenceFit) -> float:
+    """Sum of the log noise levels that a fit found."""
+    n = fit.noise
+    levels = np.concatenate([n.torque, n.encoder[np.isfinite(n.encoder)], n.gyro, n.accel.ravel()])
+    return float(np.log(np.maximum(levels, 1e-300)).sum())
+
+
+def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None) -> RunScore:
+    """At the likeliest motion of the run under the reference model and its noise, or another. Raises `FitError`."""
     m, options = fit.mechanism, fit.options
     signals = split_signals([data], m, options)
     problem = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio)
     begin = start_state(problem, signals, m, options, np.zeros(m.p, dtype=bool), fit.beta)
-    state = smooth_under(problem, State(begin.x, fit.beta.copy(), fit.noise, np.zeros((m.p, m.p))))
+    state = smooth_under(problem, State(begin.x, fit.beta.copy(), noise or fit.noise, np.zeros((m.p, m.p))))
     wide = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio, fit.candidates)
     point = wide.linearise(state.x, state.beta, state.noise)
     product = eliminate(point.chain).product()

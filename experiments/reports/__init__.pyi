@@ -1,5 +1,7 @@
 from .change import change_document as change_document
 from .change import change_text as change_text
+from .change import sessions_document as sessions_document
+from .change import sessions_text as sessions_text
 from .chart import Line as Line
 from .comparison import Comparison as Comparison
 from .comparison import HorizonError as HorizonError

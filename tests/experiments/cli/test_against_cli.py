@@ -1,9 +1,11 @@
-"""`legid diagnose --against`: text, JSON, folders, and what it refuses."""
+"""`legid diagnose --against` and `legid compare` of sessions: text, JSON, folders, and what they refuse."""
 
+import gzip
 import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from experiments import cli
@@ -36,3 +38,48 @@ def test_an_empty_folder_a_model_and_a_page_are_refused(tmp_path: Path, capsys: 
         assert cli.main(["diagnose", "r.csv", *more, "--rig", RIG]) == 2
         error = capsys.readouterr().err
         assert words in error and "Traceback" not in error
+
+
+def late(source: Path, target: Path, seconds: float) -> None:
+    """A run whose torques are late."""
+    rows = [line.split(",") for line in gzip.decompress(source.read_bytes()).decode().splitlines()]
+    values = np.array(rows[1:], dtype=float)
+    time = values[:, rows[0].index("time_s")].copy()
+    for k, name in enumerate(rows[0]):
+        if name.startswith("tau"):
+            values[:, k] = np.interp(time - seconds, time, values[:, k])
+    lines = [",".join(rows[0]), *(",".join(map(repr, map(float, row))) for row in values)]
+    target.write_bytes(gzip.compress("\n".join(lines).encode()))
+
+
+@pytest.mark.skipif(not ARM.is_dir(), reason="needs the real records beside the checkout")
+def test_sessions_as_folders_and_as_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before, after = tmp_path / "before", tmp_path / "after"
+    before.mkdir()
+    after.mkdir()
+    first = [str(shutil.copy(ARM / f"{run}.csv.gz", before)) for run in ("00", "02")]
+    plain = [str(ARM / f"{run}.csv.gz") for run in ("01", "03")]
+    for run in plain:
+        late(Path(run), after / Path(run).name, 0.01)
+    out = tmp_path / "sessions.json"
+    assert cli.main(["compare", str(before), str(after), "--rig", RIG, "--json", str(out)]) == 0
+    assert capsys.readouterr().out.startswith("Different: torque_delay.\n\nFrom before to after:")
+    found = json.loads(out.read_text())
+    (pair,), files = found["pairs"], found["provenance"]["runs"]
+    assert found["schema"] == "legid.sessions/1" and len(files) == 4
+    assert pair["a"] == {"name": "before", "runs": ["before 00.csv.gz", "before 02.csv.gz"]}
+    assert (pair["causes"][0]["effect"], pair["causes"][0]["kind"]) == ("torque_delay", "timing")
+    assert cli.main(["compare", *first, "--with", *plain, "--with", str(after), "--rig", RIG]) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert rows[2].startswith("A     B   no_change") and rows[3].startswith("A     C   named")
+
+
+def test_what_is_neither_two_models_nor_two_sessions_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]
+                                                                ) -> None:
+    for words, said in ((["a.csv", "b.csv"], "is neither a model nor a folder"),
+                        ([str(tmp_path)], "is the only session"),
+                        (["a.json", "b.json"], "a second model and runs do not follow"),
+                        ([str(tmp_path), str(tmp_path), "--horizons", "1"], "belongs to a comparison of models")):
+        assert cli.main(["compare", *words, "--rig", RIG]) == 2
+        error = capsys.readouterr().err
+        assert said in error and "Traceback" not in error
