@@ -261,12 +261,15 @@ def _noise_cause(one: NoiseChange) -> ChangedCause:
 def _detectable(scored: Scored) -> tuple[Detectable, ...]:
     """Of each effect, joint and parameter, at its best shape, by its p-value."""
     found: dict[tuple[str, int | None, str], Detectable] = {}
+    wanted = float(fdtri(1, scored.freedom, 1.0 - ALPHA / (scored.pairs * len(scored.groups)))) ** 0.5
+    wanted += float(stdtrit(scored.freedom, POWER))
     for k, group in enumerate(scored.groups):
-        wanted = float(fdtri(1, scored.freedom, 1.0 - ALPHA / (scored.pairs * len(scored.groups)))) ** 0.5
-        wanted += float(stdtrit(scored.freedom, POWER))
-        known = float(scored.contrast.along(group.basis[:, :1]).information[0, 0])
-        size = wanted / known**0.5 if known > 0.0 else float("inf")
-        one = Detectable(group.effect, group.joint, group.names[0], group.units[0], size, scored.p_value(k))
+        first = scored.contrast.along(group.basis[:, :1])
+        known, change = float(first.information[0, 0]), float(first.size()[0])
+        std = known**-0.5 if known > 0.0 else float("inf")
+        half = float(stdtrit(scored.freedom, 0.975)) * std
+        one = Detectable(group.effect, group.joint, group.names[0], group.units[0], wanted * std, change,
+                         (change - half, change + half), scored.p_value(k))
         key = (group.effect, group.joint, group.names[0] if group.effect == "parameter" else "")
         if key not in found or one.p_value < found[key].p_value:
             found[key] = one

@@ -65,6 +65,9 @@ class Detectable:
     unit: str
     size: float
     """Infinite where no run shows it. Found with probability 0.8 at the level of the verdict."""
+    change: float
+    """What these runs estimate of it, all else unchanged."""
+    ci95: tuple[float, float]
     p_value: float
     """Of this candidate by itself, over all candidates tried."""
 

@@ -6,16 +6,21 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Any
 
-from estimator.change import Change, ChangedCause, Detectable, HeldOut
+from estimator.change import Change, ChangedCause, Detectable, HeldOut, Kind
 from experiments.console import text_table
+from experiments.reports.origin import Source
+from experiments.session import SetAside
 
 CAUSE_HEADER = ["effect", "a change of", "size", "value", "95 % interval", "unit"]
 DETECTABLE_HEADER = ["effect", "size", "smallest change", "unit"]
+REFERENCE_NAMES = ("the reference runs", "these runs")
+Pair = tuple[tuple[str, str], Change]
+"""Names of two sessions, and what differs."""
 SHOWN = 12
 """Smallest changes that a terminal shows; the JSON has all."""
 
 
-def change_text(found: Change, names: tuple[str, str] = ("the reference runs", "these runs")) -> str:
+def change_text(found: Change, names: tuple[str, str] = REFERENCE_NAMES) -> str:
     """What a person reads after `legid diagnose --against` and `legid compare`: the verdict first. `names` are those of
     the two sessions."""
     blocks = [found.sentence]
@@ -28,6 +33,7 @@ def change_text(found: Change, names: tuple[str, str] = ("the reference runs", "
         blocks.append("Smallest change that these runs would have shown with 80 % probability (the likeliest "
                       f"{len(rows)} of {len(found.detectable)}):\n" + text_table(DETECTABLE_HEADER, rows, {2}))
         blocks.append(structure_text(found))
+    blocks.append(f"Next step: {next_of_change(found)}")
     blocks += [f"warning: {text}" for text in found.warnings]
     blocks.append(f"Runs: {', '.join((*found.reference, *found.test))}. ({found.wall_s:.0f} s)")
     return "\n\n".join(blocks)
@@ -56,22 +62,25 @@ def structure_text(found: Change) -> str:
             "common to its runs, {:.2g} different in each run.".format(*found.structure))
 
 
-def change_document(found: Change) -> dict[str, Any]:
-    """`legid.diagnosis/1` with the key `against`; see docs/formats.md."""
+def change_document(found: Change, set_aside: Sequence[SetAside] = (), sources: Sequence[Source] = ()
+                    ) -> dict[str, Any]:
+    """`legid.diagnosis/1` with the key `against`, which has the `sources` of the reference; see docs/formats.md."""
     return {"schema": "legid.diagnosis/1", **_answer(found),
-            "against": {"runs": list(found.reference), "structure": list(found.structure), "p_any": found.p_any},
-            "runs": {"test": list(found.test)}, "warnings": list(found.warnings), "wall_s": found.wall_s}
+            "against": {"runs": list(found.reference), "structure": list(found.structure), "p_any": found.p_any,
+                        "sources": [{"file": s.file, "sha256": s.sha256} for s in sources]},
+            "runs": {"test": list(found.test)}, "warnings": list(found.warnings), "next_step": next_of_change(found),
+            "set_aside": [run.document for run in set_aside], "wall_s": found.wall_s}
 
 
-def sessions_document(pairs: Sequence[tuple[tuple[str, str], Change]]) -> dict[str, Any]:
+def sessions_document(pairs: Sequence[Pair], set_aside: Sequence[SetAside] = ()) -> dict[str, Any]:
     """`legid.sessions/1` of (names of A and B, what differs); see docs/formats.md."""
-    return {"schema": "legid.sessions/1", "pairs": [
+    return {"schema": "legid.sessions/1", "set_aside": [run.document for run in dict.fromkeys(set_aside)], "pairs": [
         {"a": {"name": a, "runs": list(found.reference)}, "b": {"name": b, "runs": list(found.test)}, **_answer(found),
          "structure": list(found.structure), "p_any": found.p_any, "warnings": list(found.warnings),
-         "wall_s": found.wall_s} for (a, b), found in pairs]}
+         "next_step": next_of_change(found)} for (a, b), found in pairs]}
 
 
-def sessions_text(pairs: Sequence[tuple[tuple[str, str], Change]]) -> str:
+def sessions_text(pairs: Sequence[Pair]) -> str:
     """Of a single pair all of it, of several a table of one row a pair."""
     if len(pairs) == 1:
         return change_text(pairs[0][1], pairs[0][0])
@@ -87,6 +96,7 @@ def _answer(found: Change) -> dict[str, Any]:
                     "size": [{"name": s.name, "unit": s.unit, "value": s.value, "ci95": list(s.ci95)} for s in c.size],
                     "confusable_with": []} for c in found.causes],
         "candidates": [{"effect": d.effect, "joint": d.joint, "size_name": d.name, "p_value": d.p_value,
+                        "change": d.change, "ci95": list(d.ci95) if isfinite(d.size) else None,
                         "smallest_detectable": d.size if isfinite(d.size) else None, "unit": d.unit}
                        for d in found.detectable],
         "noise": [{"column": n.column, "ratio": n.ratio, "ci95": list(n.ci95), "p_value": n.p_value}
@@ -94,6 +104,28 @@ def _answer(found: Change) -> dict[str, Any]:
         "held_out": None if held is None else {"runs": list(held.runs), "gain": list(held.gain)},
         "not_testable": [{"effect": e.partition("@")[0], "joint": int(e.partition("@")[2]) if "@" in e else None,
                           "why": why} for e, why in found.not_testable]}
+
+
+FIT = "legid fit RUN... --rig RIG --model-out MODEL.json"
+ACTIONS: dict[Kind, str] = {
+    "parameters": f"Fit the model to the new runs: {FIT}",
+    "mechanics": f"Inspect the joint. Then fit the model to the new runs: {FIT}",
+    "sensors": "Check that sensor: legid doctor --rig RIG", "timing": "Check both clocks: legid doctor --rig RIG",
+    "environment": "Check how the stand is fixed", "noise": "Check the cable of that sensor: legid doctor --rig RIG"}
+
+
+def next_of_change(found: Change) -> str:
+    """One line: what to do, and the command."""
+    if found.verdict == "fit_failed":
+        return "Look at each run by itself: legid fit RUN... --rig RIG --each"
+    if found.verdict == "no_change":
+        return "Go on with the model that you have; more or longer runs show smaller changes"
+    if found.verdict == "changed_unexplained":
+        return "Diagnose the new runs without the reference: legid diagnose RUN... --rig RIG --html PAGE"
+    if found.verdict == "one_of":
+        return ("Record both sessions with more kinds of motion: legid excite --rig RIG --model MODEL.json "
+                "--session NEXT")
+    return ACTIONS[found.causes[0].kind]
 
 
 def label(one: ChangedCause | Detectable) -> str:

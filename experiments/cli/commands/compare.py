@@ -53,7 +53,7 @@ def _compare_sessions(args: argparse.Namespace) -> int:
     from daq import InputError, WorkError
     from experiments.console import command_line, write_json
     from experiments.provenance import origin_of
-    from experiments.reports import sessions_document, sessions_text, with_origin
+    from experiments.reports import sessions_document, sessions_text, with_origin, write_change
     from experiments.session import as_datasets
     from experiments.workflows import find_difference, runs_in, session_names
 
@@ -79,9 +79,10 @@ def _compare_sessions(args: argparse.Namespace) -> int:
         print(sessions_text(pairs), flush=True)
     runs = [run for own in sessions for run in own]
     if args.json:
-        aside = {str(run): run.document for one in found for run in one.prepared.set_aside}
-        document = {**sessions_document(pairs), "set_aside": list(aside.values())}
+        document = sessions_document(pairs, [run for one in found for run in one.prepared.set_aside])
         write_json(args.json, with_origin(document, origin, runs))
+    if args.html:
+        write_change(args.html, pairs, origin, runs)
     if all(one.change.verdict == "fit_failed" for one in found):
         raise WorkError(found[0].change.sentence)
     return 0

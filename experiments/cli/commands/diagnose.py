@@ -98,10 +98,10 @@ def _run_against(args: argparse.Namespace) -> int:
     from daq import InputError, WorkError
     from experiments.console import command_line, write_json
     from experiments.provenance import origin_of, source_of
-    from experiments.reports import change_document, change_text, with_origin
+    from experiments.reports import REFERENCE_NAMES, change_document, change_text, with_origin, write_change
     from experiments.workflows import find_change, runs_in
 
-    for option, given in (("--html", args.html), ("--model-out", args.model_out), ("--reference", args.reference),
+    for option, given in (("--model-out", args.model_out), ("--reference", args.reference),
                           ("--fix", args.fix)):
         if given:
             raise InputError(option, "does not go with --against", "leave it out; --json holds the whole answer")
@@ -115,11 +115,12 @@ def _run_against(args: argparse.Namespace) -> int:
     found = find_change(runs, against, chosen.rig, args.damaged)
     if found.change.verdict != "fit_failed":
         print(change_text(found.change), flush=True)
+    datasets = found.prepared.setup.datasets
     if args.json:
-        document = change_document(found.change)
-        document["set_aside"] = [run.document for run in found.prepared.set_aside]
-        document["against"]["sources"] = [{"file": s.file, "sha256": s.sha256} for s in map(source_of, against)]
-        write_json(args.json, with_origin(document, origin, found.prepared.setup.datasets))
+        document = change_document(found.change, found.prepared.set_aside, tuple(map(source_of, against)))
+        write_json(args.json, with_origin(document, origin, datasets))
+    if args.html:
+        write_change(args.html, [(REFERENCE_NAMES, found.change)], origin, datasets)
     if found.change.verdict == "fit_failed":
         raise WorkError(found.change.sentence)
     return 0
