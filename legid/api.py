@@ -63,8 +63,8 @@ from legid.results import Dataset, Diagnosis, FitResult, Validation, Validations
 
 __all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
            "Model", "Plan", "Recording", "Rig", "Tuning", "Validation", "Validations", "WorkError", "compare",
-           "diagnose", "fit", "load", "load_model", "load_rig", "model", "multisine", "read_plan", "record", "save_model",
-           "simulate", "tune", "validate", "write_plan"]
+           "diagnose", "fit", "load", "load_model", "load_rig", "model", "multisine", "read_plan", "record",
+           "save_model", "simulate", "tune", "validate", "write_plan"]
 
 RigLike = Rig | Path | str
 Runs = PlainDataset | Sequence[PlainDataset]

@@ -159,14 +159,14 @@ def comparison_figure(found: Comparison) -> Figure:
 
 
 def change_figure(found: Change) -> Figure:
-    """Estimated change of the likeliest effects over the smallest that would have shown. Raises `WorkError`."""
+    """Estimated change of the likeliest effects over the smallest detectable one. Raises `WorkError`."""
     some = drawn_changes(found.detectable)
     if not some:
         raise WorkError(found.sentence)
     figure = NotebookFigure(figsize=(7.2, 0.9 + 0.24 * len(some)), layout="constrained")
     ax = figure.subplots()
     paint_changes(ax, some)
-    ax.set_xlabel("change / smallest change that would have shown")
+    ax.set_xlabel("change / smallest detectable change")
     return figure
 
 

@@ -273,12 +273,19 @@ def _detectable(scored: Scored) -> tuple[Detectable, ...]:
         key = (group.effect, group.joint, group.names[0] if group.effect == "parameter" else "")
         if key not in found or one.p_value < found[key].p_value:
             found[key] = one
-    return tuple(sorted(found.values(), key=lambda d: d.p_value))
+    return tuple(sorted(found.values(), key=lambda d: (d.p_value, -abs(d.change) / d.size)))
 
 
 def _words(causes: Sequence[ChangedCause]) -> str:
-    return ", ".join(
-        f"{c.size[0].name} by {c.size[0].value:.3g} {c.size[0].unit}" if c.effect == "parameter" else
-        f"noise of {c.size[0].name}, {c.size[0].value:.3g} times" if c.effect == "noise" else
-        c.effect + ("" if c.joint is None else f" ({'link' if c.effect == 'payload' else 'joint'} {c.joint})")
-        for c in causes)
+    return ", ".join(map(_word, causes))
+
+
+def _word(cause: ChangedCause) -> str:
+    first = cause.size[0]
+    value = f"{first.value:.3g}{'' if first.unit == '1' else f' {first.unit}'}"
+    if cause.effect == "parameter":
+        return f"{first.name} by {value}"
+    if cause.effect == "noise":
+        return f"noise of {first.name}, {value}"
+    where = "" if cause.joint is None else f" ({'link' if cause.effect == 'payload' else 'joint'} {cause.joint})"
+    return f"{cause.effect}{where}, {first.name} {value}"

@@ -37,10 +37,10 @@ DRAWN = 14
 """Effects in the figure, the likeliest first."""
 LEVELS: dict[ChangeVerdict, Level] = {"no_change": "good", "named": "caution", "partial": "caution",
                                       "one_of": "caution", "changed_unexplained": "bad", "fit_failed": "bad"}
-TITLES: dict[ChangeVerdict, str] = {"no_change": "No change", "named": "Changed, and the cause is named",
-                                    "partial": "Changed, and part of the cause is named",
-                                    "one_of": "Changed, by one of several causes",
-                                    "changed_unexplained": "Changed, and no listed cause explains it",
+TITLES: dict[ChangeVerdict, str] = {"no_change": "No difference", "named": "Different: the cause is named",
+                                    "partial": "Different: part of the cause is named",
+                                    "one_of": "Different, by one of several causes",
+                                    "changed_unexplained": "Different, and no listed cause explains it",
                                     "fit_failed": "No comparison is possible"}
 
 
@@ -53,8 +53,7 @@ def write_change(path: Path | str, pairs: Sequence[Pair], origin: Origin, runs: 
     box = VerdictBox(LEVELS[worst.verdict], TITLES[worst.verdict], [*lines, f"Next step: {next_of_change(worst)}."],
                      list(warnings))
     count = len(first.reference) + sum(len(found.test) for _, found in pairs)
-    write_page(path, "What changed" if len(pairs) == 1 else "Sessions against the first",
-               f"From {names[0]} to {', '.join(b for (_, b), _ in pairs)}: {count} runs.",
+    write_page(path, f"From {names[0]} to {', '.join(b for (_, b), _ in pairs)}", f"{count} runs.",
                [*(section for pair in pairs for section in change_sections(pair, len(pairs) > 1)),
                 origin_section(origin, runs)], origin, box)
 
@@ -62,17 +61,18 @@ def write_change(path: Path | str, pairs: Sequence[Pair], origin: Origin, runs: 
 def change_sections(pair: Pair, several: bool = False) -> list[Section]:
     """Causes with the figure, noise, smallest changes, what cannot be tested, runs."""
     head = f"{pair[0][1]}: " if several else ""
-    sections = [_answer(pair), _noise(pair), _smallest(pair[1]), _untestable(pair[1]), _runs(pair)]
-    return [replace(s, title=head + s.title) for s in sections if s.paragraphs or s.tables or s.pictures]
+    more = [_noise(pair), _smallest(pair[1]), _untestable(pair[1]), _runs(pair)]
+    return [_answer(pair, several),
+            *(replace(s, title=head + s.title) for s in more if s.paragraphs or s.tables or s.pictures)]
 
 
-def _answer(pair: Pair) -> Section:
+def _answer(pair: Pair, several: bool) -> Section:
     (a, b), found = pair
     causes = [Table(CAUSE_HEADER, cause_rows(found), right=frozenset({3, 4}))] if found.causes else []
-    pictures = [Picture(change_plot(found.detectable), "Estimated change of each effect, all else unchanged, over the "
-                        "smallest change that these runs would have shown with 80 % probability. Bars are 95 % "
-                        "intervals.")] if drawn_changes(found.detectable) else []
-    return Section(f"From {a} to {b}", [found.sentence], causes, pictures,
+    pictures = [Picture(change_plot(found.detectable, f"{a} {b}"), "Estimated change of each effect, all else unchanged, over the "
+                        "smallest detectable change: what these runs would have shown with 80 % probability. Bars "
+                        "are 95 % intervals.")] if drawn_changes(found.detectable) else []
+    return Section(f"From {a} to {b}", [found.sentence] if several else [], causes, pictures,
                    [] if found.held_out is None else [held_out_text(found.held_out)])
 
 
@@ -110,15 +110,16 @@ def drawn_changes(detectable: Sequence[Detectable]) -> list[Detectable]:
     return [d for d in detectable if isfinite(d.size) and d.size > 0.0][:DRAWN]
 
 
-def change_plot(detectable: Sequence[Detectable]) -> str:
-    """The likeliest changes with intervals, in units of the smallest change that would have shown."""
+def change_plot(detectable: Sequence[Detectable], name: str) -> str:
+    """The likeliest changes with intervals, in units of the smallest change that would have shown; `name` is that of
+    the pair."""
     some = drawn_changes(detectable)
 
     def paint(axes: Axes) -> None:
         paint_changes(axes, some)
-        finish(axes, 2, "change / smallest change that would have shown", "")
+        finish(axes, 2, "change / smallest detectable change", "")
 
-    return draw("change", 1.05 + ROW_IN * len(some), paint)
+    return draw(f"change {name}", 1.05 + ROW_IN * len(some), paint)
 
 
 def paint_changes(axes: Axes, some: Sequence[Detectable]) -> None:
@@ -129,7 +130,7 @@ def paint_changes(axes: Axes, some: Sequence[Detectable]) -> None:
     axes.axvline(0.0, color=INK, linewidth=0.6)
     for side in (-1.0, 1.0):
         axes.axvline(side, color=GREY, linestyle="--", linewidth=1.0,
-                     label="smallest that would have shown" if side > 0.0 else None)
+                     label="smallest detectable" if side > 0.0 else None)
     beyond = np.abs(share) > 1.0
     axes.errorbar(share, rows, xerr=[share - low, high - share], fmt="none", ecolor=GREY, elinewidth=1.4, zorder=2)
     axes.scatter(share, rows, s=20.0, c=[ORANGE if far else BLUE for far in beyond], zorder=3)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from experiments import cli
+from tests.support.pages import Outside
 from tests.support.paths import REAL, ROOT
 
 RIG = str(ROOT / "experiments/studies/rigs/dfki_diagnose.toml")
@@ -31,10 +32,10 @@ def test_an_unchanged_arm_against_a_folder(tmp_path: Path, capsys: pytest.Captur
     assert {n["effect"] for n in found["not_testable"]} >= {"encoder_offset"}
 
 
-def test_an_empty_folder_a_model_and_a_page_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_folder_and_a_model_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for more, words in ((["--against", str(tmp_path)], "holds no run file"),
                         (["--against", "model.json"], "is no run"),
-                        (["--against", "a.csv", "--html", str(tmp_path / "p.html")], "does not go with --against")):
+                        (["--against", "a.csv", "--fix", "beta1=1"], "does not go with --against")):
         assert cli.main(["diagnose", "r.csv", *more, "--rig", RIG]) == 2
         error = capsys.readouterr().err
         assert words in error and "Traceback" not in error
@@ -62,13 +63,19 @@ def test_sessions_as_folders_and_as_runs(tmp_path: Path, capsys: pytest.CaptureF
     for run in plain:
         late(Path(run), after / Path(run).name, 0.01)
     out = tmp_path / "sessions.json"
-    assert cli.main(["compare", str(before), str(after), "--rig", RIG, "--json", str(out)]) == 0
-    assert capsys.readouterr().out.startswith("Different: torque_delay.\n\nFrom before to after:")
+    page = tmp_path / "page.html"
+    assert cli.main(["compare", str(before), str(after), "--rig", RIG, "--json", str(out), "--html", str(page)]) == 0
+    assert capsys.readouterr().out.startswith("Different: torque_delay, delay 0.00786 s.\n\nFrom before to after:")
     found = json.loads(out.read_text())
     (pair,), files = found["pairs"], found["provenance"]["runs"]
     assert found["schema"] == "legid.sessions/1" and len(files) == 4
     assert pair["a"] == {"name": "before", "runs": ["before 00.csv.gz", "before 02.csv.gz"]}
     assert (pair["causes"][0]["effect"], pair["causes"][0]["kind"]) == ("torque_delay", "timing")
+    html = page.read_text()
+    assert "From before to after" in html and "Next step: Check both clocks" in html and html.count("<svg") == 1
+    outside = Outside()
+    outside.feed(html)
+    assert outside.found == [] and outside.scripts == 0
     assert cli.main(["compare", *first, "--with", *plain, "--with", str(after), "--rig", RIG]) == 0
     rows = capsys.readouterr().out.splitlines()
     assert rows[2].startswith("A     B   no_change") and rows[3].startswith("A     C   named")
