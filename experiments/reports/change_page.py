@@ -12,7 +12,6 @@ import numpy as np
 
 from daq import Dataset
 from estimator.change import Change, Detectable
-from estimator.verdicts import ChangeVerdict
 from experiments.provenance import Origin
 from experiments.reports.change import (
     CAUSE_HEADER,
@@ -35,9 +34,9 @@ if TYPE_CHECKING:
 
 DRAWN = 14
 """Effects in the figure, the likeliest first."""
-LEVELS: dict[ChangeVerdict, Level] = {"no_change": "good", "named": "caution", "partial": "caution",
+LEVELS: dict[str, Level] = {"no_change": "good", "named": "caution", "partial": "caution",
                                       "one_of": "caution", "changed_unexplained": "bad", "fit_failed": "bad"}
-TITLES: dict[ChangeVerdict, str] = {"no_change": "No difference", "named": "Different: the cause is named",
+TITLES: dict[str, str] = {"no_change": "No difference", "named": "Different: the cause is named",
                                     "partial": "Different: part of the cause is named",
                                     "one_of": "Different, by one of several causes",
                                     "changed_unexplained": "Different, and no listed cause explains it",
@@ -69,9 +68,9 @@ def change_sections(pair: Pair, several: bool = False) -> list[Section]:
 def _answer(pair: Pair, several: bool) -> Section:
     (a, b), found = pair
     causes = [Table(CAUSE_HEADER, cause_rows(found), right=frozenset({3, 4}))] if found.causes else []
-    pictures = [Picture(change_plot(found.detectable, f"{a} {b}"), "Estimated change of each effect, all else unchanged, over the "
-                        "smallest detectable change: what these runs would have shown with 80 % probability. Bars "
-                        "are 95 % intervals.")] if drawn_changes(found.detectable) else []
+    pictures = [Picture(change_plot(found.detectable, f"{a} {b}"),
+                        "Estimated change of each effect, all else unchanged, over the smallest detectable change: "
+                        "what these runs would have shown with 80 % probability. Bars are 95 % intervals.")] if drawn_changes(found.detectable) else []
     return Section(f"From {a} to {b}", [found.sentence] if several else [], causes, pictures,
                    [] if found.held_out is None else [held_out_text(found.held_out)])
 
