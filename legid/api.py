@@ -45,9 +45,11 @@ from experiments.reports import (
 )
 from experiments.session import damaged_runs, load_runs, prepare
 from experiments.workflows import (
+    as_reference,
     compare_models,
     diagnose_prepared,
     find_change,
+    find_change_since,
     find_difference,
     fit_runs,
     record_plan,
@@ -143,11 +145,11 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
              progress: Callable[[str, float], None] | None = None, workers: int = 1, material: float = MATERIAL,
              fixed: Mapping[str, float] | None = None, against: None = None) -> Diagnosis: ...
 @overload
-def diagnose(runs: Runs, rig: RigLike | None = None, *, against: Runs) -> Change: ...
+def diagnose(runs: Runs, rig: RigLike | None = None, *, against: Runs | Model) -> Change: ...
 def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,
              progress: Callable[[str, float], None] | None = None, workers: int = 1,
-             material: float = MATERIAL, fixed: Mapping[str, float] | None = None, against: Runs | None = None
-             ) -> Diagnosis | Change:
+             material: float = MATERIAL, fixed: Mapping[str, float] | None = None,
+             against: Runs | Model | None = None) -> Diagnosis | Change:
     """What the simulation of the rig's model gets wrong on `runs`, why, and what extending it gains.
 
     Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good. Of four alike in
@@ -160,10 +162,13 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
     The result's `verdict` is none, named, partial, one_of, unexplained or fit_failed; `causes` have sizes with units
     and 95 % intervals. Raises `InputError` for runs that do not belong together.
 
-    With earlier runs of the rig `against` which these are held, it is a `Change` since then; `seed`, `reference`,
-    `progress`, `workers`, `material` and `fixed` have no part in it.
+    With earlier runs of the rig `against` which these are held, or a model that a diagnosis of them gave, it is a
+    `Change` since then; `seed`, `reference`, `progress`, `workers`, `material` and `fixed` have no part in it.
     """
     given, known = _given(runs, rig)
+    if isinstance(against, Model):
+        return Change(find_change_since(given, against, "the model", known), REFERENCE_NAMES,
+                      sources=((), sources_of(given)))
     if against is not None:
         earlier = (against,) if isinstance(against, PlainDataset) else tuple(against)
         return Change(find_change(given, earlier, known), REFERENCE_NAMES,
@@ -234,6 +239,8 @@ def model(found: PlainFit | PlainDiagnosis, runs: Runs | None = None, rig: RigLi
         if found.verdict == "fit_failed":
             raise WorkError(found.sentence)
         made = diagnosed_model(found, setup, known.motor.gear_ratio)
+        if isinstance(found, Diagnosis) and found.prepared is not None:
+            made = as_reference(made, found.prepared)
     else:
         check_sound(found, for_model=True)
         made = model_of(found, setup.settings, setup.options.hold, [run.name for run in setup.datasets])

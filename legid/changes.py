@@ -51,10 +51,10 @@ class Change:
     def document(self) -> dict[str, Any]:
         """`legid.diagnosis/1` as `legid diagnose --against --json` writes it, or `legid.sessions/1` as `legid compare`.
         """
-        aside = self.found.prepared.set_aside
+        aside = self.found.set_aside
         made = change_document(self.plain, aside, self.sources[0]) if self.reference else sessions_document(
             [(self.names, self.plain)], aside)
-        return {**made, "damaged": damaged_runs(self.found.prepared.setup.datasets)}
+        return {**made, "damaged": damaged_runs(self.found.datasets)}
 
     def to_json(self, path: Path | str) -> None:
         """Write `document` with its provenance. Raises `InputError`."""

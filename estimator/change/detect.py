@@ -15,6 +15,7 @@ from estimator.change.contrast import HIDDEN, Contrast, contrast, difference, se
 from estimator.change.groups import Group, groups_of
 from estimator.change.noise import compare_noise, levels_of, with_noise
 from estimator.change.payload import fieller
+from estimator.change.reference import Reference, require_runs
 from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, NoiseChange, Size
 from estimator.change.scores import ReferenceFit, fit_reference, noisiness, score_run
 from estimator.change.structure import find_structure
@@ -25,7 +26,6 @@ from estimator.options import FitOptions
 ALPHA = 0.01
 """p-value, over all candidates tried, below which something changed."""
 POWER = 0.8
-FEWEST_RUNS = 2
 MOST_CAUSES = 2
 RIVAL = 6.0
 """Candidates within this fall of -2 log likelihood of the best are not told apart from it."""
@@ -76,36 +76,31 @@ class Scored:
         return min(1.0, self.pairs * len(self.groups) * float(fdtrc(width, self.freedom, self.gains[k] / width)))
 
 
-def detect_change(test: Sequence[Dataset], reference: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *,
-                  gear_ratio: float = 1.0) -> Change:
-    """What changed between `reference` and `test` runs of one rig; data that cannot tell give `fit_failed`.
-
-    The model is that of the reference runs."""
+def detect_change(test: Sequence[Dataset], reference: Reference) -> Change:
+    """What changed between the `reference` runs and `test` runs of one rig; data that cannot tell give `fit_failed`."""
     begin = time.perf_counter()
-    names = tuple(d.name for d in reference), tuple(d.name for d in test)
+    names = tuple(d.name for d in test)
+    fit, structure = reference.fit, reference.structure
     try:
-        _require_runs(reference, test)
+        require_runs(test)
         with np.errstate(all="ignore"):  # a search may diverge on its way; where it ends is checked
-            fit = fit_reference(reference, mechanism, options, gear_ratio)
-            noise = compare_noise(*(levels_of(runs, mechanism, options) for runs in (test, reference)))
+            noise = compare_noise(levels_of(test, fit.mechanism, fit.options), reference.noise)
             own = with_noise(fit, [one for one in noise if one.p_value < ALPHA])
-            before, after = [score_run(fit, d) for d in reference], [score_run(fit, d, own) for d in test]
-            structure = find_structure([before], fit.mechanism.p)
-            known, parts = total(seen(before, structure)), seen(after, structure)
+            parts = seen([score_run(fit, d, own) for d in test], structure)
 
             def against(some: Sequence[Contrast]) -> Contrast:
-                return contrast(total(some), known, structure)
+                return contrast(total(some), reference.known, structure)
 
             folds = [Fold(name, against(parts[:k] + parts[k + 1 :]), against([parts[k]]))
-                     for k, name in enumerate(names[1])]
-            scored = Scored(groups_of(fit, known), against(parts), structure.freedom)
+                     for k, name in enumerate(names)]
+            scored = Scored(groups_of(fit, reference.known), against(parts), structure.freedom)
             found = conclude(fit, scored, folds, noise, AGAINST)
         found = replace(found, structure=(structure.common**0.5, structure.own**0.5))
     except (FitError, np.linalg.LinAlgError) as error:
         found = Change("fit_failed", f"No comparison: {error}.")
-    few = () if len(reference) >= 4 else (f"{len(reference)} reference runs: their scatter is poorly known; four or "
-                                          "more are better",)
-    return replace(found, reference=names[0], test=names[1], warnings=few, wall_s=time.perf_counter() - begin)
+    few = () if len(reference.runs) >= 4 else (f"{len(reference.runs)} reference runs: their scatter is poorly known; "
+                                               "four or more are better",)
+    return replace(found, reference=reference.runs, test=names, warnings=few, wall_s=time.perf_counter() - begin)
 
 
 def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *,
@@ -119,7 +114,8 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
     begin = time.perf_counter()
     names = tuple(d.name for d in a), tuple(d.name for d in b)
     try:
-        _require_runs(a, b)
+        require_runs(a)
+        require_runs(b)
         with np.errstate(all="ignore"):
             fits = [fit_reference(runs, mechanism, options, gear_ratio) for runs in (a, b)]
             fit = min(fits, key=noisiness)
@@ -146,12 +142,6 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
         found = Change("fit_failed", f"No comparison: {error}.")
     few = () if min(map(len, names)) >= 4 else ("fewer than four runs of a session: their scatter is poorly known",)
     return replace(found, reference=names[0], test=names[1], warnings=few, wall_s=time.perf_counter() - begin)
-
-
-def _require_runs(first: Sequence[Dataset], second: Sequence[Dataset]) -> None:
-    if min(len(first), len(second)) < FEWEST_RUNS:
-        raise FitError(f"{len(first)} and {len(second)} runs cannot show their scatter; give at least {FEWEST_RUNS} of "
-                       "each, better four")
 
 
 def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tuple[NoiseChange, ...], words: Words

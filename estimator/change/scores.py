@@ -40,6 +40,12 @@ class ReferenceFit:
     """The first so many candidates are of the library."""
     refused: dict[str, str]
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """(m,) names of a score's columns: parameters, then every size of every candidate."""
+        return (*self.mechanism.names, *(f"{c.effect.key} {size.name} {list(c.shape)}" for c in self.candidates
+                                         for size in c.effect.sizes))
+
 
 @dataclass(frozen=True)
 class RunScore:
@@ -63,13 +69,20 @@ def fit_reference(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
     state = iterate(problem, state, free, options, noise_floors(problem, mechanism, state.beta))
     if not state.converged:
         raise FitError("the fit of the reference runs did not converge")
+    reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
+    return known_reference(mechanism, options, state.beta, state.noise.levels(), reach, gear_ratio)
+
+
+def known_reference(mechanism: Mechanism, options: FitOptions, beta: FloatArray, noise: Noise, angle_range: FloatArray,
+                    gear_ratio: float) -> ReferenceFit:
+    """A fit whose numbers are known, with everything that is tried beside it."""
     imu, encoders = options.sensors == "imu", options.encoders_of(mechanism.n)
     effects, refused = library(mechanism, imu, encoders)
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     unnamed = [Candidate(e) for e in battery(mechanism, imu, encoders)]
-    reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    return ReferenceFit(mechanism, options, state.beta, free, state.noise.levels(), reach, gear_ratio,
-                        (*candidates, *unnamed), len(candidates), refused)
+    free, _ = free_mask(mechanism, options)
+    return ReferenceFit(mechanism, options, beta, free, noise, angle_range, gear_ratio, (*candidates, *unnamed),
+                        len(candidates), refused)
 
 
 def noisiness(fit: ReferenceFit) -> float:

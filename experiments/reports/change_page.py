@@ -68,9 +68,9 @@ def change_sections(pair: Pair, several: bool = False) -> list[Section]:
 def _answer(pair: Pair, several: bool) -> Section:
     (a, b), found = pair
     causes = [Table(CAUSE_HEADER, cause_rows(found), right=frozenset({3, 4}))] if found.causes else []
-    pictures = [Picture(change_plot(found.detectable, f"{a} {b}"),
-                        "Estimated change of each effect, all else unchanged, over the smallest detectable change: "
-                        "what these runs would have shown with 80 % probability. Bars are 95 % intervals.")] if drawn_changes(found.detectable) else []
+    caption = ("Estimated change of each effect, all else unchanged, over the smallest detectable change: what these "
+               "runs would have shown with 80 % probability. Bars are 95 % intervals.")
+    pictures = [Picture(change_plot(found.detectable, f"{a} {b}"), caption)] if drawn_changes(found.detectable) else []
     return Section(f"From {a} to {b}", [found.sentence] if several else [], causes, pictures,
                    [] if found.held_out is None else [held_out_text(found.held_out)])
 

@@ -79,7 +79,7 @@ def _compare_sessions(args: argparse.Namespace) -> int:
         print(sessions_text(pairs), flush=True)
     runs = [run for own in sessions for run in own]
     if args.json:
-        document = sessions_document(pairs, [run for one in found for run in one.prepared.set_aside])
+        document = sessions_document(pairs, [run for one in found for run in one.set_aside])
         write_json(args.json, with_origin(document, origin, runs))
     if args.html:
         write_change(args.html, pairs, origin, runs)

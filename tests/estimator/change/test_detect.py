@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,43 +10,24 @@ import numpy as np
 import pytest
 
 from daq import Dataset, load_rig
-from estimator.change import Change, compare_sessions, detect_change
+from estimator.change import Change, compare_sessions, detect_change, learn_reference
 from estimator.change.contrast import Contrast, contrast, seen, total
 from estimator.change.scores import RunScore
 from estimator.change.structure import Structure, find_structure
+from estimator.errors import FitError
 from estimator.model import leg2
 from estimator.options import FitOptions
 from experiments.session import prepare
 from tests.evidence.blind.records import FAULTS, RECORDS, RIGS
-from tests.evidence.blind.servo import write_case
-from tests.evidence.blind.stickslip import MAKERS, Readings, as_read
-from tests.support.mujoco_leg import random_leg
+from tests.evidence.blind.stickslip import MAKERS, Readings
+from tests.support.changed_leg import REFERENCE, leg_runs
 from tests.support.paths import REAL
-from tests.support.stick_slip_leg import TICK_S, move
-
-REFERENCE = 4
-
-
-def leg_runs(out: Path, changes: Callable[[Readings], None], heavier: float = 0.0) -> tuple[list[Path], Path]:
-    """Eight runs of one leg, the last four with a change of the readings, or of link 1's mass [kg] at its centre."""
-    rng = np.random.default_rng(11)
-    leg = replace(random_leg(rng), coulomb=(0.01, 0.05))
-
-    def logged(run: int) -> Readings:
-        after = run >= REFERENCE
-        own = replace(leg, m1=leg.m1 + heavier) if after else leg
-        readings = as_read(move(own, rng, seconds=10.0, closed=run % 2 == 1, high=(3.0, 2.0, 1.2, 2.5)[run % 4]))
-        if after:
-            changes(readings)
-        return {k: v[:: round(0.01 / TICK_S)] for k, v in readings.items()}
-
-    write_case("leg", 1, out, map(logged, range(8)), rng, leg, "", [], 0.05)
-    return sorted((out / "leg-1").glob("r*.csv")), out / "leg-1/rig.toml"
 
 
 def change_of(files: list[Path], rig_file: Path) -> Change:
     setup = prepare(files, load_rig(rig_file)).setup
-    return detect_change(setup.datasets[REFERENCE:], setup.datasets[:REFERENCE], setup.mechanism, setup.options)
+    return detect_change(setup.datasets[REFERENCE:],
+                         learn_reference(setup.datasets[:REFERENCE], setup.mechanism, setup.options))
 
 
 def test_an_unchanged_leg_has_not_changed_and_says_what_it_would_have_shown(tmp_path: Path) -> None:
@@ -116,8 +96,10 @@ def test_a_payload_on_link_1_is_among_the_causes(tmp_path: Path) -> None:
 def test_one_run_is_refused_with_a_remedy() -> None:
     time = np.linspace(0.0, 1.99, 200)
     data = Dataset("one", 100.0, time, {})
-    found = detect_change([data], [data], leg2(), FitOptions())
-    assert found.verdict == "fit_failed" and "give at least 2 of each" in found.sentence
+    with pytest.raises(FitError, match="give at least 2 of each session"):
+        learn_reference([data], leg2(), FitOptions())
+    found = compare_sessions([data], [data, data], leg2(), FitOptions())
+    assert found.verdict == "fit_failed" and "give at least 2 of each session" in found.sentence
 
 
 def test_a_contrast_gives_back_a_change_beside_structure_of_the_reference() -> None:
@@ -177,7 +159,8 @@ def test_a_real_arm_says_what_was_put_into_its_test_runs(fault: str) -> None:
     test = [spoilt(d, fault) for d in every[1::2]]
     setup = prepare([*every[::2], *test], load_rig(RIGS / record.rig)).setup
     count = len(every[::2])
-    found = detect_change(setup.datasets[count:], setup.datasets[:count], setup.mechanism, setup.options)
+    found = detect_change(setup.datasets[count:],
+                          learn_reference(setup.datasets[:count], setup.mechanism, setup.options))
     if fault == "untouched":
         assert found.verdict == "no_change"
     else:

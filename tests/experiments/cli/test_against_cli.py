@@ -7,8 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
+from daq import load_rig
 from experiments import cli
+from experiments.models import load_model, save_model
+from experiments.session import prepare
+from experiments.workflows import as_reference
+from tests.evidence.blind.stickslip import MAKERS
+from tests.support.changed_leg import REFERENCE, leg_runs
+from tests.support.models import write_model
 from tests.support.pages import Outside
 from tests.support.paths import REAL, ROOT
 
@@ -32,9 +40,45 @@ def test_an_unchanged_arm_against_a_folder(tmp_path: Path, capsys: pytest.Captur
     assert {n["effect"] for n in found["not_testable"]} >= {"encoder_offset"}
 
 
+def test_a_model_is_as_good_a_reference_as_its_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files, rig = leg_runs(tmp_path, MAKERS["gyro_scale"][0](1.0))
+    earlier, runs = ([str(f) for f in some] for some in (files[:REFERENCE], files[REFERENCE:]))
+    prepared = prepare(earlier, load_rig(rig))
+    path = write_model(tmp_path / "model.json", [0.1] * prepared.setup.mechanism.p,
+                       structs.asdict(prepared.setup.settings))
+    words = ["diagnose", *runs, "--rig", str(rig), "--against"]
+    assert cli.main([*words, str(path)]) == 2
+    assert "does not hold how much its runs scatter; give the runs" in capsys.readouterr().err
+    model = structs.replace(load_model(path), gear_ratio=prepared.setup.gear_ratio)
+    save_model(as_reference(model, prepared), path)
+    answers = []
+    for reference in (earlier, [str(path)]):
+        out = tmp_path / f"{len(reference)}-change.json"
+        assert cli.main([*words, *reference, "--json", str(out)]) == 0
+        answers.append(json.loads(out.read_text()))
+    first, second = answers
+    assert first["verdict"] == second["verdict"] and "gyro_scale" in {c["effect"] for c in first["causes"]}
+    for one, other in zip(first["candidates"], second["candidates"], strict=True):
+        assert (one["effect"], one["joint"]) == (other["effect"], other["joint"])
+        assert other["change"] == pytest.approx(one["change"], rel=1e-6)
+        assert other["p_value"] == pytest.approx(one["p_value"], rel=1e-6)
+    assert first["held_out"]["gain"] == pytest.approx(second["held_out"]["gain"], rel=1e-6)
+    assert second["against"]["sources"][0]["file"] == second["provenance"]["model"]["file"] == "model.json"
+    broken = json.loads(path.read_text())
+    broken["reference"]["columns"][3] = "another"
+    path.write_text(json.dumps(broken))
+    assert cli.main([*words, str(path)]) == 2
+    assert "another library of effects" in capsys.readouterr().err
+    assert cli.main([*words, str(path), *earlier]) == 2
+    assert "is not the only reference" in capsys.readouterr().err
+    rig.write_text(rig.read_text() + "\n[terms]\nencoder_zero = [2]\n")
+    assert cli.main([*words, str(path)]) == 2
+    assert "does not hold the encoders' zeros" in capsys.readouterr().err
+
+
 def test_an_empty_folder_and_a_model_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for more, words in ((["--against", str(tmp_path)], "holds no run file"),
-                        (["--against", "model.json"], "is no run"),
+                        (["--against", "model.json"], "No such file"),
                         (["--against", "a.csv", "--fix", "beta1=1"], "does not go with --against")):
         assert cli.main(["diagnose", "r.csv", *more, "--rig", RIG]) == 2
         error = capsys.readouterr().err
