@@ -21,6 +21,7 @@ from .api import simulate as simulate
 from .api import tune as tune
 from .api import validate as validate
 from .api import write_plan as write_plan
+from .changes import Change as Change
 from .listings import Comparison as Comparison
 from .listings import Effects as Effects
 from .listings import Excitation as Excitation

@@ -34,11 +34,23 @@ from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from experiments.excite import random_multisine
 from experiments.models import Model, load_model, save_model
-from experiments.reports import check_sound, diagnosed_model, model_of, model_with_origin, origin_from, source_of
+from experiments.reports import (
+    REFERENCE_NAMES,
+    check_sound,
+    diagnosed_model,
+    model_of,
+    model_with_origin,
+    origin_from,
+    source_of,
+)
 from experiments.session import damaged_runs, load_runs, prepare
 from experiments.workflows import (
+    as_reference,
     compare_models,
     diagnose_prepared,
+    find_change,
+    find_change_since,
+    find_difference,
     fit_runs,
     record_plan,
     reference_values,
@@ -47,13 +59,14 @@ from experiments.workflows import (
     validate_prepared,
     with_reference_terms,
 )
+from legid.changes import Change
 from legid.listings import Comparison, Tuning
 from legid.results import Dataset, Diagnosis, FitResult, Validation, Validations, dressed, sources_of
 
-__all__ = ["Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError", "Model",
-           "Plan", "Recording", "Rig", "Tuning", "Validation", "Validations", "WorkError", "compare", "diagnose",
-           "fit", "load", "load_model", "load_rig", "model", "multisine", "read_plan", "record", "save_model",
-           "simulate", "tune", "validate", "write_plan"]
+__all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
+           "Model", "Plan", "Recording", "Rig", "Tuning", "Validation", "Validations", "WorkError", "compare",
+           "diagnose", "fit", "load", "load_model", "load_rig", "model", "multisine", "read_plan", "record",
+           "save_model", "simulate", "tune", "validate", "write_plan"]
 
 RigLike = Rig | Path | str
 Runs = PlainDataset | Sequence[PlainDataset]
@@ -127,9 +140,16 @@ def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str 
     return Validations.of(validate_prepared(model, prepared, "the model", files), files)
 
 
+@overload
+def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,
+             progress: Callable[[str, float], None] | None = None, workers: int = 1, material: float = MATERIAL,
+             fixed: Mapping[str, float] | None = None, against: None = None) -> Diagnosis: ...
+@overload
+def diagnose(runs: Runs, rig: RigLike | None = None, *, against: Runs | Model) -> Change: ...
 def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: Model | None = None,
              progress: Callable[[str, float], None] | None = None, workers: int = 1,
-             material: float = MATERIAL, fixed: Mapping[str, float] | None = None) -> Diagnosis:
+             material: float = MATERIAL, fixed: Mapping[str, float] | None = None,
+             against: Runs | Model | None = None) -> Diagnosis | Change:
     """Errors of the simulation of the rig's model on `runs`, their causes, and the gain of extending the model.
 
     Give whole runs of one rig in the order in which they were recorded; eight of 20 s are good.
@@ -142,23 +162,49 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
 
     The result's `verdict` is none, named, partial, one_of, unexplained or fit_failed; `causes` have sizes with units
     and 95 % intervals. Raises `InputError` for runs that do not belong together.
+
+    With earlier runs of the rig `against` which these are held, or a model that a diagnosis of them gave, it is a
+    `Change` since then; `seed`, `reference`, `progress`, `workers`, `material` and `fixed` have no part in it.
     """
     given, known = _given(runs, rig)
+    if isinstance(against, Model):
+        return Change(find_change_since(given, against, "the model", known), REFERENCE_NAMES,
+                      sources=((), sources_of(given)))
+    if against is not None:
+        earlier = (against,) if isinstance(against, PlainDataset) else tuple(against)
+        return Change(find_change(given, earlier, known), REFERENCE_NAMES,
+                      sources=(sources_of(earlier), sources_of(given)))
     prepared = prepare(given, with_reference_terms(known, reference), fixed=fixed)
     values = None if reference is None else reference_values(reference, "reference", prepared.setup)
     found = diagnose_prepared(prepared, seed, values, progress, workers, material)
     return dressed(Diagnosis, found, fitted=given, rig=known, prepared=prepared)
 
 
-def compare(model_a: Model, model_b: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
-            names: tuple[str, str] = ("A", "B")) -> Comparison:
+@overload
+def compare(a: Model, b: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
+            names: tuple[str, str] = ("A", "B")) -> Comparison: ...
+@overload
+def compare(a: Runs, b: Runs, *, rig: RigLike | None = None, names: tuple[str, str] = ("A", "B")) -> Change: ...
+def compare(a: Model | Runs, b: Model | Runs, runs: Runs = (), rig: RigLike | None = None,
+            sensors: str | None = None, names: tuple[str, str] = ("A", "B")) -> Comparison | Change:
     """Two models on `runs` that neither was fitted to: parameters, free-run errors over horizons, which is better.
 
+    Or the runs of two sessions: whether they differ beyond the scatter of runs within a session, and by what. Sizes are
+    those of `b` less those of `a`.
+
     `names` are what the result calls them. Runs that cannot be used are set aside. Raises `InputError` for models of
-    another mechanism than the rig's, `FitError` where no motion can be estimated.
+    another mechanism than the rig's and for runs that do not belong together, `FitError` where no motion can be
+    estimated.
     """
+    if not isinstance(a, Model) and not isinstance(b, Model):
+        first, known = _given(a, rig)
+        second, _ = _given(b, rig)
+        return Change(find_difference(first, second, names, known), names, False,
+                      (sources_of(first), sources_of(second)))
+    if not isinstance(a, Model) or not isinstance(b, Model):
+        raise InputError("compare", "was given a model and runs", "give two models and runs, or two sessions' runs")
     given, known = _given(runs, rig)
-    found = compare_models((model_a, model_b), names, given, known, sensors)
+    found = compare_models((a, b), names, given, known, sensors)
     return Comparison(found, damaged_runs([run for run in given if run.name in found.runs]), sources_of(given))
 
 
@@ -194,6 +240,8 @@ def model(found: PlainFit | PlainDiagnosis, runs: Runs | None = None, rig: RigLi
         if found.verdict == "fit_failed":
             raise WorkError(found.sentence)
         made = diagnosed_model(found, setup, known.motor.gear_ratio)
+        if isinstance(found, Diagnosis) and found.prepared is not None:
+            made = as_reference(made, found.prepared)
     else:
         check_sound(found, for_model=True)
         made = model_of(found, setup.settings, setup.options.hold, [run.name for run in setup.datasets])

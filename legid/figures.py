@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from daq import Dataset, FloatArray, WorkError
 from daq.recording import Plan
 from estimator import FitResult
+from estimator.change import Change
 from estimator.diagnosis import Diagnosis, SensorGain, Signature
 from estimator.prediction import Validation
-from experiments.reports import BLUE, GREEN, GREY, ORANGE, Comparison, window
+from experiments.reports import BLUE, GREEN, GREY, ORANGE, Comparison, drawn_changes, paint_changes, window
 from experiments.workflows import Tuning
 
 SECONDS = 12.0
@@ -154,6 +155,18 @@ def comparison_figure(found: Comparison) -> Figure:
                                        for e in errors])
     ax.invert_yaxis()
     ax.set_xlabel("rms error of B over that of A")
+    return figure
+
+
+def change_figure(found: Change) -> Figure:
+    """Estimated change of the likeliest effects over the smallest detectable one. Raises `WorkError`."""
+    some = drawn_changes(found.detectable)
+    if not some:
+        raise WorkError(found.sentence)
+    figure = NotebookFigure(figsize=(7.2, 0.9 + 0.24 * len(some)), layout="constrained")
+    ax = figure.subplots()
+    paint_changes(ax, some)
+    ax.set_xlabel("change / smallest detectable change")
     return figure
 
 

@@ -22,7 +22,7 @@ ROOMS = {
                   ["diagnosis", "calibration", "change"]],
     "experiments": [["console", "provenance"], ["models"], ["exchange"], ["rig", "excite", "emulation", "session"],
                     ["reports"], ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
-    "legid": [["tables", "figures"], ["results", "listings"], ["api", "tools"]],
+    "legid": [["tables", "figures"], ["results", "listings", "changes"], ["api", "tools"]],
 }
 """The rooms of a floor from the ground up; those of one row may know each other as far as they make no circle."""
 LEVELS = 9

@@ -1,6 +1,12 @@
-"""Changes of a rig against earlier runs of the same rig: the rig is its own reference."""
+"""Changes of a rig against runs of the same rig, or between two sessions: the rig is its own reference."""
 
-from estimator.change.detect import detect_change
-from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, Size
+from estimator.change.contrast import Contrast
+from estimator.change.detect import compare_sessions, detect_change
+from estimator.change.noise import NoiseLevels
+from estimator.change.reference import Reference, learn_reference
+from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, Kind, NoiseChange, Size
+from estimator.change.scores import known_reference
+from estimator.change.structure import Structure
 
-__all__ = ["Change", "ChangedCause", "Detectable", "HeldOut", "Size", "detect_change"]
+__all__ = ["Change", "ChangedCause", "Contrast", "Detectable", "HeldOut", "Kind", "NoiseChange", "NoiseLevels",
+           "Reference", "Size", "Structure", "compare_sessions", "detect_change", "known_reference", "learn_reference"]

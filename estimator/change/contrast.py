@@ -1,8 +1,13 @@
-"""`Contrast`: what test runs hold that reference runs do not, as a score and an information over all columns.
+"""`Contrast`: what one session's runs hold that another's do not, as a score and an information over all columns.
 
-Of run r, its own structure integrated out (`structure`), score s_r = I_r (theta + delta [r is a test run]) + noise of
-covariance I_r. With theta integrated out, delta has the score q = s_T - I_T (I_T + I_R + L)^-1 (s_T + s_R) and the
-information Q = I_T - I_T (I_T + I_R + L)^-1 I_T, where L is the precision of theta's prior.
+Of run r, its own structure integrated out (`structure`), score s_r = I_r theta_r + noise of covariance I_r, where
+theta_r is common to the runs of a session and L is the precision of its prior.
+
+`contrast`: test runs have theta + delta, reference runs theta. With theta integrated out, delta has the score
+q = s_T - I_T (I_T + I_R + L)^-1 (s_T + s_R) and the information Q = I_T - I_T (I_T + I_R + L)^-1 I_T.
+
+`difference`: neither session is the reference. A has theta - delta/2, B has theta + delta/2. Exchanging A and B turns
+the sign of delta and nothing else.
 """
 
 from __future__ import annotations
@@ -11,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.change.scores import RunScore
@@ -19,45 +23,62 @@ from estimator.change.structure import Structure
 
 HIDDEN = 1e-6
 """Share of a column's information below which nothing is left of it."""
-Columns = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
 class Contrast:
-    """Score and information of a change, the reference's structure integrated out."""
+    """Score and information of a change, structure that is no change integrated out."""
 
     score: FloatArray
     """(m,)"""
     information: FloatArray
     """(m, m)"""
 
-    def gain(self, columns: Columns) -> float:
-        """Fall of -2 log likelihood by a change of these columns."""
-        return float(self.size(columns) @ self.score[columns])
+    def along(self, basis: FloatArray) -> Contrast:
+        """Contrast of the k sizes that move all columns by `basis` (m, k) each."""
+        return Contrast(basis.T @ self.score, basis.T @ self.information @ basis)
 
-    def size(self, columns: Columns) -> FloatArray:
-        """(k,) generalised least squares."""
-        return np.asarray(self.covariance(columns) @ self.score[columns])
+    def gain(self) -> float:
+        """Fall of -2 log likelihood by a change of all columns."""
+        return float(self.size() @ self.score)
 
-    def covariance(self, columns: Columns) -> FloatArray:
-        """(k, k) of the sizes."""
-        own = self.information[np.ix_(columns, columns)]
-        scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
-        return np.asarray(np.linalg.pinv(own / np.outer(scale, scale), HIDDEN, hermitian=True)
+    def size(self) -> FloatArray:
+        """(m,) generalised least squares."""
+        return np.asarray(self.covariance() @ self.score)
+
+    def covariance(self) -> FloatArray:
+        """(m, m) of the sizes."""
+        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        return np.asarray(np.linalg.pinv(self.information / np.outer(scale, scale), HIDDEN, hermitian=True)
                           / np.outer(scale, scale))
 
 
-def contrast(test: Sequence[RunScore], reference: Sequence[RunScore], structure: Structure) -> Contrast:
-    """Contrast of the `test` runs with the `reference` runs, given the `structure` of the reference."""
-    s_test, i_test = _sum([structure.seen(run) for run in test])
-    s_ref, i_ref = _sum([structure.seen(run) for run in reference])
-    whole = i_test + i_ref + np.diag(structure.precision)
+def seen(runs: Sequence[RunScore], structure: Structure) -> list[Contrast]:
+    """Score and information of each run, its own structure integrated out."""
+    return [Contrast(*structure.seen(run)) for run in runs]
+
+
+def total(parts: Sequence[Contrast]) -> Contrast:
+    """The sum of their scores and informations."""
+    return Contrast(np.sum([p.score for p in parts], axis=0), np.sum([p.information for p in parts], axis=0))
+
+
+def contrast(test: Contrast, reference: Contrast, structure: Structure) -> Contrast:
+    """Contrast of test runs with reference runs, given their totals and the `structure` of the reference."""
+    return _without_common(test, test.information, total([test, reference]), structure)
+
+
+def difference(a: Contrast, b: Contrast, structure: Structure) -> Contrast:
+    """Contrast of session B with session A, given their totals and the `structure` of both."""
+    half = Contrast(0.5 * (b.score - a.score), 0.25 * (a.information + b.information))
+    return _without_common(half, 0.5 * (b.information - a.information), total([a, b]), structure)
+
+
+def _without_common(own: Contrast, mixed: FloatArray, common: Contrast, structure: Structure) -> Contrast:
+    """`own` with the common theta integrated out; `mixed` (m, m) is the information between the two."""
+    whole = common.information + np.diag(structure.precision)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
     inverse = np.linalg.pinv(whole * np.outer(scale, scale), 1e-12, hermitian=True) * np.outer(scale, scale)
-    carry = i_test @ inverse
-    information = i_test - carry @ i_test
-    return Contrast(s_test - carry @ (s_test + s_ref), 0.5 * (information + information.T))
-
-
-def _sum(runs: Sequence[RunScore]) -> tuple[FloatArray, FloatArray]:
-    return (np.sum([r.score for r in runs], axis=0), np.sum([r.information for r in runs], axis=0))
+    carry = mixed @ inverse
+    information = own.information - carry @ mixed.T
+    return Contrast(own.score - carry @ common.score, 0.5 * (information + information.T))

@@ -1,19 +1,24 @@
-"""`detect_change`: which change of a parameter, a payload or an effect tells test runs from reference runs."""
+"""`detect_change`: what tells test runs from reference runs; `compare_sessions`: the same of two equal sessions."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import fdtrc, fdtri, stdtrit
 
-from daq import Dataset
-from estimator.change.contrast import HIDDEN, Columns, Contrast, contrast
-from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, Size
-from estimator.change.scores import ReferenceFit, RunScore, fit_reference, score_run
-from estimator.change.structure import Structure, find_structure
+from daq import Dataset, FloatArray
+from estimator.change.contrast import HIDDEN, Contrast, contrast, difference, seen, total
+from estimator.change.groups import Group, groups_of
+from estimator.change.noise import compare_noise, levels_of, with_noise
+from estimator.change.payload import fieller
+from estimator.change.reference import Reference, require_runs
+from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, NoiseChange, Size
+from estimator.change.scores import ReferenceFit, fit_reference, noisiness, score_run
+from estimator.change.structure import find_structure
 from estimator.errors import FitError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -21,32 +26,34 @@ from estimator.options import FitOptions
 ALPHA = 0.01
 """p-value, over all candidates tried, below which something changed."""
 POWER = 0.8
-FEWEST_RUNS = 2
 MOST_CAUSES = 2
 RIVAL = 6.0
 """Candidates within this fall of -2 log likelihood of the best are not told apart from it."""
-PAYLOAD = {1: (("beta1", "beta4"), ("inertia", "first_moment")),
-           2: (("beta1", "beta2", "beta3", "beta4", "beta5"), ("", "inertia", "", "", "first_moment"))}
-"""Link of the two-link leg -> parameters that a body on it changes, and which of the body's own each change is."""
 
 
 @dataclass(frozen=True)
-class Group:
-    """Columns that change together."""
+class Words:
+    """Wording of the answers of a comparison."""
 
-    effect: str
-    joint: int | None
-    sentence: str
-    columns: Columns
-    names: tuple[str, ...]
-    """Of the sizes; empty for one that is not reported."""
-    units: tuple[str, ...]
-    positive: tuple[int, ...] = ()
-    """Sizes that are not below zero where the cause is present."""
+    same: str
+    something: str
+    changed: str
+    one_of: str
 
-    @property
-    def key(self) -> tuple[str, int | None]:
-        return self.effect, self.joint
+
+AGAINST = Words("No change: the test runs differ from the reference runs by no more than these differ among "
+                "themselves.", "Something changed", "Changed", "One of these changed")
+SESSIONS = Words("No difference beyond what the runs of one session show.", "Something differs", "Different",
+                 "One of these differs")
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A run that is predicted by the other runs."""
+
+    run: str
+    others: Contrast
+    own: Contrast
 
 
 @dataclass(frozen=True)
@@ -56,97 +63,124 @@ class Scored:
     groups: tuple[Group, ...]
     contrast: Contrast
     freedom: float
+    pairs: int = 1
+    """Comparisons that are made, each over all groups"""
 
-    def gain(self, k: int) -> float:
-        """Fall of -2 log likelihood; zero where a size has the wrong sign."""
-        group = self.groups[k]
-        sizes = self.contrast.size(group.columns)
-        return 0.0 if any(sizes[i] < 0.0 for i in group.positive) else \
-            max(self.contrast.gain(group.columns), 0.0)
+    @cached_property
+    def gains(self) -> list[float]:
+        """Fall of -2 log likelihood by each group."""
+        return [group.fit(self.contrast)[1] for group in self.groups]
 
     def p_value(self, k: int) -> float:
-        width = len(self.groups[k].columns)
-        return min(1.0, len(self.groups) * float(fdtrc(width, self.freedom, self.gain(k) / width)))
+        width = len(self.groups[k].names)
+        return min(1.0, self.pairs * len(self.groups) * float(fdtrc(width, self.freedom, self.gains[k] / width)))
 
 
-def detect_change(test: Sequence[Dataset], reference: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *,
-                  gear_ratio: float = 1.0) -> Change:
-    """Changes between `reference` and `test` runs of one rig; data that cannot tell give `fit_failed`."""
+def detect_change(test: Sequence[Dataset], reference: Reference) -> Change:
+    """Change between the `reference` runs and `test` runs of one rig; data that cannot tell give `fit_failed`."""
     begin = time.perf_counter()
-    names = tuple(d.name for d in reference), tuple(d.name for d in test)
+    names = tuple(d.name for d in test)
+    fit, structure = reference.fit, reference.structure
     try:
-        if min(len(reference), len(test)) < FEWEST_RUNS:
-            raise FitError(f"{len(reference)} reference runs and {len(test)} test runs cannot show their scatter; give "
-                           f"at least {FEWEST_RUNS} of each, better four")
+        require_runs(test)
         with np.errstate(all="ignore"):  # a search may diverge on its way; where it ends is checked
-            fit = fit_reference(reference, mechanism, options, gear_ratio)
-            found = conclude(fit, [score_run(fit, d) for d in reference], [score_run(fit, d) for d in test], names[1])
+            noise = compare_noise(levels_of(test, fit.mechanism, fit.options), reference.noise)
+            own = with_noise(fit, [one for one in noise if one.p_value < ALPHA])
+            parts = seen([score_run(fit, d, own) for d in test], structure)
+
+            def against(some: Sequence[Contrast]) -> Contrast:
+                return contrast(total(some), reference.known, structure)
+
+            folds = [Fold(name, against(parts[:k] + parts[k + 1 :]), against([parts[k]]))
+                     for k, name in enumerate(names)]
+            scored = Scored(groups_of(fit, reference.known), against(parts), structure.freedom)
+            found = conclude(fit, scored, folds, noise, AGAINST)
+        found = replace(found, structure=(structure.common**0.5, structure.own**0.5))
     except (FitError, np.linalg.LinAlgError) as error:
         found = Change("fit_failed", f"No comparison: {error}.")
-    few = () if len(reference) >= 4 else (f"{len(reference)} reference runs: their scatter is poorly known; four or "
-                                          "more are better",)
+    few = () if len(reference.runs) >= 4 else (f"{len(reference.runs)} reference runs: their scatter is poorly known; "
+                                               "four or more are better",)
+    return replace(found, reference=reference.runs, test=names, warnings=few, wall_s=time.perf_counter() - begin)
+
+
+def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *,
+                     gear_ratio: float = 1.0, pairs: int = 1) -> Change:
+    """Change from session `a` to session `b`; sizes are those of b less those of a.
+
+    The model is that of the session which it leaves less noise in: a fit to a session with a fault may be far off. The
+    scatter is that of runs within their sessions, so exchanging a and b turns the signs and nothing else.
+    p-values are over all `pairs` of sessions.
+    """
+    begin = time.perf_counter()
+    names = tuple(d.name for d in a), tuple(d.name for d in b)
+    try:
+        require_runs(a)
+        require_runs(b)
+        with np.errstate(all="ignore"):
+            fits = [fit_reference(runs, mechanism, options, gear_ratio) for runs in (a, b)]
+            fit = min(fits, key=noisiness)
+            levels = [levels_of(runs, mechanism, options) for runs in (a, b)]
+            noise = compare_noise(levels[1], levels[0])
+            there = compare_noise(*levels) if fit is fits[1] else noise
+            own = with_noise(fit, [one for one in there if one.p_value < ALPHA])
+            one, other = ([score_run(fit, d, None if fit is its else own) for d in runs]
+                          for runs, its in zip((a, b), fits))
+            structure = find_structure([one, other], fit.mechanism.p)
+            first, second = seen(one, structure), seen(other, structure)
+
+            def between(some: Sequence[Contrast], others: Sequence[Contrast]) -> Contrast:
+                return difference(total(some), total(others), structure)
+
+            folds = [Fold(name, between(first[:k] + first[k + 1 :], second), between([first[k]], second))
+                     for k, name in enumerate(names[0])]
+            folds += [Fold(name, between(first, second[:k] + second[k + 1 :]), between(first, [second[k]]))
+                      for k, name in enumerate(names[1])]
+            scored = Scored(groups_of(fit, total(first + second)), between(first, second), structure.freedom, pairs)
+            found = conclude(fit, scored, folds, noise, SESSIONS)
+        found = replace(found, structure=(structure.common**0.5, structure.own**0.5))
+    except (FitError, np.linalg.LinAlgError) as error:
+        found = Change("fit_failed", f"No comparison: {error}.")
+    few = () if min(map(len, names)) >= 4 else ("fewer than four runs of a session: their scatter is poorly known",)
     return replace(found, reference=names[0], test=names[1], warnings=few, wall_s=time.perf_counter() - begin)
 
 
-def groups_of(fit: ReferenceFit) -> tuple[Group, ...]:
-    """Every single change that is tried: parameters, payloads, effects at each shape."""
-    m = fit.mechanism
-    place = {p.name: k for k, p in enumerate(m.parameters)}
-    free = {p.name for p, is_free in zip(m.parameters, fit.free) if is_free}
-    found = [Group("parameter", None, f"{p.name} ({p.meaning}) changed", np.array([k]), (p.name,), (p.unit,))
-             for k, p in enumerate(m.parameters) if fit.free[k]]
-    for link, (names, sizes) in PAYLOAD.items():
-        if m.n == 2 and set(names) <= free:
-            found.append(Group("payload", link, f"a body was added to link {link}", np.array([place[n] for n in names]),
-                               sizes, tuple(m.parameters[place[n]].unit for n in names),
-                               tuple(i for i, s in enumerate(sizes) if s == "inertia")))
-    start = m.p
-    for candidate in fit.candidates[: fit.named]:
-        e = candidate.effect
-        columns = np.arange(start, start + candidate.width)
-        found.append(Group(e.name, None if e.joint is None else e.joint + 1, e.sentence, columns,
-                           tuple(s.name for s in e.sizes), tuple(m.unit(s.unit) for s in e.sizes)))
-        start += candidate.width
-    return tuple(found)
-
-
-def conclude(fit: ReferenceFit, reference: Sequence[RunScore], test: Sequence[RunScore], names: Sequence[str]
+def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tuple[NoiseChange, ...], words: Words
              ) -> Change:
-    """Verdict, sizes, and the held-out gain by run, from the scores of both sessions."""
-    groups, structure = groups_of(fit), find_structure(reference, fit.mechanism.p)
-    scored = Scored(groups, contrast(test, reference, structure), structure.freedom)
+    """Verdict, sizes, and the held-out gain by run."""
+    groups = scored.groups
     order = sorted(range(len(groups)), key=scored.p_value)
     best = order[0]
     p_any, tried = scored.p_value(best), {g.effect for g in groups}
     refused = tuple((k, why) for k, why in fit.refused.items() if k not in tried)
-    base = Change("no_change", "", detectable=_detectable(scored), p_any=p_any, not_testable=refused,
-                  structure=(structure.common**0.5, structure.own**0.5))
+    base = Change("no_change", words.same, detectable=_detectable(scored), noise=noise, p_any=p_any,
+                  not_testable=refused)
     if p_any >= ALPHA:
-        return replace(base, sentence="No change: the test runs differ from the reference runs by no more than these "
-                                      "differ among themselves.")
+        noisier = tuple(_noise_cause(n) for n in noise if n.p_value < ALPHA)
+        return base if not noisier else replace(base, verdict="named", causes=noisier,
+                                               sentence=f"{words.changed}: {_words(noisier)}.")
     chosen = _search(scored, order)
-    held = _held_out(scored, structure, reference, test, chosen, names)
+    held = _held_out(groups, folds, chosen)
     if not sum(held.gain) > 0.0 or 2 * sum(g > 0.0 for g in held.gain) <= len(held.gain):
         return replace(base, verdict="changed_unexplained", held_out=held,
-                       sentence="Something changed, and no listed cause predicts test runs that did not choose it.")
+                       sentence=f"{words.something}, and no listed cause predicts runs that did not choose it.")
     causes = tuple(_cause(scored, k) for k in chosen)
     rest = _without(scored, chosen)
     if min(map(rest.p_value, range(len(groups)))) < ALPHA:
         return replace(base, verdict="partial", causes=causes, held_out=held,
-                       sentence=f"Changed: {_words(causes)}, and something else that these causes leave.")
+                       sentence=f"{words.changed}: {_words(causes)}, and something else that these causes leave.")
     rivals = [k for k in order if groups[k].key not in {groups[c].key for c in chosen}
-              and scored.gain(k) > scored.gain(best) - RIVAL] if len(chosen) == 1 else []
+              and scored.gains[k] > scored.gains[best] - RIVAL] if len(chosen) == 1 else []
     first = {groups[k].key: k for k in reversed(rivals)}
     if first:
         several = (*causes, *(_cause(scored, k) for k in first.values()))
         return replace(base, verdict="one_of", causes=several, held_out=held,
-                       sentence=f"One of these changed: {_words(several)}. These runs cannot tell which.")
-    return replace(base, verdict="named", causes=causes, held_out=held, sentence=f"Changed: {_words(causes)}.")
+                       sentence=f"{words.one_of}: {_words(several)}. These runs cannot tell which.")
+    return replace(base, verdict="named", causes=causes, held_out=held, sentence=f"{words.changed}: {_words(causes)}.")
 
 
 def _search(scored: Scored, order: Sequence[int]) -> list[int]:
     """The likeliest single change, and a second one where the first leaves something significant that one takes up."""
-    chosen = [max(order, key=scored.gain)]
+    chosen = [max(order, key=scored.gains.__getitem__)]
     while len(chosen) < MOST_CAUSES:
         rest = _without(scored, chosen)
         more = min(range(len(scored.groups)), key=rest.p_value)
@@ -158,56 +192,90 @@ def _search(scored: Scored, order: Sequence[int]) -> list[int]:
 
 def _without(scored: Scored, chosen: Sequence[int]) -> Scored:
     """The scores with the `chosen` changes fitted and projected out."""
-    columns = np.unique(np.concatenate([scored.groups[k].columns for k in chosen]))
-    one = scored.contrast
-    carry = one.information[:, columns] @ one.covariance(columns)
-    left = one.information - carry @ one.information[columns]
+    one, basis = scored.contrast, _basis(scored.groups, chosen)
+    carry = one.information @ basis @ one.along(basis).covariance()
+    left = one.information - carry @ basis.T @ one.information
     gone = np.diag(left) < HIDDEN * np.diag(one.information)
-    score = one.score - carry @ one.score[columns]
+    score = one.score - carry @ (basis.T @ one.score)
     score[gone], left[gone], left[:, gone] = 0.0, 0.0, 0.0
     return replace(scored, contrast=Contrast(score, left))
 
 
-def _held_out(scored: Scored, structure: Structure, reference: Sequence[RunScore], test: Sequence[RunScore],
-              chosen: Sequence[int], names: Sequence[str]) -> HeldOut:
-    """Each test run as predicted by the reference with the change that the other test runs give."""
-    columns = np.unique(np.concatenate([scored.groups[k].columns for k in chosen]))
-    gains = []
-    for k, run in enumerate(test):
-        size = contrast([r for j, r in enumerate(test) if j != k], reference, structure).size(columns)
-        own = contrast([run], reference, structure)
-        gains.append(float(2.0 * size @ own.score[columns]
-                           - size @ own.information[np.ix_(columns, columns)] @ size))
-    return HeldOut(tuple(names), tuple(gains))
+def _basis(groups: Sequence[Group], chosen: Sequence[int]) -> FloatArray:
+    """(m, k) of the sizes of all `chosen` changes."""
+    return np.unique(np.concatenate([groups[k].basis for k in chosen], axis=1), axis=1)
+
+
+def _held_out(groups: Sequence[Group], folds: Sequence[Fold], chosen: Sequence[int]) -> HeldOut:
+    """Each run as predicted with the change that the other runs give."""
+    basis, gains = _basis(groups, chosen), []
+    for fold in folds:
+        size, own = fold.others.along(basis).size(), fold.own.along(basis)
+        gains.append(float(2.0 * size @ own.score - size @ own.information @ size))
+    return HeldOut(tuple(fold.run for fold in folds), tuple(gains))
 
 
 def _cause(scored: Scored, k: int) -> ChangedCause:
-    """Sizes of one change, with intervals that include the structure of the reference."""
+    """Sizes of one change, with intervals that include the unexplained structure of the runs."""
     group, one = scored.groups[k], scored.contrast
-    values = one.size(group.columns)
-    std = np.sqrt(np.maximum(np.diag(one.covariance(group.columns)), 0.0))
-    half = float(stdtrit(scored.freedom, 0.975)) * std
-    sizes = tuple(Size(n, u, float(v), (float(v - h), float(v + h)))
-                  for n, u, v, h in zip(group.names, group.units, values, half) if n)
-    return ChangedCause(group.effect, group.joint, group.sentence, sizes, scored.p_value(k))
+    values, _ = group.fit(one)
+    covariance = group.covariance(one, values)
+    t = float(stdtrit(scored.freedom, 0.975))
+    middle = one.along(group.basis).size()  # a body's likeliest sizes may lie at the edge of what a body can have
+    half = t * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    sizes = [Size(n, u, float(v), (float(min(m - h, v)), float(max(m + h, v))))
+             for n, u, v, m, h in zip(group.names, group.units, values, middle, half)]
+    sentence = group.sentence
+    if group.effect == "payload":
+        sizes += _place(group, values, covariance, t)
+        if values[-1] < 0.0:
+            sentence = sentence.replace("added to", "taken from")
+    return ChangedCause(group.effect, group.kind, group.joint, sentence, tuple(sizes), scored.p_value(k))
+
+
+def _place(group: Group, values: FloatArray, covariance: FloatArray, t: float) -> Iterator[Size]:
+    """Of a body: its distance from the joint where its mass is determined, else the furthest that it can be."""
+    h = group.names.index("first_moment")
+    name, (above, below) = ("distance", (h, 0)) if group.body else ("farthest", (h + 1, h))
+    pair = np.array([above, below])
+    found = fieller(values[pair], covariance[np.ix_(pair, pair)], t)
+    if found is not None and values[below] != 0.0:
+        yield Size(name, "m", float(values[above] / values[below]), found)
+
+
+def _noise_cause(one: NoiseChange) -> ChangedCause:
+    size = Size(one.column, "times", one.ratio, one.ci95)
+    return ChangedCause("noise", "noise", None, f"the noise of {one.column} changed", (size,), one.p_value)
 
 
 def _detectable(scored: Scored) -> tuple[Detectable, ...]:
     """Of each effect, joint and parameter, at its best shape, by its p-value."""
     found: dict[tuple[str, int | None, str], Detectable] = {}
+    wanted = float(fdtri(1, scored.freedom, 1.0 - ALPHA / (scored.pairs * len(scored.groups)))) ** 0.5
+    wanted += float(stdtrit(scored.freedom, POWER))
     for k, group in enumerate(scored.groups):
-        wanted = float(fdtri(1, scored.freedom, 1.0 - ALPHA / len(scored.groups))) ** 0.5
-        wanted += float(stdtrit(scored.freedom, POWER))
-        i = next(j for j, n in enumerate(group.names) if n)
-        known = float(scored.contrast.information[group.columns[i], group.columns[i]])
-        size = wanted / known**0.5 if known > 0.0 else float("inf")
-        one = Detectable(group.effect, group.joint, group.names[i], group.units[i], size, scored.p_value(k))
-        key = (group.effect, group.joint, group.names[i] if group.effect == "parameter" else "")
+        first = scored.contrast.along(group.basis[:, :1])
+        known, change = float(first.information[0, 0]), float(first.size()[0])
+        std = known**-0.5 if known > 0.0 else float("inf")
+        half = float(stdtrit(scored.freedom, 0.975)) * std
+        one = Detectable(group.effect, group.joint, group.names[0], group.units[0], wanted * std, change,
+                         (change - half, change + half), scored.p_value(k))
+        key = (group.effect, group.joint, group.names[0] if group.effect == "parameter" else "")
         if key not in found or one.p_value < found[key].p_value:
             found[key] = one
-    return tuple(sorted(found.values(), key=lambda d: d.p_value))
+    return tuple(sorted(found.values(), key=lambda d: (d.p_value, -abs(d.change) / d.size)))
 
 
 def _words(causes: Sequence[ChangedCause]) -> str:
-    return ", ".join(f"{c.size[0].name} by {c.size[0].value:.3g} {c.size[0].unit}" if c.effect == "parameter" else
-                     c.effect + ("" if c.joint is None else f" (joint {c.joint})") for c in causes)
+    return ", ".join(map(_word, causes))
+
+
+def _word(cause: ChangedCause) -> str:
+    first = cause.size[0]
+    value = f"{first.value:.3g}{'' if first.unit == '1' else f' {first.unit}'}"
+    if cause.effect == "parameter":
+        return f"{first.name} by {value}"
+    if cause.effect == "noise":
+        return f"noise of {first.name}, {value}"
+    where = "" if cause.joint is None else f" ({'link' if cause.effect == 'payload' else 'joint'} {cause.joint})"
+    return f"{cause.effect}{where}, {first.name} {value}"

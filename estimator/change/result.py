@@ -1,10 +1,14 @@
-"""`Change`: what differs between test runs and reference runs of one rig."""
+"""`Change`: what differs between test runs and reference runs of one rig, or between two sessions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from estimator.verdicts import ChangeVerdict
+
+Kind = Literal["parameters", "mechanics", "sensors", "timing", "environment", "noise"]
+"""What a cause is a change of."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +35,24 @@ class ChangedCause:
     """One change that accounts for the difference, alone or with others."""
 
     effect: str
+    kind: Kind
     joint: int | None
     """1-based; of a payload the link it sits on; None for the whole rig."""
     sentence: str
     size: tuple[Size, ...]
     p_value: float
     """Over all candidates tried."""
+
+
+@dataclass(frozen=True)
+class NoiseChange:
+    """Noise of one column in the test runs over that in the reference runs."""
+
+    column: str
+    ratio: float
+    ci95: tuple[float, float]
+    p_value: float
+    """Over all columns."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +65,9 @@ class Detectable:
     unit: str
     size: float
     """Infinite where no run shows it. Found with probability 0.8 at the level of the verdict."""
+    change: float
+    """What these runs estimate of it, all else unchanged."""
+    ci95: tuple[float, float]
     p_value: float
     """Of this candidate alone, corrected for all candidates tried."""
 
@@ -62,8 +81,10 @@ class Change:
     causes: tuple[ChangedCause, ...] = ()
     detectable: tuple[Detectable, ...] = ()
     held_out: HeldOut | None = None
+    noise: tuple[NoiseChange, ...] = ()
+    """Of every column whose samples show their noise."""
     structure: tuple[float, float] = (0.0, 0.0)
-    """Standard deviations of unexplained structure: common to the reference runs, and of each run. Their unit is the
+    """Standard deviations of unexplained structure: common to a session's runs, and of each run. Their unit is the
     standard deviation of an effect's size estimated from one run."""
     p_any: float = 1.0
     """Probability of the strongest candidate under no change, over all candidates tried."""

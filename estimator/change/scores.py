@@ -40,6 +40,12 @@ class ReferenceFit:
     """The first so many candidates are of the library."""
     refused: dict[str, str]
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """(m,) names of a score's columns: parameters, then every size of every candidate."""
+        return (*self.mechanism.names, *(f"{c.effect.key} {size.name} {list(c.shape)}" for c in self.candidates
+                                         for size in c.effect.sizes))
+
 
 @dataclass(frozen=True)
 class RunScore:
@@ -63,22 +69,36 @@ def fit_reference(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
     state = iterate(problem, state, free, options, noise_floors(problem, mechanism, state.beta))
     if not state.converged:
         raise FitError("the fit of the reference runs did not converge")
+    reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
+    return known_reference(mechanism, options, state.beta, state.noise.levels(), reach, gear_ratio)
+
+
+def known_reference(mechanism: Mechanism, options: FitOptions, beta: FloatArray, noise: Noise, angle_range: FloatArray,
+                    gear_ratio: float) -> ReferenceFit:
+    """A fit whose numbers are known, with every candidate that is tried together with it."""
     imu, encoders = options.sensors == "imu", options.encoders_of(mechanism.n)
     effects, refused = library(mechanism, imu, encoders)
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     unnamed = [Candidate(e) for e in battery(mechanism, imu, encoders)]
-    reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    return ReferenceFit(mechanism, options, state.beta, free, state.noise.levels(), reach, gear_ratio,
-                        (*candidates, *unnamed), len(candidates), refused)
+    free, _ = free_mask(mechanism, options)
+    return ReferenceFit(mechanism, options, beta, free, noise, angle_range, gear_ratio, (*candidates, *unnamed),
+                        len(candidates), refused)
 
 
-def score_run(fit: ReferenceFit, data: Dataset) -> RunScore:
-    """At the likeliest motion of the run under the reference model and its noise. Raises `FitError`."""
+def noisiness(fit: ReferenceFit) -> float:
+    """Sum of the log noise levels that a fit found."""
+    n = fit.noise
+    levels = np.concatenate([n.torque, n.encoder[np.isfinite(n.encoder)], n.gyro, n.accel.ravel()])
+    return float(np.log(np.maximum(levels, 1e-300)).sum())
+
+
+def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None) -> RunScore:
+    """At the likeliest motion of the run under the reference model and its noise, or another. Raises `FitError`."""
     m, options = fit.mechanism, fit.options
     signals = split_signals([data], m, options)
     problem = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio)
     begin = start_state(problem, signals, m, options, np.zeros(m.p, dtype=bool), fit.beta)
-    state = smooth_under(problem, State(begin.x, fit.beta.copy(), fit.noise, np.zeros((m.p, m.p))))
+    state = smooth_under(problem, State(begin.x, fit.beta.copy(), noise or fit.noise, np.zeros((m.p, m.p))))
     wide = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio, fit.candidates)
     point = wide.linearise(state.x, state.beta, state.noise)
     product = eliminate(point.chain).product()

@@ -1,11 +1,11 @@
-"""`Structure`: unexplained structure of the reference runs, in the span of all columns: common, and of each run.
+"""`Structure`: unexplained structure of a session's runs, in the span of all columns: common, and of each run.
 
-Score s_r = I_r (theta + u_r) + e_r, e_r of covariance I_r. theta is common to all runs, u_r one run's own; both are
-normal with mean zero and, in units of what one reference run tells of a column, of one variance for all columns:
+Score s_r = I_r (theta + u_r) + e_r, e_r of covariance I_r. theta is common to the runs of a session, u_r one run's own;
+both are normal with mean zero and, in units of what one run tells of a column, of one variance for all columns:
 `common` and `own`. Parameters have a flat prior in theta. With u_r integrated out a run has the score
 (1 + I_r U)^-1 s_r and the information (1 + I_r U)^-1 I_r, where U is the covariance of u_r.
 
-Both variances maximise the restricted likelihood of the reference runs (Patterson and Thompson, Biometrika 58, 1971).
+Both variances maximise the restricted likelihood of the runs (Patterson and Thompson, Biometrika 58, 1971).
 With few runs the maximum is often at zero, as if runs did not differ. A gamma prior of shape 2 on each standard
 deviation keeps it above zero (Chung et al., Psychometrika 78, 2013).
 """
@@ -31,15 +31,15 @@ SMALLEST = 1e-9
 
 @dataclass(frozen=True)
 class Structure:
-    """Structure of the residuals of the reference runs."""
+    """Structure of the residuals of one session's runs, or of each of several."""
 
     common: float
     own: float
     unit: FloatArray
-    """(m,) variance of each column's size by one reference run alone"""
+    """(m,) variance of each column's size by one run alone"""
     parameters: int
     freedom: float
-    """Degrees of freedom of a size's variance: the reference runs less one, plus PRIOR_RUNS"""
+    """Degrees of freedom of a size's variance: each session's runs less one, plus PRIOR_RUNS"""
 
     @property
     def precision(self) -> FloatArray:
@@ -48,15 +48,15 @@ class Structure:
         found[: self.parameters] = 0.0
         return found
 
-    def seen(self, run: RunScore) -> RunScore:
-        """The run's score and information, its own structure integrated out."""
+    def seen(self, run: RunScore) -> tuple[FloatArray, FloatArray]:
+        """The run's score (m,) and information (m, m), its own structure integrated out."""
         spread = np.eye(self.unit.size) + run.information * (self.own * self.unit)
         information = np.linalg.solve(spread, run.information)
-        return RunScore(np.asarray(np.linalg.solve(spread, run.score)), 0.5 * np.asarray(information + information.T))
+        return np.asarray(np.linalg.solve(spread, run.score)), 0.5 * np.asarray(information + information.T)
 
 
 class _Rows(NamedTuple):
-    """Of all runs: y = A_r theta + A_r u_r + e of unit covariance, A_r^T A_r = I_r."""
+    """Of all runs of a session: y = A_r theta + A_r u_r + e of unit covariance, A_r^T A_r = I_r."""
 
     y: FloatArray
     """(k,)"""
@@ -68,16 +68,18 @@ class _Rows(NamedTuple):
     """(k, k) by runs' own structures of variance one"""
 
 
-def find_structure(reference: Sequence[RunScore], parameters: int) -> Structure:
-    """The likeliest structure of the `reference` runs; the first `parameters` columns are the model's parameters."""
-    information = np.mean([np.diag(run.information) for run in reference], axis=0)
+def find_structure(sessions: Sequence[Sequence[RunScore]], parameters: int) -> Structure:
+    """The likeliest structure of the runs within each of `sessions`, one of several having a theta of its own; the
+    first `parameters` columns are the model's parameters."""
+    information = np.mean([np.diag(run.information) for runs in sessions for run in runs], axis=0)
     unit = 1.0 / np.maximum(information, 1e-300)
-    rows = _rows(reference, np.sqrt(unit), parameters)
+    rows = [_rows(runs, np.sqrt(unit), parameters) for runs in sessions]
     begin = np.log([1.0, 0.1])
     found = minimize(_misfit, begin, (rows,), "Nelder-Mead", options={
         "initial_simplex": begin + 2.0 * np.array([[0, 0], [1, 0], [0, 1]]), "xatol": 0.05, "fatol": 0.05})
     common, own = np.exp(found.x)
-    return Structure(float(common), float(own), unit, parameters, PRIOR_RUNS + len(reference) - 1.0)
+    freedom = PRIOR_RUNS + sum(len(runs) - 1.0 for runs in sessions)
+    return Structure(float(common), float(own), unit, parameters, freedom)
 
 
 def _rows(runs: Sequence[RunScore], scale: FloatArray, parameters: int) -> _Rows:
@@ -94,12 +96,16 @@ def _rows(runs: Sequence[RunScore], scale: FloatArray, parameters: int) -> _Rows
     return _Rows(np.concatenate(y), every[:, :parameters], every[:, parameters:] @ every[:, parameters:].T, own)
 
 
-def _misfit(logs: FloatArray, rows: _Rows) -> float:
+def _misfit(logs: FloatArray, sessions: Sequence[_Rows]) -> float:
     """-log restricted likelihood of (common, own), and their prior."""
     common, own = np.exp(logs)
+    return float(sum(_restricted(rows, common, own) for rows in sessions) - 0.5 * np.sum(logs))
+
+
+def _restricted(rows: _Rows, common: float, own: float) -> float:
     factor = cholesky(np.eye(rows.y.size) + common * rows.common + own * rows.own, lower=True, check_finite=False)
     free, y = np.split(solve_triangular(factor, np.column_stack([rows.free, rows.y]), lower=True), [-1], axis=1)
     q, r = np.linalg.qr(free)
     left = y[:, 0] - q @ (q.T @ y[:, 0])
     volume = np.log(np.diag(factor)).sum() + np.log(np.maximum(np.abs(np.diag(r)), 1e-300)).sum()
-    return float(volume + 0.5 * left @ left - 0.5 * np.sum(logs))
+    return float(volume + 0.5 * left @ left)

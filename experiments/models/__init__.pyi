@@ -14,6 +14,8 @@ from .mjcf_urdf import export_model as export_model
 from .model_file import load_model as load_model
 from .model_file import save_model as save_model
 from .model_file import values_of as values_of
+from .reference import reference_of as reference_of
+from .reference import reference_values_of as reference_values_of
 from .schema import ImuSettings as ImuSettings
 from .schema import MechanismSettings as MechanismSettings
 from .schema import Model as Model

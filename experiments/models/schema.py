@@ -75,6 +75,34 @@ class EffectValue(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Shape -> value, likewise."""
 
 
+class ReferenceValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Statistics that `legid diagnose --against MODEL.json` needs of the runs of a model, instead of the runs."""
+
+    runs: tuple[str, ...]
+    sensors: Literal["imu", "encoder"]
+    hold: str
+    friction_velocity_radps: tuple[Positive, ...]
+    beta: tuple[float, ...]
+    """Of the nominal model, without effects."""
+    noise: dict[str, tuple[float | None, ...]]
+    """torque, encoder (null without one), gyro and accel (x and y of each IMU in turn); 1 sigma."""
+    reach: tuple[tuple[float, float], ...]
+    common: float
+    """Variance of unexplained structure that all runs have, over that of a size estimated from one run, ..."""
+    own: float
+    """... and of that which each run has for itself."""
+    freedom: float
+    unit: tuple[float, ...]
+    """Variance of each column's size by one run"""
+    columns: tuple[str, ...]
+    """Parameters, then every size that is tried."""
+    score: tuple[float, ...]
+    information: bytes
+    """Upper triangle by rows, little-endian doubles, base64."""
+    levels: dict[str, tuple[float, float]]
+    """Column of a run to mean and variance of the log level of its noise over the runs."""
+
+
 class Provenance(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Origin of the numbers."""
 
@@ -113,6 +141,9 @@ class Model(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Of the motor; effects may depend on it."""
     reach: tuple[tuple[float, float], ...] = ()
     """Smallest and largest angle of each joint in the runs fitted [rad]; effects may depend on it."""
+    reference: ReferenceValues | None = None
+    """For comparisons with later runs; None in a model that `legid diagnose` did not write, or of fewer than two runs.
+    """
     provenance: Provenance
 
     @property

@@ -1,5 +1,14 @@
+from .change import CAUSE_HEADER as CAUSE_HEADER
+from .change import REFERENCE_NAMES as REFERENCE_NAMES
+from .change import cause_rows as cause_rows
 from .change import change_document as change_document
 from .change import change_text as change_text
+from .change import next_of_change as next_of_change
+from .change import sessions_document as sessions_document
+from .change import sessions_text as sessions_text
+from .change_page import drawn_changes as drawn_changes
+from .change_page import paint_changes as paint_changes
+from .change_page import write_change as write_change
 from .chart import Line as Line
 from .comparison import Comparison as Comparison
 from .comparison import HorizonError as HorizonError

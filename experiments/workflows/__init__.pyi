@@ -1,6 +1,10 @@
 from .change import ChangeFound as ChangeFound
+from .change import as_reference as as_reference
 from .change import find_change as find_change
+from .change import find_change_since as find_change_since
+from .change import find_difference as find_difference
 from .change import runs_in as runs_in
+from .change import session_names as session_names
 from .compare import compare_models as compare_models
 from .demo import run_demo as run_demo
 from .demo_text import demo_text as demo_text

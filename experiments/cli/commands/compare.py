@@ -1,4 +1,4 @@
-"""`legid compare`: two models side by side on runs that neither has seen."""
+"""`legid compare`: two models on runs that neither has seen, or the runs of two sessions."""
 
 from __future__ import annotations
 
@@ -6,22 +6,32 @@ import argparse
 
 from experiments.cli.arguments import add_force, add_horizons, add_output, add_rig, chosen_rig
 
+MODEL = ".json"
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
     parser = subparsers.add_parser(
-        "compare", help="two models side by side: parameters, and free-run errors over horizons",
-        description="Put two models side by side: parameters with intervals and the difference in standard deviations, "
-                    "and free-run errors over horizons from 0.1 s to whole runs, with an interval for who is better. "
-                    "Use runs that neither model was fitted to.")
-    parser.add_argument("model_a", metavar="A.json", help="a model written by legid fit or diagnose --model-out")
-    parser.add_argument("model_b", metavar="B.json", help="the other")
-    parser.add_argument("runs", metavar="RUN", nargs="+", help="run files: .mcap, .csv or .csv.gz")
+        "compare", help="two models on the same runs, or the runs of two sessions",
+        usage="legid compare A.json B.json RUN... [options]\n"
+              "       legid compare FOLDER_A FOLDER_B [FOLDER...] [options]\n"
+              "       legid compare RUN... --with RUN... [--with RUN...] [options]",
+        description="Two models: parameters with intervals and the difference in standard deviations, and free-run "
+                    "errors over horizons from 0.1 s to whole runs, with an interval for who is better. Use runs that "
+                    "neither model was fitted to. Two sessions of a rig, or of two rigs of one drawing: whether they "
+                    "differ beyond the scatter of runs within a session, and by what: parameters, mechanics, sensors, "
+                    "timing, environment or noise. Sizes are those of the second session less those of the first. "
+                    "Further sessions are each compared with the first.")
+    parser.add_argument("places", metavar="A", nargs="+",
+                        help="two models and runs; or folders, one a session; or the runs of the first session")
+    parser.add_argument("--with", metavar="RUN", nargs="+", action="append", default=[], dest="others",
+                        help="runs of the second session, or its folder; may be repeated for further sessions")
     add_rig(parser)
     parser.add_argument("--sensors", choices=("imu", "encoder"),
-                        help="what gives the pivot's angle; default: imu where all runs have its columns")
+                        help="of models: what gives the pivot's angle; default: imu where all runs have its columns")
     add_horizons(parser)
-    add_output(parser, "--json", "legid.comparison/1", help="write the result as JSON (schema legid.comparison/1)")
+    add_output(parser, "--json", lambda args: "legid.comparison/1" if _of_models(args) else "legid.sessions/1",
+               help="write the result as JSON (schema legid.comparison/1, or legid.sessions/1)")
     add_output(parser, "--html", "page", help="write a report page")
     add_force(parser)
     parser.set_defaults(run=run)
@@ -29,8 +39,59 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Compare, print, write what was asked for."""
+    return _compare_models(args) if _of_models(args) else _compare_sessions(args)
+
+
+def _of_models(args: argparse.Namespace) -> bool:
+    return str(args.places[0]).lower().endswith(MODEL)
+
+
+def _compare_sessions(args: argparse.Namespace) -> int:
+    """Say how sessions differ. Raises `WorkError` where no pair could be compared."""
     from pathlib import Path
 
+    from daq import InputError, WorkError
+    from experiments.console import command_line, write_json
+    from experiments.provenance import origin_of
+    from experiments.reports import sessions_document, sessions_text, with_origin, write_change
+    from experiments.session import as_datasets
+    from experiments.workflows import find_difference, runs_in, session_names
+
+    for option, given in (("--sensors", args.sensors), ("--horizons", args.horizons)):
+        if given:
+            raise InputError(option, "belongs to a comparison of models", "leave it out")
+    places = [args.places, *args.others] if args.others else [[place] for place in args.places]
+    for (place, *_), alone in zip(places, (not args.others,) * len(places)):
+        if alone and not Path(place).is_dir():
+            raise InputError(place, "is neither a model nor a folder of runs",
+                             "give A.json B.json RUN..., two folders, or the runs of A --with those of B")
+    if len(places) < 2:
+        raise InputError(places[0][0], "is the only session", "give a second folder, or its runs by --with")
+    names, files = session_names(places), [runs_in(own) for own in places]
+    every = [path for own in files for path in own]
+    chosen = chosen_rig(args, every)
+    origin = origin_of(every, chosen.source, command=command_line())
+    sessions = [as_datasets(own, chosen.rig, args.damaged) for own in files]
+    found = [find_difference(sessions[0], other, (names[0], name), chosen.rig, args.damaged, len(names) - 1)
+             for name, other in zip(names[1:], sessions[1:])]
+    pairs = [((names[0], name), one.change) for name, one in zip(names[1:], found)]
+    if any(one.change.verdict != "fit_failed" for one in found):
+        print(sessions_text(pairs), flush=True)
+    runs = [run for own in sessions for run in own]
+    if args.json:
+        document = sessions_document(pairs, [run for one in found for run in one.set_aside])
+        write_json(args.json, with_origin(document, origin, runs))
+    if args.html:
+        write_change(args.html, pairs, origin, runs)
+    if all(one.change.verdict == "fit_failed" for one in found):
+        raise WorkError(found[0].change.sentence)
+    return 0
+
+
+def _compare_models(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from daq import InputError
     from estimator.prediction import HORIZONS_S
     from experiments.console import command_line, write_json
     from experiments.models import load_model
@@ -39,7 +100,11 @@ def run(args: argparse.Namespace) -> int:
     from experiments.session import load_runs
     from experiments.workflows import compare_models
 
-    paths = args.model_a, args.model_b
+    if len(args.places) < 3 or not args.places[1].lower().endswith(MODEL) or args.others:
+        raise InputError(args.places[0], "is a model, and a second model and runs do not follow it",
+                         "give A.json B.json RUN...")
+    args.runs = args.places[2:]
+    paths = args.places[0], args.places[1]
     models = load_model(paths[0]), load_model(paths[1])
     rig = chosen_rig(args, args.runs)
     origin = origin_of(args.runs, rig.source, models=paths, command=command_line())

@@ -43,7 +43,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--reference", metavar="MODEL.json",
                         help="an earlier model of this rig: parameters that changed are reported, a payload for one")
     parser.add_argument("--against", metavar="REFERENCE", nargs="+", default=[],
-                        help="earlier runs of this rig, or folders of them: say what changed since")
+                        help="earlier runs of this rig, folders of them, or the model that legid diagnose wrote of "
+                             "them: say what changed since")
     parser.set_defaults(run=run)
 
 
@@ -61,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         with_origin,
     )
     from experiments.session import contradictions, prepare
-    from experiments.workflows import diagnose_prepared, reference_values, with_reference_terms
+    from experiments.workflows import as_reference, diagnose_prepared, reference_values, with_reference_terms
 
     if args.against:
         return _run_against(args)
@@ -89,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     if found.verdict == "fit_failed":
         raise WorkError(found.sentence)
     if args.model_out:
-        model = diagnosed_model(found, setup, rig.motor.gear_ratio)
+        model = as_reference(diagnosed_model(found, setup, rig.motor.gear_ratio), prepared)
         save_model(model_with_origin(model, origin, setup.datasets), args.model_out)
     return 0
 
@@ -98,29 +99,32 @@ def _run_against(args: argparse.Namespace) -> int:
     """Say what changed since the reference runs. Raises `WorkError` with the verdict fit_failed."""
     from daq import InputError, WorkError
     from experiments.console import command_line, write_json
+    from experiments.models import load_model
     from experiments.provenance import origin_of, source_of
-    from experiments.reports import change_document, change_text, with_origin
-    from experiments.workflows import find_change, runs_in
+    from experiments.reports import REFERENCE_NAMES, change_document, change_text, with_origin, write_change
+    from experiments.workflows import find_change, find_change_since, runs_in
 
-    for option, given in (("--html", args.html), ("--model-out", args.model_out), ("--reference", args.reference),
+    for option, given in (("--model-out", args.model_out), ("--reference", args.reference),
                           ("--fix", args.fix)):
         if given:
             raise InputError(option, "does not go with --against", "leave it out; --json holds the whole answer")
-    runs, against = runs_in(args.runs), runs_in(args.against)
-    for path in against:
-        if path.endswith(".json"):
-            raise InputError(path, "is no run; a model does not hold how much its runs scatter",
-                             "give the runs that it was fitted to")
+    runs = runs_in(args.runs)
+    models = [path for path in args.against if path.lower().endswith(".json")]
+    if models and len(args.against) > 1:
+        raise InputError(models[0], "is a model, and is not the only reference", "give one model, or runs alone")
+    against = models or runs_in(args.against)
     chosen = chosen_rig(args, runs)
-    origin = origin_of(runs, chosen.source, command=command_line())
-    found = find_change(runs, against, chosen.rig, args.damaged)
+    origin = origin_of(runs, chosen.source, models[0] if models else None, command=command_line())
+    found = find_change_since(runs, load_model(models[0]), models[0], chosen.rig, args.damaged) if models else \
+        find_change(runs, against, chosen.rig, args.damaged)
     if found.change.verdict != "fit_failed":
         print(change_text(found.change), flush=True)
+    datasets = found.datasets
     if args.json:
-        document = change_document(found.change)
-        document["set_aside"] = [run.document for run in found.prepared.set_aside]
-        document["against"]["sources"] = [{"file": s.file, "sha256": s.sha256} for s in map(source_of, against)]
-        write_json(args.json, with_origin(document, origin, found.prepared.setup.datasets))
+        document = change_document(found.change, found.set_aside, tuple(map(source_of, against)))
+        write_json(args.json, with_origin(document, origin, datasets))
+    if args.html:
+        write_change(args.html, [(REFERENCE_NAMES, found.change)], origin, datasets)
     if found.change.verdict == "fit_failed":
         raise WorkError(found.change.sentence)
     return 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,43 +10,24 @@ import numpy as np
 import pytest
 
 from daq import Dataset, load_rig
-from estimator.change import Change, detect_change
-from estimator.change.contrast import contrast
+from estimator.change import Change, compare_sessions, detect_change, learn_reference
+from estimator.change.contrast import Contrast, contrast, seen, total
 from estimator.change.scores import RunScore
-from estimator.change.structure import find_structure
+from estimator.change.structure import Structure, find_structure
+from estimator.errors import FitError
 from estimator.model import leg2
 from estimator.options import FitOptions
 from experiments.session import prepare
 from tests.evidence.blind.records import FAULTS, RECORDS, RIGS
-from tests.evidence.blind.servo import write_case
-from tests.evidence.blind.stickslip import MAKERS, Readings, as_read
-from tests.support.mujoco_leg import random_leg
+from tests.evidence.blind.stickslip import MAKERS, Readings
+from tests.support.changed_leg import REFERENCE, leg_runs
 from tests.support.paths import REAL
-from tests.support.stick_slip_leg import TICK_S, move
-
-REFERENCE = 4
-
-
-def leg_runs(out: Path, changes: Callable[[Readings], None], heavier: float = 0.0) -> tuple[list[Path], Path]:
-    """Eight runs of one leg, the last four with a change of the readings, or of link 1's mass [kg] at its centre."""
-    rng = np.random.default_rng(11)
-    leg = replace(random_leg(rng), coulomb=(0.01, 0.05))
-
-    def logged(run: int) -> Readings:
-        after = run >= REFERENCE
-        own = replace(leg, m1=leg.m1 + heavier) if after else leg
-        readings = as_read(move(own, rng, seconds=10.0, closed=run % 2 == 1, high=(3.0, 2.0, 1.2, 2.5)[run % 4]))
-        if after:
-            changes(readings)
-        return {k: v[:: round(0.01 / TICK_S)] for k, v in readings.items()}
-
-    write_case("leg", 1, out, map(logged, range(8)), rng, leg, "", [], 0.05)
-    return sorted((out / "leg-1").glob("r*.csv")), out / "leg-1/rig.toml"
 
 
 def change_of(files: list[Path], rig_file: Path) -> Change:
     setup = prepare(files, load_rig(rig_file)).setup
-    return detect_change(setup.datasets[REFERENCE:], setup.datasets[:REFERENCE], setup.mechanism, setup.options)
+    return detect_change(setup.datasets[REFERENCE:],
+                         learn_reference(setup.datasets[:REFERENCE], setup.mechanism, setup.options))
 
 
 def test_an_unchanged_leg_has_not_changed_and_says_what_it_would_have_shown(tmp_path: Path) -> None:
@@ -67,6 +47,46 @@ def test_a_changed_reading_is_named_with_its_size(name: str, size: float, tmp_pa
     assert found.held_out is not None and sum(found.held_out.gain) > 0.0
 
 
+def sessions_of(files: list[Path], rig_file: Path) -> tuple[Change, Change]:
+    """B from A, and A from B."""
+    setup = prepare(files, load_rig(rig_file)).setup
+    a, b = setup.datasets[:REFERENCE], setup.datasets[REFERENCE:]
+    return (compare_sessions(a, b, setup.mechanism, setup.options),
+            compare_sessions(b, a, setup.mechanism, setup.options))
+
+
+@pytest.mark.parametrize(("name", "size", "kind"), [
+    ("", 0.0, ""), ("gyro_scale", 0.03, "sensors"), ("sensor_time_skew", 0.005, "timing")])
+def test_two_sessions_exchanged_turn_the_signs_and_nothing_else(name: str, size: float, kind: str, tmp_path: Path
+                                                                ) -> None:
+    found, turned = sessions_of(*leg_runs(tmp_path, MAKERS[name][0](1.0) if name else lambda c: None))
+    assert (found.verdict, found.structure) == (turned.verdict, pytest.approx(turned.structure, rel=1e-4))
+    assert [(c.effect, c.joint) for c in found.causes] == [(c.effect, c.joint) for c in turned.causes]
+    for one, other in zip(found.causes, turned.causes):
+        assert [s.value for s in one.size] == pytest.approx([-s.value for s in other.size], rel=1e-3)
+        assert one.size[0].ci95 == pytest.approx((-other.size[0].ci95[1], -other.size[0].ci95[0]), rel=1e-3)
+    if not name:
+        assert found.verdict == "no_change" and "No difference" in found.sentence
+        return
+    cause = next(c for c in found.causes if c.effect == name)
+    assert cause.kind == kind and cause.size[0].value == pytest.approx(size, rel=0.25)
+    assert found.held_out is not None and len(found.held_out.runs) == 8
+
+
+def test_noise_alone_is_a_cause_with_its_ratio(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+
+    def louder(c: Readings) -> None:
+        c["gyro_radps"] += rng.normal(scale=0.007, size=c["gyro_radps"].size)  # 0.004 without it
+
+    found, turned = sessions_of(*leg_runs(tmp_path, louder))
+    (cause,), (other,) = found.causes, turned.causes
+    assert found.verdict == "named" and (cause.kind, cause.size[0].name) == ("noise", "gyro_radps")
+    low, high = cause.size[0].ci95
+    assert low < (0.004**2 + 0.007**2) ** 0.5 / 0.004 < high < 3.0
+    assert other.size[0].value == pytest.approx(1.0 / cause.size[0].value)
+
+
 def test_a_payload_on_link_1_is_among_the_causes(tmp_path: Path) -> None:
     found = change_of(*leg_runs(tmp_path, lambda c: None, heavier=0.1))
     assert found.verdict != "no_change"
@@ -76,8 +96,10 @@ def test_a_payload_on_link_1_is_among_the_causes(tmp_path: Path) -> None:
 def test_one_run_is_refused_with_a_remedy() -> None:
     time = np.linspace(0.0, 1.99, 200)
     data = Dataset("one", 100.0, time, {})
-    found = detect_change([data], [data], leg2(), FitOptions())
-    assert found.verdict == "fit_failed" and "give at least 2 of each" in found.sentence
+    with pytest.raises(FitError, match="give at least 2 of each session"):
+        learn_reference([data], leg2(), FitOptions())
+    found = compare_sessions([data], [data, data], leg2(), FitOptions())
+    assert found.verdict == "fit_failed" and "give at least 2 of each session" in found.sentence
 
 
 def test_a_contrast_gives_back_a_change_beside_structure_of_the_reference() -> None:
@@ -92,9 +114,13 @@ def test_a_contrast_gives_back_a_change_beside_structure_of_the_reference() -> N
         return RunScore(information @ theta + rows.T @ rng.normal(size=4000), information)
 
     reference, test = [run(0.0) for _ in range(4)], [run(change) for _ in range(4)]
-    found = contrast(test, reference, find_structure(reference, 2))
-    size, std = found.size(np.array([4, 5])), np.sqrt(np.diag(found.covariance(np.array([4, 5]))))
+    found = between(test, reference, find_structure([reference], 2)).along(np.eye(columns)[:, 4:6])
+    size, std = found.size(), np.sqrt(np.diag(found.covariance()))
     assert size == pytest.approx([change, 0.0], abs=0.05) and std.max() < 0.05
+
+
+def between(test: list[RunScore], reference: list[RunScore], structure: Structure) -> Contrast:
+    return contrast(total(seen(test, structure)), total(seen(reference, structure)), structure)
 
 
 @pytest.mark.parametrize("own", [0.0, 0.05, 0.3])
@@ -106,13 +132,14 @@ def test_structure_of_each_run_widens_the_intervals_as_far_as_it_has_to(own: flo
     def run() -> RunScore:
         rows = rng.normal(size=(400, 30))
         information = rows.T @ rows
-        return RunScore(information @ (common + own * rng.normal(size=30)) + rows.T @ rng.normal(size=400), information)
+        score = information @ (common + own * rng.normal(size=30)) + rows.T @ rng.normal(size=400)
+        return RunScore(score, information)
 
     for _ in range(40):
         reference, test = [run() for _ in range(4)], [run() for _ in range(4)]
-        structure = find_structure(reference, 3)
-        found = contrast(test, reference, structure)
-        scores.append(found.size(np.array([9]))[0] / np.sqrt(found.covariance(np.array([9]))[0, 0]))
+        structure = find_structure([reference], 3)
+        found = between(test, reference, structure).along(np.eye(30)[:, 9:10])
+        scores.append(found.size()[0] / np.sqrt(found.covariance()[0, 0]))
     assert 0.6 < np.std(scores) < 1.4
     assert structure.own == pytest.approx(own**2 * 400, rel=0.6, abs=0.5)
 
@@ -132,7 +159,8 @@ def test_a_real_arm_says_what_was_put_into_its_test_runs(fault: str) -> None:
     test = [spoilt(d, fault) for d in every[1::2]]
     setup = prepare([*every[::2], *test], load_rig(RIGS / record.rig)).setup
     count = len(every[::2])
-    found = detect_change(setup.datasets[count:], setup.datasets[:count], setup.mechanism, setup.options)
+    found = detect_change(setup.datasets[count:],
+                          learn_reference(setup.datasets[:count], setup.mechanism, setup.options))
     if fault == "untouched":
         assert found.verdict == "no_change"
     else:

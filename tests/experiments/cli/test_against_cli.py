@@ -1,12 +1,23 @@
-"""`legid diagnose --against`: text, JSON, folders, and what it refuses."""
+"""`legid diagnose --against` and `legid compare` of sessions: text, JSON, folders, and what they refuse."""
 
+import gzip
 import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from msgspec import structs
 
+from daq import load_rig
 from experiments import cli
+from experiments.models import load_model, save_model
+from experiments.session import prepare
+from experiments.workflows import as_reference
+from tests.evidence.blind.stickslip import MAKERS
+from tests.support.changed_leg import REFERENCE, leg_runs
+from tests.support.models import write_model
+from tests.support.pages import Outside
 from tests.support.paths import REAL, ROOT
 
 RIG = str(ROOT / "experiments/studies/rigs/dfki_diagnose.toml")
@@ -29,10 +40,97 @@ def test_an_unchanged_arm_against_a_folder(tmp_path: Path, capsys: pytest.Captur
     assert {n["effect"] for n in found["not_testable"]} >= {"encoder_offset"}
 
 
-def test_an_empty_folder_a_model_and_a_page_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_model_is_as_good_a_reference_as_its_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files, rig = leg_runs(tmp_path, MAKERS["gyro_scale"][0](1.0))
+    earlier, runs = ([str(f) for f in some] for some in (files[:REFERENCE], files[REFERENCE:]))
+    prepared = prepare(earlier, load_rig(rig))
+    path = write_model(tmp_path / "model.json", [0.1] * prepared.setup.mechanism.p,
+                       structs.asdict(prepared.setup.settings))
+    words = ["diagnose", *runs, "--rig", str(rig), "--against"]
+    assert cli.main([*words, str(path)]) == 2
+    assert "does not hold how much its runs scatter; give the runs" in capsys.readouterr().err
+    model = structs.replace(load_model(path), gear_ratio=prepared.setup.gear_ratio)
+    save_model(as_reference(model, prepared), path)
+    answers = []
+    for reference in (earlier, [str(path)]):
+        out = tmp_path / f"{len(reference)}-change.json"
+        assert cli.main([*words, *reference, "--json", str(out)]) == 0
+        answers.append(json.loads(out.read_text()))
+    first, second = answers
+    assert first["verdict"] == second["verdict"] and "gyro_scale" in {c["effect"] for c in first["causes"]}
+    for one, other in zip(first["candidates"], second["candidates"], strict=True):
+        assert (one["effect"], one["joint"]) == (other["effect"], other["joint"])
+        assert other["change"] == pytest.approx(one["change"], rel=1e-6)
+        assert other["p_value"] == pytest.approx(one["p_value"], rel=1e-6)
+    assert first["held_out"]["gain"] == pytest.approx(second["held_out"]["gain"], rel=1e-6)
+    assert second["against"]["sources"][0]["file"] == second["provenance"]["model"]["file"] == "model.json"
+    broken = json.loads(path.read_text())
+    broken["reference"]["columns"][3] = "another"
+    path.write_text(json.dumps(broken))
+    assert cli.main([*words, str(path)]) == 2
+    assert "another library of effects" in capsys.readouterr().err
+    assert cli.main([*words, str(path), *earlier]) == 2
+    assert "is not the only reference" in capsys.readouterr().err
+    rig.write_text(rig.read_text() + "\n[terms]\nencoder_zero = [2]\n")
+    assert cli.main([*words, str(path)]) == 2
+    assert "does not hold the encoders' zeros" in capsys.readouterr().err
+
+
+def test_an_empty_folder_and_a_model_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for more, words in ((["--against", str(tmp_path)], "holds no run file"),
-                        (["--against", "model.json"], "is no run"),
-                        (["--against", "a.csv", "--html", str(tmp_path / "p.html")], "does not go with --against")):
+                        (["--against", "model.json"], "No such file"),
+                        (["--against", "a.csv", "--fix", "beta1=1"], "does not go with --against")):
         assert cli.main(["diagnose", "r.csv", *more, "--rig", RIG]) == 2
         error = capsys.readouterr().err
         assert words in error and "Traceback" not in error
+
+
+def late(source: Path, target: Path, seconds: float) -> None:
+    """A run whose torques are late."""
+    rows = [line.split(",") for line in gzip.decompress(source.read_bytes()).decode().splitlines()]
+    values = np.array(rows[1:], dtype=float)
+    time = values[:, rows[0].index("time_s")].copy()
+    for k, name in enumerate(rows[0]):
+        if name.startswith("tau"):
+            values[:, k] = np.interp(time - seconds, time, values[:, k])
+    lines = [",".join(rows[0]), *(",".join(map(repr, map(float, row))) for row in values)]
+    target.write_bytes(gzip.compress("\n".join(lines).encode()))
+
+
+@pytest.mark.skipif(not ARM.is_dir(), reason="needs the real records beside the checkout")
+def test_sessions_as_folders_and_as_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before, after = tmp_path / "before", tmp_path / "after"
+    before.mkdir()
+    after.mkdir()
+    first = [str(shutil.copy(ARM / f"{run}.csv.gz", before)) for run in ("00", "02")]
+    plain = [str(ARM / f"{run}.csv.gz") for run in ("01", "03")]
+    for run in plain:
+        late(Path(run), after / Path(run).name, 0.01)
+    out = tmp_path / "sessions.json"
+    page = tmp_path / "page.html"
+    assert cli.main(["compare", str(before), str(after), "--rig", RIG, "--json", str(out), "--html", str(page)]) == 0
+    assert capsys.readouterr().out.startswith("Different: torque_delay, delay 0.00786 s.\n\nFrom before to after:")
+    found = json.loads(out.read_text())
+    (pair,), files = found["pairs"], found["provenance"]["runs"]
+    assert found["schema"] == "legid.sessions/1" and len(files) == 4
+    assert pair["a"] == {"name": "before", "runs": ["before 00.csv.gz", "before 02.csv.gz"]}
+    assert (pair["causes"][0]["effect"], pair["causes"][0]["kind"]) == ("torque_delay", "timing")
+    html = page.read_text()
+    assert "From before to after" in html and "Next step: Check both clocks" in html and html.count("<svg") == 1
+    outside = Outside()
+    outside.feed(html)
+    assert outside.found == [] and outside.scripts == 0
+    assert cli.main(["compare", *first, "--with", *plain, "--with", str(after), "--rig", RIG]) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert rows[2].startswith("A     B   no_change") and rows[3].startswith("A     C   named")
+
+
+def test_what_is_neither_two_models_nor_two_sessions_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]
+                                                                ) -> None:
+    for words, said in ((["a.csv", "b.csv"], "is neither a model nor a folder"),
+                        ([str(tmp_path)], "is the only session"),
+                        (["a.json", "b.json"], "a second model and runs do not follow"),
+                        ([str(tmp_path), str(tmp_path), "--horizons", "1"], "belongs to a comparison of models")):
+        assert cli.main(["compare", *words, "--rig", RIG]) == 2
+        error = capsys.readouterr().err
+        assert said in error and "Traceback" not in error

@@ -1,0 +1,101 @@
+"""`Group`: every single change that is tried, as the columns that it moves together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.change.contrast import Contrast
+from estimator.change.payload import NAMES, UNITS, body_basis, fit_body, link_lengths
+from estimator.change.result import Kind
+from estimator.change.scores import ReferenceFit
+from estimator.effects import Effect
+from estimator.model import has_bodies
+
+KINDS: dict[str, Kind] = {"sensors": "sensors", "stand": "environment"}
+"""Module of an effect to what it is a change of; others belong to timing or to the mechanics."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Sizes that change together."""
+
+    effect: str
+    kind: Kind
+    joint: int | None
+    sentence: str
+    basis: FloatArray
+    """(m, k) change of all columns by each size"""
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    body: bool = False
+    """Whether the sizes are mass, first moment and inertia of one body."""
+    lengths: FloatArray | None = None
+    """(lengths, m, k) change of `basis` by one standard deviation of each length in it."""
+
+    @property
+    def key(self) -> tuple[str, int | None]:
+        return self.effect, self.joint
+
+    def fit(self, whole: Contrast) -> tuple[FloatArray, float]:
+        """(k,) likeliest sizes, and the fall of -2 log likelihood."""
+        own = whole.along(self.basis)
+        size, gain = fit_body(own) if self.body else (own.size(), own.gain())
+        return size, max(gain, 0.0)
+
+    def covariance(self, whole: Contrast, size: FloatArray) -> FloatArray:
+        """(k, k) of the sizes, uncertain lengths included."""
+        own = whole.along(self.basis)
+        found = own.covariance()
+        for moved in () if self.lengths is None else self.lengths:
+            shift = whole.along(self.basis + moved).size() - own.size()
+            found = found + np.outer(shift, shift)
+        return found
+
+
+def groups_of(fit: ReferenceFit, known: Contrast) -> tuple[Group, ...]:
+    """Every single change that is tried: parameters, payloads, effects at each shape; `known` is what all runs tell of
+    the columns."""
+    m = fit.mechanism
+    columns = np.eye(known.score.size)
+    found = [Group("parameter", "parameters", None, f"{p.name} ({p.meaning}) changed", columns[:, [k]], (p.name,),
+                   (p.unit,)) for k, p in enumerate(m.parameters) if fit.free[k]]
+    found += _payloads(fit, known)
+    start = m.p
+    for candidate in fit.candidates[: fit.named]:
+        e = candidate.effect
+        found.append(Group(e.name, kind_of(type(e)), None if e.joint is None else e.joint + 1, e.sentence,
+                           columns[:, start : start + candidate.width], tuple(s.name for s in e.sizes),
+                           tuple(m.unit(s.unit) for s in e.sizes)))
+        start += candidate.width
+    return tuple(found)
+
+
+def kind_of(effect: type[Effect]) -> Kind:
+    """Kind of change that an effect is."""
+    if effect.delay_s is not Effect.delay_s:
+        return "timing"
+    return KINDS.get(effect.__module__.rpartition(".")[2], "mechanics")
+
+
+def _payloads(fit: ReferenceFit, known: Contrast) -> Iterator[Group]:
+    """A body on each link; sizes that move no parameter are left out."""
+    m = fit.mechanism
+    covariance = known.along(np.eye(known.score.size)[:, : m.p]).covariance()
+    lengths = link_lengths(m, fit.beta, covariance)
+    values = {i: length for i, (length, _) in lengths.items()}
+    for link in range(m.n):
+        basis = body_basis(m, link, values) if has_bodies(m) else None
+        if basis is None or not fit.free[basis.any(axis=1)].all():
+            continue
+        there = np.flatnonzero(basis.any(axis=0))
+        moved = [body_basis(m, link, {**values, i: values[i] + std}) for i, (_, std) in lengths.items()]
+
+        below = ((0, known.score.size - m.p), (0, 0))
+        changed = np.array([np.pad((one - basis)[:, there], below) for one in moved if one is not None])
+        yield Group("payload", "parameters", link + 1, f"a body was added to link {link + 1}",
+                    np.pad(basis[:, there], below), tuple(NAMES[i] for i in there), tuple(UNITS[i] for i in there),
+                    there.size == 3, changed if changed.any() else None)

@@ -1,0 +1,50 @@
+"""`Reference`: everything that a later comparison needs of the reference runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq import Dataset
+from estimator.change.contrast import Contrast, seen, total
+from estimator.change.noise import NoiseLevels, levels_of
+from estimator.change.scores import ReferenceFit, fit_reference, score_run
+from estimator.change.structure import Structure, find_structure
+from estimator.errors import FitError
+from estimator.model import Mechanism
+from estimator.options import FitOptions
+
+FEWEST_RUNS = 2
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Statistics of reference runs, without the runs."""
+
+    fit: ReferenceFit
+    structure: Structure
+    known: Contrast
+    """Sum of the runs' scores and informations, each run's own structure integrated out"""
+    noise: NoiseLevels
+    runs: tuple[str, ...]
+
+
+def learn_reference(runs: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float = 1.0
+                    ) -> Reference:
+    """Reference of at least two runs. Raises `FitError`."""
+    require_runs(runs)
+    with np.errstate(all="ignore"):  # a search may diverge on its way; where it ends is checked
+        fit = fit_reference(runs, mechanism, options, gear_ratio)
+        scores = [score_run(fit, run) for run in runs]
+        structure = find_structure([scores], fit.mechanism.p)
+        return Reference(fit, structure, total(seen(scores, structure)), levels_of(runs, mechanism, options),
+                         tuple(run.name for run in runs))
+
+
+def require_runs(runs: Sequence[Dataset]) -> None:
+    """Raises `FitError` for fewer than show a scatter."""
+    if len(runs) < FEWEST_RUNS:
+        raise FitError(f"{len(runs)} run{'s' * (len(runs) != 1)} cannot show how runs scatter; give at least "
+                       f"{FEWEST_RUNS} of each session, better four")
