@@ -66,8 +66,8 @@ def straight_zero(stops: Sequence[Stop], step_rad: float = 0.0) -> KneeZero:
     values = np.array([stop.value for stop in stops])
     noise = float(np.hypot(max(stop.half for stop in stops) / np.sqrt(values.size), step_rad))
     if values.size < 3:
-        return KneeZero(float(values.mean()), noise, noise, "noise alone: how straight the leg was held is not in it; "
-                        "three or more records, each with the leg taken up anew, would show that")
+        return KneeZero(float(values.mean()), noise, noise, "noise alone, without the error of the straight pose; "
+                        "to include it give three or more records, each with the leg straightened anew")
     value, half = mean_interval(values)
     return KneeZero(value, float(np.hypot(half, step_rad)), noise, f"{values.size} records, the leg taken up anew")
 
@@ -101,7 +101,7 @@ def hanging_zero(stops: Sequence[Stop], cone_rad: float | None, step_rad: float 
     how = min(halves, key=halves.__getitem__)
     value, half = 0.5 * float(values.min() + values.max()), max(halves[how], 0.0) + noise
     if half > WIDEST_RAD:
-        raise WorkError(f"the knee's zero is {value:+.3f} +- {half:.2f} rad, which says nothing: friction holds the "
+        raise WorkError(f"the knee's zero is {value:+.3f} +- {half:.2f} rad, too uncertain to use: friction holds the "
                         "shank; give more stops, or hold the leg straight (--straight)")
     return KneeZero(value, half, noise, how)
 

@@ -20,7 +20,7 @@ class StribeckFriction(TorqueEffect):
     positive = 1
     sizes = (Size("excess_torque", "N m", 0.01),)
     shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.2, 0.4, 0.8), 1.25),)
-    """Slower is the rounding of sign(v), faster not near standstill."""
+    """Slower than this grid is the smoothing of sign(v), faster is not near standstill."""
     sentence = "friction is higher near standstill than in motion (Stribeck)"
     reference = "Stribeck 1902; Armstrong-Helouvry 1991"
     experiment = "slow reversals: a multisine below 0.3 Hz at small amplitude"
@@ -53,11 +53,10 @@ class AsymmetricFriction(TorqueEffect):
 
 
 class LoadDependentFriction(TorqueEffect):
-    """F = Fc + mu |tau - F sign(v)|: dry friction grows with what the joint passes on, the torque less friction.
+    """F = Fc + mu |tau - F sign(v)|: dry friction grows with the transmitted torque, tau less friction.
 
-    So it is less while the motor drives than while it brakes. Under a motor's voltage, which is no torque, the load is
-    what inertia and weight need. That follows from acceleration, and through it the law would feel itself: fits of a
-    driven leg that took it so did not settle (tuning seed 1200: unexplained, instead of 0.206 where 0.200 was hidden).
+    So it is smaller while the motor drives than while it brakes. With a voltage input the load is the inverse dynamics
+    of the links. A fit of a torque-driven leg does not converge with that.
     """
 
     name = "load_dependent_friction"
@@ -107,7 +106,7 @@ class QuadraticDrag(TorqueEffect):
 
 
 class FrictionDrift(TorqueEffect):
-    """Coulomb level that settles in the course of the session, C (1 - exp(-t / tau)), and drifts within each run."""
+    """(C (1 - exp(-t / tau)) + D t_run) sign(v): the Coulomb level changes over the session and within each run."""
 
     name = "friction_drift"
     family = "friction"

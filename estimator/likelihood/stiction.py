@@ -1,4 +1,4 @@
-"""What dry friction leaves open near rest, of every joint of a record, and its smoothing velocity."""
+"""Unknown friction torque near rest of every joint of a record, and its smoothing velocity."""
 
 from __future__ import annotations
 

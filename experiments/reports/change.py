@@ -13,7 +13,7 @@ SHOWN = 12
 
 
 def change_text(found: Change) -> str:
-    """What a person reads after `legid diagnose --against`: the verdict first."""
+    """Text after `legid diagnose --against`: the verdict first."""
     blocks = [found.sentence]
     if found.causes:
         rows = [[_label(c) if not k else "", s.name, f"{s.value:.4g}", f"{s.ci95[0]:.4g} .. {s.ci95[1]:.4g}", s.unit]

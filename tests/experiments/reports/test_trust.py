@@ -99,7 +99,7 @@ def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
     runs = [str(folder / f"none{k}.mcap") for k in range(3)]
     model, page = str(folder / "none.json"), tmp_path / "p.html"
     assert said("validate", model, runs[2]).startswith("TRUST for simulation over 5 s: fit 9")
-    assert said("validate", model, runs[0]).startswith("TRUST WITH CARE: run none0.mcap was fitted")
+    assert said("validate", model, runs[0]).startswith("TRUST WITH CARE: the model was fitted to run none0.mcap")
     other = tmp_path / "rig.toml"
     other.write_text(RIG.read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.21"))
     short, *reasons = printed("fit", *runs[:2], "--rig", str(other))
@@ -216,7 +216,7 @@ def horizon(a: float, b: float, low: float | None = None, high: float = 0.0) -> 
     ([horizon(1.0, np.inf)] * 2, "A IS BETTER (a.json): at 2 of 2"),
     ([horizon(1.0, 2.0, 1.5, 2.5), horizon(2.0, 1.0, 0.4, 0.6)], "NEITHER is better throughout"),
     ([horizon(2.0, 1.0)] * 3, "NOT DECIDED: these runs are too short"),
-    ([horizon(2.0, 1.0, 0.4, 0.6)] + [horizon(1.0, 1.0, 0.9, 1.1)] * 9, "NEITHER is better: of 10")])
+    ([horizon(2.0, 1.0, 0.4, 0.6)] + [horizon(1.0, 1.0, 0.9, 1.1)] * 9, "NEITHER is better: over 10")])
 def test_who_is_better(errors: list[HorizonError], words: str) -> None:
     one = tabulate([prediction(0.1, 0.1)])
     found = Comparison(("a.json", "b.json"), (), tuple(errors), one.joined_with(one), ("r",), ())
