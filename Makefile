@@ -83,7 +83,7 @@ family: $(STAMP)
 		--effects "$(EFFECTS)" --out $(BLIND_OUT)-$(FAMILY) $(if $(PAGE),--page $(PAGE))
 
 soak: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence soak --out docs/soak.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence soak --out docs/evidence/soak.md
 
 # tests/fixtures/*.mcap anew, from one seed: after a change of the run format.
 fixtures: $(STAMP)
@@ -91,10 +91,10 @@ fixtures: $(STAMP)
 
 # Every fault at every moment on virtual time, ten minutes: how long the torque outlives it.
 drives: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence drives --out docs/drives-measured.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence drives --out docs/evidence/drives.md
 
 faults: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence faults --out docs/faults.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence faults --out docs/evidence/faults.md
 
 # An hour and a half of real time: recordings killed at any moment, and others with a second process at their devices and file.
 # A fifth have ended before their kill. Called again it goes on where it stopped; after a change of the program give it a
@@ -103,7 +103,7 @@ KILLS     ?= 1280
 KILLS_OUT ?= build/kills.jsonl
 kills: $(STAMP)
 	mkdir -p $(dir $(KILLS_OUT))
-	$(BIN)/python -m tests.evidence kills --kills $(KILLS) --beside 1000 --keep $(KILLS_OUT) --out docs/kills.md
+	$(BIN)/python -m tests.evidence kills --kills $(KILLS) --beside 1000 --keep $(KILLS_OUT) --out docs/evidence/kills.md
 
 # An hour or two: 10^5 broken files of each of five formats through their readers.
 FILES ?= 100000
@@ -116,49 +116,49 @@ PLANT ?= stickslip
 RATES ?= 50 100 250 500
 coverage: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence coverage --plant $(PLANT) --fits $(FITS) --rates $(RATES) \
-		$(if $(SEED),--seed $(SEED)) --out docs/coverage-$(PLANT).md
+		$(if $(SEED),--seed $(SEED)) --out docs/evidence/coverage-$(PLANT).md
 
 # A quarter of an hour: Table V of the paper for every method on twenty legs.
 table5: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence table5 --out docs/table5.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence table5 --out docs/evidence/table5.md
 
 # Table III under the protocol that the print is nearest to, and what each open choice does to it.
 RUNS ?= 200
 replication: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence replication --runs $(RUNS) --out docs/replication.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence replication --runs $(RUNS) --out docs/evidence/replication.md
 
 # Fig. 1's chain of seven links from the absolute angle of the first: do its intervals hold?
 seven-links: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence seven-links --fits $(FITS) --out docs/seven-links.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence seven-links --fits $(FITS) --out docs/evidence/seven-links.md
 
 # Twenty steps of a walker: touchdowns, fits, free runs over steps, diagnoses. Half an hour.
 WALKS ?= 24
 walker: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence walker --fits $(WALKS) --out docs/walker.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence walker --fits $(WALKS) --out docs/evidence/walker.md
 
 # IMUs on any links and a subset of encoders: legs, a walker, chains of three and seven links; do their intervals hold?
 imu-links: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence imu-links --fits $(FITS) --out docs/imu-links.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence imu-links --fits $(FITS) --out docs/evidence/imu-links.md
 
 # Runs that differ: coverage and width of intervals that allow for it; FITS=24 takes a quarter of an hour.
 runs: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence runs --fits $(FITS) --out docs/runs.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence runs --fits $(FITS) --out docs/evidence/runs.md
 
 # Two of nine parameters known from elsewhere, on legs that swing little: do the other intervals hold? FITS=60: a minute.
 prior: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence prior --fits $(FITS) --out docs/prior.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence prior --fits $(FITS) --out docs/evidence/prior.md
 
 # Faults in the later runs of real records that lie beside the checkout, the earlier runs being the reference.
 changed: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence what-changed --out docs/what-changed.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence what-changed --out docs/evidence/what-changed.md
 
 # Real records that lie beside the checkout, with the least of rig files, and spoilt ones: a quarter of an hour.
 untuned: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence untuned --out docs/untuned.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence untuned --out docs/evidence/untuned.md
 
 # Half an hour; needs chromium and its chromedriver.
 live-soak: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence live-soak --out docs/live.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence live-soak --out docs/evidence/live.md
 
 # The example board, cross-compiled and driven in an emulator.
 port: $(STAMP)
@@ -172,7 +172,7 @@ port-faults: $(STAMP)
 	@{ command -v arm-none-eabi-gcc && command -v qemu-system-arm; } >/dev/null || \
 		{ echo "make port-faults needs the Debian packages gcc-arm-none-eabi and qemu-system-arm: apt-get install both"; \
 		exit 1; }
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence port-faults --out docs/port-faults.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence port-faults --out docs/evidence/port-faults.md
 
 # The firmware's core under broken input, with address and undefined behaviour sanitizers. FRAMES are serial and CAN
 # together; 10^7 each take a minute.

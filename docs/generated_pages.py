@@ -9,7 +9,7 @@ FLOORS = {
     "drivers": "Floor 1: bytes to physical units, for one device each.",
     "daq": "Floor 2: one time line. Clocks, recorder, safety, run files, alignment; hands over a Dataset.",
     "estimator": "Floor 3: mathematics on arrays. No input or output, no clock, no printing.",
-    "experiments": "Floor 4: what a person runs. For scripts, :doc:`legid </api>` is the door.",
+    "experiments": "Floor 4: what a person runs. For scripts, :doc:`legid </reference>` is the interface.",
 }
 ROOT = Path(__file__).parent.parent
 

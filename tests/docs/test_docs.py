@@ -19,10 +19,11 @@ from daq.rig_devices import ControllerDevice, Devices, ImuDevice, PivotDevice, S
 from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
-RIG_PAGE, EFFECT_PAGE = ((DOCS / name).read_text(encoding="utf-8") for name in ("rig.md", "howto-effect.md"))
+PAGES = sorted(path for path in DOCS.rglob("*.md") if "generated" not in path.parts)
+RIG_PAGE, EFFECT_PAGE = ((DOCS / name).read_text(encoding="utf-8") for name in ("rig.md", "effect.md"))
 HOLE = "\N{HORIZONTAL ELLIPSIS}"
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
+LINK = re.compile(r"\]\(([^)#\s]*)(#[^)\s]*)?\)")
 
 
 def literals() -> Iterator[str]:
@@ -52,17 +53,28 @@ def test_no_code_cites_a_document_that_is_not_here() -> None:
                 assert not other and (ROOT / name).is_file(), f"{path}: {name or other}"
 
 
-@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda p: p.name)
+@pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *PAGES],
+                         ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_links_between_pages_lead_somewhere(page: Path) -> None:
-    for target, _ in LINK.findall(page.read_text(encoding="utf-8")):
-        assert target.startswith(("generated/", "https:")) or (page.parent / target).exists(), target
+    for target, anchor in LINK.findall(page.read_text(encoding="utf-8")):
+        if target.startswith(("generated/", "../generated/", "https:")):
+            continue
+        there = page.parent / target if target else page
+        assert there.exists(), target
+        assert not anchor or anchor[1:] in anchors(there), target + anchor
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as the site and code hosts make them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
 
 
 def test_every_page_is_in_the_contents() -> None:
-    listed = (DOCS / "index.md").read_text(encoding="utf-8")
-    for page in DOCS.glob("*.md"):
-        assert page.stem == "index" or re.search(rf"^({page.stem}|{page.stem.partition('-')[0]}-\*)$", listed,
-                                                re.MULTILINE), page.name
+    for folder in (DOCS, DOCS / "evidence"):
+        listed = (folder / "index.md").read_text(encoding="utf-8") + (DOCS / "index.md").read_text(encoding="utf-8")
+        for page in folder.glob("*.md"):
+            assert page.stem == "index" or re.search(rf"^(evidence/)?{page.stem}$", listed, re.MULTILINE), page.name
 
 
 def test_the_rig_s_defaults_are_those_that_its_page_shows() -> None:

@@ -2,7 +2,7 @@
 
     python -m tests.evidence                        # what there is, and how long it takes
     python -m tests.evidence NAME [ARGUMENT ...]    # run one: soak, seven-links, blind.run
-    python -m tests.evidence --index                # docs/evidence.md anew
+    python -m tests.evidence --index                # docs/evidence/index.md anew
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def main(arguments: list[str]) -> int:
         print(__doc__)
         for name, measured in evidence().items():
             for one in measured:
-                print(f"{name:20} {one.minutes:5g} min  {one.what}  ({one.command})")
+                print(f"{name:20} {one.minutes:5g} min  {one.what}  ({one.command}; resumes: {one.resumes})")
         return 0
     name, *rest = arguments
     if name == "--index":

@@ -1,6 +1,6 @@
 """The drives that labs own, emulated: faults, broken frames, a full bus, rates, parameters.
 
-    python -m tests.evidence drives --out docs/drives-measured.md       # what `make drives` does
+    python -m tests.evidence drives --out docs/evidence/drives.md       # what `make drives` does
     python -m tests.evidence drives --parts faults,fuzz --keep d.json   # some parts; what is kept is not measured again
 """
 
@@ -273,52 +273,47 @@ def springs() -> Results:
 def page(r: Results) -> str:
     """Everything measured, dated."""
     out = [f"# Drives, measured, {datetime.now(UTC):%Y-%m-%d}", "",
-           "By `make drives`: moteus, ODrive and Dynamixel emulated at the level of their bytes, with the emulated "
-           "leg behind them. No drive was at hand. [Which drive, which wiring](drives.md) says how to connect one.", ""]
+           "By `make drives`: moteus, ODrive and Dynamixel, emulated with the leg behind them. No drive was at hand.",
+           ""]
     if "faults" in r:
         out += _fault_lines(r["faults"])
     if "watchdogs" in r:
         out += ["## The drive's own watchdog", "",
-                f"A watchdog of 100 ms, {REPEATS} times each, from the last torque command to zero torque.", "",
+                f"A watchdog of 100 ms, {REPEATS} times each; time from the last command to zero torque.", "",
                 "| drive | what happens | median [ms] | worst [ms] |", "| --- | --- | ---: | ---: |"]
         out += [f"| {key.split('|')[0]} | {key.split('|')[1]} | {v[0]:.0f} | {v[1]:.0f} |"
                 for key, v in r["watchdogs"].items()] + [""]
     if "fuzz" in r:
-        out += ["## Broken frames", "", "Each frame has a bit flipped, is cut, is noise, or has noise behind it; of "
-                "an fdcanusb's line up to three bytes are replaced. A Dynamixel's stream is noise, packets broken in "
-                "every way of the fault injector, and whole packets, a third each.", "",
+        out += ["## Broken frames", "", "Frames have a bit flipped, are cut, are noise, or have noise behind them. "
+                "A Dynamixel's stream is noise, broken and whole packets, a third each.", "",
                 "| codec | broken frames | crashes | counted as bad | seconds |", "| --- | ---: | ---: | ---: | ---: |"]
         out += [f"| {kind} | {v[3] if len(v) > 3 else FRAMES:,} | 0 | {v[2]:,} | {v[0]:.0f} |"
                 for kind, v in r["fuzz"].items()] + [""]
         wrong, expected = r["fuzz"]["dynamixel"][1], r["fuzz"]["dynamixel"][4]
-        out += [f"CAN checks its own frames, so a codec behind it takes what has the form of an answer. A Dynamixel's "
-                f"packets have a CRC of 16 bits: {wrong} wrong packets were taken, {expected:.0f} expected by chance.",
+        out += [f"A Dynamixel's packets have a CRC of 16 bits: {wrong} wrong packets were accepted, "
+                f"{expected:.0f} expected by chance. CAN checks its own frames.",
                 ""]
     if "loaded" in r:
-        out += ["## A bus at 90 % load", "", "Frames wait for the bus as in an M/D/1 queue, 0.6 ms in the mean each "
-                "way; nine foreign frames for each of the drive's. Ten seconds of virtual time.", "",
+        out += ["## A bus at 90 % load", "", "Frames wait as in an M/D/1 queue, 0.6 ms on average, with nine frames of "
+                "other devices for each of the drive's. Ten virtual seconds.", "",
                 "| drive | samples/s | lost | median wait [ms] | worst wait [ms] |",
                 "| --- | ---: | ---: | ---: | ---: |"]
         out += [f"| {kind} | {v[0]:.0f} | {v[1]} | {v[2]:.2f} | {v[3]:.2f} |" for kind, v in r["loaded"].items()]
         out += [""]
     if "rates" in r:
-        out += ["## Rates", "", "The emulator and the polling program are two processes on the real clock, with "
-                "real-time priority. A torque command goes out every 10 ms in addition to the telemetry. Two rows ran "
-                "at a time. The share of a core is the polling program's. The load average was "
+        out += ["## Rates", "", "Emulator and polling program are real-time processes, two "
+                "rows at a time, with a command every 10 ms. The load average was "
                 f"{r['rates']['load']:.1f} before and {r['rates']['load_after']:.1f} at the end, on {os.cpu_count()} "
-                "cores; these four processes make about 1 of it. An answer that takes longer than 20 ms counts as "
-                "lost.", "",
+                "cores. An answer after more than 20 ms counts as lost.", "",
                 "| drive | over | minutes | samples/s | lost | share of a core | median wait [ms] | armed at the "
                 "end |", "| --- | --- | ---: | ---: | ---: | ---: | ---: | --- |"]
         out += [f"| {v['kind']} | {v['over']} | {v['seconds'] / 60:.0f} | {v['rate']:.1f} | {v['lost']} | "
                 f"{100 * v['share']:.0f} % | {v['wait_ms']:.2f} | {'yes' if v['armed'] else 'no'} |"
                 for v in r["rates"]["rows"]] + ["", r["rates"].get("note", ""), ""]
     if "legs" in r:
-        out += ["## Parameters", "", f"A run of {SECONDS:g} s on each of {LEGS} emulated legs a drive, "
-                "recorded through all bytes on virtual time. Masses, centres, inertias and frictions are drawn "
-                "within 0.85 to 1.15 of the demo's, seeds 0 to 19. Errors are relative, of the inertial and gravity "
-                "parameters (beta1 to beta5). The last column is the share of the 95 % intervals of all nine "
-                "parameters that hold, with a 95 % interval of the share over legs.", "",
+        out += ["## Parameters", "", f"A run of {SECONDS:g} s on each of {LEGS} emulated legs a drive, through all "
+                "bytes. Bodies vary by 15 %, seeds 0 to 19. Errors are relative, of beta1 to beta5. The last "
+                "column counts the 95 % intervals of all nine parameters.", "",
                 "| drive | legs within 1 % | worst error | intervals that hold |", "| --- | ---: | ---: | ---: |"]
         out += [_leg_row(kind, v) for kind, v in r["legs"].items()] + [""]
     if "springs" in r:
@@ -349,9 +344,8 @@ def _fault_lines(cells: Results) -> list[str]:
                    f"{np.median(driving):.0f} ms in the median, {max(driving):.0f} ms at most.")
     moments = [m for m in MOMENTS if any(key.endswith(f"|{m}") for key in cells)]
     out += ["", "Virtual time, a watchdog of 100 ms, default `[limits]`. Time in ms from the fault, or from the first "
-            "torque where that came later (arming), to the last torque that was asked of the motor. `arming`: as the "
-            "drive is armed. `ramp`: 60 ms into the plan. `driving`: 0.85 s into it, in full swing. `stopping`: 20 ms "
-            "after a SIGTERM, while the torque falls. The message is the one while driving.", ""]
+            "torque if that is later, to the last torque of the motor. `ramp`: 60 ms into the plan. `driving`: 0.85 s "
+            "into it. `stopping`: 20 ms after a SIGTERM. The message is that of `driving`.", ""]
     for kind in KINDS:
         out += [f"### {kind}", "", f"| fault | {' | '.join(moments)} | message |",
                 "| --- |" + " ---: |" * len(moments) + " --- |"]
@@ -360,10 +354,8 @@ def _fault_lines(cells: Results) -> list[str]:
             said = cells.get(f"{kind}|{name}|driving", (0.0, ""))[1]
             out.append(f"| {name} | {' | '.join(f'{z:.0f}' for z in row)} | {said} |")
         out.append("")
-    return [*out, "Two faults are not among them, because only the hard-wired stop ends them: a drive whose processor "
-            "hangs while its power stage goes on, and an only encoder that stands still without the drive's own fault. "
-            "A Dynamixel's integers cannot say that there is no angle, so its `knee invalid` reads 0. Near 0 this is "
-            "an encoder that stands still.", ""]
+    return [*out, "[Recording and safety](../safety.md#bought-drives) lists faults that only the hard-wired stop ends.",
+            ""]
 
 
 PARTS: dict[str, Callable[[], Results]] = {
@@ -372,7 +364,7 @@ PARTS: dict[str, Callable[[], Results]] = {
     "springs": springs}
 EVIDENCE = (
     Evidence("Bought drives, emulated: faults, watchdogs, broken frames, rates, parameters", "make drives",
-             "drives-measured.md", 60, "zero torque within 110 ms, no crash, 500 and 250 samples/s without a loss "
+             "drives.md", 60, "zero torque within 110 ms, no crash, 500 and 250 samples/s without a loss "
              "below 25 % of a core, parameters within 1 %",
              tuple(rf"- ({kind}: zero torque after \d+ ms in the median, \d+ ms at most)" for kind in KINDS),
              resumes="with `--keep FILE`"),)

@@ -2,7 +2,7 @@
 
     python -m tests.evidence excitation [--seconds 20] [--seeds 8] [--limits wide,tight]
 
-It prints what stands under "Limits" in docs/excitation.md.
+It prints what stands under "Limits" in docs/evidence/excitation.md.
 
 Every plan goes through the emulated chips, drivers, recorder and the default fit, once a seed. The designs see a prior
 model that is wrong by 20 % in every parameter, up or down by a drawn sign; the sine and the chirp are as large as that
@@ -149,17 +149,17 @@ def section(name: str, limits: Limits, seconds: float, seeds: Sequence[int]) -> 
                     stated, bench.mechanism.names), "",
              _table("Root mean square of the refits' errors about the truth, for one minute of experiment, per cent of "
                     "the value", actual, bench.mechanism.names), ""]
-    for kind in DESIGNS:
-        for chirp_kind in CHIRPS:
-            lines.append(f"- {kind}, against the {chirp_kind}: "
-                         + _against(kind, chirp_kind, stated, actual, bench.mechanism.names))
-    peaks = "; ".join(f"{kind} {', '.join(f'{v:.2f}' for v in c.peaks.values())}" for kind, c in candidates.items())
+    lines += ["| design | against | its worst parameter | of its error, stated and actual | largest against largest "
+              "| geometric mean |", "| --- | --- | --- | --- | --- | --- |"]
+    lines += [_against(kind, usual, stated, actual, bench.mechanism.names) for kind in DESIGNS for usual in CHIRPS]
+    peaks = candidates[USUAL].peaks
+    lines += ["", f"| plan, peaks by the prior | {' | '.join(peaks)} |", "| --- |" + " ---: |" * len(peaks)]
+    lines += [f"| {kind} | {' | '.join(f'{v:.2f}' for v in c.peaks.values())} |" for kind, c in candidates.items()]
     off = np.concatenate([(r.error / r.std).ravel() for r in found.values()])
-    return [*lines, f"- Peaks by the prior ({', '.join(candidates[USUAL].peaks)}): {peaks}.",
+    return [*lines, "",
             f"- Errors over the standard errors that go with them, all plans, seeds and parameters: root mean square "
             f"{np.sqrt(np.mean(off**2)):.2f}.",
-            f"- No plan can state less than {floor:.2f} % for beta9 in a minute: the torque noise over the root of the "
-            "number of samples, with everything else known.",
+            f"- No plan can state less than {floor:.2f} % for beta9 in a minute, because of torque noise.",
             f"- Plans of {seconds:g} s, noise seeds {seeds[0]} to {seeds[-1]}, prior seed {PRIOR_SEED}. Machine: "
             f"{machine()}."]
 
@@ -168,11 +168,9 @@ def _against(kind: str, usual: str, stated: dict[str, np.ndarray], actual: dict[
              names: Sequence[str]) -> str:
     worst = int(np.argmax(stated[usual]))
     ratio, real = stated[kind] / stated[usual], actual[kind] / actual[usual]
-    return (f"the chirp's worst parameter ({names[worst]}) keeps {ratio[worst]:.2f} of its stated error, "
-            f"{real[worst]:.2f} of its actual one; largest against largest "
-            f"{stated[kind].max() / stated[usual].max():.2f} stated, {actual[kind].max() / actual[usual].max():.2f} "
-            f"actual; geometric mean {np.exp(np.log(ratio).mean()):.2f} stated, {np.exp(np.log(real).mean()):.2f} "
-            "actual.")
+    return (f"| {kind} | {usual} | {names[worst]} | {ratio[worst]:.2f}, {real[worst]:.2f} "
+            f"| {stated[kind].max() / stated[usual].max():.2f}, {actual[kind].max() / actual[usual].max():.2f} "
+            f"| {np.exp(np.log(ratio).mean()):.2f}, {np.exp(np.log(real).mean()):.2f} |")
 
 
 def _table(caption: str, rows: dict[str, np.ndarray], names: Sequence[str]) -> str:
@@ -182,7 +180,7 @@ def _table(caption: str, rows: dict[str, np.ndarray], names: Sequence[str]) -> s
 
 
 EVIDENCE = (
-    Evidence("A designed plan beside a chirp of the same length and limits, by refits",
+    Evidence("A designed plan against a chirp of the same length and limits, by refits",
              "python -m tests.evidence excitation", "excitation.md", 16, "half of the chirp's worst standard error",
              (r"largest actual error against largest, default design \| \S+ \| \S+",),
              r"noise seeds (\d+ to \d+)"),)

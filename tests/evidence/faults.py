@@ -1,6 +1,6 @@
 """The fault matrix: what goes wrong x when -> how long the torque outlives it, what was said, what was kept.
 
-    python -m tests.evidence faults --out docs/faults.md        # what `make faults` does
+    python -m tests.evidence faults --out docs/evidence/faults.md        # what `make faults` does
 """
 
 import argparse
@@ -60,23 +60,23 @@ def page(cells: dict[tuple[str, str], Outcome]) -> str:
     late = [key for key, cell in cells.items() if cell.zero_ms > TARGET_MS]
     lines = [
         f"# Faults while a leg is driven, {datetime.now(UTC):%Y-%m-%d}", "",
-        f"By `make faults`: {len(cells)} recordings of the emulated leg on virtual time, in each of which one thing "
-        f"goes wrong at one moment, under a torque of up to {PEAK_NM:g} N m, a watchdog of 100 ms, default `[limits]`. "
-        "Time to zero counts from the fault, or from the first torque where that came later (arming), to the last "
-        "torque that the drive's current loop was asked for. The current itself follows within a millisecond.", "",
+        f"By `make faults`: {len(cells)} recordings of the emulated leg on virtual time, each with one fault at "
+        f"one moment. Torque up to {PEAK_NM:g} N m, a watchdog of 100 ms, default `[limits]`. Time counts from the "
+        "fault, or from the first torque if that is later, to the last torque of the drive's current loop. The current "
+        "follows within a millisecond.", "",
         f"- Median {np.median(zero):.0f} ms, worst {zero.max():.0f} ms; {len(cells) - len(late)} of {len(cells)} cells "
         f"within {TARGET_MS:g} ms.",
         "- `arming`: as Arm goes out. `ramp`: 60 ms into the plan. `driving`: 0.85 s into it, the leg in full swing. "
-        "`stopping`: 20 ms after a SIGTERM, while the torque ramps down.",
+        "`stopping`: 20 ms after a SIGTERM, in the ramp.",
         "- The run file is looked at every 20 ms on the real clock; here at every message. Disks that hang are another "
         "study: tests/daq/recording/test_disk.py, on the real clock.", ""]
     if late:
         lines += ["Beyond the target: " + "; ".join(f"{name} ({moment}, {cells[name, moment].zero_ms:.0f} ms)"
-                                                    for name, moment in late) + ". A sensor of an angle that errs "
-                  "while its joint hardly turns shows when it has turned by its band, half of it where the reading "
-                  f"stands still, for 30 ms; {1e3 * SEEN_BY_S:.0f} ms after the first torque, from which on it would "
-                  f"have to show, the pivot has turned by {turned_rad(SEEN_BY_S):.4f} rad; a count of its Hall sensor "
-                  f"is {math.tau / FirmwareSettings().hall_counts:.4f} rad.", ""]
+                                                    for name, moment in late) + ". A wrong angle "
+                  "sensor shows only after its joint has turned by the band of its check. "
+                  f"{1e3 * SEEN_BY_S:.0f} ms after the first torque the pivot has turned by "
+                  f"{turned_rad(SEEN_BY_S):.4f} rad; one count of its Hall sensor is "
+                  f"{math.tau / FirmwareSettings().hall_counts:.4f} rad.", ""]
     lines += ["## Time to zero torque [ms]", "", "| fault | " + " | ".join(MOMENTS) + " |",
               "| --- |" + " ---: |" * len(MOMENTS)]
     lines += [f"| {name} | " + " | ".join(f"{cells[name, moment].zero_ms:.0f}" for moment in MOMENTS) + " |"

@@ -172,15 +172,14 @@ def page(names: list[str], seeds: range, command: str) -> str:
         "# IMUs on any link", "",
         f"Made by `{command}`, seeds {seeds.start} to {seeds.stop - 1} in every row, {datetime.now(UTC):%Y-%m-%d}, "
         f"{machine()}.", "",
-        "Plants are MuJoCo's, dynamics and sensors, each drawn anew: legs and chains that hang from a passive pivot "
-        "(10 s at 200 Hz, seven links 5 s at 250 Hz), and a walker that goes over its passive stance foot (eight steps "
-        "of 0.7 s at 500 Hz). Gyros err by 0.005 rad/s, accelerometers by 0.05 m/s2, encoders by 0.1 mrad, torques by "
-        "0.02 N m (the walker's by 0.1). Nothing else is read: no angle of a joint without an encoder, and no noise "
-        "level is declared. Link lengths and the IMUs' places are declared as they are.", "",
+        "MuJoCo simulates dynamics and sensors of random plants. Legs and chains hang from a passive pivot (10 s at "
+        "200 Hz, seven links 5 s at 250 Hz). A walker takes eight steps of 0.7 s at 500 Hz. Noise: gyro 0.005 rad/s, "
+        "accelerometer 0.05 m/s2, encoders 0.1 mrad, torques 0.02 N m (walker 0.1). Nothing else is read and no noise "
+        "level is declared. Link lengths and the IMUs' places are exact.", "",
         "| rig | parameters | fits | 95 % intervals that hold | mean of error / deviation | rms | median error "
         "| fits with anything undetermined | steps |",
         "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |", *lines, "",
-        "By chance the share of intervals would be off by the figure behind +- (1 sigma over plants).", "",
+        "+- is the scatter by chance (1 sigma over plants).", "",
         *(["What failed, or was left open:", "", *(f"- {text}" for text in troubles), ""] if troubles else [])])
 
 

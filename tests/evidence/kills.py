@@ -1,6 +1,6 @@
 """Recordings killed at any moment, and recordings with a second process at their devices and at their file.
 
-    python -m tests.evidence kills --kills 1000 --beside 1000 --keep build/kills.jsonl --out docs/kills.md
+    python -m tests.evidence kills --kills 1000 --beside 1000 --keep build/kills.jsonl --out docs/evidence/kills.md
 
 Called again with the same file to keep its findings in, it goes on where it stopped.
 
@@ -299,29 +299,28 @@ def _disturbed(path: Path, status: int | None, said: str) -> str:
 
 
 def page(kills: Sequence[Killed], beside: Sequence[Killed], seconds: float) -> str:
-    """What was found, as docs/kills.md has it."""
+    """What was found, as docs/evidence/kills.md has it."""
     lost = [k.lost for k in kills if k.outcome.startswith("cut off")]
     rows = [f"| {what} | {n} |" for what, n in sorted(Counter(k.outcome for k in kills).items(), key=lambda x: -x[1])]
     rows2 = [f"| {what} | {n} |" for what, n in sorted(Counter(k.outcome for k in beside).items())]
     faults = [k.fault for k in (*kills, *beside) if k.fault]
     killed = sum(not k.outcome.startswith("ended") for k in kills)
     return "\n".join([
-        f"# Recordings killed, and a second process beside them, {date.today()}", "",
+        f"# Recordings killed, and a second process at their devices, {date.today()}", "",
         f"By `make kills`, {len(kills)} and {len(beside)} recordings in {seconds / 60.0:.0f} minutes: `legid record` "
         "on emulated rigs in processes of their own, over a port and a bus, in real time.", "",
         "## SIGKILL at any moment of a recording", "", "| found afterwards | times |", "| --- | ---: |", *rows,
         f"| faults | {sum(bool(k.fault) for k in kills)} |", "",
-        f"{killed} were killed while they ran. A file that was cut off holds every message that had been handed to the "
-        "system, says that its end is missing, and recovers to a whole one. Of what the recorder had it lost "
+        f"{killed} were killed while they ran. A file that was cut off holds every message that reached the system, "
+        "reports its missing end, and recovers to a whole file. The recorder lost "
         f"{np.median(lost or [0]):.0f} messages in the median, {max(lost or [0])} at most; it hands them over every "
-        f"{FLUSH_MESSAGES}. A kill while the motor drives leaves the firmware's watchdog fault, "
-        "upon which no recording starts until it is acknowledged; the study does that. Recordings that ended "
-        "themselves named a limit or a time-out, as on a computer that does much else.", "",
+        f"{FLUSH_MESSAGES}. A kill while the motor drives leaves the firmware's watchdog fault, which must be "
+        "acknowledged. Recordings that ended themselves named a limit or a time-out.", "",
         "## A second process at the same devices, or at the file that is written", "",
         "| | times |", "| --- | ---: |", *rows2, f"| faults | {sum(bool(k.fault) for k in beside)} |", "",
         "A first recording that did not end itself ended whole, with its IMU's rate. A stranger is a process that "
-        "takes samples out of the IMU's FIFO, in a burst or up to 64, and knows of no lock: what it took from a "
-        "recording that went on is missing there, and whoever reads the run says so (`doubt`).",
+        "takes up to 64 samples from the IMU's FIFO and ignores locks. These samples are missing in the recording, and "
+        "every reader of the run reports that.",
         *(["", "## Faults", "", *(f"- {fault}" for fault in faults)] if faults else [])]) + "\n"
 
 

@@ -1,6 +1,6 @@
 """The dashboard for half an hour in a real browser: memory, what the recorder lost, how long an emergency stop takes.
 
-    python -m tests.evidence live-soak --minutes 30 --out docs/live.md
+    python -m tests.evidence live-soak --minutes 30 --out docs/evidence/live.md
 """
 
 import argparse
@@ -201,13 +201,13 @@ def page(args: argparse.Namespace, folder: Path) -> str:
         f"By `python -m tests.evidence live-soak --minutes {args.minutes:g} --presses {args.presses}`, seed "
         f"{args.seed}, on {platform.machine()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}, "
         "Python "
-        f"{platform.python_version()}. The machine was shared with other work: while the page streamed, its load "
-        f"average was {np.mean(loads):.1f} in the mean and {max(loads):.1f} at most (these processes included). Rig, "
-        "recorder, dashboard and browser (Chromium, headless) are a process each; the rig is the emulated one of "
+        f"{platform.python_version()}. The machine was shared: the load average was "
+        f"{np.mean(loads):.1f} on average and {max(loads):.1f} at most while the page streamed. Rig, "
+        "recorder, dashboard and browser (Chromium, headless) are a process each. The rig is that of "
         "`legid emulate`: an LSM9DS1 at 476 Hz, a controller at 500 Hz.", "",
         f"## {len(presses)} emergency stops", "",
-        f"From just before the browser is told to press ({len(presses) - keys} clicks, {keys} times Esc; the tool's "
-        "own delay is in it) until the emulator's commanded torque is zero and stays zero; the torque commanded at "
+        f"Time runs from just before the browser is told to press ({len(presses) - keys} clicks, {keys} times Esc) "
+        "until the emulator's commanded torque stays zero. The torque at "
         f"the press was {min(abs(p.before_nm) for p in presses):.2f} to {max(abs(p.before_nm) for p in presses):.2f} "
         f"N m. Median {np.median(took):.0f} ms, worst {took.max():.0f} ms; over 100 ms: {int((took > 100).sum())}.", "",
         f"The network meanwhile: {asked} requests, of which to another machine: {len(outgoing)}. Errors and warnings "

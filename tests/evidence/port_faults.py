@@ -1,6 +1,6 @@
 """The fault matrix of the example board: what goes wrong x when -> how long the board's torque outlives it.
 
-    python -m tests.evidence port-faults --out docs/port-faults.md        # what `make port-faults` does
+    python -m tests.evidence port-faults --out docs/evidence/port-faults.md        # what `make port-faults` does
 """
 
 import argparse
@@ -76,23 +76,21 @@ def page(cells: dict[Key, Outcome], seed: int) -> str:
     lines = [
         f"# Faults of the example board's line, {date.today()}", "",
         f"By `make port-faults`: {len(cells)} recordings with `legid record` on the example board in QEMU, over its "
-        "UART, in real time, in each of which one thing goes wrong at one moment with the bytes between them, the "
-        f"board or the program: under a torque of up to {PEAK_NM:g} N m, a watchdog of {WATCHDOG_MS} ms, default "
-        f"`[limits]`, on a rig without IMU; 2 cores, x86-64; seeds from {seed}.", "",
+        "UART, in real time. Each has one fault of the bytes, the board or the program at one moment. Torque up to "
+        f"{PEAK_NM:g} N m, a watchdog of {WATCHDOG_MS} ms, default `[limits]`, a rig without IMU; 2 cores, x86-64; "
+        f"seeds from {seed}.", "",
         f"- {len(ended)} recordings ended at the fault: torque zero after {np.median(zero):.0f} ms in the median, "
         f"{zero.max():.0f} ms at most; {int((zero <= TARGET_MS).sum())} within {TARGET_MS:g} ms. "
-        f"{len(cells) - len(ended)} bore it and drove their plan to its end.",
-        "- Time counts from the fault, or from the first torque where that came later (arming), to the last torque "
-        "that the board's current loop gave its bridge: both by the tick of the board, out of its memory, to half a "
-        "millisecond. Where the board was reset with its torque on, the end is the emulator's time of the reset (`*`).",
+        f"{len(cells) - len(ended)} tolerated it and finished their plan.",
+        "- Time counts from the fault, or from the first torque if that is later, to the last torque of the board's "
+        "current loop. Both are ticks of the board, to half a millisecond. `*`: the board was reset with its torque "
+        "on, and the end is the emulator's time of the reset.",
         "- `arming`: as Arm goes out. `ramp`: 60 ms into the plan. `driving`: 0.85 s into it. `stopping`: 20 ms after "
-        "a SIGTERM, while the torque ramps down. `on`: the plan was driven on; these faults may be borne. The "
-        "page checks that the torque is never beyond the plan's peak, not each value.",
-        "- Real time on a computer that does other work too: board, line and program have real-time priority, and "
-        "still a thread may be some milliseconds late, or a recording end at its own limits before the fault; it was "
-        "begun again then. What depends on the board alone (its watchdogs, limits, E-stop) does not vary.",
-        "- An emulator can be stopped with its watchdog, which no real board can: where its clock or its processor "
-        "stood, the time is the board's, or the emulator's without the pause.", ""]
+        "a SIGTERM. `on`: the plan went on, which these faults may allow; its torque never exceeded the plan's peak.",
+        "- Real time on a shared computer: a thread may be some milliseconds late. A recording that ended before its "
+        "fault was repeated.",
+        "- If the emulator's clock or processor stood, the time is the board's, or the emulator's without the pause.",
+        ""]
     nothing = ("Nothing: no cell beyond the target, no torque beyond the plan's peak, no board armed at the end, no "
                "recording without one line that says why it ended.")
     listed = [f"- {name} ({moment}): {what}" for (name, moment), what in bad.items()]

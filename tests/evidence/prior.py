@@ -59,9 +59,9 @@ def page(fits: int) -> Iterator[str]:
     yield from [
         "# Known values in a fit", "",
         f"Made by `make prior FITS={fits}`, seeds 0 to {fits - 1}, {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
-        f"Emulated legs, one record of {SECONDS:g} s each under at most {TORQUE_NM:g} N m; the links swing by "
+        f"Emulated legs, one record of {SECONDS:g} s each under at most {TORQUE_NM:g} N m. The links swing by "
         f"{np.median([row[3] for row in found]):.2f} rad (median).",
-        f"[prior] gives beta4 and beta5 to {100 * ACCURACY:g} % (1 sigma), with values drawn about the truth.",
+        f"The table `[prior]` gives beta4 and beta5 to {100 * ACCURACY:g} % (1 sigma), drawn about the truth.",
         "Counted are the 95 % intervals of the other seven parameters.",
         f"By chance a share of one parameter scatters by {chance:.1f} % (1 sigma); the seven are correlated.", "",
         "Target: 93 to 97 % of these intervals hold, all seven together.",

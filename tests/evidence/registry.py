@@ -14,7 +14,7 @@ from tests.support.paths import ROOT
 
 HERE = Path(__file__).parent
 PACKAGE = "tests.evidence"
-INDEX = ROOT / "docs/evidence.md"
+INDEX = ROOT / "docs/evidence/index.md"
 DATE = r"\d{4}-\d\d-\d\d"
 SEEDS = r"(?i)seeds? (?:from )?(\d+(?:(?: to |-)\d+)?)"
 Result = Callable[[str], str]
@@ -29,7 +29,7 @@ class Evidence:
     command: str
     """What a person types."""
     page: str
-    """Below docs/. The program writes it, or a person copies its output into it."""
+    """Below docs/evidence/. The program writes it, or a person copies its output into it."""
     minutes: float
     """Length with the command's own numbers on two idle cores."""
     target: str
@@ -42,13 +42,13 @@ class Evidence:
 
     def line(self) -> str:
         """A row of the index. Raises ValueError where the page lacks the result."""
-        text = (ROOT / "docs" / self.page).read_text(encoding="utf-8")
+        text = (INDEX.parent / self.page).read_text(encoding="utf-8")
         parts = [self.result(text)] if callable(self.result) else [found(pattern, text) for pattern in self.result]
         if None in parts:
-            raise ValueError(f"docs/{self.page} has no result of `{self.command}`; correct `result` of its EVIDENCE")
+            raise ValueError(f"{self.page} has no result of `{self.command}`; correct `result` of its EVIDENCE")
         cells = (self.what, f"`{self.command}`", found(self.date, text) or "not stated",
                  found(self.seeds, text) or "none", "; ".join(filter(None, parts)), self.target,
-                 f"[{self.page.removesuffix('.md')}]({self.page})", f"{self.minutes:g}", self.resumes)
+                 f"[{self.page.removesuffix('.md')}]({self.page})")
         return f"| {' | '.join(cell.replace(' |', ':') for cell in cells)} |"
 
 
@@ -87,14 +87,14 @@ def evidence() -> dict[str, tuple[Evidence, ...]]:
 
 
 def index() -> str:
-    """docs/evidence.md."""
+    """docs/evidence/index.md."""
     rows = sorted((one for many in evidence().values() for one in many), key=lambda one: (one.page, one.command))
     return "\n".join([
         "# Evidence", "",
-        "Everything that is measured, one line each. `python -m tests.evidence --index` generates this page from the "
-        "programs below `tests/evidence/` and from the pages that they write. `python -m tests.evidence` lists the "
-        "programs, and `python -m tests.evidence NAME --help` says what one takes. The date is that of the page. "
-        "Minutes are rounded, for two idle cores. The last column says whether a command that was stopped goes on "
-        "where it stopped. Pieces that are done lie in `build/`.", "",
-        "| what | command | date | seeds | result | target | page | minutes | goes on |",
-        "| --- | --- | --- | --- | --- | --- | --- | ---: | --- |", *(row.line() for row in rows), ""])
+        "Every measurement in one line. Dates and results are read from the pages. [Known limits](limits.md) has what "
+        "does not work yet.", "",
+        "`python -m tests.evidence` lists the programs and their minutes. `python -m tests.evidence NAME --help` gives "
+        "the arguments of one. `python -m tests.evidence --index` writes this page.", "",
+        "| what | command | date | seeds | result | target | page |",
+        "| --- | --- | --- | --- | --- | --- | --- |", *(row.line() for row in rows), "",
+        "```{toctree}", ":hidden:", "", *sorted({row.page.removesuffix(".md") for row in rows}), "```", ""])

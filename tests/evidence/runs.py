@@ -132,13 +132,13 @@ def real(folder: str) -> tuple[str, list[str]]:
     before = beyond(result, known.published, 1.959964 * result.own_std)
     if found is None or not found.disagree:
         return f"| {known.title} | {len(known.runs)} | {before} | the same | |", []
-    names = [f"{p.name} ({p.meaning}): mean {mean:.4g}, scatter {scatter:.2g}, {low:.4g} to {high:.4g}"
+    names = [f"| {known.title} | {p.name} ({p.meaning}) | {mean:.4g} | {scatter:.2g} | {low:.4g} to {high:.4g} |"
              for p, mean, scatter, low, high, seen in
              zip(result.mechanism.parameters, found.mean, found.scatter, found.by_run.min(axis=0),
                  found.by_run.max(axis=0), found.seen) if seen]
     departure = " ".join(f"{100 * (m / p - 1):+.1f}" for m, p in zip(found.mean, known.published))
     return (f"| {known.title} | {len(known.runs)} | {before} | {beyond(result, known.published, result.half_width)} | "
-            f"{departure} |", [f"- {known.title}: {'; '.join(names)}."])
+            f"{departure} |", names)
 
 
 def page(fits: int) -> Iterator[str]:
@@ -146,7 +146,7 @@ def page(fits: int) -> Iterator[str]:
     yield from [
         "# Runs that differ", "",
         f"Made by `make runs FITS={fits}` on {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
-        "What is fitted, and how: [theory](theory.md#runs-that-differ).", "",
+        "What is fitted, and how: [theory](../theory.md#runs-that-differ).", "",
         "## Emulated legs", "",
         f"{RUNS} runs of 20 s at {RATE_HZ:g} Hz each; the knee's Coulomb level is {100 * KNEE:g} % of the peak torque.",
         "Coverage of the 95 % intervals over all parameters, and of the worst parameter in brackets; the truth is the",
@@ -159,11 +159,12 @@ def page(fits: int) -> Iterator[str]:
     rows = [real(folder) for folder in RECORDS]
     yield from [
         "", "## Real records, in one command without an option", "",
-        "Published values' distance from the fitted ones, in halves of a 95 % interval, beta1, beta2, ... in the",
-        "mechanism's order: beyond 3 a fit is wrong and sure of it. Last, the departure of the mean over runs [%].", "",
+        "Distance of published and fitted values in half widths of the 95 % interval, in the mechanism's order. Beyond",
+        "3 a fit is wrong and sure of it. The last column is the departure of the mean over runs [%].", "",
         "| record | runs | by noise alone | with what runs disagree about | mean over runs |",
         "|---|---|---|---|---|", *(line for line, _ in rows), "",
-        "What runs are seen to disagree about:", "", *(line for _, lines in rows for line in lines), ""]
+        "What runs disagree about:", "", "| record | parameter | mean | scatter | by run |", "|---|---|---|---|---|",
+        *(line for _, lines in rows for line in lines), ""]
 
 
 EVIDENCE = (

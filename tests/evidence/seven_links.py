@@ -137,12 +137,12 @@ def page(seeds: range) -> str:
         "# Seven links from an absolute angle", "",
         f"Made by `make seven-links FITS={len(seeds)}`, seeds {seeds.start} to {seeds.stop - 1}, "
         f"{datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
-        f"Fig. 1's chain: {LINKS} links simulated by MuJoCo, a passive pivot whose absolute angle is measured with "
-        f"{ABSOLUTE_RAD:g} rad, six driven joints with encoders ({ENCODER_RAD:g} rad) and torques ({TORQUE_NM:g} N m), "
-        f"{SECONDS:g} s at {RATE_HZ:g} Hz, one run a fit, noise levels estimated but for the absolute angle's. 49 "
-        "parameters.", "",
+        f"The chain of Fig. 1 with {LINKS} links and 49 parameters, simulated by MuJoCo: one run of {SECONDS:g} s at "
+        f"{RATE_HZ:g} Hz a fit. The passive pivot's absolute angle has noise of {ABSOLUTE_RAD:g} rad. Six driven "
+        f"joints have encoders ({ENCODER_RAD:g} rad) and torques ({TORQUE_NM:g} N m). All levels but the "
+        "absolute angle's are estimated.", "",
         f"{len(z)} of {len(seeds)} fits converged. {share:.1f} % of the 95 % intervals hold the truth (by chance "
-        f"+- {chance:.1f}, 1 sigma over chains); the inertias and first moments are off by "
+        f"+- {chance:.1f}, 1 sigma over chains). Inertias and first moments are off by "
         f"{100.0 * np.median(errors):.2g} % in the median.", "",
         "| parameters | coverage | mean of error / deviation | rms |", "| --- | ---: | ---: | ---: |", *rows, ""])
 

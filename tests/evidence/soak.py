@@ -1,6 +1,6 @@
 """Long recordings and many kills: what a recorder must survive, measured.
 
-    python -m tests.evidence soak --out docs/soak.md        # what `make soak` does
+    python -m tests.evidence soak --out docs/evidence/soak.md        # what `make soak` does
 """
 
 import argparse
@@ -149,7 +149,7 @@ def page(args: argparse.Namespace) -> str:
               f"- CAN: {fuzz_codecs.fuzz_can(args.frames, args.seed)}", ""]
     lines += ["## The controller's clock under simulated delay laws", "",
               "300 s, pings at 4 Hz, 1 % stalls up to 20 ms each way, oscillators 40 to 200 ppm off, drifting and "
-              "warming up; a fifth as many runs with a reboot in the middle. The laws are assumptions "
+              "warming up. A fifth as many runs have a reboot in the middle. The laws are assumptions "
               "(`tests/evidence/clock_laws.py`).", "",
               "| law | worst error [us] | median of runs' worst [us] | median bound [us] | outside the bound |",
               "| --- | --- | --- | --- | --- |"]

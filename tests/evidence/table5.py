@@ -249,7 +249,7 @@ def page(seed: int, legs: int) -> str:
         "`imu` does not. "
         f"Filters are the best of {', '.join(f'{c:g}' for c in CUTOFFS)} Hz on {TUNING} other legs of the family; "
         "`rls` has that of `wls-imu`, `mle` and `hekf` need one for their start only. Failures (no fit, no "
-        "convergence, a free run that ran away) are counted and left out of the means. The last row of a family is "
+        "convergence, a diverged free run) are counted and left out of the means. The last row of a family is "
         "what the noise of the measured torque leaves.",
         "", head, *rows, "", *(f"- {note}" for note in notes), "",
         "## One thing changed at a time", "",

@@ -31,7 +31,7 @@ from tests.support.runs import load_run
 LEVELS, RAMP_S, HOLD_S, PEAK = 3, 2.0, 1.2, 0.75
 """The peak as a share of the bare shank's largest moment."""
 MASS_KG, ARM_M, MASS_HALF_KG, ARM_HALF_M = 0.5, 0.25, 0.0005, 0.001
-PAGE = ROOT / "docs/torque-gain.md"
+PAGE = ROOT / "docs/evidence/torque-gain.md"
 GAIN = (0.88, 1.12)
 COULOMB_NM, STRIBECK_NM = (0.01, 0.06), (0.0, 0.03)
 
@@ -86,11 +86,11 @@ def page(seeds: range) -> str:
         "# A wrong torque constant, by a known weight", "",
         f"Made by `python -m tests.evidence torque-gain`, seeds {seeds.start} to {seeds.stop - 1}, "
         f"{datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
-        f"Emulated legs, recorded through all bytes: masses within 20 % of the demo's, dry friction of the knee from "
+        f"Emulated legs, recorded through all bytes. Masses are within 20 % of the demo's. Dry friction of the knee is "
         f"{COULOMB_NM[0]:g} to {COULOMB_NM[1]:g} N m, on half of the legs up to {STRIBECK_NM[1]:g} N m more at rest. "
         f"Each drive makes {GAIN[0]:g} to {GAIN[1]:g} times the torque that its rig file says. Each leg is held at "
-        f"{4 * LEVELS} torques, bare and with {MASS_KG:g} kg at {ARM_M:g} m; the arm is measured with a standard error "
-        f"of {0.5e3 * ARM_HALF_M:g} mm, which is declared.", "",
+        f"{4 * LEVELS} torques, bare and with {MASS_KG:g} kg at {ARM_M:g} m. The arm has a declared standard error "
+        f"of {0.5e3 * ARM_HALF_M:g} mm.", "",
         f"**Intervals that hold: {sum(inside)} of {len(inside)}**, {refused} refused. Half width of the 95 % interval: "
         f"{np.median(halves):.4f} in the median, {max(halves):.4f} at most. Error over half width: mean "
         f"{np.mean(errors):+.2f}, rms {np.sqrt(np.mean(np.square(errors))):.2f} (0.51: the interval is exact).", "",

@@ -201,9 +201,9 @@ def ahead_page(found: Sequence[Sequence[dict[str, Any]]]) -> list[str]:
             for j in (1, 2, 3)]
         rows.append(f"| {n + 1} | {pieces} | {fell} | {' | '.join(cells)} |")
     return ["## Across touchdowns", "",
-            f"A fit to one walk put to another of the same body by `legid validate`, {len(found)} bodies: free runs "
-            "from the state in which each step begins, under measured torques, errors [rad] in the last of so many "
-            "steps. No controller acts in them.", "",
+            f"`legid validate` of a fit on another walk of the same body, {len(found)} bodies. Free runs start with "
+            "each step under measured torques, without a controller. Errors [rad] are of the last of so many steps.",
+            "",
             "| steps | free runs | fell | torso | hip, standing leg | hip, swinging leg |",
             "| ---: | ---: | ---: | ---: | ---: | ---: |", *rows, ""]
 
@@ -275,16 +275,16 @@ def case_page(cases: Sequence[Case]) -> list[str]:
     rows = [f"| {c.seed} | {place(c.hidden, c.joint) if c.hidden else 'nothing'} | {c.verdict} "
             f"| {', '.join(place(*x) for x in c.causes)} |" for c in cases]
     return ["## Diagnoses", "",
-            f"{RUNS} walks of {RUN_STEPS} steps of one body each, at {RUN_RATE_HZ:g} Hz, `legid diagnose`. Named and "
-            f"nothing beside it: {sum(c.right for c in ill)} of {len(ill)} hidden effects; nothing named: "
+            f"{RUNS} walks of {RUN_STEPS} steps of one body each, at {RUN_RATE_HZ:g} Hz, `legid diagnose`. Named "
+            f"alone: {sum(c.right for c in ill)} of {len(ill)} hidden effects; nothing named: "
             f"{sum(c.right for c in healthy)} of {len(healthy)} healthy walkers.", "",
             "| seed | hidden | verdict | causes |", "| ---: | --- | --- | --- |", *rows, ""]
 
 
 EVIDENCE = (
     Evidence("Twenty steps of a walker: touchdowns, fits, free runs, diagnoses", "make walker", "walker.md", 30,
-             "every touchdown found, every hidden effect named alone, healthy walkers without a name",
-             (r"Touchdowns found: \d+ of \d+", r"(Named) and nothing beside it: (\d+ of \d+ hidden effects)",
+             "every touchdown found, every hidden effect named alone, no cause named on healthy walkers",
+             (r"Touchdowns found: \d+ of \d+", r"(Named) alone: (\d+ of \d+ hidden effects)",
               r"nothing named: \d+ of \d+ healthy walkers")),)
 
 
@@ -309,8 +309,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(cases[-1], flush=True)
     text = ["# Twenty steps of a walker", "",
             f"Made by `make walker`, seeds from {given.seed}, {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
-            "A planar walker of three bodies (Grizzle, Abba and Plestan 2001) on level ground, simulated by a plant of "
-            "the tests' own: landing as an event, an impact without slip or rebound. Masses, lengths and "
+            "A planar walker of three bodies (Grizzle, Abba and Plestan 2001) on level ground. A plant of the "
+            "tests simulates it: landing is an event, the impact has no slip or rebound. Masses, lengths and "
             "inertias vary by an eighth either way.", "",
             *fit_page(fits), *ahead_page(ahead), *case_page(sorted(cases, key=lambda c: c.seed))]
     given.out.write_text("\n".join(text), encoding="utf-8")

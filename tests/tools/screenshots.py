@@ -13,11 +13,14 @@ from contextlib import redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 from PIL import Image
 
+from estimator.model import leg2
 from experiments import cli
 from experiments.console import write_text
 from experiments.reports import standalone, trace_plot
+from experiments.reports.sketch import draw_mechanism
 from experiments.workflows import run_demo
 from tests.support.live_browser import Browser, Live, open_page
 from tests.support.paths import ROOT
@@ -40,6 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
             found = run_demo(demo).diagnosis
             trace = next(t for t in found.traces if "q2_rad" in t.after)
             write_text(DOCS / "why.svg", standalone(trace_plot(trace, "q2_rad")))
+            write_text(DOCS / "leg.svg", standalone(draw_mechanism(leg2(lever_arm=0.2), np.array([1.4, -0.9]))))
         if "pages" in wanted:
             take_pages(demo)
         if "live" in wanted:

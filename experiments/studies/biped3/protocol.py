@@ -2,9 +2,9 @@
 replayed.
 
 `OURS` poses the problem so that a right estimate leaves no error: the controller is sampled, its torque held for 10 ms,
-and everybody is told so. `PRINTED` is the choice under which Table III comes out as printed (docs/replication): a
-continuous controller whose torque is logged at 100 Hz, taken as samples of a smooth function by every method, and
-replayed held. Even true parameters then leave 1.26 rad^2.
+and everybody is told so. `PRINTED` is the choice under which Table III comes out as printed
+(docs/evidence/replication.md): a continuous controller whose torque is logged at 100 Hz, taken as samples of a smooth
+function by every method, and replayed held. Even true parameters then leave 1.26 rad^2.
 """
 
 from __future__ import annotations

@@ -160,9 +160,9 @@ def tables(found: Table, lengths: list[int], peers: list[str]) -> str:
 
 
 BEYOND = """\
-Besides residuals and Jacobian, which are its floor, each step sums up the normal equations, eliminates the motion
-and renews noise levels; on top come the steps on an excerpt, the filters of the start, and those of the check for
-motion that was not excited. The shorter the record, the more of the time is calls, not arithmetic."""
+Residuals and Jacobian are the floor of a fit. Each step also sums the normal equations, eliminates the motion and
+updates noise levels. The steps on an excerpt, the filters of the start and the test of excitation come on top. In short
+records most of the time goes into calls, not arithmetic."""
 
 
 def asked(found: Table) -> str:
@@ -181,7 +181,7 @@ def asked(found: Table) -> str:
     for title, peer, least in (("CasADi with IPOPT", "casadi", 10), ("MuJoCo sysid", "mujoco", 5)):
         if "seconds" in found.get((peer, 2000), {}) and ("legid", 2000) in found:
             by = found[peer, 2000][TYPED] / found["legid", 2000][TYPED]
-            rows.append((f"as typed, 2,000 samples, beside {title} as a script", by, least, "at least", " times"))
+            rows.append((f"as typed, 2,000 samples, against {title} as a script", by, least, "at least", " times"))
     own = {n: e for (peer, n), e in found.items() if peer == "legid" and "seconds" in e}
     if len(own) > 1:
         rows.append(("exponent of growth", exponent(found, list(own)), 1.05, "at most", ""))
@@ -202,9 +202,9 @@ def asked(found: Table) -> str:
     lines += ["", BEYOND]
     if 5000 in own and "seconds" in found.get(("mujoco", 5000), {}):
         share = 1e6 * found["mujoco", 5000]["seconds"] / 50 / (5000 * own[5000]["iterations"])
-        lines.append(f"MuJoCo sysid fits eight parameters to a free run, neither motion nor noise levels; a fiftieth "
-                     f"of its time is {share:.2f} us\nfor a sample and step of the fit, whose residual and Jacobian "
-                     f"take {1e6 * own[5000]['evaluation_s'] / 5000:.2f} us.")
+        lines.append("MuJoCo sysid fits eight parameters to a free run, but neither motion nor noise levels.\n"
+                     f"A fiftieth of its time is {share:.2f} us for each sample and step of the fit. Residual and "
+                     f"Jacobian take {1e6 * own[5000]['evaluation_s'] / 5000:.2f} us.")
     return "\n".join(lines)
 
 
@@ -226,8 +226,8 @@ Written by `make bench`. A leg with IMU and knee encoder, simulated by MuJoCo (s
 records are the beginning of the longest. Each peer ran alone in its own process, at most {limit:.0f} s.
 
 Machine: {machine}.
-Load average when it began {before:.1f}, when it ended {after:.1f}: other work on the machine
-takes away cache and memory, which makes everything slower, and not everything alike.
+Load average at the start {before:.1f}, at the end {after:.1f}. Other work on the machine slows everything down, though
+not everything alike.
 
 {tables}
 
@@ -237,22 +237,21 @@ Asked, and measured in this run:
 
 What is compared:
 
-- **legid** finds noise levels and covariance besides parameters and motion. Best of several runs in one process. The
-  first fit of a process loads the compiled kernels; as typed is the command from the shell on a CSV file, start of
-  Python and reading included, the best of five. Iterations are those on the whole record; those on an excerpt of it,
-  before them, are in the time.
-- **CasADi with IPOPT** solves the same sum of squares from the same start with the noise levels given: one interval's
-  equations as a graph, mapped over the record, Gauss-Newton Hessian. `tests/evidence/bench/casadi_ipopt.py`.
-- **MuJoCo sysid** fits a free run of the simulation to the sensors, torque taken as exact, masses, a length and the
-  first state given: at the record's own rate, which costs it least, and in steps of 2 ms, MuJoCo's default.
-  `tests/evidence/bench/mujoco_sysid.py`.
-- **legid `--latent free`** is the paper's free latents with exact sparse derivatives; **the paper's recipe** takes them
-  numerically, word for word, as (51) says. `tests/evidence/bench/paper.py`.
+- **legid** estimates parameters, motion, noise levels and covariance. Best of several runs in one process. The first
+  fit of a process loads the compiled kernels. "As typed" is the command on a CSV file, with the start of Python, the
+  best of five. Iterations are those on the whole record; the time includes those on an excerpt.
+- **CasADi with IPOPT** solves the same sum of squares from the same start, with given noise levels
+  (`tests/evidence/bench/casadi_ipopt.py`).
+- **MuJoCo sysid** fits a free run to the sensors, with exact torque, given masses, a length and the first state. It
+  runs at the record's rate, its cheapest, and in MuJoCo's default steps of 2 ms
+  (`tests/evidence/bench/mujoco_sysid.py`).
+- **legid `--latent free`** is the paper's free latents with exact sparse derivatives. **The paper's recipe** takes them
+  numerically, as (51) says (`tests/evidence/bench/paper.py`).
 """
 
 
 EVIDENCE = (
-    Evidence("Speed of the default fit beside CasADi with IPOPT and MuJoCo sysid", "make bench", "bench.md", 15,
+    Evidence("Speed of the default fit against CasADi with IPOPT and MuJoCo sysid", "make bench", "bench.md", 15,
              "30 times CasADi with IPOPT at 2,000 samples, 50 times MuJoCo sysid at 5,000",
              (r"(faster than CasADi with IPOPT, 2,000 samples) \|[^|]*\| (\d+ times)",
               r"(faster than MuJoCo sysid at the record's rate, 5,000 samples) \|[^|]*\| (\S+ times)"), r"seed (\d+)",
@@ -261,7 +260,7 @@ EVIDENCE = (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--page", action="store_true", help="write docs/bench.md too")
+    parser.add_argument("--page", action="store_true", help="write docs/evidence/bench.md too")
     parser.add_argument("--samples", default=",".join(map(str, SAMPLES)), help="lengths of the record")
     parser.add_argument("--limit", type=float, default=600.0, help="most seconds for a peer on one length")
     parser.add_argument("--kept", type=Path, default=Path("build/bench.jsonl"), help="what peers found so far")
@@ -277,7 +276,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(text)
     if args.page:
         date = datetime.date.today().isoformat()
-        page = ROOT / "docs/bench.md"
+        page = ROOT / "docs/evidence/bench.md"
         page.write_text(PAGE.format(date=date, seed=SEED, rate=RATE_HZ, limit=args.limit, machine=machine(),
                                     before=before, after=os.getloadavg()[0], tables=text,
                                     asked=asked(found)), encoding="utf-8")

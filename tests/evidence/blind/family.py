@@ -68,8 +68,8 @@ def page(family: str, seeds: Sequence[int], root: Path) -> str:
     names = [o.truth["name"] for o in outcomes]
     answers = {n: json.loads((root / "diagnoses" / f"{n}.json").read_text()) for n in names}
     lines = [f"# Diagnosis of plants of another make: {family}", "",
-             f"`make family FAMILY={family}`, seeds {min(seeds)} to {max(seeds)}, {len(outcomes)} cases, each "
-             f"answered by `legid diagnose` as typed; {datetime.now(UTC):%Y-%m-%d}, {describe_machine()}.", ""]
+             f"`make family FAMILY={family}`, seeds {min(seeds)} to {max(seeds)}, {len(outcomes)} cases; "
+             f"{datetime.now(UTC):%Y-%m-%d}, {describe_machine()}.", ""]
     if family == "records":
         lines += records.compare(outcomes, answers)
     else:
@@ -99,7 +99,7 @@ EVIDENCE = (
     Evidence("Plants of other makes: what `legid diagnose` names there", "make family FAMILY=servo SEEDS=201",
              "families.md", 15, "no false alarm, no wrong name",
              (r"Of its \d+ single causes \d+ are named or inside a `one_of`", r"No healthy leg raises an alarm"),
-             r"Seed (\d+) was fresh", r"typed; (\d{4}-\d\d-\d\d)"),)
+             r"Seed (\d+) was fresh", r"cases; (\d{4}-\d\d-\d\d)"),)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

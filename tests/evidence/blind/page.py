@@ -1,6 +1,6 @@
 """The page of a blind bench: rates against targets fixed beforehand, confusion, power, times, baselines.
 
-    python -m tests.evidence blind.page OUT [--page docs/blind.md]
+    python -m tests.evidence blind.page OUT [--page docs/evidence/blind.md]
 
 OUT is the folder that tests.evidence.blind.run (and tests.evidence.blind.baselines) wrote.
 """
@@ -229,7 +229,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         text = write_page(options.out, today)
     except ValueError as error:
         parser.error(str(error))
-    page = options.page or Path("docs/blind.md")
+    page = options.page or Path("docs/evidence/blind.md")
     page.parent.mkdir(parents=True, exist_ok=True)
     page.write_text(text, encoding="utf-8")
     print(text)

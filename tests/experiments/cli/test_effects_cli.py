@@ -16,7 +16,7 @@ from experiments.emulation.hidden_effects import EFFECTS
 from experiments.models.effect_library import effects_document, known_effects
 from tests.support.paths import ROOT
 
-PAGE = ROOT / "docs" / "howto-effect.md"
+PAGE = ROOT / "docs" / "effect.md"
 CONTRACT = [
     "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "presliding_friction", "quadratic_drag",
     "friction_drift", "joint_stiffness", "joint_elasticity", "backlash", "rotor_inertia", "end_stop_contact",

@@ -1,0 +1,112 @@
+"""The pages that a person reads: words, length of sentences, length of pages. `docs/generated` comes from the code."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.support.paths import ROOT
+
+DOCS = ROOT / "docs"
+EVIDENCE = sorted((DOCS / "evidence").glob("*.md"))
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")), *EVIDENCE]
+GUIDE = [DOCS / f"{name}.md" for name in re.findall(
+    r"^[a-z]+$", (DOCS / "index.md").read_text(encoding="utf-8").split(":caption: Guide")[1].split("```")[0],
+    re.MULTILINE)]
+
+WORDS = {
+    r"\bbeside\b": "together with, in addition to, next to",
+    r"\bnil\b": "zero, not significant",
+    r"\bclosures?\b|\bcloses\b": "the residual is white, explains the error",
+    r"\b(left|leaves?|leaving) over\b": "residual",
+    r"\bloud\w*": "noisy, noise level",
+    r"\brehears\w*": "bootstrap replicate",
+    r"\bwithout (a )?names?\b|\banonymous\b": "generic",
+    r"\brounded (sign|off)\b|\bspeed of rounding\b": "smoothed sign, friction smoothing velocity",
+    r"\b(kept|keeps?) back\b": "held-out, test runs",
+    r"\bmatters?\b": "material",
+    r"\bstrays?\b|\bruns? (off|away)\b|\bran (off|away)\b": "diverges",
+    r"\bforet(ell|old)\w*|\bfores(ee|aw)\w*": "predict",
+    r"\bmend\w*": "fix, repair",
+    r"\bpassages?\b": "zero crossing of the velocity",
+    r"\bstretch(es)?\b": "segment",
+    r"\bhaste\w*": "step factor",
+    r"\bsettl\w+|\bunsettled\b": "converge",
+    r"\bforeign\b": "imported, another program's",
+    r"\bby itself\b|\bon its own account\b": "individually, separately",
+    r"\bin its turn\b": "rotate",
+    r"\bdoubt\w*": "suspect, flagged",
+    r"\bthe print\b|\bthe print's\b": "the paper",
+    r"\b(as|where) (it|that) (does|is) where\b|\bof one run nothing\b": "subject, verb, object",
+}
+"""The left column of the list of words as regular expressions, and what to write instead."""
+
+ALLOWED: dict[str, tuple[str, ...]] = {}
+"""Page and the phrases in it that keep such a word: a quotation, or the ordinary meaning."""
+
+LONGEST_SENTENCE = 30
+WORDS_OF_GUIDE, PAGES_OF_GUIDE, WORDS_OF_PAGE = 18_000, 12, 2_200
+WORDS_OF = {"README.md": 700, "docs/decisions.md": 2_500}
+PROSE_OF_EVIDENCE = 400
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def prose(page: str) -> str:
+    """The page without blocks of code and formulas, tables, headings, pictures, code and addresses of links."""
+    page = re.sub(r"^```.*?^```|\$\$.*?\$\$|<!--.*?-->", "", page, flags=re.DOTALL | re.MULTILINE)
+    lines = [line for line in page.splitlines() if not line.startswith(("|", "#", "!", "    "))]
+    page = re.sub(r"`[^`]*`|\$[^$]*\$", "`CODE`", "\n".join(lines))
+    return re.sub(r"\]\([^)]*\)", "]", page)
+
+
+def sentences(page: str) -> list[str]:
+    """The sentences of all paragraphs and items of lists."""
+    out: list[str] = []
+    for block in re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.|:)\s)", prose(page)):
+        out += re.split(r"(?<=[.!?:;])[*\")]*\s+(?=[*\"(\[]*[A-Z0-9`\"])", " ".join(block.split()))
+    return out
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_a_page_uses_the_textbook_s_words(page: Path) -> None:
+    text = re.sub(r"^```.*?^```|`[^`\n]*`|\]\([^)]*\)", "", page.read_text(encoding="utf-8"),
+                  flags=re.DOTALL | re.MULTILINE)
+    if page.parent.name == "evidence" and page.stem != "index":  # its tables quote messages
+        text = re.sub(r"^\|.*$", "", text, flags=re.MULTILINE)
+    for phrase in ALLOWED.get(name_of(page), ()):
+        assert phrase in text, f"{phrase!r} is allowed and not there"
+        text = text.replace(phrase, "")
+    found = [f"{match[0]!r} -> {better}" for word, better in WORDS.items()
+             for match in re.finditer(word, " ".join(text.split()), re.IGNORECASE)]
+    assert found == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_no_sentence_is_longer_than_thirty_words(page: Path) -> None:
+    assert [s for s in sentences(page.read_text(encoding="utf-8")) if len(s.split()) > LONGEST_SENTENCE] == []
+
+
+def test_the_guide_is_short() -> None:
+    words = {page.name: len(page.read_text(encoding="utf-8").split()) for page in GUIDE}
+    assert 0 < len(words) <= PAGES_OF_GUIDE
+    assert {page: n for page, n in words.items() if n > WORDS_OF_PAGE} == {}
+    assert sum(words.values()) <= WORDS_OF_GUIDE
+
+
+@pytest.mark.parametrize("page", WORDS_OF)
+def test_other_pages_are_short(page: str) -> None:
+    assert len((ROOT / page).read_text(encoding="utf-8").split()) <= WORDS_OF[page]
+
+
+@pytest.mark.parametrize("page", EVIDENCE, ids=name_of)
+def test_a_page_of_evidence_is_a_screen_of_prose_and_tables(page: Path) -> None:
+    assert len(prose(page.read_text(encoding="utf-8")).split()) <= PROSE_OF_EVIDENCE
+
+
+def test_the_checks_can_fail() -> None:
+    page = f"A mended page. A {'word ' * 31}end.\n\n| table {'word ' * 40}|\n\n```sh\n{'code ' * 40}\n```\n"
+    assert [len(s.split()) for s in sentences(page) if s] == [3, 33]
+    assert any(re.search(word, page, re.IGNORECASE) for word in WORDS)
