@@ -1,6 +1,6 @@
 """From an emulated leg to a model that knows what was wrong with it, in Python. Run it: python docs/example.py"""
 
-# %% A rig, as rig.toml says it. Everything that is not said has a default.
+# %% A rig, as rig.toml describes it. A key that is absent has its default.
 from pathlib import Path
 from tempfile import mkdtemp
 
@@ -38,7 +38,7 @@ nominal = legid.model(result)
 (before,) = legid.validate(nominal, runs[3])
 print(f"nominal model: rms error of the knee {before.rmse['q2_rad']:.4f} rad")
 
-# %% What does it get wrong? The diagnosis keeps a run back by its own choice, found.confirm_runs, and judges by it.
+# %% What does it get wrong? The diagnosis chooses test runs, found.confirm_runs, and judges by them.
 found = legid.diagnose(runs)
 print(found.verdict, "-", found.sentence)
 extended = legid.model(found)

@@ -1,6 +1,6 @@
 """Hide an effect of one's own in simulated runs, and see a diagnosis find it: python docs/own_effect.py
 
-Needs the worked example `hose_pull` installed as the how-to says.
+Needs the worked example `hose_pull` installed as docs/effect.md says.
 """
 
 from dataclasses import replace

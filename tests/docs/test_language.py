@@ -9,7 +9,8 @@ from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
 EVIDENCE = sorted((DOCS / "evidence").glob("*.md"))
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")), *EVIDENCE]
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", ROOT / "firmware_protocol.md",
+         *sorted(DOCS.glob("*.md")), *EVIDENCE]
 GUIDE = [DOCS / f"{name}.md" for name in re.findall(
     r"^[a-z]+$", (DOCS / "index.md").read_text(encoding="utf-8").split(":caption: Guide")[1].split("```")[0],
     re.MULTILINE)]
@@ -104,6 +105,20 @@ def test_other_pages_are_short(page: str) -> None:
 @pytest.mark.parametrize("page", EVIDENCE, ids=name_of)
 def test_a_page_of_evidence_is_a_screen_of_prose_and_tables(page: Path) -> None:
     assert len(prose(page.read_text(encoding="utf-8")).split()) <= PROSE_OF_EVIDENCE
+
+
+def test_the_changelog_has_releases_with_a_line_for_each_change() -> None:
+    """Newest first, and the newest is what a build without a tag calls itself."""
+    head, *releases = re.split(r"^## ", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert head.startswith("# Changelog") and releases[0].startswith("[Unreleased]\n")
+    dated = [re.match(r"\[(\d+)\.(\d+)\.(\d+)\] - (\d{4}-\d\d-\d\d)\n", text) for text in releases[1:]]
+    assert all(dated) and len(dated) >= 2
+    order = [(*map(int, match.groups()[:3]), match[4]) for match in dated if match]
+    assert order == sorted(order, reverse=True)
+    lines = [line for text in releases for line in text.splitlines()[1:] if line]
+    assert [line for line in lines if not re.match(r"### (Added|Changed|Fixed|Removed)$|- .{10,136}$", line)] == []
+    newest = ".".join(map(str, order[0][:3]))
+    assert f'fallback_version = "{newest}' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
 
 
 def test_the_checks_can_fail() -> None:
