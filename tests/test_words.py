@@ -176,6 +176,13 @@ def test_a_file_speaks_plainly(path: Path) -> None:
     assert not found, "\n".join(found)
 
 
+def test_names_in_the_tests_of_the_packages_are_plain() -> None:
+    found = [line for floor in FLOORS for path in sorted((ROOT / "tests" / floor).rglob("*.py"))
+             for one in said_in(path) if one.kind == "name"
+             for line in complaints(str(path.relative_to(ROOT / "tests")), one)]
+    assert not found, "\n".join(found)
+
+
 def test_every_allowed_phrase_is_still_there() -> None:
     """And each of them would be refused if it were not allowed."""
     for where, phrase, reason in ALLOWED:

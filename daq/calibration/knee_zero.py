@@ -75,11 +75,9 @@ def straight_zero(stops: Sequence[Stop], step_rad: float = 0.0) -> KneeZero:
 def hanging_zero(stops: Sequence[Stop], cone_rad: float | None, step_rad: float = 0.0) -> KneeZero:
     """Zero from stops of a leg that hangs free; `cone_rad`: half angle of friction's cone, None: unknown.
 
-    The zero is the middle of the stops. `FEWEST_STOPS` and more are taken as spread evenly about it (so the leg must
-    be let go from either side): the middle of a range R over n stops is then at most R (20^(1 / (n - 1)) - 1) / 2 off
-    in 95 of 100 cases; stops that crowd in the middle, as those of a damped swing do, are off by less. A known cone
-    bounds the zero whatever the spread: it lies within the cone about every stop. Raises `WorkError` when stops
-    contradict the cone, are too few, or leave too much open.
+    The zero is the middle of the stops. For n >= `FEWEST_STOPS` evenly spread stops of range R half of its 95 %
+    interval is R (20^(1 / (n - 1)) - 1) / 2. With a known cone the zero lies within the cone about every stop. Raises
+    `WorkError` when stops contradict the cone, are too few, or leave too wide an interval.
     """
     values = np.array([stop.value for stop in stops])
     noise = float(np.hypot(max(stop.half for stop in stops), step_rad))

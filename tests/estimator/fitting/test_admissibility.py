@@ -74,8 +74,8 @@ def test_a_negated_torque_ends_with_the_remedy_and_no_model(tmp_path: Path, caps
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert "no mechanism's" in said and "tau1_nm looks negated" in said and "[columns.tau1_nm]" in said
     assert not model.exists() and json.loads((tmp_path / "fit.json").read_text())["inadmissible"]
-    mended = '[columns.tau1_nm]\nname = "tau1_nm"\nsign = -1\n'
-    rig.write_text(rig.read_text() + mended)  # as the message says
+    corrected = '[columns.tau1_nm]\nname = "tau1_nm"\nsign = -1\n'
+    rig.write_text(rig.read_text() + corrected)  # as the message says
     assert main(words) == 0
     assert model.exists()
 

@@ -26,12 +26,12 @@ from tests.support.pages import allowed_script
 from tests.support.paths import REAL as DATA
 from tests.support.paths import ROOT
 
-_beside = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
+_with_records = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
 
 
 def needs_records(test: Callable[..., None]) -> Callable[..., None]:
     """A study of minutes: `make test-slow`."""
-    return pytest.mark.slow(_beside(test))
+    return pytest.mark.slow(_with_records(test))
 
 
 def test_every_rig_file_shipped_is_valid_and_used() -> None:
