@@ -84,9 +84,9 @@ def fit_held(context: DiagnosisContext, start: Start) -> Model | None:
 
 
 def fit_free(context: DiagnosisContext, held: Model) -> Model:
-    """`held` with its shapes free, as far as it has any or has not come to its end; whole ones the likeliest."""
-    held = climb_whole(context, held)
-    if held.state.converged and not any(e.shapes and not e.whole_shapes for e in held.effects):
+    """`held` with its shapes free, as far as it has any or has not come to its end; discrete ones the likeliest."""
+    held = climb_discrete(context, held)
+    if held.state.converged and not any(not s.discrete for e in held.effects for s in e.shapes):
         return held
     try:
         found = refit(held, list(zip(held.effects, held.sizes())), FREE_STEPS, hold_limits=False)
@@ -99,8 +99,8 @@ def fit_free(context: DiagnosisContext, held: Model) -> Model:
         return held
 
 
-def climb_whole(context: DiagnosisContext, model: Model) -> Model:
-    """`model`, or one likelier whose whole shapes are neighbours of its own in their grids, as far as that goes on.
+def climb_discrete(context: DiagnosisContext, model: Model) -> Model:
+    """`model`, or one likelier whose discrete shapes are neighbours of its own in their grids, as far as that goes on.
 
     The score that chose them is that of the nominal motion, which lacks the effect.
     """
@@ -108,7 +108,9 @@ def climb_whole(context: DiagnosisContext, model: Model) -> Model:
     while True:
         pairs, likeliest = list(zip(model.effects, model.sizes())), model
         for k, (effect, size) in enumerate(pairs):
-            for i, shape in enumerate(effect.shapes if effect.whole_shapes else (), len(effect.sizes)):
+            for i, shape in enumerate(effect.shapes, len(effect.sizes)):
+                if not shape.discrete:
+                    continue
                 grid = effect.tried(shape)
                 at = int(np.argmin(np.abs(np.array(grid) - size[i])))
                 tried.add((k, i, grid[at]))

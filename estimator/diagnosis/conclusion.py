@@ -289,7 +289,8 @@ def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> lis
     out = []
     for effect, size, here in zip(model.named, model.sizes(), model.places()):
         parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
-        held = effect.at_limits(size) | ((half[here][len(effect.sizes) :] == 0.0) & (not effect.whole_shapes))
+        fitted = np.array([not s.discrete for s in effect.shapes], dtype=bool)
+        held = effect.at_limits(size) | ((half[here][len(effect.sizes) :] == 0.0) & fitted)
         told = np.append(np.ones(len(effect.sizes), dtype=bool), ~held)
         sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), (float(v - d), float(v + d)))
                       for s, v, d, known in zip(parts, size, half[here], told) if known)

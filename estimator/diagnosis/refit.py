@@ -147,8 +147,8 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
     free = np.ones(parameters.size, dtype=bool)
     free[:p] = free_mask(split.mechanism, split.options)[0]
     for (effect, size), place in zip(effects, problem.places()):
-        held = hold_shapes or effect.whole_shapes or (effect.at_limits(size) if hold_limits else False)
-        free[place.stop - len(effect.shapes) : place.stop] = ~np.asarray(held)
+        held = np.array([hold_shapes or s.discrete for s in effect.shapes], dtype=bool)
+        free[place.stop - len(effect.shapes) : place.stop] = ~(held | effect.at_limits(size) if hold_limits else held)
     floors = None if noise is not None else split.floors(problem, state.beta[:p])
     state = iterate(problem, state, free, split.options, floors, limit)
     if floors is not None and mistakes_torque(problem, state, floors):

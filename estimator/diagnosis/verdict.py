@@ -63,7 +63,7 @@ def decide(context: DiagnosisContext, tests: ScoreTests, options: Sequence[Expla
     None where neither a listed effect nor a generic term could be fitted. Raises `FitError` where every free run
     diverges.
     """
-    shortlist = by_likelihood(shortlisted(options))
+    shortlist = by_likelihood(shortlisted([o for o in options if admissible(o)] or options))
     generic = generic_extension(context, context.nominal, tests)
     if not shortlist and generic is None:
         return None

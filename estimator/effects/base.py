@@ -54,6 +54,10 @@ class Shape(NamedTuple):
     """A fit may exceed the grid's largest value by this factor, ..."""
     below: float = 4.0
     """... and fall below its smallest one by this."""
+    discrete: bool = False
+    """Held at values of the grid, the likeliest one; not re-fitted."""
+    default: float | None = None
+    """Value in a model file that does not state it."""
 
 
 @dataclass(frozen=True)
@@ -182,8 +186,6 @@ class Effect(ABC):
     """Its first so many sizes are not below zero where the effect is present: friction that drives is none."""
     defining: ClassVar[int | None] = None
     """One of the first so many sizes is not zero where the effect is present; by default, of all."""
-    whole_shapes: ClassVar[bool] = False
-    """Shapes are whole numbers: held where the grid has them, not re-fitted."""
     lag_s: ClassVar[float] = 0.0
     """Delay of its action against its law [s]: a smaller delay found together with it is no second cause."""
     near_rest: ClassVar[bool] = False
@@ -261,6 +263,10 @@ class Effect(ABC):
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         """(...) torque on its own joint [N m] by the motion at the same instant; zero where there is none."""
         return np.zeros_like(at.time_s)
+
+    def level_at_rest(self, size: FloatArray) -> float:
+        """Dry friction that it adds to its joint's Coulomb level near rest [N m], mean of both directions."""
+        return 0.0
 
     def open_size(self, clock_bound_s: float) -> float:
         """Below which the recorder's clocks, known to `clock_bound_s`, leave its first size open anyway."""

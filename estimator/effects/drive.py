@@ -22,8 +22,7 @@ class TorqueRipple(TorqueEffect):
 
     name = "torque_ripple"
     sizes = (Size("sine_amplitude", "N m", 0.01), Size("cosine_amplitude", "N m", 0.01))
-    shapes = (Shape("order", "1", (1.0, 2.0, 3.0, 4.0, 6.0, 7.0, 8.0, 12.0, 14.0)),)
-    whole_shapes = True
+    shapes = (Shape("order", "1", (1.0, 2.0, 3.0, 4.0, 6.0, 7.0, 8.0, 12.0, 14.0), discrete=True),)
     sentence = "the motor's torque ripples with its angle (cogging, commutation)"
     reference = "whole orders of the motor's angle"
     experiment = "slow constant speed over several turns of the motor"

@@ -11,7 +11,7 @@ from estimator.model import Mechanism
 
 
 class StribeckFriction(TorqueEffect):
-    """F exp(-(v/vs)^2) sign(v)."""
+    """F exp(-|v/vs|^n) sign(v), n = 2 (Gaussian) for most lubricated contacts, 0.5 to 1 for slower decays."""
 
     name = "stribeck_friction"
     family = "friction"
@@ -19,7 +19,8 @@ class StribeckFriction(TorqueEffect):
     strict = True
     positive = 1
     sizes = (Size("excess_torque", "N m", 0.01),)
-    shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.2, 0.4, 0.8), 1.25),)
+    shapes = (Shape("stribeck_velocity", "rad/s", (0.1, 0.2, 0.4, 0.8), 1.25),
+              Shape("exponent", "1", (0.5, 1.0, 2.0), discrete=True, default=2.0))
     """Slower than this grid is the smoothing of sign(v), faster is not near standstill."""
     sentence = "friction is higher near standstill than in motion (Stribeck)"
     reference = "Stribeck 1902; Armstrong-Helouvry 1991"
@@ -29,7 +30,10 @@ class StribeckFriction(TorqueEffect):
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j = self.joint or 0
-        return size[0] * np.exp(-((at.v[j] / size[1]) ** 2)) * at.sign[j]
+        return size[0] * np.exp(-(np.abs(at.v[j] / size[1]) ** size[2])) * at.sign[j]
+
+    def level_at_rest(self, size: FloatArray) -> float:
+        return float(size[0])
 
 
 class AsymmetricFriction(TorqueEffect):

@@ -88,6 +88,15 @@ class ExtendedProblem(LatentProblem):
         """Length of the parameter vector: beta, then the effects."""
         return self.mechanism.p + sum(e.count for e in self.effects)
 
+    def dry_levels(self, beta: FloatArray) -> dict[int, float]:
+        """Joint to its level of dry friction near rest [N m], with what the effects at the joint add."""
+        found, at = super().dry_levels(beta), self.mechanism.p
+        for effect in self.effects:
+            size, at = beta[at : at + effect.count], at + effect.count
+            if effect.joint in found and size.size:
+                found[effect.joint] += effect.level_at_rest(size)
+        return found
+
     def view(self, x: Latents, beta: FloatArray, torque: FloatArray | None = None) -> View:
         """View of the effects at (x, beta); `torque` (n, N) is the torque of effects at the samples."""
         return self._seen(x, beta, torque)[0]

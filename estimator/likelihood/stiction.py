@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from daq import FloatArray
@@ -18,7 +16,6 @@ from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.likelihood.trajectory_likelihood import LatentProblem
-from estimator.model import Mechanism
 
 KINK = 2.0
 """See `find_stiction`."""
@@ -36,26 +33,26 @@ def find_stiction(problem: LatentProblem, v: FloatArray, beta: FloatArray, one_p
     """
     m = problem.mechanism
     out = np.zeros((problem.total, 2, problem.n))
-    for k, j in _coulomb(m):
+    for j, level in problem.dry_levels(beta).items():
         scale = float(m.velocity_scales[j])
-        out[:, 0, j] += held_variance(v[:, j], beta[k], scale)
+        out[:, 0, j] += held_variance(v[:, j], level, scale)
         if one_per_crossing:
             out[:, 0, j] *= crossing_samples(v[:, j], scale, problem.ends)
         inertia = float(problem.inertia_rows[:, j] @ beta[: m.p])
         slow = REST_SPREAD * problem.sharpest[j]
-        slow += KINK * abs(beta[k]) * problem.dt / inertia if inertia > 0.0 else 0.0
+        slow += KINK * abs(level) * problem.dt / inertia if inertia > 0.0 else 0.0
         before, later = v[problem.left, j], v[problem.left + 1, j]
         open_ = (before * later < 0.0) | (np.minimum(np.abs(before), np.abs(later)) < slow)
-        out[problem.left, 1, j] += beta[k] ** 2 * open_
+        out[problem.left, 1, j] += level**2 * open_
     return out
 
 
 def draw_stiction(problem: LatentProblem, state: State, share: FloatArray, rng: np.random.Generator) -> FloatArray:
     """(N, n) torque [N m] held by dry friction near rest: one draw a zero crossing, `share` (n,) of the most."""
     out = np.zeros((problem.total, problem.n))
-    for k, j in _coulomb(problem.mechanism):
-        level, scale = float(share[j] * state.beta[k]), float(problem.mechanism.velocity_scales[j])
-        out[:, j] += draw_held(state.x.v[:, j], level, scale, problem.ends, rng)
+    for j, level in problem.dry_levels(state.beta).items():
+        scale = float(problem.mechanism.velocity_scales[j])
+        out[:, j] += draw_held(state.x.v[:, j], float(share[j]) * level, scale, problem.ends, rng)
     return out
 
 
@@ -66,12 +63,8 @@ def find_smoothing(problem: LatentProblem, x: Latents, beta: FloatArray, noise: 
     `residual` and `spread` (N, n) are the torques', and their variance by the latents.
     """
     found = problem.mechanism.velocity_scales.copy()
-    for k, j in _coulomb(problem.mechanism):
-        found[j] = likeliest_smoothing(x.v[:, j], beta[k], problem.sharpest[j], found[j], noise.torque[j],
+    for j, level in problem.dry_levels(beta).items():
+        found[j] = likeliest_smoothing(x.v[:, j], level, problem.sharpest[j], found[j], noise.torque[j],
                                        residual[:, j], spread[:, j])
     return found
 
-
-def _coulomb(mechanism: Mechanism) -> Iterator[tuple[int, int]]:
-    """Number of each Coulomb level among the parameters, and its joint."""
-    return ((k, p.at[0]) for k, p in enumerate(mechanism.parameters) if p.term == "coulomb")

@@ -219,6 +219,10 @@ class LatentProblem:
                 yield slice(first, min(first + PIECE, end)), own
             start = end
 
+    def dry_levels(self, beta: FloatArray) -> dict[int, float]:
+        """Joint to its level of dry friction near rest [N m] at parameters `beta`."""
+        return {p.at[0]: float(b) for b, p in zip(beta, self.mechanism.parameters) if p.term == "coulomb"}
+
     @cached_property
     def shown(self) -> Noise:
         """Noise levels that differences between neighbouring samples show; inf for what is not measured."""

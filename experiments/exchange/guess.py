@@ -26,6 +26,7 @@ import numpy as np
 from daq import Column, Dataset, FloatArray, InputError
 from daq.runs import IMU
 from experiments.exchange.column_map import TIME, apply_map
+from experiments.exchange.guess_chain import driven_joints, find_chain
 from experiments.exchange.guess_joint import find_joint
 from experiments.exchange.guess_physics import Pose, find_imu, find_knee
 from experiments.exchange.imported import ImportedFile
@@ -36,13 +37,15 @@ PATTERNS = {
     "accel": r"acc|linear_accel|(?<![a-z])a[xyz](?![a-z])",
     "tau": r"torque|effort|\btau|_tau|trq|moment|\btq|current|strom|iq_|_iq|\biq\b",
     "q1": r"\bq1|q_?1_|hip|pivot|joint_?1\b|shoulder|joint_?0\b",
-    "q2": r"\bq2|q_?2_|knee|knie|joint_?2\b|elbow|pos|angle|winkel|enc(?![ey])|theta|\bq\b",
+    "q2": r"\bq_?[2-9]|q_?[2-9]_|knee|knie|joint_?[2-9]\b|ankle|wrist|elbow|pos|angle|winkel|enc(?![ey])|theta|\bq\b",
 }
 """Kind of signal -> how columns that hold it are called; of several kinds the first one counts."""
 NOT_MEASURED = r"cmd|command|set_?point|desired|(?<![a-z])des(?![a-z])|target|ref|goal|input_"
 WORDS = {"gyro": "gyro, omega, wz or gz", "accel": "acc, ax", "tau2_nm": "torque, effort, tau, current or iq",
          "q2_rad": "knee, q2, angle, position or encoder", "q1_rad": "hip, q1 or pivot", TIME: "time, t or stamp"}
 """What a person is told to call them."""
+MOST_LINKS = 5
+"""Of a chain whose columns are guessed: signs are tried in all combinations."""
 MOST_RIVALS = 4
 """Columns that are tried in addition to the most likely one."""
 NOT_AN_ANGLE = r"vel|speed|rate|dot|temp|volt|setpoint|err|status|fault|acc"
@@ -69,13 +72,16 @@ class Guess:
 
 
 def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81) -> Guess:
-    """Columns of `imported` with units and signs, for a hanging leg or a single joint. Raises `InputError`.
+    """Columns of `imported` with units and signs, for a hanging leg, a single joint or a chain. Raises `InputError`.
 
-    A file with one angle, one torque and no gyro or accelerometer is a single joint's.
+    A file with one angle, one torque and no gyro or accelerometer is a single joint's. One with three angles or more,
+    or with two torques, is a chain's whose joints all have encoders.
     """
     columns, notes, rivals = _by_name(imported)
     if _is_joint(imported):
         return _guess_joint(imported, columns, notes)
+    if _is_chain(imported):
+        return _guess_chain(imported, columns, notes, gravity_mps2)
     if "q2_rad" not in columns or "tau2_nm" not in columns:
         lacking = [name for name in ("q2_rad", "tau2_nm") if name not in columns]
         kinds = {"q2_rad": "q2", "tau2_nm": "tau"}
@@ -126,6 +132,36 @@ def _is_joint(imported: ImportedFile) -> bool:
     angles = len(_fitting(imported, "q1", True)) + len(_fitting(imported, "q2", True))
     others = any(_kind(name) in ("gyro", "accel") for name in [*imported.names, *imported.left_out])
     return angles == 1 and len(_fitting(imported, "tau", True)) == 1 and not others
+
+
+def _is_chain(imported: ImportedFile) -> bool:
+    """Angles of three joints or more, or torques of two, and no gyro or accelerometer: neither read nor left out."""
+    angles, torques = _angles(imported), _fitting(imported, "tau", True)
+    others = any(_kind(name) in ("gyro", "accel") for name in [*imported.names, *imported.left_out])
+    return not others and 0 < len(torques) <= len(angles) <= MOST_LINKS and (len(angles) > 2 or len(torques) == 2)
+
+
+def _angles(imported: ImportedFile) -> list[str]:
+    """Columns that are measured angles by their names: by their numbers where each has one, else as in the file."""
+    names = sorted([*_fitting(imported, "q1", True), *_fitting(imported, "q2", True)], key=imported.names.index)
+    numbers = [re.findall(r"\d+", name) for name in names]
+    return sorted(names, key=lambda name: int(re.findall(r"\d+", name)[-1])) if all(numbers) else names
+
+
+def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str], gravity_mps2: float
+                 ) -> Guess:
+    """The guess for a chain of joints, each with an encoder."""
+    angles = _angles(imported)
+    theirs = {f"q{k}_rad": Column(name=name, unit=unit_in_name(name, "q2_rad")) for k, name in enumerate(angles, 1)}
+    for name, j in driven_joints(angles, sorted(_fitting(imported, "tau", True), key=imported.names.index)).items():
+        theirs[f"tau{j + 1}_nm"] = Column(name=name, unit=unit_in_name(name, "tau2_nm"))
+    theirs |= {TIME: columns[TIME]} if TIME in columns else {}
+    found = find_chain(apply_map(imported, theirs), {k: c for k, c in theirs.items() if k != TIME}, gravity_mps2)
+    theirs |= found.columns
+    reasons = {TIME: notes[TIME]} if TIME in notes else {}
+    last = max(name for name in theirs if name.startswith("tau"))
+    curves = {f"{last}: read, and as the motion makes it [N m]": found.check}
+    return Guess(theirs, reasons | found.notes, found.warnings, found.unexplained, apply_map(imported, theirs), curves)
 
 
 def _guess_joint(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str]) -> Guess:

@@ -44,6 +44,9 @@ def load_model(path: Path | str) -> Model:
         raise InputError(where, f"is not JSON: {_lower(str(error))}", "give a model written by legid fit") from None
     except RecursionError:
         raise InputError(where, "is nested too deep", "give a model written by legid fit") from None
+    from experiments.models.with_effects import with_default_shapes
+
+    model = with_default_shapes(model)
     fault = _fault(model)
     if fault:
         raise InputError(where, fault, "give a model written by legid fit")

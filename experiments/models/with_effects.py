@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 
 from daq import FloatArray, WorkError
@@ -43,6 +44,29 @@ def effects_fault(model: Model) -> str:
     if any(value.joint is not None and value.joint > joints for value in model.effects) or not joints:
         return "`reach` does not give the angles of every joint that `effects` names"
     return ""
+
+
+def with_default_shapes(model: Model) -> Model:
+    """The model with the shapes that its file does not state and an effect has a default for; held, so known exactly.
+
+    A file of a release before the shape existed lacks it.
+    """
+    if not model.effects:
+        return model
+    known, effects = known_effects(), []
+    covariance, at = [list(row) for row in model.covariance], len(model.parameters)
+    for value in model.effects:
+        kind, shapes = known.get(value.name), dict(value.shapes)
+        at += len(value.sizes)
+        for place, shape in enumerate(kind.shapes if kind else ()):
+            if shape.name not in shapes and shape.default is not None:
+                shapes[shape.name] = shape.default
+                for row in covariance:
+                    row.insert(at + place, 0.0)
+                covariance.insert(at + place, [0.0] * (len(covariance) + 1))
+        at += len(shapes)
+        effects.append(msgspec.structs.replace(value, shapes=shapes))
+    return msgspec.structs.replace(model, effects=tuple(effects), covariance=tuple(map(tuple, covariance)))
 
 
 def effects_of(model: Model) -> list[tuple[Effect, FloatArray]]:

@@ -26,6 +26,7 @@ from estimator.likelihood.free_run import _Plant, free_run, pieces
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
+from estimator.likelihood.stiction import find_stiction
 from estimator.model import Motion
 from estimator.model.mechanism import Mechanism, joint1, leg2
 from estimator.options import FitOptions
@@ -82,7 +83,7 @@ def test_a_rotor_heavier_than_its_link_is_a_heavier_link() -> None:
     assert runs[0].q == pytest.approx(runs[1].q, abs=1e-7)
 
 
-@pytest.mark.parametrize("effects, sizes", [([], []), ([StribeckFriction(1)], [0.1, 0.2])])
+@pytest.mark.parametrize("effects, sizes", [([], []), ([StribeckFriction(1)], [0.1, 0.2, 2.0])])
 def test_pieces_simulated_together_are_those_simulated_one_by_one(
         effects: list[Effect], sizes: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
     """Each piece begins at the state that it is given, whatever the one before it ended with; torque over ends of
@@ -253,10 +254,22 @@ def test_a_shape_at_a_limit_is_held_and_has_no_interval() -> None:
     session = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
     nominal = fit_nominal(session)
     effect = StribeckFriction(1)
-    low = effect.clipped(np.array([0.01, 1e-9]))[1]
-    assert list(effect.at_limits(np.array([0.01, low]))) == [True]
-    assert list(effect.at_limits(np.array([0.01, 1.5 * low]))) == [False]
-    held = refit(nominal, [(effect, np.array([0.01, low]))], 4)
-    free = refit(nominal, [(effect, np.array([0.01, low]))], 4, hold_limits=False)
-    assert held.state.beta[-1] == low and held.state.covariance[-1, -1] == 0.0
-    assert free.state.covariance[-1, -1] > 0.0
+    low = effect.clipped(np.array([0.01, 1e-9, 2.0]))[1]
+    assert list(effect.at_limits(np.array([0.01, low, 2.0]))) == [True, False]
+    assert list(effect.at_limits(np.array([0.01, 1.5 * low, 2.0]))) == [False, False]
+    held = refit(nominal, [(effect, np.array([0.01, low, 2.0]))], 4)
+    free = refit(nominal, [(effect, np.array([0.01, low, 2.0]))], 4, hold_limits=False)
+    assert held.state.beta[-2] == low and held.state.covariance[-2, -2] == 0.0
+    assert free.state.covariance[-2, -2] > 0.0
+    assert free.state.beta[-1] == 2.0 and free.state.covariance[-1, -1] == 0.0  # discrete: never re-fitted
+
+
+def test_an_effects_friction_near_rest_counts_with_the_coulomb_level() -> None:
+    problem = problem_of(leg2(lever_arm=0.2), 41, np.zeros((41, 2)), [StribeckFriction(1)])
+    beta = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06, 0.1, 0.2, 2.0])
+    assert problem.dry_levels(beta) == pytest.approx({0: 0.03, 1: 0.16})
+    plain = problem_of(leg2(lever_arm=0.2), 41, np.zeros((41, 2)), [])
+    rest = np.zeros((41, 2))
+    more = find_stiction(problem, rest, beta, one_per_crossing=False)[:, 0]
+    less = find_stiction(plain, rest, beta[:9], one_per_crossing=False)[:, 0]
+    assert more[:, 0] == pytest.approx(less[:, 0]) and more[:, 1] == pytest.approx((0.16 / 0.06) ** 2 * less[:, 1])

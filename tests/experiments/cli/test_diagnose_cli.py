@@ -83,8 +83,8 @@ def diagnose(*args: object) -> int:
 def extended() -> Diagnosis:
     """The synthetic finding with what a saved model needs."""
     beta = np.array(LegBody().beta())
-    return replace(synthetic(), effects=((StribeckFriction(1), np.array([0.05, 0.2])),),
-                   extended_beta=np.concatenate([beta, [0.05, 0.2]]), extended_covariance=1e-8 * np.eye(11),
+    return replace(synthetic(), effects=((StribeckFriction(1), np.array([0.05, 0.2, 2.0])),),
+                   extended_beta=np.concatenate([beta, [0.05, 0.2, 2.0]]), extended_covariance=1e-8 * np.eye(12),
                    noise={"torque_nm": 0.02}, mechanism=leg2(velocity_scale=(0.005, 0.04)),
                    angle_range=np.array([[-0.5, 0.4], [-1.0, 1.25]]))
 
@@ -100,7 +100,7 @@ def test_what_is_written_and_said(runs: list[Path], rig: Path, tmp_path: Path, c
     model = load_model(tmp_path / "m.json")
     (effect,) = model.effects
     assert (effect.name, effect.joint) == ("stribeck_friction", 2)
-    assert effect.sizes == {"excess_torque": 0.05} and effect.shapes == {"stribeck_velocity": 0.2}
+    assert effect.sizes == {"excess_torque": 0.05} and effect.shapes == {"stribeck_velocity": 0.2, "exponent": 2.0}
     assert model.gear_ratio == 50.0 and model.hold == "zero" and model.provenance.runs == ("r1.csv", "r3.csv", "r2.csv")
     assert model.mechanism.friction_velocity_radps == (0.005, 0.04)
     assert model.reach == ((-0.5, 0.4), (-1.0, 1.25))

@@ -176,3 +176,15 @@ def test_covariance_and_reach_belong_to_the_effects(tmp_path: Path) -> None:
         save_model(msgspec.structs.replace(model_with(SPRING), **change), tmp_path / "m.json")
         with pytest.raises(InputError, match=says):
             load_model(tmp_path / "m.json")
+
+
+def test_a_file_from_before_a_shape_existed_reads_as_its_default(tmp_path: Path) -> None:
+    old = EffectValue(name="stribeck_friction", joint=2, sizes={"excess_torque": 0.05},
+                      shapes={"stribeck_velocity": 0.2})
+    after = EffectValue(name="gyro_bias", joint=None, sizes={"bias": 0.03})
+    save_model(model_with(old, after), tmp_path / "m.json")
+    model = load_model(tmp_path / "m.json")
+    assert model.effects[0].shapes == {"stribeck_velocity": 0.2, "exponent": 2.0}
+    assert [row[k] for k, row in enumerate(model.covariance)] == [1e-8] * 11 + [0.0, 1e-8]
+    (_, size), (_, bias) = effects_of(model)
+    assert list(size) == [0.05, 0.2, 2.0] and list(bias) == [0.03]

@@ -1,0 +1,178 @@
+"""Unit and signs of the angles and torques of a chain of joints with encoders, by its equation of motion."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from daq import Column, Dataset, FloatArray
+from estimator.model import Mechanism, chain
+from estimator.signals import lowpass
+from experiments.exchange.guess_physics import ANGLE_UNITS, CLEAR, EXPLAINS, FAST_HZ, NOT_SURE, Found, filled
+
+SMOOTHING_RADPS = 0.05
+"""Velocity over which the sign of friction is smoothed."""
+MOST_ROWS = 1500
+"""Instants, evenly taken, at which the equation of motion is put up."""
+POSES = 20
+"""Instants at which the inertia matrix must be positive definite."""
+HANGS_RAD = 0.1
+"""A zero of joint 1 further from hanging than this is reported."""
+
+
+class _Reading(NamedTuple):
+    """The angles in one unit, relative or absolute, with signs of angles and torques."""
+
+    left: float
+    """Residual of the torques, as a share of their standard deviation."""
+    unit: str
+    absolute: bool
+    signs: tuple[int, ...]
+    works: tuple[int, ...]
+    q: FloatArray
+    """(N, n) [rad]"""
+    beta: FloatArray
+    """See `_regressor`."""
+
+
+def driven_joints(angles: Sequence[str], torques: Sequence[str]) -> dict[str, int]:
+    """Torque column -> joint from 0, by the words and numbers that its name shares with that of an angle."""
+    words = [[set(re.findall(r"[a-z]+|\d+", name.lower())) for name in names] for names in (angles, torques)]
+    common = set.intersection(*words[0]) if len(angles) > 1 else set()
+    shared = np.array([[len((torque & angle) - common) for angle in words[0]] for torque in words[1]], dtype=float)
+    order = -1e-3 * np.abs(np.subtract.outer(np.arange(len(torques)), np.arange(len(angles))))
+    rows, columns = linear_sum_assignment(-(shared + order))
+    return {torques[int(row)]: int(column) for row, column in zip(rows, columns)}
+
+
+def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> Found:
+    """Unit of the angles and signs of angles and torques of a chain of joints, each with an encoder.
+
+    `columns` are q1_rad, q2_rad, ... and the torque of each driven joint. The equation of motion of the open chain
+    must leave little of the torques under the right unit and signs, with a positive definite inertia matrix. Absolute
+    angles are tried, too. Whether the chain is seen from its left or its right does not show: joint 1's angle keeps
+    its sign.
+    """
+    n = sum(name.startswith("q") for name in columns)
+    driven = [j for j in range(n) if f"tau{j + 1}_nm" in columns]
+    mechanism = chain(n, gravity_mps2=gravity, velocity_scale=SMOOTHING_RADPS)
+    ranked = sorted(_readings(mechanism, raw, columns, driven), key=lambda one: one.left)
+    first = ranked[0]
+    second = next((one for one in ranked[1:] if one.left > first.left), ranked[-1])
+    named = ", ".join(repr(columns[f"q{k + 1}_rad"].name) for k in range(n))
+    warnings, unexplained = [], []
+    if first.left > EXPLAINS:
+        unexplained.append(f"no unit and signs of {named} explain the torques (the best leave {100 * first.left:.0f} %"
+                           "): too little motion, a motor's angle before its gear, another order of the joints, or a "
+                           "mechanism that is no open chain")
+    sure = second.left >= CLEAR * first.left
+    if not unexplained and not sure:
+        warnings.append(f"unit and signs are a close call: {_told(first)} leave {100 * first.left:.0f} % of the "
+                        f"torques, {_told(second)} {100 * second.left:.0f} %; look at the plot")
+    tilt = _hangs_at(mechanism, first.beta)
+    if not unexplained and abs(tilt) > HANGS_RAD:
+        warnings.append(f"joint 1 hangs at {tilt:.2f} rad, not at 0: subtract that in the map, by an expression as the "
+                        "column's name")
+    for j in driven:
+        torque = columns[f"tau{j + 1}_nm"]
+        if torque.unit.lower() in ("a", "ma") or not torque.unit:
+            warnings.append(f"the scale of tau{j + 1}_nm does not show: set scale to N m per {torque.unit or 'unit'} "
+                            f"of {torque.name!r}" + ("" if torque.unit else " if it is not in N m at the joint"))
+    prefix = "" if sure else NOT_SURE
+    found, notes = {}, {}
+    for k in range(n):
+        angle, before = columns[f"q{k + 1}_rad"], columns[f"q{max(k, 1)}_rad"]
+        name = f"'{angle.name}' - '{before.name}'" if first.absolute and k else angle.name
+        unit, sign = angle.unit or first.unit, first.signs[k]
+        less = "less the joint before, " if name != angle.name else ""
+        found[f"q{k + 1}_rad"] = msgspec.structs.replace(angle, name=name, unit=unit, sign=1 if sign > 0 else -1)
+        notes[f"q{k + 1}_rad"] = "NOT KNOWN: no unit and signs explain the torques" if unexplained else (
+            f"{prefix}in {unit or 'rad'}, sign {sign:+d}, {less}the equation of motion leaves {100 * first.left:.1f} % "
+            f"of the torques (next best: {100 * second.left:.0f} %)")
+    for j, sign in zip(driven, first.works):
+        found[f"tau{j + 1}_nm"] = msgspec.structs.replace(columns[f"tau{j + 1}_nm"], sign=1 if sign > 0 else -1)
+        notes[f"tau{j + 1}_nm"] = "NOT KNOWN: its sign does not show" if unexplained else (
+            f"{prefix}with sign {sign:+d} the inertia matrix is positive definite")
+    read = first.works[-1] * lowpass(filled(raw[f"tau{driven[-1] + 1}_nm"]), min(FAST_HZ, 0.2 * raw.rate_hz),
+                                     raw.rate_hz)
+    made = _regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1]] @ first.beta
+    return Found(found, notes, warnings, unexplained, (read, made), left=first.left)
+
+
+def _told(one: _Reading) -> str:
+    return (f"{one.unit or 'rad'}{', absolute' if one.absolute else ''}, signs of angles "
+            f"{' '.join(f'{s:+d}' for s in one.signs)}, of torques {' '.join(f'{s:+d}' for s in one.works)}")
+
+
+def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column], driven: Sequence[int]
+              ) -> Iterator[_Reading]:
+    """Every unit and sign with what it leaves; an angle whose name states a unit keeps it."""
+    n, cutoff = mechanism.n, min(FAST_HZ, 0.2 * raw.rate_hz)
+    names = [f"q{k + 1}_rad" for k in range(n)]
+    angles = np.stack([lowpass(filled(raw[name]), cutoff, raw.rate_hz) for name in names], axis=-1)
+    torque = np.zeros((len(raw), n))
+    for j in driven:
+        torque[:, j] = lowpass(filled(raw[f"tau{j + 1}_nm"]), cutoff, raw.rate_hz)
+    use = ~raw.gap([*names, *(f"tau{j + 1}_nm" for j in driven)])
+    edge = int(raw.rate_hz) if len(raw) > 6 * raw.rate_hz else 0
+    use[:edge] = use[len(use) - edge :] = False
+    rows = np.flatnonzero(use)[:: max(1, int(use.sum()) // MOST_ROWS)]
+    stated = [bool(columns[name].unit) for name in names]
+    variants = [(False, (1, *signs)) for signs in product((1, -1), repeat=n - 1)] + [(True, (1,) * n)]
+    for (unit, scale), (absolute, signs) in product(ANGLE_UNITS.items(), variants):
+        if all(stated) and unit:
+            continue
+        q = angles * np.where(stated, 1.0, scale) * np.array(signs)
+        if absolute:
+            q = np.diff(q, axis=-1, prepend=0.0)
+        yield from _by_torque_signs(mechanism, q, torque, rows, driven, raw.rate_hz, (unit, absolute, signs))
+
+
+def _by_torque_signs(mechanism: Mechanism, q: FloatArray, torque: FloatArray, rows: NDArray[np.intp],
+                     driven: Sequence[int], rate_hz: float, read: tuple[str, bool, tuple[int, ...]]
+                     ) -> Iterator[_Reading]:
+    """Least squares of the equation of motion for every sign of the torques.
+
+    The normal equations are put up once: the signs enter their right-hand side alone.
+    """
+    z = _regressor(mechanism, q, rate_hz)[rows]
+    flat = z.reshape(-1, z.shape[-1])
+    inverse = np.linalg.pinv(flat.T @ flat, hermitian=True)
+    parts = np.einsum("njk,nj->jk", z, torque[rows])
+    power = float(np.sum(torque[rows] ** 2))
+    spread = max(float(np.sum(np.var(torque[rows], axis=0))) * rows.size, 1e-30)
+    poses = q[rows[:: max(1, rows.size // POSES)]]
+    for works in product((1, -1), repeat=len(driven)):
+        right = np.array(works, dtype=float) @ parts[list(driven)]
+        beta = inverse @ right
+        left = float(np.sqrt(max(power - right @ beta, 0.0) / spread))
+        if np.linalg.eigvalsh(mechanism.inertia_matrix(poses, beta[: mechanism.p])).min() <= 0.0:
+            left = max(left, 1.0)
+        yield _Reading(left, *read, works, q, beta)
+
+
+def _regressor(mechanism: Mechanism, q: FloatArray, rate_hz: float) -> FloatArray:
+    """(N, n, p + links) of tau = Z beta + Z_g beta_g: the mechanism, then gravity with joint 1 a quarter turn ahead."""
+    v = np.gradient(q, 1.0 / rate_hz, axis=0)
+    z = mechanism.regressor(q, v, np.gradient(v, 1.0 / rate_hz, axis=0))
+    ahead, still = q.copy(), np.zeros_like(q)
+    ahead[:, 0] += 0.5 * np.pi
+    return np.concatenate([z, mechanism.regressor(ahead, still, still)[..., _gravity(mechanism)]], axis=-1)
+
+
+def _hangs_at(mechanism: Mechanism, beta: FloatArray) -> float:
+    """Joint 1's angle when the chain hangs [rad], by the first moment that is largest."""
+    along, ahead = beta[_gravity(mechanism)], beta[mechanism.p :]
+    heavy = int(np.argmax(np.hypot(along, ahead)))
+    return -float(np.arctan2(ahead[heavy], along[heavy]))
+
+
+def _gravity(mechanism: Mechanism) -> list[int]:
+    return [k for k, p in enumerate(mechanism.parameters) if p.term == "gravity"]

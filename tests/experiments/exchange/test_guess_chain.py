@@ -1,0 +1,84 @@
+"""The guess for a chain of joints: units, signs, absolute angles, which joint a torque drives; by another engine."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.cli import main
+from experiments.exchange.column_map import load_map
+from experiments.exchange.guess_chain import driven_joints
+from tests.support.mujoco_tree import disturbed, move, random_tree, torques
+
+
+def record(path: Path, names: list[str], *, links: int = 3, unit: float = 1.0, signs: tuple[int, ...] = (1, 1, 1),
+           works: tuple[int, ...] = (1, 1, 1), absolute: bool = False, tilt: float = 0.0, seed: int = 3) -> Path:
+    """A chain that MuJoCo moves for 12 s at 100 Hz, all joints driven, as another program logs it."""
+    rng = np.random.default_rng(seed)
+    tree = random_tree(rng, tuple(range(-1, links - 1)))
+    run = disturbed(move(tree, torques(tree, rng, 12.0, 100.0, 0.5, range(links)), 100.0), range(links), 100.0, rng)
+    q = np.stack([run[f"q{k + 1}_rad"] for k in range(links)], axis=1) * np.array(signs[:links])
+    q = (np.cumsum(q, axis=1) if absolute else q) + np.eye(links)[0] * tilt
+    tau = np.stack([run[f"tau{k + 1}_nm"] for k in range(links)], axis=1) * np.array(works[:links])
+    np.savetxt(path, np.column_stack([np.arange(len(run)) / 100.0, q / unit, tau]), delimiter=",", comments="",
+               header=",".join(["time", *names]), fmt="%.9g")
+    return path
+
+
+NAMED = ["hip_pos", "knee_pos", "ankle_pos", "hip_effort", "knee_effort", "ankle_effort"]
+NUMBERED = ["q1", "q2", "q3", "tau1", "tau2", "tau3"]
+
+
+@pytest.mark.parametrize(("names", "unit", "written", "signs", "works"), [
+    (NAMED, 1.0, "", (1, 1, 1), (1, 1, 1)),
+    (NUMBERED, np.pi / 180, "deg", (1, -1, 1), (1, 1, -1)),
+    (NUMBERED, 2 * np.pi, "turn", (1, -1, -1), (-1, -1, -1)),
+])
+def test_units_and_signs_of_a_chain(names: list[str], unit: float, written: str, signs: tuple[int, ...],
+                                    works: tuple[int, ...], tmp_path: Path) -> None:
+    file, columns = record(tmp_path / "x.csv", names, unit=unit, signs=signs, works=works), tmp_path / "c.toml"
+    assert main(["import", str(file), "--guess", "--map", str(columns)]) == 0
+    found = load_map(columns)
+    for k in range(3):
+        angle, torque = found[f"q{k + 1}_rad"], found[f"tau{k + 1}_nm"]
+        assert (angle.name, angle.unit, angle.sign) == (names[k], written, signs[k])
+        assert (torque.name, torque.sign) == (names[3 + k], works[k])
+
+
+def test_absolute_angles_become_relative_ones(tmp_path: Path) -> None:
+    file, columns = record(tmp_path / "x.csv", NUMBERED, absolute=True), tmp_path / "c.toml"
+    assert main(["import", str(file), "--guess", "--map", str(columns)]) == 0
+    assert [load_map(columns)[f"q{k}_rad"].name for k in (1, 2, 3)] == ["q1", "'q2' - 'q1'", "'q3' - 'q2'"]
+
+
+def test_two_driven_joints_go_to_a_fit(tmp_path: Path) -> None:
+    columns = tmp_path / "c.toml"
+    file = record(tmp_path / "x.csv", ["q1", "q2", "tau1", "tau2"], links=2, unit=np.pi / 180)
+    (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "leg2"\nactuated = [1, 2]\n')
+    assert main(["import", str(file), "--guess", "--map", str(columns)]) == 0
+    assert main(["import", str(file), "--map", str(columns), "--out", str(tmp_path / "runs")]) == 0
+    assert main(["fit", str(tmp_path / "runs" / "x.csv"), "--rig", str(tmp_path / "rig.toml")]) == 0
+
+
+def test_a_zero_that_does_not_hang_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = record(tmp_path / "x.csv", NUMBERED, tilt=1.5708)
+    assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 0
+    assert "joint 1 hangs at 1.57 rad" in capsys.readouterr().err
+
+
+def test_torques_of_another_machine_are_not_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = record(tmp_path / "x.csv", NUMBERED)
+    table = np.loadtxt(file, delimiter=",", skiprows=1)
+    table[:, 4:] = np.random.default_rng(2).normal(size=(len(table), 3)).cumsum(axis=0)
+    np.savetxt(file, table, delimiter=",", comments="", header=",".join(["time", *NUMBERED]))
+    assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 1
+    assert "explain the torques" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("angles", "torques_", "joints"), [
+    (["shoulder_meas_pos", "elbow_meas_pos"], ["elbow_meas_effort", "shoulder_meas_effort"], [1, 0]),
+    (["q1", "q2", "q3"], ["tau2", "tau3"], [1, 2]),
+    (["position[0]", "position[1]"], ["effort[0]", "effort[1]"], [0, 1]),
+])
+def test_a_torque_s_joint_shows_in_its_name(angles: list[str], torques_: list[str], joints: list[int]) -> None:
+    assert list(driven_joints(angles, torques_).values()) == joints
