@@ -191,7 +191,7 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
                              f"clocks' {bound_s * 1e6:.0f} us. This is not corrected, because something else is wrong: "
                              "run legid diagnose")
     told = (f"the IMU is {_late(skew)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by this motion "
-            f"(clocks: within {bound_s * 1e6:.0f} us); allowed for")
+            f"(clocks: within {bound_s * 1e6:.0f} us); corrected")
     return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
                  state.iterations + again.iterations), skew, told
 
