@@ -112,15 +112,15 @@ def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors:
     Runs that cannot be used are set aside. The records choose what the rig file leaves open, unless `choose` is False.
     The result's `findings` say both.
 
-    `method`: mle (maximum likelihood along one motion, the default), wls (section III of Dolinsky and Celikovsky,
-    IEEE TCST 26(4), 2018), rls, hekf (its appendices). `sensors`: imu or encoder, what gives the pivot's angle; None
-    takes the IMU where all runs have it. `fixed`: parameters that are given, by name. `latent="free"`: the paper's own
-    maximum likelihood, section IV.
+    - `method`: mle (maximum likelihood along one motion, the default), wls (section III of Dolinsky and Celikovsky,
+      IEEE TCST 26(4), 2018), rls, hekf (its appendices). `latent="free"`: the paper's maximum likelihood, section IV.
+    - `sensors`: imu or encoder, the source of the pivot's angle; None takes the IMU where all runs have it.
+    - `fixed`: given parameters by name.
+    - Result: `beta` (p,) in the order of `mechanism.parameters`, which have the units (kg m^2, kg m, N m s/rad, N m);
+      `covariance` (p, p), `ci95()` (p, 2), `noise`, the estimated motion, `to_frame()`, `plot()`.
 
-    The result has `beta` (p,) in the order of `mechanism.parameters`, which hold the units (kg m^2, kg m, N m s/rad,
-    N m), `covariance` (p, p), `ci95()` (p, 2), `noise`, and the estimated motion; it shows itself in a notebook, as
-    `to_frame()` and by `plot()`. It may not have `converged`, or name what is `undetermined`: look, or let `model`
-    refuse it. Raises `InputError`, or `FitError` where the data cannot answer.
+    Check `converged` and `undetermined`; `model` refuses an unusable result. Raises `InputError`, or `FitError` where
+    the data cannot answer.
     """
     given, known = _given(runs, rig)
     found = fit_runs(given, known, sensors=sensors, fixed=fixed, latent=latent, method=method, choose=choose)

@@ -166,7 +166,7 @@ class Tuning:
         flags = [f"Warning: {text}" for text in (*map(str, self.found.aside), *self.found.flags)]
         rows = tuning_rows(self.found)
         head = html_table(["entry", "chosen", "why", "what it changes"], rows) if rows else paragraphs(
-            ["rig.toml as it is predicts best: nothing to change"])
+            ["no change: rig.toml predicts best as it is"])
         return head + paragraphs(flags)
 
 

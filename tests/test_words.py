@@ -59,10 +59,6 @@ ALLOWED: list[tuple[str, str, str]] = [
 ]
 """(path, phrase, reason): a JSON key, a contract, another library's name, or the plain meaning of the word."""
 
-OPEN = {"estimator/effects/base.py", "estimator/effects/friction.py", "estimator/likelihood/stiction.py",
-        "experiments/reports/change.py"}
-"""Files still to be rewritten."""
-
 
 def compiled(words: dict[str, str]) -> list[tuple[re.Pattern[str], str]]:
     return [(re.compile(rf"(?<![a-z])({word})(?![a-z])", re.IGNORECASE), say) for word, say in words.items()]
@@ -174,10 +170,16 @@ def problems_of(path: Path) -> list[str]:
     return [line for one in said_in(path) for line in complaints(name, one)]
 
 
-@pytest.mark.parametrize("path", [p for p in FILES if str(p.relative_to(ROOT)) not in OPEN],
-                         ids=lambda p: str(p.relative_to(ROOT)))
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_a_file_speaks_plainly(path: Path) -> None:
     found = problems_of(path)
+    assert not found, "\n".join(found)
+
+
+def test_names_in_the_tests_of_the_packages_are_plain() -> None:
+    found = [line for floor in FLOORS for path in sorted((ROOT / "tests" / floor).rglob("*.py"))
+             for one in said_in(path) if one.kind == "name"
+             for line in complaints(str(path.relative_to(ROOT / "tests")), one)]
     assert not found, "\n".join(found)
 
 

@@ -66,8 +66,8 @@ def straight_zero(stops: Sequence[Stop], step_rad: float = 0.0) -> KneeZero:
     values = np.array([stop.value for stop in stops])
     noise = float(np.hypot(max(stop.half for stop in stops) / np.sqrt(values.size), step_rad))
     if values.size < 3:
-        return KneeZero(float(values.mean()), noise, noise, "noise alone: how straight the leg was held is not in it; "
-                        "three or more records, each with the leg taken up anew, would show that")
+        return KneeZero(float(values.mean()), noise, noise, "noise alone, without the error of the straight pose; "
+                        "to include it give three or more records, each with the leg straightened anew")
     value, half = mean_interval(values)
     return KneeZero(value, float(np.hypot(half, step_rad)), noise, f"{values.size} records, the leg taken up anew")
 
@@ -75,11 +75,9 @@ def straight_zero(stops: Sequence[Stop], step_rad: float = 0.0) -> KneeZero:
 def hanging_zero(stops: Sequence[Stop], cone_rad: float | None, step_rad: float = 0.0) -> KneeZero:
     """Zero from stops of a leg that hangs free; `cone_rad`: half angle of friction's cone, None: unknown.
 
-    The zero is the middle of the stops. `FEWEST_STOPS` and more are taken as spread evenly about it (so the leg must
-    be let go from either side): the middle of a range R over n stops is then at most R (20^(1 / (n - 1)) - 1) / 2 off
-    in 95 of 100 cases; stops that crowd in the middle, as those of a damped swing do, are off by less. A known cone
-    bounds the zero whatever the spread: it lies within the cone about every stop. Raises `WorkError` when stops
-    contradict the cone, are too few, or leave too much open.
+    The zero is the middle of the stops. For n >= `FEWEST_STOPS` evenly spread stops of range R half of its 95 %
+    interval is R (20^(1 / (n - 1)) - 1) / 2. With a known cone the zero lies within the cone about every stop. Raises
+    `WorkError` when stops contradict the cone, are too few, or leave too wide an interval.
     """
     values = np.array([stop.value for stop in stops])
     noise = float(np.hypot(max(stop.half for stop in stops), step_rad))
@@ -101,7 +99,7 @@ def hanging_zero(stops: Sequence[Stop], cone_rad: float | None, step_rad: float 
     how = min(halves, key=halves.__getitem__)
     value, half = 0.5 * float(values.min() + values.max()), max(halves[how], 0.0) + noise
     if half > WIDEST_RAD:
-        raise WorkError(f"the knee's zero is {value:+.3f} +- {half:.2f} rad, which says nothing: friction holds the "
+        raise WorkError(f"the knee's zero is {value:+.3f} +- {half:.2f} rad, too uncertain to use: friction holds the "
                         "shank; give more stops, or hold the leg straight (--straight)")
     return KneeZero(value, half, noise, how)
 

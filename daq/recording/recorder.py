@@ -157,7 +157,7 @@ class Recorder:
         self._command(0.0)
         while not self._armed():
             if self._now_ns() > deadline:
-                raise WorkError("leg controller: did not arm and names no fault; legid doctor --rig RIG says more")
+                raise WorkError("leg controller: did not arm and reports no fault; run legid doctor --rig RIG")
             self._keep(self._now_ns() + _ns(_TURN_S))
             self._command(0.0)
         self._driving = True

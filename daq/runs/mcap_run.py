@@ -165,7 +165,7 @@ class RunWriter:
         self._synced_at = time.monotonic()
 
     def _refused(self, error: OSError) -> WorkError:
-        kept = "; legid recover makes a whole run of what is there" if self.messages else ""
+        kept = ", then repair the file with legid recover" if self.messages else ""
         return WorkError(f"{self.path}: cannot be written ({error.strerror or error}); free space on the disk{kept}")
 
     def close(self) -> None:
@@ -207,7 +207,7 @@ class RunWriter:
             found = None
         if found != self.messages:
             raise WorkError(f"{self.path}: holds {'none' if found is None else found} of {self.messages} messages "
-                            "after closing; check the disk, and see legid info for what is left")
+                            "after closing; check the disk, then look at the file with legid info")
 
 
 @dataclass(frozen=True)

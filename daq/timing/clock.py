@@ -124,12 +124,12 @@ class ImuClock:
 def fit_samples(samples: NDArray[np.void], epoch_ns: int) -> ImuClock:
     """Times of IMU samples (fields of the `/imu` stream) from the host times of the drains.
 
-    A drain that finds sample `i` the newest at `t` says: `i` had been taken and `i + 1` had not. `t` is the
-    middle of the read of the fill level, half of whose length goes into the bound. Drains hit the sample
-    period at all phases, so `t` lies half a period after sample `i` in the mean, and a line (for long runs a
-    spline with a knot every 30 s: the chip's oscillator warms up) through those gives the rate; the envelope
-    of both statements over the whole run then sets the offset. A late drain does no harm.
-    Segments between losses of unknown length are timed on their own.
+    - A drain that finds sample i the newest at t means: time of i <= t < time of i + 1. t is the middle of the read of
+      the fill level; half of that read is part of the bound.
+    - Rate: a line through the t, for long runs a spline with a knot every 30 s (the oscillator warms up).
+    - Offset: the envelope of all inequalities. A late drain does no harm.
+
+    Segments between losses of unknown length are timed separately.
     """
     time_ns = np.full(samples.shape, np.nan)
     segment = np.cumsum(samples["gap_before"])

@@ -74,7 +74,7 @@ def in_words(channel: Channel, ratio: float) -> str:
     joint = (channel.joint or 0) + 1
     name = {"torque": f"torque at joint {joint}", "encoder": f"encoder of joint {joint}", "gyro": "gyro",
             "accel_x": "accelerometer's x axis", "accel_y": "accelerometer's y axis"}[channel.kind]
-    return f"what is left in the {name} is {ratio:.1f} times its noise"
+    return f"the residual of the {name} is {ratio:.1f} times its noise"
 
 
 def noisy_sensors(model: Model) -> dict[Channel, float]:
@@ -119,5 +119,5 @@ def noise_dominated(nominal: Model) -> str:
     if not mistakes_torque(nominal.problem, nominal.state, floors):
         return ""
     share, rate = 100 * TORQUE_SHARE, split.runs[0][0].rate_hz
-    return (f"the nominal fit leaves {share:.0f} % of a measured torque to noise, the most that it may; if the angles "
-            f"are too coarse to check torque at {rate:g} Hz, a lower rate_hz under [sampling] leaves less")
+    return (f"the nominal fit assigns {share:.0f} % of a measured torque to noise, its upper limit; lower rate_hz "
+            f"under [sampling] if the angles are too coarse for a torque at {rate:g} Hz")

@@ -300,7 +300,7 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: ScoreTests, opti
         floor = noise_floor(nominal)
         base = conclusion.with_noise(base, nominal, floor)
         left, hidden = nominal_error(context, floor, rng), hidden_motion(nominal, material, rng)
-        large = "" if left is None or left <= EDGE else f"free runs err {left:.1f} times what the rig's noise leaves"
+        large = "" if left is None or left <= EDGE else f"the free-run error is {left:.1f} times that of noise alone"
         why = large or hidden or context.noise_dominated
         return conclusion.unexplained(base, nominal, None, why) if why else conclusion.nothing(base)
     base = replace(base, material=material, budget=budget(decision.table, decision.row, decision.without,

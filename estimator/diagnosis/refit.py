@@ -259,7 +259,7 @@ def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequ
     means = parallel_map(bootstrap_bias, len(states), split.workers)
     good = [RunScore(mean, s.information) for mean, s in zip(means, scores) if mean is not None]
     if not good:
-        raise FitError("no replicate of the model is like its run")
+        raise FitError("every bootstrap replicate of the model differs too much from its run")
     return [pooled_bias(good, s) if mean is None else RunScore(mean, s.information) for mean, s in zip(means, scores)]
 
 

@@ -41,8 +41,7 @@ class Size(NamedTuple):
     scale: float
     """A small size of the effect: the step of its derivative at zero."""
     prior: float = np.inf
-    """Standard deviation of what is believed of it beforehand, generously: without it a size that a nominal parameter
-    imitates runs off."""
+    """Standard deviation of its wide prior: without it a size that a nominal parameter imitates diverges."""
 
 
 class Shape(NamedTuple):
@@ -71,7 +70,7 @@ class Points:
     u: FloatArray
     """True motor torque [N m]."""
     sign: FloatArray
-    """Rounded sign of v (n, ...), averaged over the half interval at Gauss points."""
+    """Smoothed sign of v (n, ...), averaged over the half interval at Gauss points."""
     time_s: FloatArray
     """Since the start of the run."""
     session_s: FloatArray
@@ -84,7 +83,7 @@ class Points:
 
 @dataclass(frozen=True)
 class Record:
-    """What sensors said, each array (N,)."""
+    """Readings of the sensors, each array (N,)."""
 
     readings: Mapping[Channel, FloatArray]
     slow: Mapping[Channel, FloatArray]
@@ -97,7 +96,7 @@ class Record:
 
 @dataclass(frozen=True)
 class View:
-    """What an effect may look at: the motion, the parameters, the rig."""
+    """Input of an effect: the motion, the parameters, the rig."""
 
     mechanism: Mechanism
     beta: FloatArray
@@ -116,7 +115,7 @@ class View:
     """None in a simulation."""
 
     def parameter(self, term: str, joint: int) -> float:
-        """The nominal parameter of this term at this joint; nil where the model has none."""
+        """The nominal parameter of this term at this joint; zero where the model has none."""
         return float(sum(b for b, p in zip(self.beta, self.mechanism.parameters) if (p.term, p.at) == (term, (joint,))))
 
     def to_gauss(self, x: FloatArray) -> FloatArray:
@@ -132,7 +131,7 @@ class View:
 
 @dataclass(frozen=True)
 class Perturbation:
-    """What one effect adds; None where it adds nothing there."""
+    """Contribution of one effect; None where it adds nothing."""
 
     torque: FloatArray | None = None
     """(n, 2, K) [N m]"""
@@ -149,7 +148,7 @@ class Perturbation:
 
 
 class Joined(Protocol):
-    """What has a law at a joint."""
+    """An object with a law at a joint."""
 
     joint: int | None
 
@@ -171,7 +170,7 @@ class Effect(ABC):
     depends_on: ClassVar[Axis] = "q"
     """Against what its signature is drawn."""
     plans: ClassVar[tuple[PlanKind, ...] | None] = None
-    """Kinds of plan that show it, beside `large` and `small`, which every session has; None where none is known."""
+    """Kinds of plan that show it, in addition to `large` and `small` of every session; None where none is known."""
     by_hand: ClassVar[str] = ""
     """What shows it that no torque plan can do."""
     per_joint: ClassVar[bool] = False
@@ -188,13 +187,13 @@ class Effect(ABC):
     defining: ClassVar[int | None] = None
     """One of the first so many sizes is not zero where the effect is present; by default, of all."""
     lag_s: ClassVar[float] = 0.0
-    """By how much it may act later than its law says: a delay of less, found beside it, is no second cause."""
+    """Delay of its action against its law [s]: a smaller delay found together with it is no second cause."""
     near_rest: ClassVar[bool] = False
-    """It acts where a joint reverses: there no rounded sign is right, and tests find a little of it in every leg."""
+    """It acts where a joint reverses: there no smoothed sign is exact, and tests find a little of it in every leg."""
     strict: ClassVar[bool] = False
     """With a shape at a limit of its range it is another thing than its name says."""
     rough: ClassVar[Mapping[Kind, float]] = {}
-    """Kind of channel to how much louder than usual it may stay beside this effect, whose law is not exact there."""
+    """Kind of channel -> allowed factor on its noise level with this effect, whose law is not exact there."""
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
     """Sizes from which a re-fit begins, too, where the nominal fit is bad: its slopes say little of large ones."""
 
@@ -206,7 +205,7 @@ class Effect(ABC):
 
     @property
     def parts(self) -> tuple[Joined, ...]:
-        """What its law is the sum of, joint by joint."""
+        """Terms whose sum is its law, joint by joint."""
         return (self,)
 
     @property
@@ -254,15 +253,15 @@ class Effect(ABC):
         return float(magnitudes.min() / shape.below), float(magnitudes.max() * shape.above)
 
     def relaxed(self, size: FloatArray, slack: float) -> FloatArray:
-        """`size` of a law that is less steep by up to `slack`: a motion that is sought from afar comes by it."""
+        """`size` of a law with its slope reduced by up to `slack`, for a motion that starts far from its solution."""
         return size
 
     @abstractmethod
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
-        """What it adds at `size` (count,) to the motion in `view`."""
+        """Its contribution at `size` (count,) to the motion in `view`."""
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
-        """(...) torque on its own joint [N m] by the motion at the same instant; nil where there is none."""
+        """(...) torque on its own joint [N m] by the motion at the same instant; zero where there is none."""
         return np.zeros_like(at.time_s)
 
     def level_at_rest(self, size: FloatArray) -> float:
@@ -274,7 +273,7 @@ class Effect(ABC):
         return 0.0
 
     def delay_s(self, size: FloatArray) -> float:
-        """By how much it moves a reading in time [s]; nil where it does something else."""
+        """Delay of a reading [s]; zero where it has no delay."""
         return 0.0
 
     def by_torque(self, view: View, size: FloatArray) -> Mapping[Channel, FloatArray]:
@@ -319,7 +318,7 @@ class SensorEffect(Effect):
 
     @abstractmethod
     def readings(self, view: View, size: FloatArray) -> dict[Channel, FloatArray]:
-        """What is added to each channel's reading, (N,)."""
+        """Contribution to each channel's reading, (N,)."""
 
     def perturb(self, view: View, size: FloatArray) -> Perturbation:
         return Perturbation(readings=self.readings(view, size))
@@ -334,4 +333,4 @@ class BodyEffect(Effect):
 
     @abstractmethod
     def body_motion(self, view: View, size: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(N,) angle and rate of that joint beside the motion in `view`."""
+        """(N,) angle and rate of that joint, with the motion in `view`."""

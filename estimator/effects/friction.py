@@ -57,11 +57,10 @@ class AsymmetricFriction(TorqueEffect):
 
 
 class LoadDependentFriction(TorqueEffect):
-    """F = Fc + mu |tau - F sign(v)|: dry friction grows with what the joint passes on, the torque less friction.
+    """F = Fc + mu |tau - F sign(v)|: dry friction grows with the transmitted torque, tau less friction.
 
-    So it is less while the motor drives than while it brakes. Under a motor's voltage, which is no torque, the load is
-    what inertia and weight need. That follows from acceleration, and through it the law would feel itself: fits of a
-    driven leg that took it so did not settle (tuning seed 1200: unexplained, instead of 0.206 where 0.200 was hidden).
+    So it is smaller while the motor drives than while it brakes. With a voltage input the load is the inverse dynamics
+    of the links. A fit of a torque-driven leg does not converge with that.
     """
 
     name = "load_dependent_friction"
@@ -111,7 +110,7 @@ class QuadraticDrag(TorqueEffect):
 
 
 class FrictionDrift(TorqueEffect):
-    """Coulomb level that settles in the course of the session, C (1 - exp(-t / tau)), and drifts within each run."""
+    """(C (1 - exp(-t / tau)) + D t_run) sign(v): the Coulomb level changes over the session and within each run."""
 
     name = "friction_drift"
     family = "friction"

@@ -86,14 +86,14 @@ def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
     findings: list[Finding] = []
     while (k := _most_negative(result)) is not None:
         name, value, std = mechanism.names[k], float(result.beta[k]), float(result.own_std[k])
-        low = f"{name} ({mechanism.parameters[k].meaning}) comes out at {value:.2g} +- {std:.1g}, below what it can be"
+        low = f"{name} ({mechanism.parameters[k].meaning}) is {value:.2g} +- {std:.1g}, below its physical limit"
         if result.undetermined:  # a level in its place would pass for knowledge of the rest
             findings.append(Finding("warning", "level_at_zero", low))
             break
         sure = value < -SURE * std
-        scatter = "; no scatter, something else in the model or the set-up is wrong" if sure else ""
+        scatter = ". That is not scatter: the model or the set-up is wrong" if sure else ""
         findings.append(Finding("warning", "level_negative" if sure else "level_at_zero",
-                                f"{low}: held at 0, the others fitted again{scatter}"))
+                                f"{low}: fixed at 0, the others fitted again{scatter}"))
         held = replace(options, fixed={**options.fixed, **dict.fromkeys([*limits, name], 0.0)})
         try:
             result = by(datasets, mechanism, held, method)
@@ -105,8 +105,8 @@ def fit_admissible(datasets: Sequence[Dataset], mechanism: Mechanism, options: F
     closed = np.where([name in result.open_parameters for name in mechanism.names], np.inf, result.own_std)
     q = np.concatenate([t.q for t in result.trajectories]) if result.trajectories else np.zeros((0, mechanism.n))
     impossible = faults(mechanism, result.beta, closed, q) if result.converged else ()
-    findings += [Finding("warning", "length", f"{text}, which no link has: the inertia may hold the motor's rotor, "
-                         "times the gear ratio squared, or a counterweight lowers the gravity term")
+    findings += [Finding("warning", "length", f"{text}, which is impossible for a link: the inertia may include the "
+                         "motor's rotor times the gear ratio squared, or a counterweight lowers the gravity term")
                  for text, motor in strange_lengths(mechanism, result.beta, closed) if motor and result.converged]
     return replace(result, fixed=fixed, at_bound=limits,
                    findings=(*findings, *(Finding("fault", "impossible", text) for text in impossible)))

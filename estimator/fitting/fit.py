@@ -31,10 +31,8 @@ ESTIMATORS: dict[str, Estimator] = dict(zip(METHODS, (fit_mle, fit_wls, fit_rls,
 def fit(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, method: Method = "mle") -> FitResult:
     """Identify `mechanism` from `datasets` by `method`; raises `FitError` where the data cannot answer.
 
-    What the data leaves undetermined is named in the result, or in the error, by the regressor's excitation
-    (`excitation`): with noise for motion, methods other than `mle` are sure of what they do not know, and so
-    is an `mle` that estimates its noise levels and has put the torque down to noise. Where all levels are given its
-    covariance can be relied on.
+    The result, or the error, names undetermined parameters by the regressor's excitation (`excitation`). For `mle` with
+    given noise levels the covariance decides instead.
 
     >>> fit([run], leg2(lever_arm=0.2), FitOptions(sensors="imu")).beta  # doctest: +SKIP
     """

@@ -55,7 +55,8 @@ class HoldChoice(NamedTuple):
 
     def __str__(self) -> str:
         if self.margin < PRIOR:
-            return f"this data hardly tells it from '{self.next}' (log-likelihood {self.margin:+.1f}); declare it"
+            return (f"these data hardly separate it from '{self.next}' (log-likelihood {self.margin:+.1f}); declare "
+                    "hold under [sampling]")
         return f"the likeliest; the next, '{self.next}', has a log-likelihood {self.margin:.3g} below"
 
 

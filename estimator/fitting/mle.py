@@ -184,14 +184,14 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
     again = iterate(wide, again, np.append(free, True), options, floors)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
     if not again.converged or std > bound_s:
-        return state, None, (f"the IMU's time line is taken as it is, though known to {bound_s * 1e6:.0f} us only; the "
-                             "motion does not place it better")
+        return state, None, (f"the IMU's time line is used as measured (within {bound_s * 1e6:.0f} us); the motion "
+                             "does not determine it better")
     if abs(skew) > bound_s:
         return state, None, (f"the IMU would fit best {_late(skew)} against the controller, more than the "
-                             f"clocks' {bound_s * 1e6:.0f} us: not allowed for, for something else is wrong; see legid "
-                             "diagnose")
+                             f"clocks' {bound_s * 1e6:.0f} us. This is not corrected, because something else is wrong: "
+                             "run legid diagnose")
     told = (f"the IMU is {_late(skew)} against the controller, +-{TWO_SIDED * std * 1e6:.0f} us, by this motion "
-            f"(clocks: within {bound_s * 1e6:.0f} us); allowed for")
+            f"(clocks: within {bound_s * 1e6:.0f} us); corrected")
     return State(again.x, again.beta[:-1], again.noise, again.covariance[:-1, :-1], True,
                  state.iterations + again.iterations), skew, told
 
@@ -227,9 +227,9 @@ def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[Sig
 
 
 def state_of(found: Searched, record: int, noise: Noise) -> State:
-    """State that a search found for one of its records. Raises `FitError` where no start led anywhere."""
+    """State that a search found for one of its records. Raises `FitError` where no search converged."""
     if not np.isfinite(found.objective[record]):
-        raise FitError("no start of the search led anywhere; the record is too short or too noisy")
+        raise FitError("no search converged; the record is too short or too noisy")
     q, v, u = np.split(found.x[record], 3, axis=-1)
     return State(Latents(q, v, u), found.beta[record], noise, found.covariance[record],
                  bool(found.converged[record]), int(found.steps[record]))
@@ -289,7 +289,7 @@ def result_of(problem: LatentProblem, signals: list[SignalSet], mechanism: Mecha
         f"all noise is {colour(state.noise)}, Gaussian and {independence(options)}; levels "
         + ("as given" if _levels_given(mechanism, options) else
            "estimated from the data"),
-        "the model's form is right: what it leaves out is counted as torque noise")
+        "the model's form is right: its errors count as torque noise")
     riders = [f"IMU {k + 1} on link {place.link + 1}" for k, place in enumerate(mechanism.imus) if place.link]
     if problem.has_imu and riders:
         lengths = ", ".join(f"{length:g} m" for length in mechanism.link_lengths)

@@ -246,7 +246,7 @@ def shoot(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, free: N
             continue
         if converged and point.lost.mean() <= MOST_LOST:
             return _result(signals, search, point, step, taken)
-    raise FitError(f"multiple shooting over {seconds:g} s came to no end")
+    raise FitError(f"multiple shooting over {seconds:g} s did not converge")
 
 
 def _result(signals: Sequence[SignalSet], search: _Search, point: _Point, step: _Step, taken: int) -> Shot:

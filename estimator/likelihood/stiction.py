@@ -1,4 +1,4 @@
-"""What dry friction leaves open near rest, of every joint of a record, and its smoothing velocity."""
+"""Unknown friction torque near rest of every joint of a record, and its smoothing velocity."""
 
 from __future__ import annotations
 
@@ -23,16 +23,13 @@ KINK = 2.0
 
 def find_stiction(problem: LatentProblem, v: FloatArray, beta: FloatArray, one_per_crossing: bool = True
                   ) -> FloatArray:
-    """(N, 2, n) what dry friction leaves open at each sample, and in the interval from it on, squared [N^2 m^2].
+    """(N, 2, n) variance [N^2 m^2] of the unknown friction torque at each sample, and in the interval after it.
 
-    At samples see `dry_friction`; friction is one draw a zero crossing of the velocity, or one a sample.
-    (Measured on a leg that starts at rest against a spring: without this the spring's preload is 6 % off and five
-    parameters 0.25 %, with it 0.7 % and 0.05 %.)
-    In an interval at whose ends a joint is slower than what friction can change its rate by in KINK intervals, or in
-    which it turns round, it may rest or reverse, nothing says when, and the sums of friction over it are free up to F:
-    what such an interval says of beta is little, and wrong. (Measured on an event-driven leg with friction of a tenth
-    of the torque's peak at 100 Hz: the knee's Coulomb level 4.4 to 5.6 of its standard deviations low without this and
-    a smooth torque, 0.1 to 1.2 with them, in half as many steps.)
+    - At samples see `dry_friction`: one value for each zero crossing of the velocity, or one for each sample.
+    - In an interval the variance is F^2 if the joint reverses in it, or if |v| < KINK dt F / M at one of its ends.
+
+    (Measured: the spring's preload of a leg that starts at rest is 0.7 % off, without this 6 %. The knee's Coulomb
+    level of an event-driven leg at 100 Hz is 0.1 to 1.2 standard deviations low, without this 4.4 to 5.6.)
     """
     m = problem.mechanism
     out = np.zeros((problem.total, 2, problem.n))

@@ -68,8 +68,8 @@ def calibrate_knee(raws: Sequence[RawRun], rig: Rig, straight: bool, model: Mode
               f"rig.toml had {c.knee_zero_rad:+.5f} rad"]
     warnings = []
     if not straight:
-        lines.append("what tilts the IMU's zero of q1 goes into it one to one: an accelerometer bias of 0.1 m/s2 along "
-                     f"the swing is {0.1 / g:.3f} rad")
+        lines.append("an error of the IMU's zero of q1 adds to it in full: an accelerometer bias of 0.1 m/s2 along the "
+                     f"swing gives {0.1 / g:.3f} rad")
     if step == 0.0 and all(stop.knee.half == 0.0 for stop in stops):
         warnings.append("the encoder's reading never changed: the interval lacks its step; give [noise] encoder_rad")
     warnings += [f"{stop.name}: the knee crept by {stop.knee.drift:+.2g} rad; let it come to rest for longer"

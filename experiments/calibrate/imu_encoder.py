@@ -74,8 +74,8 @@ def encoder_text(fit: EncoderFit, rig: Rig) -> str:
         lines.append("not determined: " + "; ".join(left))
     if "lever_arm" in fit.held:
         arm = rig.imus[0].lever_arm_m
-        lines.append(f"the lever arm was held at rig.toml's {arm:g} m: such a motion tells it not from "
-                     "the scales; drive the link, or swing it farther")
+        lines.append(f"the lever arm was fixed at rig.toml's {arm:g} m: this motion does not separate it from the "
+                     "scales; drive the link, or swing it farther")
     return "\n".join([*lines, "", text_table(["rms on the rest, IMU less encoder", *CHECK], check_rows(fit),
                                              right={1, 2, 3, 4})])
 
@@ -150,7 +150,7 @@ def _stays_words(fit: EncoderFit, native: bool) -> str:
         words.append(f"rig.toml has no key for: {'; '.join(sure)}. A scale or an angle may be the encoder's as well; "
                      "a diagnosis looks for gyro_scale, sensor_time_skew and encoder_offset")
     if not native:
-        words.append("[calibration] stays as it is: it applies to raw readings, a CSV holds calibrated ones")
+        words.append("[calibration] is not changed: it applies to raw readings, and a CSV has calibrated ones")
     return "".join(f"\n{line}" for line in words)
 
 
@@ -165,5 +165,5 @@ def _warnings(fit: EncoderFit) -> list[str]:
              "motion there is another, or the errors change; nothing is written" for name in worse(fit)]
     lever = fit["lever_arm"]
     if lever.determined and lever.value < -lever.half - BEYOND_M:
-        found.append(f"the lever arm comes out at {lever.value:.4f} m, beyond the pivot; rig.toml takes none below 0")
+        found.append(f"the lever arm is {lever.value:.4f} m, beyond the pivot; rig.toml accepts none below 0")
     return found

@@ -39,7 +39,7 @@ def calibrate_mount(raws: Sequence[RawRun], rig: Rig, model: Model | None = None
     if not rests:
         raise WorkError(f"no record holds {LEAST_STILL_S:g} s of the leg hanging still; record that too")
     if not swings:
-        raise WorkError("in no record does the leg swing; push it by 30 degrees or more, then let it swing")
+        raise WorkError("the leg swings in no record; push it by 30 degrees or more, then let it swing")
     short = [record.name for _, record in swings if record.seconds < LEAST_SWING_S]
     if short:
         raise WorkError(f"{short[0]}: less than {LEAST_SWING_S:g} s of swing; record for longer")
@@ -50,7 +50,8 @@ def calibrate_mount(raws: Sequence[RawRun], rig: Rig, model: Model | None = None
         raise WorkError(f"the mount's angles are known to {', '.join(f'{h:.2g}' for h in fit.angle_half)} rad only; "
                         "swing wider and for longer")
     if fit.lever_m < -fit.lever_half:
-        raise WorkError(f"the IMU comes out {-fit.lever_m:.3f} m above the pivot; it must sit on link 1, below it")
+        raise WorkError(f"the estimated place of the IMU is {-fit.lever_m:.3f} m above the pivot; it must be on link "
+                        "1, below it")
     return _outcome(fit, rig, len(rests), sign, model)
 
 

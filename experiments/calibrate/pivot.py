@@ -47,8 +47,8 @@ def calibrate_pivot(raws: Sequence[RawRun], rig: Rig) -> Outcome:
              for raw, reading, q1 in zip(raws, readings, angles)]
     lines += ["", f"pivot zero: {value:+.5f} +- {half:.2g} rad (95 %, from {how})",
               f"rig.toml had {c.pivot_zero_rad:+.5f} rad",
-              "what tilts the IMU's zero of q1 goes into it one to one: an accelerometer bias of 0.1 m/s2 along the "
-              f"swing is {0.1 / rig.mechanism.gravity_mps2:.3f} rad" if by_imu else
+              "an error of the IMU's zero of q1 adds to it in full: an accelerometer bias of 0.1 m/s2 along the "
+              f"swing gives {0.1 / rig.mechanism.gravity_mps2:.3f} rad" if by_imu else
               "without an IMU link 1 was taken to hang straight down: true with the knee straight, up to the pivot's "
               "friction"]
     warnings = [f"{raw.name}: the pivot crept by {reading.drift:+.2g} rad; let it come to rest for longer"

@@ -135,7 +135,7 @@ def _drive_alone(controller: Drive, rig: Rig) -> list[Check]:
                             f"{limits.speed_limit_radps:.3g} rad/s, knee {' to '.join(dict.fromkeys(ends))} rad, of "
                             f"the joint; at a lost host: {Reaction(limits.reaction).name.lower()}"))
     elif hello is not None:
-        checks.append(Check("drive's limits", "warn", "it tells none; [limits] are written to it as it is armed"))
+        checks.append(Check("drive's limits", "warn", "it reports none; legid writes [limits] to it when it is armed"))
     try:
         check_drive(rig, controller)
     except InputError as error:

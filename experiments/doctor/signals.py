@@ -96,7 +96,7 @@ def _samples(heard: Heard, rig: Rig) -> Check:
         return Check("IMU samples", "FAIL", f"{words}; raise the bus clock, lower rate_hz, or give the program "
                                             "real-time priority (@group - rtprio 5 in /etc/security/limits.conf)")
     if abs(rate - nominal) > RATE_TOLERANCE * nominal:
-        return Check("IMU samples", "FAIL", f"{words}; the chip is not what it says, or its supply is bad")
+        return Check("IMU samples", "FAIL", f"{words}; the chip is of another kind, or its supply is bad")
     return Check("IMU samples", "ok", words)
 
 

@@ -141,12 +141,12 @@ class Bench:
                                     "other joints", "give a model of this rig")
         self.mechanism: Mechanism = build_mechanism(model.mechanism)
         if len(self.mechanism.actuated) != 1 or self.mechanism.n > 2 or model.mechanism.prismatic:
-            raise InputError(where, "is no mechanism of one or two rotary joints of which one is driven",
+            raise InputError(where, "is not a mechanism of one or two rotary joints with one driven joint",
                              "give a model of such a rig")
         self.beta = np.array(model.beta)
         if not (self.beta > 0).all():
             name = self.mechanism.names[int(np.argmin(self.beta))]
-            raise InputError(where, f"{name} is not positive, so nothing can be designed by it",
+            raise InputError(where, f"{name} is not positive, so the model cannot be used for a design",
                              "give a model from a fit that determines it")
         self.limits: Limits = rig.limits
         self._noise = {**USUAL_NOISE, **{name: level for name, level in model.noise.items() if level > 0}}

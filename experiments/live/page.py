@@ -21,8 +21,8 @@ SHOW_EVERY_S = 0.22
 """At most five times a second."""
 ESTOP = """<div id="estop-bar"><div id="estop-said" class="said" role="status" aria-live="assertive">Ready.</div>
 <button id="estop" type="button" aria-keyshortcuts="Escape Space">EMERGENCY STOP</button></div>"""
-CUT = ("No news from legid live: what is shown is old, and the emergency stop here may not work. Use the switch on "
-       "the rig.")
+CUT = ("No connection to legid live: the values shown are old, and the emergency stop here may not work. Use the "
+       "switch on the rig.")
 
 
 class Page:
@@ -78,7 +78,8 @@ class Page:
                 self._start = _button("Start", self._on_start, "start", "go")
                 self._stop = _button("Stop", lambda: self._session.stop(), "stop")
                 self._release = _button("Release the emergency stop", None, "release")
-            self._unattended = ui.checkbox("Go on when no page is open: nobody watches the leg").props("for=unattended")
+            self._unattended = ui.checkbox("Continue when no page is open (nobody watches the leg)").props(
+                "for=unattended")
             _html('<progress id="progress" max="1" value="0" aria-label="share of the plan that is done"></progress>'
                   '<div class="soft">Time in the plan: <span id="time"></span></div><div id="silence"></div>')
 

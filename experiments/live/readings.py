@@ -89,7 +89,7 @@ def _devices(session: Session, rig: Rig) -> dict[str, str]:
             text["imu"] = f"{status.imu_samples} samples, heard {_age(status.imu_age_s)} ago"
         quiet = time.monotonic() - session.heard_s
         if quiet > STALE_S:
-            text["silence"] = f"The recorder has said nothing for {quiet:.0f} s: what is shown is old."
+            text["silence"] = f"No message from the recorder for {quiet:.0f} s: the values shown are old."
     elif session.phase is Phase.OVERLOAD:
         text["controller"] = text["imu"] = "closed; the computer was too busy to listen"
     elif lost:

@@ -61,8 +61,8 @@ def bodies_of(model: Model, where: str) -> list[Body]:
     if settings.input == "voltage":
         raise InputError(where, "is in volt units, a body needs newtons", "fit on runs with a measured torque")
     if mechanism.n > 2 or settings.model == "biped3":
-        raise InputError(where, f"has {mechanism.n} links, whose lengths its parameters state more than once and not "
-                                "alike", "give a model of one or two links")
+        raise InputError(where, f"has {mechanism.n} links, and its parameters give contradictory lengths",
+                         "give a model of one or two links")
     if settings.prismatic and settings.gravity_mps2:
         raise InputError(where, "is a slide with gravity, whose slope is not known",
                          "set gravity_mps2 = 0 for a level one")

@@ -21,8 +21,7 @@ SHOWN = 12
 
 
 def change_text(found: Change, names: tuple[str, str] = REFERENCE_NAMES) -> str:
-    """What a person reads after `legid diagnose --against` and `legid compare`: the verdict first. `names` are those of
-    the two sessions."""
+    """Text after `legid diagnose --against` and `legid compare`: the verdict first. `names`: those of the sessions."""
     blocks = [found.sentence]
     if found.causes:
         blocks.append(f"From {names[0]} to {names[1]}:\n" + text_table(CAUSE_HEADER, cause_rows(found), {3, 4}))

@@ -95,8 +95,8 @@ def comparison_trust(found: Comparison) -> Trust:
     reasons = (*found.flags, *found.notes)
     if found.errors and all(e.ci95 is None and not e.better for e in found.errors):
         smaller = sum(e.b < e.a for e in found.errors)
-        return Trust("caution", "NOT DECIDED: these runs are too short for an interval, ten seconds are the least; the "
-                     f"error of B is the smaller at {smaller} of {total} sensors and horizons.", reasons)
+        return Trust("caution", "NOT DECIDED: these runs are too short for an interval; record ten seconds or more. "
+                     f"The error of B is smaller at {smaller} of {total} sensors and horizons.", reasons)
     if wins["A"] and wins["B"]:
         parts = " and ".join(f"{name} ({files[name]}) at {_places(wins[name])}" for name in NAMES)
         return Trust("caution", f"NEITHER is better throughout: {parts}.", reasons)
@@ -107,11 +107,11 @@ def comparison_trust(found: Comparison) -> Trust:
                 "" if best.ci95 is None else f" [{best.ci95[0]:.2g}, {best.ci95[1]:.2g}]") if math.isfinite(
                     _ratio(best)) else "one of them diverged"
             return Trust("caution" if found.flags else "good",
-                         f"{name} IS BETTER ({files[name]}): at {len(wins[name])} of {total} sensors and horizons, and "
-                         f"the other at no more than chance gives; most at {_place(best)}, rms error of B over that of "
-                         f"A {told}.", reasons)
-    return Trust("caution", f"NEITHER is better: of {total} sensors and horizons no more leave 1 out of the 95 % "
-                 "interval of the ratio of errors than chance gives.", reasons)
+                         f"{name} IS BETTER ({files[name]}): at {len(wins[name])} of {total} sensors and horizons; the "
+                         f"other model at no more than chance gives. Largest difference: {_place(best)}, rms error of "
+                         f"B over A {told}.", reasons)
+    return Trust("caution", f"NEITHER is better: over {total} sensors and horizons no more differences are significant "
+                 "than by chance.", reasons)
 
 
 def _ratio(error: HorizonError) -> float:

@@ -56,12 +56,12 @@ def horizons_rows(table: PredictionTable) -> tuple[list[str], list[list[str]]]:
 
 def horizon_flags(table: PredictionTable) -> list[str]:
     """Reasons not to rely on some errors."""
-    flags = [f"at {row.length_s:.3g} s {lost} of {row.pieces} simulations of {name} diverged; they count as if the "
-              "joints had stayed where they were" for row in _rows(table) if np.isfinite(row.horizon_s)
+    flags = [f"at {row.length_s:.3g} s {lost} of {row.pieces} simulations of {name} diverged; each is replaced by "
+              "its initial state" for row in _rows(table) if np.isfinite(row.horizon_s)
               for name, lost in zip(("the model", "the other model"), _lost(table, row)) if lost]
     worse = [h for h in table.horizons_s if h <= 1.0 and any(
         not table.rms(0, c, h) < table.rms_kept(c, h) for c in table.angles)]
-    flags += [f"at {h:g} s the last velocity, kept, predicts a joint better than the model" for h in worse]
+    flags += [f"at {h:g} s a constant velocity predicts a joint better than the model" for h in worse]
     return flags
 
 

@@ -28,8 +28,8 @@ def contradictions_of(result: FitResult) -> list[str]:
              f"standard deviations (after the fit {one.fitted:.4g}): measure it again, or take it out"
              for one in result.prior if one.contradiction > CONTRADICTS]
     if not found and result.prior_conflict > CONTRADICTS:
-        found = [f"the runs contradict [prior] by {result.prior_conflict:.1f} standard deviations a value, for without "
-                 "it they are likelier: check its values and units"]
+        found = [f"the runs contradict [prior] by {result.prior_conflict:.1f} standard deviations a value: check its "
+                 "values and units"]
     return found
 
 

@@ -35,7 +35,7 @@ def agreement_lines(result: FitResult) -> list[str]:
     if found is None:
         return []
     if found.p_value is None:
-        return ["one run cannot tell whether runs agree: intervals are by its noise alone"]
+        return ["one run gives no scatter between runs: intervals include its noise alone"]
     count, unit = len(found.runs), f"{found.unit}s"
     if not found.disagree:
         return [f"{count} {unit} agree within their noise ({_p(found.p_value)})"]
@@ -58,8 +58,8 @@ def agreement_section(result: FitResult) -> list[Section]:
         return [Section(f"Do the {found.unit}s agree?", [f"{lines[0][:1].upper()}{lines[0][1:]}."])]
     text = [f"{lines[0][:1].upper()}{lines[0][1:]}.",
             f"Mean and scatter are those of {found.unit}s that each have parameters of their own, to first order at "
-            f"the values above. A {found.unit}'s own value is drawn to the mean by what it does not know. Where the "
-            "scatter stands in brackets, most of it is not seen: it may belong to another parameter."]
+            f"the values above. A {found.unit}'s own value is shrunk to the mean by its uncertainty. Where the "
+            "scatter stands in brackets, most of it is not observed: it may belong to another parameter."]
     each = len(found.runs) <= MOST_RUNS
     over, by_run = [], []
     for k, p in enumerate(result.mechanism.parameters):

@@ -97,5 +97,5 @@ def opinion_section(result: FitResult) -> list[Section]:
     return [Section("Second opinion", [told, *([f"{why[:1].upper()}{why[1:]}."] if why else [])], [
         Table(["parameter", f"{WORDS[result.method]} (reported)", WORDS[other.method], "disagreement", "unit",
                "meaning"], rows, right=frozenset({1, 2, 3}))],
-        notes=[f"Not compared, for it is given, at a bound or not determined by both: {', '.join(left_out)}."]
+        notes=[f"Not compared because given, at a bound, or not determined by both: {', '.join(left_out)}."]
         if left_out else [])]

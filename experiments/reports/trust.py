@@ -138,7 +138,7 @@ def validation_trust(table: PredictionTable, seen: Sequence[str] = (), contradic
     (whole, where), (short, where_short) = worst(np.inf), worst(SHORT_S)
     seconds = min(one.longest_s for one in table.runs)
     level, sentence = _for_what(whole, where, short, where_short, seconds)
-    suspect = [f"the model was fitted to run {run}, which so does not test it" for run in seen]
+    suspect = [f"the model was fitted to run {run}, so that run does not test it" for run in seen]
     suspect += list(contradictions)
     if suspect and level == "good":
         return Trust("caution", f"TRUST WITH CARE: {'; '.join(suspect)}. {sentence}")

@@ -72,8 +72,8 @@ def validation_text(table: PredictionTable) -> str:
     unit = length_unit(validations[0])
     lines = [text_table(header, rows, right=set(range(1, len(header)))), "",
              text_table(FIT_HEADER, fit_rows(table), right={2, 3, 4}), "",
-             "fit: 100 % is exact, 0 % no better than the mean. Band: by how much the parameters' own uncertainty "
-             "moves the simulation; an error far beyond it is something that the model lacks.",
+             "fit: 100 % is exact, 0 % no better than the mean. Band: change of the simulation by the parameters' "
+             "uncertainty; a much larger error means that the model lacks something.",
              f"SSE: summed squared error, [{unit}^2] and [{unit}^2/s^2] for rates; RMSE in {unit} and {unit}/s."]
     lines += [f"{v.run}: the simulation diverged" for v in validations if v.diverged]
     return "\n".join(lines)

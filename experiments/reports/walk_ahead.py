@@ -25,7 +25,7 @@ def fall_text(run: Whole) -> str:
     if run.fell_s is None:
         return f"{run.run}: the free run from its first step walks all {run.steps} steps"
     return (f"{run.run}: the free run from its first step falls after {run.fell_s:.2f} s, in step {run.fell_step} of "
-            f"{run.steps}; nothing is said of it from there on")
+            f"{run.steps}; later steps are not compared")
 
 
 def walk_text(found: WalkAhead) -> str:

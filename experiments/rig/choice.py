@@ -45,6 +45,6 @@ def choose_rig(given: Path | str | None, runs: Sequence[Path | str] = ()) -> Cho
 def rig_path(given: Path | str | None) -> Path | str:
     """The path given, else ./rig.toml. Raises `InputError` where that is not there."""
     if given is None and not Path(HERE).is_file():
-        raise InputError("--rig", f"is not given, and neither a run nor ./{HERE} says what the rig is",
+        raise InputError("--rig", f"is not given, no run contains a rig file, and there is no ./{HERE}",
                          "give the rig's TOML file")
     return HERE if given is None else given

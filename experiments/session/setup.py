@@ -17,7 +17,7 @@ from estimator.fitting import has_torque
 from estimator.model import Mechanism, body_values
 from experiments.models import MechanismSettings, build_mechanism, mechanism_settings
 
-FREE_SWING = "no joint is driven, for every torque of every run is exactly zero"
+FREE_SWING = "no joint is driven: every torque of every run is exactly zero"
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def choose_sensors(rig: Rig, datasets: Sequence[Dataset], wanted: str | None) ->
     lacking = [d.name for d in datasets if not all(c in d for c in columns)]
     has_imu = model == "leg2" or (rig.imu is not None and model != "joint1")
     if wanted == "imu" and not has_imu and model != "joint1":
-        raise InputError("--sensors", f"the rig file says of no IMU where it sits on this {model}",
+        raise InputError("--sensors", f"the rig file gives no IMU's place on this {model}",
                          "give link and lever_arm_m under [imu], or use --sensors encoder")
     if wanted == "imu" and lacking:
         raise InputError(lacking[0], "has no IMU columns " + ", ".join(columns), "use --sensors encoder")

@@ -96,9 +96,9 @@ def _far(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions)
         span, path = max((float(np.ptp(q)), float(np.abs(np.diff(q)).sum()))
                          for q in (d[column][np.isfinite(d[column])] for d in datasets))
         if span > MOST_SPAN and path > ONE_WAY * span:
-            found.append(f"{column} swings over {span:.3g} rad, {span / (2.0 * np.pi):.3g} turns, and in no unit that "
-                         "was tried (rad, deg, turn, mrad, counts) does it explain the torque: check that it is the "
-                         "angle of this joint, and the time of its samples")
+            found.append(f"{column} swings over {span:.3g} rad, {span / (2.0 * np.pi):.3g} turns, and explains the "
+                         "torque in none of the units rad, deg, turn, mrad, counts: check that it is the angle of this "
+                         "joint, and the time of its samples")
     return tuple(found)
 
 

@@ -133,6 +133,6 @@ def _strange(datasets: Sequence[Dataset | None], mechanism: Mechanism, options: 
     share, others_share = float(left[worst, j]), float(usual[j])
     if share < STRANGE_LEFT or share < STRANGE_TIMES * others_share:
         return {}
-    return {list(blocks)[worst]: f"the other runs' parameters leave {100 * share:.0f} % of its torque of joint "
-            f"{driven[j] + 1} ({100 * others_share:.0f} % of the median run's): it is of another rig, or one of its "
-            "columns is read differently"}
+    return {list(blocks)[worst]: f"the other runs' parameters do not explain {100 * share:.0f} % of its torque of "
+            f"joint {driven[j] + 1} ({100 * others_share:.0f} % of the median run's): it is of another rig, or one of "
+            "its columns is read differently"}

@@ -330,7 +330,7 @@ def _diagnosis_entry(d: Diagnosed) -> dict[str, Any]:
                             for c in d.found.causes},
                   "torque_rms": {"before": list(d.found.torque_rms_nm[0]), "after": list(d.found.torque_rms_nm[1])},
                   "other_seeds": [{"verdict": verdict, "causes": list(causes)} for verdict, causes in d.others],
-                  "residual_percent": dict(zip(("before", "after"), d.residual_percent()))}
+                  "left_over_percent": dict(zip(("before", "after"), d.residual_percent()))}
     return entry
 
 

@@ -64,7 +64,7 @@ def with_known_gain(not_testable: Mapping[str, str], rig: Rig) -> dict[str, str]
         return dict(not_testable)
     constant = c.torque_constant_nm_per_a
     words = (f"measured by a known weight, {constant:.4g} +- {half:.2g} N m/A (95 %): all parameters' common scale is "
-             f"known to {half / constant:.2%}; no motion shows more of it")
+             f"known to {half / constant:.2%}; motion does not determine it")
     return {**not_testable, GAIN: words}
 
 

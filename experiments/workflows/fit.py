@@ -140,8 +140,8 @@ def _noise_findings(result: FitResult) -> list[Finding]:
         return []
     wide = result.agreement is not None and result.agreement.disagree
     narrow = "intervals allow for what runs disagree about alone" if wide else "intervals are too narrow"
-    return [Finding("warning", "noise_share", f"{100 * share:.0f} % of the torque's spread is left to noise, which is "
-                    f"hardly white: {narrow}; see what legid tune and legid diagnose find")]
+    return [Finding("warning", "noise_share", f"{100 * share:.0f} % of the torque's spread counts as noise, which "
+                    f"is hardly white: {narrow}; run legid tune, then legid diagnose")]
 
 
 def noise_share(result: FitResult) -> float:
@@ -176,8 +176,8 @@ def encoder_error(setup: Setup, result: FitResult
         faulty = any(one.role == "fault" for one in (*tried.findings, *wrong))
         if tried.converged and not faulty and score < best + np.log(1.0 - BETTER):
             best = score
-            why = (f"angles that err by more than their encoder shows, {shown:.2g} (play, or time stamps that jitter): "
-                   f"{100 * share:.0f} % of the torque's spread went for noise")
+            why = (f"angle errors above the encoder's noise {shown:.2g} (play, or jitter of time stamps): "
+                   f"{100 * share:.0f} % of the torque's spread counted as noise")
             gain = f"{100 * (1 - np.exp(best - first)):.0f} % better" if np.isfinite(first) else "at all"
             choice = Choice("noise", "encoder_rad", level, why, f"the next second is predicted {gain}")
             found = choice, trial, tried, wrong
@@ -202,8 +202,8 @@ def _found_smoothing(stated: Mechanism, found: Mechanism) -> list[Choice]:
 def _gain_teller(rig: Rig, fixed: Mapping[str, float] | None) -> tuple[str, float]:
     """The one parameter that was given, and its value. Raises `FitError`."""
     if fixed is None or len(fixed) != 1:
-        raise FitError("nothing tells the servo's gain: give it as gain under [servo], or one parameter, as "
-                       "--fix NAME=VALUE, by which the fit finds it")
+        raise FitError("these runs do not determine the servo's gain: give it as gain under [servo], or give one "
+                       "parameter with --fix NAME=VALUE")
     (name, value), = fixed.items()
     return name, value
 

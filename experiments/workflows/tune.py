@@ -103,7 +103,7 @@ def tune_runs(paths: Sequence[Path | str], rig: Rig, sensors: str | None = None,
             finest = _finest(grids, best.score, now)
             best, chosen = grids[finest], finest if finest != now else None
         if chosen is not None:
-            change = f"error of runs not fitted {_errors(start)} -> {_errors(best)}"
+            change = f"error of held-out runs {_errors(start)} -> {_errors(best)}"
             out.choices.append(Choice(table, key, chosen, why, change))
             best_rig = with_choices(best_rig, out.choices[-1:])
     out.after = best
@@ -242,15 +242,18 @@ def tuning_rows(found: Tuning) -> list[list[str]]:
 
 
 def tuning_text(found: Tuning) -> str:
-    """Text for a person: one table, then what it is worth."""
+    """Text for a person: the gain first, then one table."""
     rows = tuning_rows(found)
-    lines = [text_table(["entry", "chosen", "why", "what it changes"], rows, set())] if rows else [
-        "no change: rig.toml predicts best as it is" if found.predicts else
-        "nothing is chosen: no fit to half of the runs predicts the other half.\n"
-        "Run legid fit on the same runs: its first lines say what is wrong."]
-    if found.predicts and found.before is not None and found.after is not None:
-        lines += ["", f"rms prediction error over {SHORT_S:g} s on held-out runs, by joint: "
-                      f"{_errors(found.before)} before, {_errors(found.after)} after"]
+    what = f"rms prediction error over {SHORT_S:g} s on held-out runs, by joint"
+    if not found.predicts or found.before is None or found.after is None:
+        lines = ["nothing is chosen: no fit to half of the runs predicts the other half.",
+                 "Run legid fit on the same runs: its first lines say what is wrong."]
+    elif rows:
+        lines = [f"{len(rows)} {'entry' if len(rows) == 1 else 'entries'} of rig.toml chosen; {what}: "
+                 f"{_errors(found.before)} before, {_errors(found.after)} after",
+                 "", text_table(["entry", "chosen", "why", "what it changes"], rows, set())]
+    else:
+        lines = [f"no change: rig.toml predicts best as it is; {what}: {_errors(found.after)}"]
     lines += [f"warning: {run}" for run in found.aside]
     lines += [f"warning: {flag}" for flag in found.flags]
     return "\n".join(lines)

@@ -18,7 +18,8 @@ VARIES = re.compile(r"(?<=by legid )\S+|[-+]?\d[\d.,:e+-]*|-{2,}|\s+")
 """The version, numbers, rules under headings and spaces: the commit, the machine's arithmetic and the clock decide
 about them."""
 
-SWAYS = re.compile(r"(?m)^(assumed: (torque acts|dry friction)|Wide intervals|[Rr]uns disagree|warning: \d+ % of).*\n")
+SWAYS = re.compile(r"(?m)^(assumed: (torque acts|friction smoothing)|Wide intervals|[Rr]uns disagree|"
+                   r"warning: \d+ % of).*\n")
 
 
 @pytest.fixture(scope="module")

@@ -74,7 +74,7 @@ def test_other_messages_may_come_in_between() -> None:
     assert codec.feed([wire[0], *between, *wire[1:]]) == [Pong(1, 2, 22), FaultReport(5, 1, 1, 7.0), TELEMETRY]
 
 
-def test_what_is_foreign_is_passed_over_and_what_is_wrong_is_counted() -> None:
+def test_frames_of_others_are_passed_over_and_wrong_ones_counted() -> None:
     codec = CanCodec(2)
     assert codec.feed(frames(TELEMETRY, node=3)) == []
     assert (codec.bad_crc, codec.bad_length, codec.unknown) == (0, 0, 0)

@@ -79,7 +79,7 @@ def _step(steps: argparse._SubParsersAction[argparse.ArgumentParser], name: str,
     step = steps.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}. {more}")
     step.add_argument("runs", metavar="RUN", nargs="*", help=runs)
     step.add_argument("--rig", default="rig.toml",
-                      help="the rig's TOML file, into which what is found is written; default: ./rig.toml")
+                      help="the rig's TOML file, into which the results are written; default: ./rig.toml")
     step.add_argument("--seconds", type=float, default=seconds,
                       help=f"length of each record from the devices (default {seconds:g})")
     step.add_argument("--dry-run", action="store_true", help="print only, leave the rig file as it is")

@@ -17,8 +17,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Describe the command."""
     parser = subparsers.add_parser(
         "excite", help="design an excitation within the rig's limits",
-        description="Look for the torque that tells most about all parameters together, by a prior model of the rig: a "
-                    "Fourier series of odd harmonics whose amplitudes and phases an optimiser moves. The simulated "
+        description="Optimise a torque plan for the information about all parameters, with a prior model of the rig: a "
+                    "Fourier series of odd harmonics, with free amplitudes and phases. The simulated "
                     "motion stays within the rig's limits, with a margin. With --session a whole session: several "
                     "realisations at two amplitudes, slow ramps with holds, free swings, or what the causes of a "
                     "diagnosis call for. Without a model, a plain multisine of --peak: what the motion will be is then "

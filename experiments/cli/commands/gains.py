@@ -11,8 +11,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Describe the command."""
     parser = subparsers.add_parser(
         "gains", help="feedforward and PD gains for an identified leg, with their margins",
-        description="Linearise the model about hanging and weigh errors and torque by what is tolerated of each (LQR "
-                    "by Bryson's rule, as SysId does). The margins are those of the whole leg, with the delay given. "
+        description="Linearise the model about hanging, and weight errors and torque by their tolerances (LQR by "
+                    "Bryson's rule, as in SysId). The margins are those of the whole leg, with the delay given. "
                     "Nothing is sent to a motor.")
     parser.add_argument("model", metavar="MODEL.json", help="a model of one driven joint")
     parser.add_argument("--angle", metavar="RAD", type=float, default=0.05, help="tolerated error of the angle (0.05)")

@@ -10,7 +10,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "init", help="write a commented rig file, by asking or by probing",
         description="Ask what the rig is made of, or look at what is connected (--probe), and write a rig file whose "
-                    "every line is explained. What nobody knows is marked ASSUMED. A file that exists is left alone.")
+                    "every line is explained. Unknown values are marked ASSUMED. An existing file is not changed.")
     parser.add_argument("rig", metavar="RIG", nargs="?", default="rig.toml", help="file to write (default rig.toml)")
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--probe", action="store_true",

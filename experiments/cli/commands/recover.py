@@ -11,8 +11,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Describe the command."""
     parser = subparsers.add_parser(
         "recover", help="repair a run file that a crash cut short",
-        description="Write everything that is whole in RUN to a clean, indexed file. RUN itself is left as it is. "
-                    "Other commands read a cut file as well, as far as it is whole.")
+        description="Write all undamaged parts of RUN to a clean, indexed file. RUN itself is not changed. "
+                    "Other commands also read the undamaged parts of a cut file.")
     parser.add_argument("run_file", metavar="RUN", help="a .mcap run file")
     add_output(parser, "--out", "run", help="the file to write; default: RUN with .recovered before .mcap")
     parser.set_defaults(run=run)

@@ -45,4 +45,6 @@ def run(args: argparse.Namespace) -> int:
     if where is not None and found.choices:
         write_choices(found.choices, where)
         note(f"{where}: {', '.join(f'[{c.table}] {c.key}' for c in found.choices)} written")
+    elif found.choices:
+        print("next: the same command with --write puts these entries into the rig file")
     return 0 if found.predicts else 1

@@ -28,7 +28,7 @@ def frames(seconds: float, torque=lambda t: 0.0, knee=lambda t: 0.2) -> Iterator
                       torque_cmd_nm=torque(t)), round(1e9 + t * 1e9 + 2e5 * rng.exponential())
 
 
-def doubted(seconds: float, lie=lambda t, frame: frame, torque=lambda t: 0.0, knee=lambda t: 0.2) -> tuple[str, float]:
+def flagged(seconds: float, lie=lambda t, frame: frame, torque=lambda t: 0.0, knee=lambda t: 0.2) -> tuple[str, float]:
     """(first check beyond its time-out, when it was [s]), or ("", end)."""
     checks = Plausibility(LIMITS, Calibration(), HELLO, None, 10**9)
     bounds = {"controller_age_s": LIMITS.staleness_s, **{n: getattr(LIMITS, n) for n in ("echo_s", "torque_s",
@@ -55,7 +55,7 @@ def swing(t: float) -> float:
     (lambda t: 0.05, lambda t: 0.2),  # a slow plan against friction
     (swing, lambda t: 1.2 * math.sin(8 * t)), (lambda t: 1.5 if t % 1.0 > 0.5 else -1.5, lambda t: 0.5 * t)])
 def test_a_true_leg_is_believed(torque, knee) -> None:
-    assert doubted(4.0, torque=torque, knee=knee) == ("", 4.0)
+    assert flagged(4.0, torque=torque, knee=knee) == ("", 4.0)
 
 
 def test_losses_doubles_and_late_frames_are_believed() -> None:
@@ -65,7 +65,7 @@ def test_losses_doubles_and_late_frames_are_believed() -> None:
         kept.append(frame)
         return None if frame.seq % 7 == 0 else kept[-2] if frame.seq % 11 == 0 and len(kept) > 1 else frame
 
-    assert doubted(3.0, bad_wire, torque=swing, knee=swing) == ("", 3.0)
+    assert flagged(3.0, bad_wire, torque=swing, knee=swing) == ("", 3.0)
 
 
 STRUCK_S = 1.0
@@ -84,7 +84,7 @@ LIES = [
 
 
 @pytest.mark.parametrize(("check", "lie", "within_s"), LIES)
-def test_what_cannot_be_true_is_doubted_in_time(check: str, lie, within_s: float) -> None:
+def test_impossible_readings_are_flagged_in_time(check: str, lie, within_s: float) -> None:
     then: list[Telemetry] = []
 
     def told(t: float, frame: Telemetry) -> Telemetry:
@@ -93,13 +93,13 @@ def test_what_cannot_be_true_is_doubted_in_time(check: str, lie, within_s: float
         then.append(frame)
         return lie(frame, then[0])
 
-    name, at_s = doubted(3.0, told, torque=swing, knee=swing)
+    name, at_s = flagged(3.0, told, torque=swing, knee=swing)
     assert name == check
     assert at_s - STRUCK_S < within_s
 
 
 def test_a_dead_shunt_shows_under_a_gentle_plan_too() -> None:
-    name, at_s = doubted(3.0, lambda t, f: replace(f, current_a=0.0), torque=lambda t: 0.16 * math.sin(3 * t))
+    name, at_s = flagged(3.0, lambda t, f: replace(f, current_a=0.0), torque=lambda t: 0.16 * math.sin(3 * t))
     assert name == "torque_s"
     assert at_s < 1.0
 
@@ -113,12 +113,12 @@ def test_a_controller_whose_clock_runs_at_half_speed_falls_behind() -> None:
         k = next(sent)
         return replace(frame, seq=k, tick_us=2000 * k)
 
-    name, at_s = doubted(3.0, slow)
+    name, at_s = flagged(3.0, slow)
     assert name == "controller_age_s"
     assert at_s < 0.3
 
 
-def imu_doubts(rows: np.ndarray, turned=lambda t: 0.0, hall=lambda t: 0.1) -> SuspectTimes:
+def imu_suspects(rows: np.ndarray, turned=lambda t: 0.0, hall=lambda t: 0.1) -> SuspectTimes:
     """After all samples, in drains of five, beside telemetry with the pivot's Hall angle; armed at once."""
     checks = Plausibility(LIMITS, Calibration(), HELLO, IMU_HZ, 0)
     checks.arm()
@@ -136,34 +136,34 @@ def noise(n: int = 200) -> np.ndarray:
 
 def test_an_imu_at_rest_is_believed_by_its_noise_and_one_that_repeats_itself_is_not() -> None:
     rest = noise()
-    assert imu_doubts(rest)[-3:] == (0.0, 0.0, 0.0)
+    assert imu_suspects(rest)[-3:] == (0.0, 0.0, 0.0)
     for part in (slice(0, 6), slice(0, 3), slice(3, 6)):
         stuck = rest.copy()
         stuck[150:, part] = stuck[150, part]
-        assert imu_doubts(stuck).imu_stuck_s == pytest.approx(49 / IMU_HZ)
+        assert imu_suspects(stuck).imu_stuck_s == pytest.approx(49 / IMU_HZ)
     for word in (0, -1):
         dead = rest.copy()
         dead[100:] = word
-        assert (imu_doubts(dead).imu_stuck_s or 0.0) > LIMITS.imu_stuck_s
+        assert (imu_suspects(dead).imu_stuck_s or 0.0) > LIMITS.imu_stuck_s
 
 
 def test_rails_are_counted_and_an_impact_is_not_a_rail() -> None:
     railed = noise()
     railed[170:, 2] = 32767
-    assert imu_doubts(railed).imu_rail_s == pytest.approx(30 / IMU_HZ)
+    assert imu_suspects(railed).imu_rail_s == pytest.approx(30 / IMU_HZ)
     knocked = noise()
     knocked[100:104, 4] = -32768
-    assert imu_doubts(knocked).imu_rail_s == 0.0
+    assert imu_suspects(knocked).imu_rail_s == 0.0
 
 
 def test_gyro_and_hall_of_the_pivot_must_turn_alike() -> None:
     def q1(t: float) -> float:
         return 0.5 * math.sin(5 * t)
 
-    assert imu_doubts(noise(), q1, q1).pivot_s == 0.0
-    assert (imu_doubts(noise(), q1, lambda t: 0.1).pivot_s or 0.0) > 0.0
-    assert (imu_doubts(noise(), lambda t: -q1(t), q1).pivot_s or 0.0) > 0.0
-    assert imu_doubts(noise(), q1, lambda t: math.nan).pivot_s == 0.0
+    assert imu_suspects(noise(), q1, q1).pivot_s == 0.0
+    assert (imu_suspects(noise(), q1, lambda t: 0.1).pivot_s or 0.0) > 0.0
+    assert (imu_suspects(noise(), lambda t: -q1(t), q1).pivot_s or 0.0) > 0.0
+    assert imu_suspects(noise(), q1, lambda t: math.nan).pivot_s == 0.0
 
 
 def angles_apart(first: Callable[[float], float], second: Callable[[float], float], seconds: float = 1.0) -> float:

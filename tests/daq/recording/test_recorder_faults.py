@@ -192,7 +192,7 @@ def test_a_full_disk_ends_the_run_with_the_motor_off_and_what_fitted_kept(tmp_pa
     mocks: list[MockRig] = []
     original = MockRig.__init__
     monkeypatch.setattr(MockRig, "__init__", lambda self, *a, **k: (mocks.append(self), original(self, *a, **k))[1])
-    with pytest.raises(WorkError, match=FULL + "; legid recover makes"):
+    with pytest.raises(WorkError, match=FULL + ", then repair the file with legid recover"):
         threaded(tmp_path / "r.mcap", Plan(t, 0.1 * np.sin(t)), monkeypatch, room=150_000)
     assert mocks[0].firmware.drive.torque_nm == 0.0
     assert mocks[0].firmware.drive.state != State.ARMED

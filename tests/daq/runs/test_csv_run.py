@@ -120,7 +120,7 @@ def test_too_short_and_empty_files(tmp_path: Path) -> None:
 def test_headers_that_mislead(tmp_path: Path) -> None:
     twice = ["time_s", "q2_rad", "q2_rad", *"abc"]
     assert "names column q2_rad twice" in refusal(put(tmp_path / "r.csv", rows(), twice))
-    assert "without a name" in refusal(put(tmp_path / "r.csv", rows(), [*NAMES[:5], ""]))
+    assert "unnamed column" in refusal(put(tmp_path / "r.csv", rows(), [*NAMES[:5], ""]))
     path = put(tmp_path / "r.csv", rows())
     path.write_text(path.read_text().replace(",", ";"))
     assert "not comma separated" in refusal(path)

@@ -76,15 +76,15 @@ CASES: dict[str, tuple[Callable[[bytes], bytes], int, str, bool]] = {
 @pytest.mark.parametrize("broken, left, says, stays", CASES.values(), ids=CASES)
 def test_what_is_missing_is_said_and_a_hole_stays_one(broken: Callable[[bytes], bytes], left: int, says: str,
                                                       stays: bool, whole: bytes, tmp_path: Path) -> None:
-    path, mended = tmp_path / "r.mcap", tmp_path / "mended.mcap"
+    path, repaired = tmp_path / "r.mcap", tmp_path / "repaired.mcap"
     path.write_bytes(whole)
     assert read_run(path).damage == ()
     path.write_bytes(broken(whole))
     raw = read_run(path)
     assert raw.streams["/imu"].size == left
     assert any(says in damage.text for damage in raw.damage), raw.damage
-    recover(path, mended)
-    after = read_run(mended)
+    recover(path, repaired)
+    after = read_run(repaired)
     assert after.complete and after.streams["/imu"].size == left
     assert any(says in damage.text for damage in after.damage) == stays  # a run cut short is a shorter run
 
@@ -94,9 +94,9 @@ def test_a_hole_before_a_lost_end_is_seen_by_the_samples_own_count(whole: bytes,
     a, b = chunk(whole, 1)
     path.write_bytes(whole[:a] + whole[b: chunk(whole, 3)[0]])
     assert any(f"{EACH} IMU samples are missing" in text for text in map(str, read_run(path).damage))
-    recover(path, tmp_path / "mended.mcap")
+    recover(path, tmp_path / "repaired.mcap")
     assert any(f"{EACH} IMU samples are missing" in text
-               for text in map(str, read_run(tmp_path / "mended.mcap").damage))
+               for text in map(str, read_run(tmp_path / "repaired.mcap").damage))
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])

@@ -103,7 +103,7 @@ def test_a_loss_of_unknown_length_starts_a_count_of_its_own() -> None:
     np.testing.assert_allclose(clock.time_ns * 1e-9, np.delete(true, cut), atol=200e-6)
 
 
-def test_a_short_stretch_of_drains_that_contradict_each_other_is_left_out() -> None:
+def test_a_short_segment_of_contradictory_drains_is_left_out() -> None:
     samples, true = drains(np.random.default_rng(6), 20.0, 241.0)
     ends = np.flatnonzero(np.diff(samples["drain_before_ns"])) + 1  # where a drain begins
     first, middle, last = ends[100], ends[101], ends[102]

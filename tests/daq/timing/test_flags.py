@@ -49,12 +49,12 @@ def record(path: Path, rate: float = 0.012, gravity: float = 9.81, share: float 
     return "; ".join(map(str, align(read_run(path), parse_rig(RIG)).flags))
 
 
-def test_a_run_that_is_shared_is_doubted(tmp_path: Path) -> None:
+def test_a_run_with_a_second_reader_is_flagged(tmp_path: Path) -> None:
     found = record(tmp_path / "shared.mcap", share=0.1)
     assert "another program may have read it" in found
 
 
-def test_a_run_of_which_one_burst_is_missing_is_doubted(tmp_path: Path) -> None:
+def test_a_run_without_one_burst_is_flagged(tmp_path: Path) -> None:
     """Six of 900 samples: the rate is as it was, but all later ones are 25 ms early."""
     assert "missing without a mark" in record(tmp_path / "burst.mcap", burst=6)
 
@@ -90,7 +90,7 @@ def drains(rng: np.random.Generator, seconds: float, rate_hz: float, every_s: fl
     return out
 
 
-def test_samples_that_came_twice_are_doubted_a_quiet_chip_is_not(tmp_path: Path) -> None:
+def test_repeated_samples_are_flagged_a_quiet_chip_is_not(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     quiet = np.rint(rng.normal(0.0, 0.8, (20_000, 6))).astype(np.int16)
     assert (np.diff(quiet, axis=0) == 0).all(axis=1).sum() > 5 and not _repeated(quiet)
@@ -118,7 +118,7 @@ def test_a_chip_at_another_rate_or_without_gravity_is_refused_before_the_motor_i
         record(tmp_path / "moon.mcap", gravity=1.62)
 
 
-def test_a_good_run_is_not_doubted_impossible_gravity_is(tmp_path: Path) -> None:
+def test_a_good_run_is_not_flagged_impossible_gravity_is(tmp_path: Path) -> None:
     assert not record(tmp_path / "r.mcap")
     raw = read_run(tmp_path / "r.mcap")
     facts = configured(raw, "imu")

@@ -112,9 +112,9 @@ def test_the_imu_contradicts_itself(by: Spoil, named: list[str], leg_and_run: tu
     leg, run = leg_and_run
     _, found = read_imu([spoilt(run, by)], leg.lever, 9.81)
     assert any(all(part in str(reading) for part in named) for reading in found[:2]), [str(r) for r in found]
-    mended = next(r for r in found if all(part in str(r) for part in named)).applied(spoilt(run, by))
-    assert np.allclose(mended["gyro_radps"], run["gyro_radps"])
-    assert np.allclose(mended["accel_x_mps2"], run["accel_x_mps2"])
+    corrected = next(r for r in found if all(part in str(r) for part in named)).applied(spoilt(run, by))
+    assert np.allclose(corrected["gyro_radps"], run["gyro_radps"])
+    assert np.allclose(corrected["accel_x_mps2"], run["accel_x_mps2"])
 
 
 def test_an_accelerometer_in_counts_is_measured_by_gravity(leg_and_run: tuple[Leg, Dataset]) -> None:

@@ -45,7 +45,7 @@ def runs(plain: list[Dataset]) -> list[Dataset]:
     return [shifted(data, by) for data, by in zip(plain, SHIFTS)]
 
 
-def test_zeros_are_found_beside_the_parameters(runs: list[Dataset], plain: list[Dataset]) -> None:
+def test_zeros_are_found_together_with_the_parameters(runs: list[Dataset], plain: list[Dataset]) -> None:
     mechanism, options = leg2(), FitOptions(sensors="encoder")
     found = find_zeros(runs, mechanism, options, (0, 1))
     wanted = SHIFTS - SHIFTS.mean(axis=0)

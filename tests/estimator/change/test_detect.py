@@ -102,7 +102,7 @@ def test_one_run_is_refused_with_a_remedy() -> None:
     assert found.verdict == "fit_failed" and "give at least 2 of each session" in found.sentence
 
 
-def test_a_contrast_gives_back_a_change_beside_structure_of_the_reference() -> None:
+def test_a_contrast_recovers_a_change_with_structure_in_the_reference() -> None:
     """Structure that both sessions have cancels; a change of one column comes back, of white noise's scatter."""
     rng = np.random.default_rng(3)
     structure, change, columns = rng.normal(size=6), 0.5, 6

@@ -56,7 +56,7 @@ def stated_deviances(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(candidate_fit, "deviance", lambda model: model.deviance)
 
 
-def test_what_gains_next_to_nothing_beside_another_is_given_up() -> None:
+def test_a_fit_that_gains_little_compared_with_another_is_given_up() -> None:
     spring, offset, stop = fitted(94_600.0, "spring"), fitted(6_300.0, "offset"), fitted(3_000.0, "stop")
     context = Context()
     assert hopeful(cast(Any, context), [offset, spring, stop], []) == [spring]

@@ -165,7 +165,7 @@ def test_the_order_of_files_changes_nothing(runs: tuple[Leg, list[Dataset]]) -> 
     assert sorted(name for part in fits[0][0] for name in part) == [run.name for run in data]
 
 
-def test_hold_and_rounding_are_chosen_alike_in_any_order(runs: tuple[Leg, list[Dataset]], healthy: Diagnosis) -> None:
+def test_hold_and_smoothing_do_not_depend_on_the_order(runs: tuple[Leg, list[Dataset]], healthy: Diagnosis) -> None:
     leg, data = runs
     one, other = healthy, diagnose([data[k] for k in (2, 0, 3, 1)], leg2(lever_arm=leg.lever), CHOSEN, seed=1)
     assert one.hold == other.hold != "" and one.mechanism is not None and other.mechanism is not None
@@ -233,7 +233,7 @@ def test_intervals_hold_where_noise_lasts_longer_than_a_sample() -> None:
     assert narrow[0] / cases > 0.4
 
 
-def test_a_nominal_fit_that_does_not_settle_has_no_intervals(runs: tuple[Leg, list[Dataset]],
+def test_a_nominal_fit_that_does_not_converge_has_no_intervals(runs: tuple[Leg, list[Dataset]],
                                                              monkeypatch: pytest.MonkeyPatch) -> None:
     leg, data = runs
     split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))

@@ -40,11 +40,11 @@ def test_declared_levels_are_in_order() -> None:
     ("accel_y", 0.08, "accelerometer's y axis is 1.6 times"),
     ("encoder", 0.002, "encoder of joint 2 is 10.0 times"), ("knee", 0.034, "torque at joint 2 is 1.7 times"),
     ("pivot", 0.04, "torque at joint 1 is 2.0 times")])
-def test_a_loud_channel_is_named(channel: str, level: float, said: str) -> None:
+def test_a_noisy_channel_is_named(channel: str, level: float, said: str) -> None:
     assert said in excess_noise(model_of(DECLARED, (), **{channel: level}))
 
 
-def test_impacts_may_be_louder_beside_play() -> None:
+def test_impacts_may_be_noisier_with_backlash() -> None:
     assert excess_noise(model_of(DECLARED, (Backlash(1),), accel=0.1)) == ""
     assert "accelerometer" in excess_noise(model_of(DECLARED, (Backlash(1),), accel=0.14))
     assert "torque at joint 2" in excess_noise(model_of(DECLARED, (Backlash(1),), knee=0.045))

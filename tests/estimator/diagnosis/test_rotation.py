@@ -41,7 +41,7 @@ def table_of(*errors: tuple[float, ...]) -> ErrorTable:
 
 
 @pytest.mark.parametrize("count", range(2, 14))
-def test_each_run_is_kept_back_once_and_never_all(count: int) -> None:
+def test_each_run_is_held_out_once_and_never_all(count: int) -> None:
     groups = held_out(count)
     assert sorted(k for g in groups for k in g) == list(range(count))
     assert all(0 < len(g) < count for g in groups) and len(groups) > 1
@@ -65,7 +65,7 @@ def turned(split: Split, table: ErrorTable, monkeypatch: pytest.MonkeyPatch) -> 
     return found
 
 
-def test_errors_of_all_runs_stand_beside_those_of_the_runs_kept_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_of_all_runs_join_those_of_the_held_out_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     split = Split(tuple(f"r{k}" for k in range(8)), (1, 6))
     found, turns = turned(split, table_of((3.0, 4.0), (9.0, 9.0), (1.0, 2.0)), monkeypatch)
     assert found.values.shape == (2, 16, 2) and np.array_equal(found.runs, np.repeat(np.arange(8), 2))
@@ -92,7 +92,7 @@ def test_sizes_and_falls_are_told_turn_by_turn(monkeypatch: pytest.MonkeyPatch) 
     assert account(cast(RunSplit, split), (), table, 1, 0.1) == ()
 
 
-def test_a_turn_that_cannot_be_fitted_leaves_the_answer_to_the_runs_kept_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_turn_that_cannot_be_fitted_leaves_the_answer_to_the_held_out_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise FitError("the nominal fit leads nowhere")
 

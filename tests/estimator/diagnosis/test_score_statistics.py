@@ -36,7 +36,7 @@ def nominal(request: pytest.FixtureRequest) -> tuple[RunSplit, Model]:
 @pytest.mark.parametrize("name", ["", "joint_stiffness", "joint_elasticity", "torque_saturation",
                                   "presliding_friction"])
 @pytest.mark.parametrize("shared", [False, True])
-def test_scores_alone_are_those_beside_the_information(nominal: tuple[RunSplit, Model], name: str,
+def test_scores_alone_equal_those_with_the_information(nominal: tuple[RunSplit, Model], name: str,
                                                        shared: bool) -> None:
     split, model = nominal
     if name:

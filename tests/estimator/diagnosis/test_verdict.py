@@ -69,14 +69,14 @@ class Named:
     ((3.0, 1.2), [[0, 0], [20, -900]], False),  # the runs together are less likely with it
     ((3.0, 3.4), [[0, 0], [900, 800]], False),  # it makes the free run worse
     ((1.02, 1.0), [[0, 0], [40, 50]], False)])
-def test_a_cause_matters_where_the_error_falls_and_the_runs_are_likelier(
+def test_a_cause_is_material_where_the_error_falls_and_the_runs_are_likelier(
         errors: tuple[float, ...], agreement: list[list[float]], material: bool) -> None:
     table = table_of(*errors, agreement=agreement)
     draws = table.draws(np.random.default_rng(1))
     assert is_material(table, 1, 0, MATERIAL, draws) is material
 
 
-def test_one_free_run_that_strays_does_not_hide_that_the_error_falls_everywhere() -> None:
+def test_one_free_run_that_diverges_does_not_hide_a_lower_error_everywhere() -> None:
     """A wrong gyro scale took the error from 23.5 to 0.8. One piece of 20 made most of it, and a third of all
     resamplings do not hold that piece: the fall was not thought sure."""
     table = table_of(2.0, 0.8, agreement=[[0, 0], [900, 300]])
@@ -86,7 +86,7 @@ def test_one_free_run_that_strays_does_not_hide_that_the_error_falls_everywhere(
     assert is_material(table, 1, 0, MATERIAL, draws)
 
 
-def test_what_falls_in_most_resamplings_and_little_in_all_does_not_matter() -> None:
+def test_a_fall_in_most_resamplings_that_is_small_in_all_is_not_material() -> None:
     """Of the prismatic axis' error, 53 to 3.6 by its friction, one piece makes the most; terms without a name take 2.7
     more, a tenth of what the other pieces alone would err."""
     table = table_of(12.0, 3.6, 0.9)
@@ -104,7 +104,7 @@ def test_a_run_that_errs_more_with_a_cause_speaks_against_it() -> None:
     assert not is_material(table, 1, 0, MATERIAL, table.draws(np.random.default_rng(1)))
 
 
-def test_it_stays_open_whether_an_error_falls_where_one_run_strays() -> None:
+def test_it_is_inconclusive_whether_an_error_falls_where_one_run_diverges() -> None:
     """Of a saturated motor's runs kept back one strayed with the cause and not without: 1.35 to 3.08, and all eight
     together 23.9 to 1.13."""
     table = table_of(1.5, 1.0, agreement=[[0, 0], [900, 300]])
@@ -170,7 +170,7 @@ def test_what_leaves_much_has_to_show_on_all_runs(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(("verdict_", "errors", "expected"), [
     ("named", (5.0, 1.3), True), ("named", (1.4, 1.3), False), ("partial", (9.0, 3.0), True),
     ("unexplained", (5.0, 1.3), False), ("none", (5.0, 1.3), False)])
-def test_a_cause_beside_a_sharper_friction_betters_the_plain_model_of_the_likeliest(
+def test_a_cause_with_a_smaller_smoothing_velocity_must_outperform_the_nominal_model(
         verdict_: str, errors: tuple[float, float], expected: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(procedure, "measure_errors", lambda *_: table_of(*errors))
     model = SimpleNamespace(split=SimpleNamespace(confirm=(1, 6)))
@@ -237,7 +237,7 @@ def test_a_second_cause_is_measured_by_what_the_first_leaves_however_large_that_
     assert choose([(single, 1), (pair, 2)], table, MATERIAL, table.draws(np.random.default_rng(1))) == ([single], 1)
 
 
-def test_what_is_there_beside_a_cause_but_hardly_errs_is_told_of() -> None:
+def test_a_present_but_immaterial_second_effect_is_reported() -> None:
     single, pair = explained(10_000.0, "spring"), explained(10_900.0, "spring", "delay")
     table = table_of(9.0, 1.24, 1.18)
     draws, both = table.draws(np.random.default_rng(1)), [(single, 1), (pair, 2)]
@@ -246,7 +246,7 @@ def test_what_is_there_beside_a_cause_but_hardly_errs_is_told_of() -> None:
     assert with_minor(both, single, 1, worse, draws) is None
 
 
-def test_the_other_runs_are_asked_of_a_second_cause_only_where_it_is_open_whether_it_matters() -> None:
+def test_the_split_rotates_for_a_second_cause_only_where_it_may_be_material() -> None:
     """Beside a spring a late torque lowered the error by 15 %, in 80 % of the resamplings by what matters."""
     single, pair, other = (explained(10_000.0, "spring"), explained(10_900.0, "spring", "delay"),
                            explained(10_950.0, "drag", "delay"))

@@ -37,7 +37,7 @@ def at(joint: int, kind: type[Effect]) -> Effect:
     return placed(kind, joint, HIPS)
 
 
-def test_a_spring_of_leg_two_pulls_where_that_leg_is() -> None:
+def test_a_spring_of_leg_two_acts_where_that_leg_is() -> None:
     made, x = problem([at(2, JointStiffness)])
     extra = made.extra(x, np.concatenate([Walker().beta, [5.0, 0.0]]))
     exchanged = np.concatenate([np.full(len(s.time_s), s.exchanged) for s in steps()])

@@ -31,7 +31,7 @@ def test_friction_that_pushes_is_held_at_zero_and_said_so(method: Method) -> Non
     assert held.beta[k] == 0.0 and list(held.at_bound) == ["beta3"] and not held.fixed
     assert held.beta[k + 1] == pytest.approx(fit([run], joint1(), replace(ENCODER, fixed={"beta3": 0.0}),
                                                  method).beta[k + 1])
-    assert "no scatter" in held.warnings[0] and "beta3" in held.warnings[0]
+    assert "not scatter" in held.warnings[0] and "beta3" in held.warnings[0]
     assert not held.inadmissible
 
 
@@ -45,7 +45,7 @@ def test_a_level_that_is_zero_keeps_an_interval_that_holds_it() -> None:
     for k in below:
         low, high = held.ci95()[k]
         assert low == 0.0 and 0.0 <= high < 0.02
-    assert not any("no scatter" in text for text in held.warnings)
+    assert not any("not scatter" in text for text in held.warnings)
     good = swing_run(viscous=0.05, coulomb=0.1)
     plain, same = fit([good], joint1(), ENCODER), fit_admissible([good], joint1(), ENCODER)
     assert np.array_equal(plain.beta, same.beta) and not same.at_bound and not same.warnings
@@ -74,8 +74,8 @@ def test_a_negated_torque_ends_with_the_remedy_and_no_model(tmp_path: Path, caps
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert "no mechanism's" in said and "tau1_nm looks negated" in said and "[columns.tau1_nm]" in said
     assert not model.exists() and json.loads((tmp_path / "fit.json").read_text())["inadmissible"]
-    mended = '[columns.tau1_nm]\nname = "tau1_nm"\nsign = -1\n'
-    rig.write_text(rig.read_text() + mended)  # as the message says
+    corrected = '[columns.tau1_nm]\nname = "tau1_nm"\nsign = -1\n'
+    rig.write_text(rig.read_text() + corrected)  # as the message says
     assert main(words) == 0
     assert model.exists()
 

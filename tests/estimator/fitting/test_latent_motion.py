@@ -49,10 +49,10 @@ def whole_steps(problem: ExtendedProblem, state: State, count: int) -> list[floa
     return found
 
 
-def test_the_motion_settles_where_whole_steps_do_not(sticking: tuple[ExtendedProblem, State]) -> None:
+def test_the_motion_converges_where_whole_steps_do_not(sticking: tuple[ExtendedProblem, State]) -> None:
     problem, start = sticking
-    settled = converge_motion(problem, start, 60)
-    least = objective(problem, settled)
+    converged = converge_motion(problem, start, 60)
+    least = objective(problem, converged)
     swinging = whole_steps(problem, start, 30)
     assert max(swinging[-10:]) - min(swinging[-10:]) > 5.0  # else there is nothing to settle here
     assert least < min(swinging) + 0.1
@@ -63,12 +63,12 @@ def test_the_motion_is_the_same_from_elsewhere_where_rest_is_allowed_for(stickin
     """Without what friction leaves open at rest, every reversal between two samples has a minimum of its own."""
     problem, start = sticking
     problem = problem.with_stiction(find_stiction(problem, start.x.v, start.beta, one_per_crossing=False))
-    settled = converge_motion(problem, start, 100)
+    converged = converge_motion(problem, start, 100)
     shift = 1e-3 * np.random.default_rng(3).normal(size=(problem.total, problem.block))
-    other = replace(start, x=settled.x.moved(shift))
-    assert objective(problem, other) > 2.0 * objective(problem, settled)
+    other = replace(start, x=converged.x.moved(shift))
+    assert objective(problem, other) > 2.0 * objective(problem, converged)
     other = converge_motion(problem, other, 100)
-    assert objective(problem, other) == pytest.approx(objective(problem, settled), abs=3.0)
+    assert objective(problem, other) == pytest.approx(objective(problem, converged), abs=3.0)
 
 
 def test_the_best_motion_is_kept_where_steps_run_out(sticking: tuple[ExtendedProblem, State]) -> None:

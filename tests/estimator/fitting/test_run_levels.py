@@ -21,7 +21,7 @@ from tests.support.mujoco_tree import FRICTION_RADPS, Sensor, disturbed, move, r
 
 LEVELS = {"gyro_radps": 0.01, "accel_x_mps2": 0.05, "accel_y_mps2": 0.05, "tau2_nm": 0.02, "q1_rad": 3e-4,
           "q2_rad": 3e-4}
-LOUD, TIMES, RUNS, FITS = 1, 4.0, 4, 12
+NOISY, TIMES, RUNS, FITS = 1, 4.0, 4, 12
 ROUND = 0.05
 Plant = tuple[Leg, list[Dataset]]
 
@@ -36,13 +36,13 @@ def plant() -> Plant:
 
 
 def noisy(plant: Plant, rng: np.random.Generator, times: float, samples: int = 800) -> list[Dataset]:
-    """Its runs with noise; the one that is LOUD has `times` as much, and so many samples."""
+    """Its runs with noise; the one that is NOISY has `times` as much, and so many samples."""
     runs = []
     for k, run in enumerate(plant[1]):
-        if k == LOUD:
+        if k == NOISY:
             run = run.part(slice(0, samples))
-        loud = times if k == LOUD else 1.0
-        columns = {c: run[c] + loud * s * rng.normal(size=len(run)) for c, s in LEVELS.items()}
+        noisy = times if k == NOISY else 1.0
+        columns = {c: run[c] + noisy * s * rng.normal(size=len(run)) for c, s in LEVELS.items()}
         runs.append(replace(run, columns=columns))
     return runs
 
@@ -65,7 +65,7 @@ def test_a_noisy_run_costs_no_more_than_leaving_it_out(plant: Plant, sensors: st
     assert all(f.converged for f in (*found, *quiet)) and all(f.run_noise is None for f in quiet)
     for name, level in channels.items():
         levels = np.mean([f.run_noise.levels[name] for f in found if f.run_noise is not None], axis=0)
-        told = [TIMES if k == LOUD else 1.0 for k in range(RUNS)]
+        told = [TIMES if k == NOISY else 1.0 for k in range(RUNS)]
         assert levels == pytest.approx(level * np.array(told), rel=0.15)
     spread = [np.exp(np.mean(np.log(np.sqrt(np.mean(error(plant, some) ** 2, axis=0))))) for some in (found, quiet)]
     assert spread[0] < 1.4 * spread[1]  # with three runs of four 1.15; with one level for all of them 2.2
@@ -156,7 +156,7 @@ def test_the_likelihood_is_the_sum_of_runs_under_their_own_levels(plant: Plant, 
     assert whole.corner == pytest.approx(sum(p.corner for p in parts), rel=1e-9)
 
 
-def test_of_two_imus_the_one_that_is_louder_in_a_run_gets_levels() -> None:
+def test_of_two_imus_the_one_that_is_noisier_in_a_run_gets_levels() -> None:
     """A leg without encoders; in one of four runs its shank's IMU, the second, is louder."""
     rng = np.random.default_rng(9)
     tree, sensors = random_tree(rng, (-1, 0), viscous=0.03, coulomb=0.04), [Sensor(0, 0.2), Sensor(1, 0.1)]
@@ -165,14 +165,14 @@ def test_of_two_imus_the_one_that_is_louder_in_a_run_gets_levels() -> None:
     for k in range(RUNS):
         motion = move(tree, torques(tree, rng, 8.0, 100.0, 0.35, (1,)), 100.0, sensors)
         run = disturbed(motion, (1,), 100.0, rng, name=f"run{k}")
-        if k == LOUD:
+        if k == NOISY:
             for name, level in zip(imu_columns(1), (0.005, 0.05, 0.05)):
                 run.columns[name] += np.sqrt(TIMES**2 - 1.0) * level * rng.normal(size=len(run))
         runs.append(run)
     found = fit(runs, mechanism, FitOptions(sensors="imu", encoders=()))
     assert found.converged and found.run_noise is not None
     assert set(found.run_noise.levels) == {"gyro2_radps", "accel2_x_mps2", "accel2_y_mps2"}
-    told = np.array([TIMES if k == LOUD else 1.0 for k in range(RUNS)])
+    told = np.array([TIMES if k == NOISY else 1.0 for k in range(RUNS)])
     for name, level in zip(("gyro2_radps", "accel2_y_mps2"), (0.005, 0.05)):
         assert found.run_noise.levels[name] == pytest.approx(level * told, rel=0.15)
     lines = [line for line in fit_text(found, "leg2").splitlines() if "differs" in line]

@@ -168,7 +168,7 @@ def test_what_takes_part_and_is_known_all_the_same_keeps_its_value() -> None:
     assert {name for c in both for name, _ in c.amounts} == {"beta9", "beta1", "beta2", "beta3"}
 
 
-def test_a_gravity_term_is_told_beside_inertias_that_are_not() -> None:
+def test_a_gravity_term_is_determined_with_inertias_that_are_not() -> None:
     run = arm_run(1, seconds=6.0, torque=1.0, knee=0.2)
     found = estimate([run], leg2(actuated=(0, 1)), FitOptions(sensors="encoder"), "wls")
     assert {"beta1", "beta2", "beta3", "beta7"} == found.open_parameters

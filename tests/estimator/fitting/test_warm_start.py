@@ -45,7 +45,7 @@ def test_the_moving_part_is_taken() -> None:
     assert where.start >= 2450 and where.stop <= 3150
 
 
-def test_short_records_and_short_stretches_have_none() -> None:
+def test_short_records_and_short_segments_have_none() -> None:
     assert excerpt(*prepared([still(LEAST * WORTH - 1, slice(0, 900))])) == []
     pieces = [still(LEAST_SEGMENT - 10, slice(0, 50), f"run{i}") for i in range(40)]
     assert excerpt(*prepared(pieces)) == []

@@ -26,7 +26,7 @@ COUNTS = (70, 45)
 BETA = np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])
 
 
-def stretches(mechanism: Mechanism, imu: bool, rng: np.random.Generator) -> list[SignalSet]:
+def segments(mechanism: Mechanism, imu: bool, rng: np.random.Generator) -> list[SignalSet]:
     """Two, so that one sample begins no interval."""
     return [SignalSet(f"run{i}", 100.0, np.arange(count) / 100.0, rng.normal(size=(count, mechanism.n)),
                       rng.normal(size=(count, mechanism.n)),
@@ -71,7 +71,7 @@ def assert_alike(plain: Linearised, fast: Linearised) -> None:
                          ids=lambda m: f"{m.name}-{m.n}-{''.join(str(i.link) for i in m.imus)}")
 def test_every_mechanism(mechanism: Mechanism, imu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(11)
-    problem = LatentProblem(stretches(mechanism, imu, rng), mechanism, "linear")
+    problem = LatentProblem(segments(mechanism, imu, rng), mechanism, "linear")
     beta = np.abs(rng.normal(size=mechanism.p)) + np.array([2.0 * (p.term == "inertia" and p.at[0] == p.at[1])
                                                             for p in mechanism.parameters])
     assert_alike(*both(problem, latents(mechanism, rng), beta, monkeypatch))
@@ -81,7 +81,7 @@ def test_every_mechanism(mechanism: Mechanism, imu: bool, monkeypatch: pytest.Mo
 def test_a_disturbed_leg(imu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(12)
     mechanism = leg2(lever_arm=0.2)
-    problem = LatentProblem(stretches(mechanism, imu, rng), mechanism, "linear", disturbed=True)
+    problem = LatentProblem(segments(mechanism, imu, rng), mechanism, "linear", disturbed=True)
     x = latents(mechanism, rng)
     assert_alike(*both(problem, replace(x, e=0.3 * x.u[::-1]), BETA, monkeypatch))
 
@@ -89,7 +89,7 @@ def test_a_disturbed_leg(imu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
 def staged(effects: list[Effect], candidates: list[Candidate], rng: np.random.Generator) -> ExtendedProblem:
     stage = Stage((0, 1), (0.0, 5.0), (0.0, 0.0), np.tile([-1.0, 1.0], (2, 1)), 7.0)
     mechanism = leg2(lever_arm=0.2)
-    return ExtendedProblem(stretches(mechanism, True, rng), mechanism, "linear", stage, effects, candidates)
+    return ExtendedProblem(segments(mechanism, True, rng), mechanism, "linear", stage, effects, candidates)
 
 
 @pytest.mark.parametrize("effect", library(leg2(lever_arm=0.2), True)[0], ids=lambda e: f"{e.name}-{e.joint}")

@@ -35,14 +35,14 @@ def test_a_chain_of_eleven_joints_keeps_its_channels_apart(name: str, joint: int
     step = 1e-6 * rng.normal(size=(COUNT, problem.block))
     index = np.arange(problem.mechanism.p, beta.size)
     move = 1e-6 * rng.normal(size=index.size)
-    foreseen = problem.residuals_after(point, step, move, index)
+    predicted = problem.residuals_after(point, step, move, index)
     shifted = beta.copy()
     shifted[index] += move
     there = problem.linearise(x.moved(step), shifted, noise).residuals
     for kind in ("torque", "encoder"):
         change = there[kind] - point.residuals[kind]
         assert np.abs(change).max(axis=0).min() > 1e-7
-        assert foreseen[kind] - point.residuals[kind] == pytest.approx(change, rel=1e-3, abs=1e-9)
+        assert predicted[kind] - point.residuals[kind] == pytest.approx(change, rel=1e-3, abs=1e-9)
     taken = effective_samples(problem, point, np.broadcast_to(np.eye(problem.block), (COUNT, 33, 33)), noise)
     assert taken["torque"][0] == pytest.approx(np.full(LINKS, COUNT / 0.05**2))
 

@@ -13,12 +13,12 @@ from tests.evidence.blind import servo
 from tests.support.mujoco_leg import random_leg
 
 
-def test_samples_of_one_passage_count_together() -> None:
+def test_samples_of_one_zero_crossing_count_together() -> None:
     v = np.array([1.0, 0.01, -0.01, -1.0, 0.0, 0.0, 0.0, 1.0])
     np.testing.assert_array_equal(crossing_samples(v, 0.02, np.array([6, 8])), [1, 2, 2, 1, 2, 2, 1, 1])
 
 
-def test_friction_is_rounded_no_wider_than_the_torque_asks_for() -> None:
+def test_the_smoothing_velocity_is_no_larger_than_the_torque_shows() -> None:
     rng = np.random.default_rng(5)
     v, level, now = rng.normal(0.0, 0.4, 6000), 0.1, 0.02
 
@@ -45,8 +45,8 @@ def test_another_engines_friction_is_inside_its_interval(rate_hz: int, monkeypat
     true = replace(leg, coulomb=(0.1 * dry, dry)).beta()
     mechanism = leg2(lever_arm=leg.lever)
 
-    def scores(rounding: str) -> np.ndarray:
-        found = fit([run], mechanism, FitOptions(sensors="imu", hold="average", smoothing_velocity=rounding))
+    def scores(smoothing: str) -> np.ndarray:
+        found = fit([run], mechanism, FitOptions(sensors="imu", hold="average", smoothing_velocity=smoothing))
         assert found.converged
         return np.abs((found.beta - true) / found.std)
 

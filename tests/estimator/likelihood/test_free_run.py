@@ -165,7 +165,7 @@ def swing(leg: Leg, stand: tuple[float, float, float], time: FloatArray, torque:
     return np.asarray(found.y[[0, 1, 3, 4]].T)
 
 
-def test_a_free_run_on_a_stand_near_its_resonance_settles() -> None:
+def test_a_free_run_on_a_stand_near_its_resonance_converges() -> None:
     """As a torque by the motion before it had been iterated: what did not settle was 61 mrad off, what did 1 mrad."""
     leg, stand, time = Leg(), (0.19, 2.5, 0.08), np.arange(1000) / 100.0
     torque = np.sum([0.15 * np.sin(2 * np.pi * f * time + f) for f in (0.4, 1.1, 1.7, 2.6)], axis=0)

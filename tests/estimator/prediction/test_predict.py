@@ -121,7 +121,7 @@ def test_the_default_horizons_are_those_of_the_help() -> None:
         assert told in " ".join(parser.format_help().split())
 
 
-def test_validate_prints_horizons_beside_baseline_noise_and_another_model(
+def test_validate_prints_horizons_with_baseline_noise_and_another_model(
         tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runs = written([arm_run(k, seconds=6.0) for k in range(3)], tmp_path)
     rig, model, other, out = (tmp_path / name for name in ("rig.toml", "model.json", "other.json", "out.json"))

@@ -40,7 +40,7 @@ def test_what_was_not_read_is_not_compared() -> None:
     assert table.rms(0, "q1_rad", np.inf) == pytest.approx(0.1) and table.samples[:, 0].sum() == T.size - T.size // 2
 
 
-def test_a_stretch_that_diverges_has_no_error_and_counts_as_the_sensors_mean() -> None:
+def test_a_segment_that_diverges_has_no_error_and_counts_as_the_sensors_mean() -> None:
     lost = np.where(T < 7.0, 0.1, np.nan)
     table = tabulate([predicted_run("a", RATE, WAVE, {1.0: 0.1, np.inf: lost}),
                       predicted_run("b", RATE, WAVE, {1.0: 0.1, np.inf: 0.1})])
@@ -57,7 +57,7 @@ def test_a_stretch_that_diverges_has_no_error_and_counts_as_the_sensors_mean() -
     assert seen.sums["q1_rad"] == np.inf
 
 
-def test_models_stand_beside_each_other() -> None:
+def test_models_of_two_tables_are_joined() -> None:
     a, b = (tabulate([predicted_run("r", RATE, WAVE, {np.inf: error})]) for error in (0.1, 0.3))
     both = a.joined_with(b)
     assert [both.rms(m, "q1_rad", np.inf) for m in (0, 1)] == pytest.approx([0.1, 0.3])

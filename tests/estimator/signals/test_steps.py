@@ -25,13 +25,13 @@ def noisy(seed: int, stance: bool, found: Walk | None = None) -> Dataset:
     return record("walk", found or walked(), np.random.default_rng(seed), stance=stance)
 
 
-def test_each_step_is_a_stretch_by_role() -> None:
+def test_each_step_is_a_segment_by_role() -> None:
     exact = record("walk", walked(), np.random.default_rng(0), EXACT)
-    stretches = split_signals([cut_steps(exact)[0]], biped3(hips=True), OPTIONS)
+    segments = split_signals([cut_steps(exact)[0]], biped3(hips=True), OPTIONS)
     true = roles(walked())
-    assert len(stretches) == len(true) == 8
-    assert [s.exchanged for s in stretches] == [k % 2 == 1 for k in range(8)]
-    for s, (angle, _, torque) in zip(stretches, true):
+    assert len(segments) == len(true) == 8
+    assert [s.exchanged for s in segments] == [k % 2 == 1 for k in range(8)]
+    for s, (angle, _, torque) in zip(segments, true):
         skipped = len(angle) - len(s.time_s)  # at most the first sample after a touchdown
         assert skipped in (0, 1)
         np.testing.assert_array_equal(s.angles, angle[skipped:])

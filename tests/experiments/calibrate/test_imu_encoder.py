@@ -189,4 +189,4 @@ def test_a_public_record_of_an_imu_on_a_shaft(capsys: pytest.CaptureFixture[str]
     assert not found.lag_wanders
     assert (found.after[:, 0] < 0.5 * found.before[:, 0]).all()
     assert main(["calibrate", "imu-encoder", str(RECORD), "--rig", str(RIGS / "song_imu.toml"), "--dry-run"]) == 0
-    assert "a CSV holds calibrated ones" in capsys.readouterr().out
+    assert "a CSV has calibrated ones" in capsys.readouterr().out

@@ -146,6 +146,6 @@ def test_the_command_writes_mount_and_lever(motion: np.ndarray, tmp_path: Path, 
                                    torque_constant_nm_per_a=1.0) == Calibration()
 
     assert main(["calibrate", "mount", paths[0], "--rig", str(rig)]) == 1
-    assert "in no record does the leg swing" in capsys.readouterr().err
+    assert "the leg swings in no record" in capsys.readouterr().err
     assert main(["calibrate", "mount", paths[1], "--rig", str(rig)]) == 1
     assert "leg hanging still" in capsys.readouterr().err

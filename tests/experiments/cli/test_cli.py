@@ -129,7 +129,7 @@ def test_every_failure_is_one_line(error: BaseException, status: int, capsys: py
     fails(capsys, status, "info", "x")
 
 
-def test_foreseen_by_nobody_can_be_traced(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unexpected_error_can_be_traced(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("experiments.cli.commands.info.run", lambda args: 1 // 0)
     monkeypatch.setenv(cli.TRACEBACK, "1")
     with pytest.raises(ZeroDivisionError):

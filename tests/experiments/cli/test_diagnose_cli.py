@@ -120,7 +120,7 @@ def test_a_full_disk_does_not_take_the_diagnosis_with_it(output: str, runs: list
                                          "give another place")
 
 
-def test_the_pivots_encoder_is_not_seen_beside_an_imu(runs: list[Path], rig: Path, tmp_path: Path,
+def test_the_pivots_encoder_is_not_read_with_an_imu(runs: list[Path], rig: Path, tmp_path: Path,
                                                       pipeline: Callable[[Diagnosis], dict[str, Any]]) -> None:
     asked = pipeline(synthetic())
     assert diagnose(*runs, "--rig", rig) == 0

@@ -26,10 +26,10 @@ def test_an_odrive_s_angle_and_current_become_a_run(suffix: str, tmp_path: Path)
             for late, command, values in sent:
                 log.on_message_received(can.Message(timestamp=1.7e9 + t + late, arbitration_id=3 << 5 | command,
                                                     is_extended_id=False, data=struct.pack("<ff", *values)))
-    foreign = read_imported(path)
-    assert foreign.names == ["odrive3/pos_estimate [turn]", "odrive3/vel_estimate [turn/s]", "odrive3/Iq_setpoint [A]",
+    imported = read_imported(path)
+    assert imported.names == ["odrive3/pos_estimate [turn]", "odrive3/vel_estimate [turn/s]", "odrive3/Iq_setpoint [A]",
                              "odrive3/Iq_measured [A]"]
-    run = apply_map(foreign, {"q1_rad": Column(name="odrive3/pos_estimate [turn]", unit="turn"),
+    run = apply_map(imported, {"q1_rad": Column(name="odrive3/pos_estimate [turn]", unit="turn"),
                               "tau1_nm": Column(name="odrive3/Iq_measured [A]", unit="A", scale=0.08, delay=0.001)})
     assert run.rate_hz == pytest.approx(100.0, rel=0.01)
     at = run.time_s  # the log's first message is the angle's
@@ -55,8 +55,8 @@ def test_a_moteus_on_the_bus(tmp_path: Path) -> None:
             data = bytes([0x26, 0x01]) + struct.pack("<hh", round(turns / 1e-4), 0) + bytes([0x50, 0x50])
             log.on_message_received(can.Message(timestamp=1.7e9 + t, arbitration_id=0x100, is_extended_id=False,
                                                 is_fd=True, data=data))
-    foreign = read_can_log(tmp_path / "bus.log")
-    values = foreign.table_of("moteus1/position [turn]").columns["moteus1/position [turn]"]
+    imported = read_can_log(tmp_path / "bus.log")
+    values = imported.table_of("moteus1/position [turn]").columns["moteus1/position [turn]"]
     np.testing.assert_allclose(values, TURNS, atol=0.51e-4)
 
 

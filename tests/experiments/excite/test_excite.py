@@ -137,15 +137,15 @@ def test_refits_agree_with_what_is_predicted(bench: Bench, plan: np.ndarray) -> 
     assert ratio.min() > 0.5 and ratio.max() < 2.0, ratio
 
 
-def test_models_off_by_the_doubt_keep_the_limits(folder: Path) -> None:
+def test_models_off_by_the_model_error_keep_the_limits(folder: Path) -> None:
     model, rig = load_model(folder / "model.json"), load_rig(folder / "rig.toml")
     t = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
     shape = np.sin(2 * np.pi * 1.1 * t)
-    sure, doubtful = (Bench(model, rig, "model.json", doubt) for doubt in (0.0, 0.3))
-    assert not sure.others and len(doubtful.others) == 8
-    large, small = sure.sized(shape, 1.0), doubtful.sized(shape, 1.0)
+    sure, uncertain = (Bench(model, rig, "model.json", model_error) for model_error in (0.0, 0.3))
+    assert not sure.others and len(uncertain.others) == 8
+    large, small = sure.sized(shape, 1.0), uncertain.sized(shape, 1.0)
     assert large is not None and small is not None and small.peaks["torque_nm"] < large.peaks["torque_nm"]
-    for other in doubtful.others:
+    for other in uncertain.others:
         moved = other.move(small.torque_nm)
         assert moved is not None and np.abs(moved.q[:, 0]).max() <= 1.0 and np.abs(moved.v).max() <= 12.0
 

@@ -244,7 +244,7 @@ def test_readings_follow_the_recorder(tmp_path: Path) -> None:
     assert text["limit-q2_speed_radps"] == "-12.0" and shown["bars"]["limit-q2_speed_radps"] == pytest.approx(0.8)
     assert text["limit-clock_bound_s"] == "0.0001" and text["silence"] == ""
     session.heard_s -= 5.0
-    assert "nothing for 5 s" in readings(session, rig, 2)["text"]["silence"]
+    assert "No message from the recorder for 5 s" in readings(session, rig, 2)["text"]["silence"]
     assert {key for key, _, _ in limit_rows(rig.limits)} == set(shown["bars"])
 
 

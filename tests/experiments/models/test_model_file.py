@@ -43,7 +43,7 @@ def test_round_trip(tmp_path: Path) -> None:
     assert document["provenance"]["date"] == "2026-01-02T00:00:00+00:00"
 
 
-def test_levels_of_axes_and_joints_stand_beside_the_one_for_all() -> None:
+def test_levels_of_axes_and_joints_are_kept_with_the_common_one() -> None:
     levels = {"torque_nm": 0.03, "torque1_nm": 0.01, "torque2_nm": 0.03, "gyro_radps": 0.005, "accel_mps2": 0.05,
               "accel_x_mps2": 0.03, "accel_y_mps2": 0.064, "accel_correlation": -0.4}
     result = replace(synthetic_fit(), noise=levels)

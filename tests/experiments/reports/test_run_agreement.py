@@ -52,7 +52,7 @@ def test_one_line_about_all_and_one_for_each_parameter(disputed: FitResult) -> N
 
 def test_runs_that_agree_and_one_alone_say_so() -> None:
     assert "3 runs agree within their noise (p = 0.3)" in fit_text(with_runs(), "leg2")
-    assert "one run cannot tell whether runs agree" in fit_text(with_runs(p_value=None, runs=RUNS[:1]), "leg2")
+    assert "one run gives no scatter between runs" in fit_text(with_runs(p_value=None, runs=RUNS[:1]), "leg2")
     assert "runs" not in fit_text(synthetic_fit(), "leg2").replace("ran ", "")
 
 

@@ -30,7 +30,7 @@ def with_opinion(times: float, held_out: HeldOut | None = None, reported: Result
     return replace(plain, method=reported, second_opinion=SecondOpinion(method, other, half, apart, held_out))
 
 
-def test_estimators_that_agree_take_a_line_and_no_doubt() -> None:
+def test_estimators_that_agree_take_a_line_and_no_warning() -> None:
     found = with_opinion(1.23)
     assert fit_trust(found).sentence == fit_trust(replace(found, second_opinion=None)).sentence
     assert ("second opinion, by multiple shooting: largest disagreement 1.2 half widths, in beta2; not compared: beta9"

@@ -63,7 +63,7 @@ def fits(folder: Path) -> dict[str, str]:
     return said
 
 
-def test_a_spring_that_nobody_told_of_is_doubted_and_a_plain_leg_trusted(fits: dict[str, str]) -> None:
+def test_a_hidden_spring_is_suspected_and_a_plain_leg_trusted(fits: dict[str, str]) -> None:
     assert fits["none"] == "TRUST the parameters within their intervals, and the model's torque."
     assert fits["joint_stiffness"].startswith("DO NOT TRUST the parameters: the torque residual is autocorrelated")
 
@@ -99,7 +99,7 @@ def test_commands_say_so_first_and_list_what_the_rigs_disagree_in(
     runs = [str(folder / f"none{k}.mcap") for k in range(3)]
     model, page = str(folder / "none.json"), tmp_path / "p.html"
     assert said("validate", model, runs[2]).startswith("TRUST for simulation over 5 s: fit 9")
-    assert said("validate", model, runs[0]).startswith("TRUST WITH CARE: run none0.mcap was fitted")
+    assert said("validate", model, runs[0]).startswith("TRUST WITH CARE: the model was fitted to run none0.mcap")
     other = tmp_path / "rig.toml"
     other.write_text(RIG.read_text().replace("lever_arm_m = 0.2", "lever_arm_m = 0.21"))
     short, *reasons = printed("fit", *runs[:2], "--rig", str(other))
@@ -131,21 +131,21 @@ def test_what_no_leg_can_be_is_not_to_be_used() -> None:
     assert fit_trust(replace(sound, method="wls")).sentence.startswith("NOT TESTED")
 
 
-def test_what_sensors_and_the_undriven_joint_leave_over_is_asked_too() -> None:
+def test_residuals_of_sensors_and_of_the_passive_joint_count_too() -> None:
     """An encoder off centre left the driven torque white, and parameters 31 standard deviations off."""
     sound = synthetic_fit()
     assert fit_trust(sound).level == "good"
-    loud = replace(sound, noise={**sound.noise, "torque_nm": 0.02, "passive_joint_nm": 0.022})
-    assert "residual of a joint without a motor" in fit_trust(loud).reasons[0]
+    noisy = replace(sound, noise={**sound.noise, "torque_nm": 0.02, "passive_joint_nm": 0.022})
+    assert "residual of a joint without a motor" in fit_trust(noisy).reasons[0]
     paths = []
     for path in sound.trajectories:
         slow = 0.15 * np.sin(0.8 * path.time_s)
         paths.append(replace(path, measured={**path.measured, "gyro_radps": path.measured["gyro_radps"] + slow}))
-    both = fit_trust(replace(loud, trajectories=tuple(paths)))
+    both = fit_trust(replace(noisy, trajectories=tuple(paths)))
     assert both.sentence == ("DO NOT TRUST the parameters: a passive joint has a torque residual, a sensor residual is "
                              "autocorrelated.")
     assert "residual of gyro_radps is autocorrelated" in both.reasons[1]
-    more = replace(loud, trajectories=tuple(paths), undetermined=(Combination((("beta8", 1.0),)),))
+    more = replace(noisy, trajectories=tuple(paths), undetermined=(Combination((("beta8", 1.0),)),))
     assert fit_trust(more).sentence.endswith("a sensor residual is autocorrelated, and 1 more.")
 
 
@@ -216,7 +216,7 @@ def horizon(a: float, b: float, low: float | None = None, high: float = 0.0) -> 
     ([horizon(1.0, np.inf)] * 2, "A IS BETTER (a.json): at 2 of 2"),
     ([horizon(1.0, 2.0, 1.5, 2.5), horizon(2.0, 1.0, 0.4, 0.6)], "NEITHER is better throughout"),
     ([horizon(2.0, 1.0)] * 3, "NOT DECIDED: these runs are too short"),
-    ([horizon(2.0, 1.0, 0.4, 0.6)] + [horizon(1.0, 1.0, 0.9, 1.1)] * 9, "NEITHER is better: of 10")])
+    ([horizon(2.0, 1.0, 0.4, 0.6)] + [horizon(1.0, 1.0, 0.9, 1.1)] * 9, "NEITHER is better: over 10")])
 def test_who_is_better(errors: list[HorizonError], words: str) -> None:
     one = tabulate([prediction(0.1, 0.1)])
     found = Comparison(("a.json", "b.json"), (), tuple(errors), one.joined_with(one), ("r",), ())

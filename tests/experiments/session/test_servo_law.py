@@ -74,7 +74,7 @@ def test_what_is_lacking_is_named(tmp_path: Path, leg: Leg, capsys: pytest.Captu
     (tmp_path / "rig.toml").write_text(RIG)
     write_csv(run, tmp_path / "run.csv")
     assert main(["fit", str(tmp_path / "run.csv"), "--rig", str(tmp_path / "rig.toml")]) == 1
-    assert "give it as gain under [servo], or one parameter" in capsys.readouterr().err
+    assert "give it as gain under [servo], or give one parameter" in capsys.readouterr().err
     bare = replace(run, columns={name: run[name] for name in ("q1_rad", "q2_rad")})
     write_csv(bare, tmp_path / "bare.csv")
     with pytest.raises(InputError, match="q2_cmd_rad is missing; add the angle that the servo was commanded"):

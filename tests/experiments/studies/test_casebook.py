@@ -26,12 +26,12 @@ from tests.support.pages import allowed_script
 from tests.support.paths import REAL as DATA
 from tests.support.paths import ROOT
 
-_beside = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
+_with_records = pytest.mark.skipif(not DATA.is_dir(), reason="the shared real records are not beside the checkout")
 
 
 def needs_records(test: Callable[..., None]) -> Callable[..., None]:
     """A study of minutes: `make test-slow`."""
-    return pytest.mark.slow(_beside(test))
+    return pytest.mark.slow(_with_records(test))
 
 
 def test_every_rig_file_shipped_is_valid_and_used() -> None:
@@ -103,7 +103,7 @@ def test_friction_that_differs_by_direction_is_named_and_gains(book: tuple[dict[
     assert sizes["viscous_difference"]["unit"] == "N s/m"  # a slide
     free = found["free_run_rmse"]["q1_m"]
     assert free["after"] < 0.2 * free["before"]
-    (left,) = found["residual_percent"]["after"]
+    (left,) = found["left_over_percent"]["after"]
     # Published: 4.08 % symmetric, 3.11 % asymmetric. The delay and the ripple that are there too are below what matters
     # in free runs, and stay in the residual.
     assert left < 4.08 * 0.95
