@@ -18,7 +18,7 @@ from estimator.change.payload import fieller
 from estimator.change.reference import Reference, require_runs
 from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, NoiseChange, Size
 from estimator.change.scores import ReferenceFit, fit_reference, noisiness, score_run
-from estimator.change.structure import find_structure
+from estimator.change.structure import Structure, find_structure
 from estimator.errors import FitError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -64,9 +64,14 @@ class Scored:
 
     groups: tuple[Group, ...]
     contrast: Contrast
-    freedom: float
+    structure: Structure
     pairs: int = 1
     """Comparisons that are made, each over all groups"""
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of a size's variance."""
+        return self.structure.freedom
 
     @cached_property
     def gains(self) -> list[float]:
@@ -102,10 +107,9 @@ def detect_change(test: Sequence[Dataset], reference: Reference) -> Change:
                 parts = seen([score_run(fit, d, own, shift) for d in test], structure)
                 folds = [Fold(name, against(parts[:k] + parts[k + 1 :]), against([parts[k]]))
                          for k, name in enumerate(names)]
-                return Scored(groups, against(parts), structure.freedom), folds
+                return Scored(groups, against(parts), structure), folds
 
             found = conclude(fit, *_relinearised(scored), noise, AGAINST)
-        found = replace(found, structure=(structure.common**0.5, structure.own**0.5))
     except (FitError, np.linalg.LinAlgError) as error:
         found = Change("fit_failed", f"No comparison: {error}.")
     few = () if len(reference.runs) >= 4 else (f"{len(reference.runs)} reference runs: their scatter is poorly known; "
@@ -134,25 +138,26 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
             there = compare_noise(*levels) if fit is fits[1] else noise
             own = with_noise(fit, [one for one in there if one.p_value < ALPHA])
             known = [[score_run(fit, d, None if fit is its else own) for d in runs] for runs, its in zip((a, b), fits)]
-            structure = find_structure(known, fit.mechanism.p)
-            groups = groups_of(fit, total(seen([*known[0], *known[1]], structure)))
-
-            def between(some: Sequence[Contrast], others: Sequence[Contrast]) -> Contrast:
-                return difference(total(some), total(others), structure)
+            begun = find_structure(known, fit.mechanism.p)
+            groups = groups_of(fit, total(seen([*known[0], *known[1]], begun)))
 
             def scored(shift: FloatArray | None) -> tuple[Scored, list[Fold]]:
                 scores = known if shift is None else [
                     its if fit is fits[k] else [score_run(fit, d, own, shift if k else -shift) for d in (a, b)[k]]
                     for k, its in enumerate(known)]
+                structure = begun if shift is None else find_structure(scores, fit.mechanism.p)
                 first, second = (seen(runs, structure) for runs in scores)
+
+                def between(some: Sequence[Contrast], others: Sequence[Contrast]) -> Contrast:
+                    return difference(total(some), total(others), structure)
+
                 folds = [Fold(name, between(first[:k] + first[k + 1 :], second), between([first[k]], second))
                          for k, name in enumerate(names[0])]
                 folds += [Fold(name, between(first, second[:k] + second[k + 1 :]), between(first, [second[k]]))
                           for k, name in enumerate(names[1])]
-                return Scored(groups, between(first, second), structure.freedom, pairs), folds
+                return Scored(groups, between(first, second), structure, pairs), folds
 
             found = conclude(fit, *_relinearised(scored), noise, SESSIONS)
-        found = replace(found, structure=(structure.common**0.5, structure.own**0.5))
     except (FitError, np.linalg.LinAlgError) as error:
         found = Change("fit_failed", f"No comparison: {error}.")
     few = () if min(map(len, names)) >= 4 else ("fewer than four runs of a session: their scatter is poorly known",)
@@ -184,7 +189,7 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
     p_any, tried = scored.p_value(best), {g.effect for g in groups}
     refused = tuple((k, why) for k, why in fit.refused.items() if k not in tried)
     base = Change("no_change", words.same, detectable=_detectable(scored), noise=noise, p_any=p_any,
-                  not_testable=refused)
+                  structure=(scored.structure.common**0.5, scored.structure.own**0.5), not_testable=refused)
     if p_any >= ALPHA:
         noisier = tuple(_noise_cause(n) for n in noise if n.p_value < ALPHA)
         return base if not noisier else replace(base, verdict="named", causes=noisier,
