@@ -46,11 +46,19 @@ class Contrast:
         """(m,) generalised least squares."""
         return np.asarray(self.covariance() @ self.score)
 
+    @property
+    def scale(self) -> FloatArray:
+        """(m,) root of each column's own information."""
+        return np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+
+    @property
+    def correlation(self) -> FloatArray:
+        """(m, m) information of columns in units of their own."""
+        return np.asarray(self.information / np.outer(self.scale, self.scale))
+
     def covariance(self) -> FloatArray:
         """(m, m) of the sizes."""
-        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-        return np.asarray(np.linalg.pinv(self.information / np.outer(scale, scale), HIDDEN, hermitian=True)
-                          / np.outer(scale, scale))
+        return np.asarray(np.linalg.pinv(self.correlation, HIDDEN, hermitian=True) / np.outer(self.scale, self.scale))
 
 
 def seen(runs: Sequence[RunScore], structure: Structure) -> list[Contrast]:

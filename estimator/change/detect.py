@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,6 +27,8 @@ ALPHA = 0.01
 """p-value, over all candidates tried, below which something changed."""
 POWER = 0.8
 MOST_CAUSES = 2
+STEPS = 2
+"""Times that a change is estimated anew, at the model with the change of before."""
 RIVAL = 6.0
 """Candidates within this fall of -2 log likelihood of the best are not told apart from it."""
 
@@ -71,6 +73,11 @@ class Scored:
         """Fall of -2 log likelihood by each group."""
         return [group.fit(self.contrast)[1] for group in self.groups]
 
+    @cached_property
+    def order(self) -> list[int]:
+        """Groups, the likeliest first."""
+        return sorted(range(len(self.groups)), key=self.p_value)
+
     def p_value(self, k: int) -> float:
         width = len(self.groups[k].names)
         return min(1.0, self.pairs * len(self.groups) * float(fdtrc(width, self.freedom, self.gains[k] / width)))
@@ -86,15 +93,18 @@ def detect_change(test: Sequence[Dataset], reference: Reference) -> Change:
         with np.errstate(all="ignore"):  # a search may diverge on its way; where it ends is checked
             noise = compare_noise(levels_of(test, fit.mechanism, fit.options), reference.noise)
             own = with_noise(fit, [one for one in noise if one.p_value < ALPHA])
-            parts = seen([score_run(fit, d, own) for d in test], structure)
+            groups = groups_of(fit, reference.known)
 
             def against(some: Sequence[Contrast]) -> Contrast:
                 return contrast(total(some), reference.known, structure)
 
-            folds = [Fold(name, against(parts[:k] + parts[k + 1 :]), against([parts[k]]))
-                     for k, name in enumerate(names)]
-            scored = Scored(groups_of(fit, reference.known), against(parts), structure.freedom)
-            found = conclude(fit, scored, folds, noise, AGAINST)
+            def scored(shift: FloatArray | None) -> tuple[Scored, list[Fold]]:
+                parts = seen([score_run(fit, d, own, shift) for d in test], structure)
+                folds = [Fold(name, against(parts[:k] + parts[k + 1 :]), against([parts[k]]))
+                         for k, name in enumerate(names)]
+                return Scored(groups, against(parts), structure.freedom), folds
+
+            found = conclude(fit, *_relinearised(scored), noise, AGAINST)
         found = replace(found, structure=(structure.common**0.5, structure.own**0.5))
     except (FitError, np.linalg.LinAlgError) as error:
         found = Change("fit_failed", f"No comparison: {error}.")
@@ -123,20 +133,25 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
             noise = compare_noise(levels[1], levels[0])
             there = compare_noise(*levels) if fit is fits[1] else noise
             own = with_noise(fit, [one for one in there if one.p_value < ALPHA])
-            one, other = ([score_run(fit, d, None if fit is its else own) for d in runs]
-                          for runs, its in zip((a, b), fits))
-            structure = find_structure([one, other], fit.mechanism.p)
-            first, second = seen(one, structure), seen(other, structure)
+            known = [[score_run(fit, d, None if fit is its else own) for d in runs] for runs, its in zip((a, b), fits)]
+            structure = find_structure(known, fit.mechanism.p)
+            groups = groups_of(fit, total(seen([*known[0], *known[1]], structure)))
 
             def between(some: Sequence[Contrast], others: Sequence[Contrast]) -> Contrast:
                 return difference(total(some), total(others), structure)
 
-            folds = [Fold(name, between(first[:k] + first[k + 1 :], second), between([first[k]], second))
-                     for k, name in enumerate(names[0])]
-            folds += [Fold(name, between(first, second[:k] + second[k + 1 :]), between(first, [second[k]]))
-                      for k, name in enumerate(names[1])]
-            scored = Scored(groups_of(fit, total(first + second)), between(first, second), structure.freedom, pairs)
-            found = conclude(fit, scored, folds, noise, SESSIONS)
+            def scored(shift: FloatArray | None) -> tuple[Scored, list[Fold]]:
+                scores = known if shift is None else [
+                    its if fit is fits[k] else [score_run(fit, d, own, shift if k else -shift) for d in (a, b)[k]]
+                    for k, its in enumerate(known)]
+                first, second = (seen(runs, structure) for runs in scores)
+                folds = [Fold(name, between(first[:k] + first[k + 1 :], second), between([first[k]], second))
+                         for k, name in enumerate(names[0])]
+                folds += [Fold(name, between(first, second[:k] + second[k + 1 :]), between(first, [second[k]]))
+                          for k, name in enumerate(names[1])]
+                return Scored(groups, between(first, second), structure.freedom, pairs), folds
+
+            found = conclude(fit, *_relinearised(scored), noise, SESSIONS)
         found = replace(found, structure=(structure.common**0.5, structure.own**0.5))
     except (FitError, np.linalg.LinAlgError) as error:
         found = Change("fit_failed", f"No comparison: {error}.")
@@ -144,11 +159,27 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
     return replace(found, reference=names[0], test=names[1], warnings=few, wall_s=time.perf_counter() - begin)
 
 
+def _relinearised(scored: Callable[[FloatArray | None], tuple[Scored, list[Fold]]]) -> tuple[Scored, list[Fold]]:
+    """The scores at the likeliest change, where there is one: a large change is not linear."""
+    found = scored(None)
+    for _ in range(STEPS):
+        order = found[0].order
+        if found[0].p_value(order[0]) >= ALPHA:
+            break
+        chosen = _search(found[0], order)
+        basis = _basis(found[0].groups, chosen)
+        try:
+            found = scored(basis @ found[0].contrast.along(basis).size())
+        except (FitError, np.linalg.LinAlgError):
+            break
+    return found
+
+
 def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tuple[NoiseChange, ...], words: Words
              ) -> Change:
     """Verdict, sizes, and the held-out gain by run."""
     groups = scored.groups
-    order = sorted(range(len(groups)), key=scored.p_value)
+    order = scored.order
     best = order[0]
     p_any, tried = scored.p_value(best), {g.effect for g in groups}
     refused = tuple((k, why) for k, why in fit.refused.items() if k not in tried)
@@ -169,7 +200,7 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
         return replace(base, verdict="partial", causes=causes, held_out=held,
                        sentence=f"{words.changed}: {_words(causes)}, and something else that these causes leave.")
     rivals = [k for k in order if groups[k].key not in {groups[c].key for c in chosen}
-              and scored.gains[k] > scored.gains[best] - RIVAL] if len(chosen) == 1 else []
+              and scored.gains[k] > scored.gains[chosen[0]] - RIVAL] if len(chosen) == 1 else []
     first = {groups[k].key: k for k in reversed(rivals)}
     if first:
         several = (*causes, *(_cause(scored, k) for k in first.values()))
@@ -198,7 +229,11 @@ def _without(scored: Scored, chosen: Sequence[int]) -> Scored:
     gone = np.diag(left) < HIDDEN * np.diag(one.information)
     score = one.score - carry @ (basis.T @ one.score)
     score[gone], left[gone], left[:, gone] = 0.0, 0.0, 0.0
-    return replace(scored, contrast=Contrast(score, left))
+    rest = Contrast(score, left)
+    groups = tuple(replace(g, basis=np.zeros_like(g.basis)) if
+                   (rest.along(g.basis).scale < HIDDEN**0.5 * one.along(g.basis).scale).all() else g
+                   for g in scored.groups)
+    return replace(scored, groups=groups, contrast=rest)
 
 
 def _basis(groups: Sequence[Group], chosen: Sequence[int]) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from daq import FloatArray
-from estimator.change.contrast import Contrast
+from estimator.change.contrast import HIDDEN, Contrast
 from estimator.model import Mechanism, body_values, carried, has_bodies, rigid_parameters
 
 NAMES = ("mass", "first_moment", "inertia")
@@ -62,9 +62,10 @@ def body_basis(mechanism: Mechanism, link: int, lengths: Mapping[int, float]) ->
 def fit_body(own: Contrast) -> tuple[FloatArray, float]:
     """(3,) likeliest sizes of a body that was added or taken away, and the fall of -2 log likelihood.
 
-    The Cholesky factor of [[m, h], [h, J]] makes it a body of real mass."""
+    The Cholesky factor of [[m, h], [h, J]] makes it a body of real mass. Where the runs do not determine all three
+    sizes, nothing holds them."""
     free = own.size()
-    if free[0] * free[2] >= free[1] ** 2 and free[0] != 0.0:
+    if np.linalg.eigvalsh(own.correlation)[0] < HIDDEN or (free[0] * free[2] >= free[1] ** 2 and free[0] != 0.0):
         return free, own.gain()
     scale = 1.0 / np.sqrt(np.maximum(np.diag(own.information), 1e-300))
     unit = np.array([scale[0], np.sqrt(scale[0] * scale[2]), scale[2]])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
-from estimator.effects import battery, library
+from estimator.effects import Effect, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, free_mask, iterate, noise_floors, start_state
 from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage, State
@@ -92,24 +92,46 @@ def noisiness(fit: ReferenceFit) -> float:
     return float(np.log(np.maximum(levels, 1e-300)).sum())
 
 
-def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None) -> RunScore:
-    """At the likeliest motion of the run under the reference model and its noise, or another. Raises `FitError`."""
+def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None, shift: FloatArray | None = None
+              ) -> RunScore:
+    """At the likeliest motion of the run under the reference model and its noise, or another.
+
+    With a `shift` (m,) of all columns it is taken at the changed model, to which a large change is closer, and carried
+    back: score + information shift. Raises `FitError`."""
     m, options = fit.mechanism, fit.options
+    moved = np.zeros(len(fit.columns)) if shift is None else shift
+    present, sizes = _present(fit, moved)
     signals = split_signals([data], m, options)
-    problem = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio)
+    problem = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio, effects=present)
     begin = start_state(problem, signals, m, options, np.zeros(m.p, dtype=bool), fit.beta)
-    state = smooth_under(problem, State(begin.x, fit.beta.copy(), noise or fit.noise, np.zeros((m.p, m.p))))
-    wide = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio, fit.candidates)
+    beta = np.concatenate([fit.beta + moved[: m.p], *sizes])
+    state = smooth_under(problem, State(begin.x, beta, noise or fit.noise, np.zeros((beta.size, beta.size))))
+    wide = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio, fit.candidates, present)
     point = wide.linearise(state.x, state.beta, state.noise)
     product = eliminate(point.chain).product()
-    score, information = product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:]
+    own = np.r_[: m.p, beta.size : len(point.gradient_beta)]
+    score = (product[1:, 0] - point.gradient_beta)[own]
+    information = (point.corner - product[1:, 1:])[np.ix_(own, own)]
     if not (np.isfinite(score).all() and np.isfinite(information).all()):
         raise FitError(f"{data.name}: the reference model cannot follow this run")
-    return RunScore(score, information)
+    return RunScore(score + information @ moved, information)
+
+
+def _present(fit: ReferenceFit, shift: FloatArray) -> tuple[list[Effect], list[FloatArray]]:
+    """Effects that a shift holds, and their sizes and shapes."""
+    effects, sizes, start = [], [], fit.mechanism.p
+    for candidate in fit.candidates:
+        own = shift[start : start + candidate.width]
+        if own.any():
+            effects.append(candidate.effect)
+            sizes.append(np.concatenate([own, candidate.shape]))
+        start += candidate.width
+    return effects, sizes
 
 
 def _problem(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, angle_range: FloatArray,
-             gear_ratio: float, candidates: Sequence[Candidate] = ()) -> ExtendedProblem:
+             gear_ratio: float, candidates: Sequence[Candidate] = (), effects: Sequence[Effect] = ()
+             ) -> ExtendedProblem:
     begin = tuple(float(s.time_s[0] - signals[0].time_s[0]) for s in signals)
     stage = Stage((0,) * len(begin), begin, begin, angle_range, gear_ratio)
-    return ExtendedProblem(signals, mechanism, hold, stage, (), candidates)
+    return ExtendedProblem(signals, mechanism, hold, stage, effects, candidates)

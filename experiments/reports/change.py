@@ -50,13 +50,13 @@ def detectable_rows(found: Change) -> list[list[str]]:
 
 
 def held_out_text(held: HeldOut) -> str:
-    """Sentence on how the change predicts held-out runs."""
+    """Sentence on how well the change predicts runs that it was not fitted to."""
     better = sum(g > 0.0 for g in held.gain)
     return f"Fitted to the other runs, the change predicts {better} of {len(held.gain)} runs better than no change."
 
 
 def structure_text(found: Change) -> str:
-    """Sentence on the structure of the runs that no law explains."""
+    """Sentence on the part of the runs that no law explains."""
     return ("Unexplained structure within a session, in standard deviations of a size estimated from one run: {:.2g} "
             "common to its runs, {:.2g} different in each run.".format(*found.structure))
 
@@ -80,7 +80,7 @@ def sessions_document(pairs: Sequence[Pair], set_aside: Sequence[SetAside] = ())
 
 
 def sessions_text(pairs: Sequence[Pair]) -> str:
-    """Full text of a single pair, or a table with one row for each of several."""
+    """Text of a single pair; of several pairs a table with one row a pair."""
     if len(pairs) == 1:
         return change_text(pairs[0][1], pairs[0][0])
     return text_table(["from", "to", "verdict", "difference"],
@@ -116,7 +116,7 @@ ACTIONS: dict[Kind, str] = {
 def next_of_change(found: Change) -> str:
     """One line: what to do, and the command."""
     if found.verdict == "fit_failed":
-        return "Fit each run separately: legid fit RUN... --rig RIG --each"
+        return "Look at each run alone: legid fit RUN... --rig RIG --each"
     if found.verdict == "no_change":
         return "Go on with the model that you have; more or longer runs show smaller changes"
     if found.verdict == "changed_unexplained":

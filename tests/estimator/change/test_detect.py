@@ -20,7 +20,7 @@ from estimator.options import FitOptions
 from experiments.session import prepare
 from tests.evidence.blind.records import FAULTS, RECORDS, RIGS
 from tests.evidence.blind.stickslip import MAKERS, Readings
-from tests.support.changed_leg import REFERENCE, leg_runs
+from tests.support.changed_leg import REFERENCE, leg_runs, loaded
 from tests.support.paths import REAL
 
 
@@ -87,10 +87,28 @@ def test_noise_alone_is_a_cause_with_its_ratio(tmp_path: Path) -> None:
     assert other.size[0].value == pytest.approx(1.0 / cause.size[0].value)
 
 
-def test_a_payload_on_link_1_is_among_the_causes(tmp_path: Path) -> None:
-    found = change_of(*leg_runs(tmp_path, lambda c: None, heavier=0.1))
-    assert found.verdict != "no_change"
-    assert {c.effect for c in found.causes} & {"payload", "parameter"}
+@pytest.mark.parametrize(("link", "mass", "distance"), [(1, 0.03, 0.25), (1, 0.2, 0.1), (2, 0.02, 0.2), (2, 0.15, 0.1)])
+def test_a_payload_is_named_with_what_is_determined_of_it(link: int, mass: float, distance: float, tmp_path: Path
+                                                          ) -> None:
+    """From 2 to 20 % of the link's mass. Of the first link its own mass moves no parameter."""
+    inertia = mass * 0.02**2
+    found = change_of(*leg_runs(tmp_path, lambda c: None, lambda leg: loaded(leg, link, mass, distance, inertia)))
+    cause = found.causes[0]
+    assert (found.verdict, cause.effect, cause.joint, cause.kind) == ("named", "payload", link, "parameters")
+    true = {"mass": mass, "first_moment": mass * distance, "inertia": mass * distance**2 + inertia,
+            "distance": distance, "farthest": distance + inertia / (mass * distance)}
+    names = ["first_moment", "inertia", "farthest"] if link == 1 else ["mass", "first_moment", "inertia", "distance"]
+    assert [s.name for s in cause.size] == names
+    for size in cause.size:  # 95 % intervals, of which four legs have fourteen: one and a half times as wide
+        low, high = size.ci95
+        assert 1.25 * low - 0.25 * high < true[size.name] < 1.25 * high - 0.25 * low, size
+        assert high - low < 0.3 * true[size.name]
+
+
+def test_a_body_that_is_taken_away_is_said_to_be(tmp_path: Path) -> None:
+    found = change_of(*leg_runs(tmp_path, lambda c: None, lambda leg: loaded(leg, 2, -0.1, 0.12, -0.1 * 0.02**2)))
+    assert found.causes[0].sentence == "a body was taken from link 2"
+    assert found.causes[0].size[0].value == pytest.approx(-0.1, rel=0.05)
 
 
 def test_one_run_is_refused_with_a_remedy() -> None:
