@@ -76,10 +76,10 @@ def test_two_sessions_exchanged_turn_the_signs_and_nothing_else(name: str, size:
 def test_noise_alone_is_a_cause_with_its_ratio(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
 
-    def louder(c: Readings) -> None:
+    def noisier(c: Readings) -> None:
         c["gyro_radps"] += rng.normal(scale=0.007, size=c["gyro_radps"].size)  # 0.004 without it
 
-    found, turned = sessions_of(*leg_runs(tmp_path, louder))
+    found, turned = sessions_of(*leg_runs(tmp_path, noisier))
     (cause,), (other,) = found.causes, turned.causes
     assert found.verdict == "named" and (cause.kind, cause.size[0].name) == ("noise", "gyro_radps")
     low, high = cause.size[0].ci95
