@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from experiments.cli.arguments import add_force
+
+if TYPE_CHECKING:
+    from daq import Column
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -16,16 +20,18 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "import", help="files of other programs as runs",
         description="Read CSV of any dialect, MATLAB, HDF5, NumPy, PyTorch, pickle, JSON, Parquet and ROS bags "
                     "by a map of columns, and write runs as CSV. A file that cannot be read is named, and the others "
-                    "are imported. "
-                    "With --guess the map is worked out by names, gravity and the equation of "
-                    "motion, shown as a table and as a page, and written: look at it, then import with it. The same "
-                    "table as [columns] in a rig.toml lets every command read such files.")
+                    "are imported. Without --map legid guesses the map by names, gravity and the equation of motion. "
+                    "It shows what it found in each file, writes the map and a page, and asks whether to import. "
+                    "--guess does the same and imports nothing. The same table as [columns] in a rig.toml lets every "
+                    "command read such files.")
     parser.add_argument("files", metavar="FILE", nargs="+",
                         help=".csv, .txt, .mat, .npz, .h5, .pt, .pkl, .json, .parquet, .mcap, .db3, or a bag's folder")
-    parser.add_argument("--map", metavar="COLUMNS.toml", required=True, help="the map of columns")
+    parser.add_argument("--map", metavar="COLUMNS.toml",
+                        help="the map of columns; default: columns.toml in DIR, guessed anew until it is edited")
     parser.add_argument("--guess", action="store_true",
                         help="write a map guessed from the first file, and a page next to it")
     parser.add_argument("--out", metavar="DIR", default=".", help="where the runs go; default: here")
+    parser.add_argument("--yes", action="store_true", help="import by a guessed map without asking")
     add_force(parser)
     parser.add_argument("--rate", metavar="HZ", type=float, help="samples per second; default: the slowest signal's")
     parser.set_defaults(run=run)
@@ -38,27 +44,33 @@ def run(args: argparse.Namespace) -> int:
     from daq import InputError
     from daq.runs import write_csv
     from experiments.console import make_directory, printable, warn
-    from experiments.exchange import apply_map, load_map, read_imported, runs_in
+    from experiments.exchange import apply_map, is_guess, load_map, read_imported, runs_in
 
-    if args.guess:
-        return _guess(args)
     if args.rate is not None and not 0.0 < args.rate < 1e6:
         raise InputError("--rate", f"{args.rate:g} is not a rate in Hz", "give samples per second")
-    columns = load_map(args.map)
     out = Path(args.out)
     make_directory(out)
+    place = out / "columns.toml" if args.map is None else Path(args.map)
+    if args.guess or (args.map is None and (not place.exists() or is_guess(place))):
+        _guess(args, place)
+        if args.guess or (not args.yes and not _agreed(args.files, place)):
+            _show_next(args, place)
+            return 0
+    elif args.map is None:
+        print(f"map: {place}")
+    columns = load_map(place)
     given = {Path(file).resolve() for file in args.files}
     bad = 0
     for file, target in _targets(args.files, out):
         try:
             imported = read_imported(file)
             for ending, own in runs_in(imported, columns):
-                place = target.with_name(f"{target.stem}{ending}.csv")
-                if place.resolve() in given:
-                    raise InputError(str(place), "exists already", "give another directory with --out")
+                written = target.with_name(f"{target.stem}{ending}.csv")
+                if written.resolve() in given:
+                    raise InputError(str(written), "exists already", "give another directory with --out")
                 data = apply_map(imported, own, args.rate)
-                rows = write_csv(data, place, replace=args.force)
-                print(f"{place}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
+                rows = write_csv(data, written, replace=args.force)
+                print(f"{written}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
                 for flag in data.flags:
                     warn(f"{file} {flag}")
         except InputError as error:
@@ -79,9 +91,8 @@ def _targets(files: list[str], out: Path) -> Iterator[tuple[str, Path]]:
         yield file, out / f"{folder}{name}.csv"
 
 
-def _guess(args: argparse.Namespace) -> int:
-    """Write the map and its page; nothing is imported before somebody has looked at it."""
-    import shlex
+def _guess(args: argparse.Namespace, target: Path) -> None:
+    """Show what the files hold, and write the guessed map to `target` and its page next to it."""
     import sys
 
     from daq import InputError, WorkError, write_file
@@ -89,12 +100,14 @@ def _guess(args: argparse.Namespace) -> int:
     from experiments.exchange import guess_map, guess_text, is_guess, read_imported
     from experiments.reports import GUESS_HEADER, guess_rows, guess_section, guess_verdict, write_page
 
-    target, page = Path(args.map), Path(args.map).with_suffix(".html")
+    page = target.with_suffix(".html")
     if target.exists() and not (args.force or is_guess(target)):
         raise InputError(str(target), "exists already, and was changed by hand",
                          "leave --guess out to import by it, or give --force to write it anew")
     found = guess_map(read_imported(args.files[0]))
     print(text_table(GUESS_HEADER, guess_rows(found), set()))
+    print(text_table(["file", "samples", "rate [Hz]", "length [s]", "missing [%]", "remark"],
+                     [_summary(file, found.columns, args.rate) for file in args.files], {1, 2, 3, 4}))
     write_file(target, guess_text(found.columns, found.notes).encode(), changed=True)
     write_page(page, f"Columns of {Path(args.files[0]).name}", "A guess: look at it before it is used.",
                [guess_section(found, args.files[0])], verdict=guess_verdict(found))
@@ -103,6 +116,36 @@ def _guess(args: argparse.Namespace) -> int:
     if found.unexplained:
         raise WorkError(f"{args.files[0]}: no units and signs explain its columns; {target} is written all the same: "
                         f"correct it, with {page} to judge it by, before you import with it")
-    print(f"{target} written, and {page} to judge it by; then:\n"
-          f"legid import {shlex.join(args.files)} --map {shlex.quote(str(target))}")
-    return 0
+    print(f"{target} written, and {page} to judge it by")
+
+
+def _summary(file: str, columns: Mapping[str, Column], rate_hz: float | None) -> list[str]:
+    """Row of a table: samples, rate, length and share of missing samples of one file, read by the guessed map."""
+    from daq import InputError
+    from experiments.exchange import apply_map, read_imported
+
+    try:
+        imported = read_imported(file)
+        data = apply_map(imported, columns, rate_hz)
+    except InputError as error:
+        return [file, "", "", "", "", error.what]
+    wrong = f"{len(imported.wrong)} wrong cells or rows left out" if imported.wrong else ""
+    return [file, str(len(data)), f"{data.rate_hz:g}", f"{len(data) / data.rate_hz:.1f}",
+            f"{100.0 * float(data.gap().mean()):.1f}", wrong]
+
+
+def _agreed(files: list[str], target: Path) -> bool:
+    """Whether a person at the terminal says yes to an import by the guessed map."""
+    import sys
+
+    if not sys.stdin.isatty():
+        return False
+    return input(f"Import {len(files)} files by {target}? [y/N] ").strip().lower() in ("y", "yes")
+
+
+def _show_next(args: argparse.Namespace, target: Path) -> None:
+    """Print the command that imports by the guessed map."""
+    import shlex
+
+    out = "" if args.out == "." else f" --out {shlex.quote(args.out)}"
+    print(f"then: legid import {shlex.join(args.files)} --map {shlex.quote(str(target))}{out}")
