@@ -13,44 +13,11 @@ from typing import NamedTuple
 import pytest
 
 from tests.support.paths import ROOT
+from tests.support.words import IN_ESTIMATOR, WORDS, compiled
 
 FLOORS = ("drivers", "daq", "estimator", "experiments", "legid")
 LONGEST = 30
 """Most words of a sentence in a message, and of a docstring's first sentence."""
-WORDS = {
-    r"beside": "together with, in addition to, next to",
-    r"nil": "zero, not significant",
-    r"closure": "the residual is white; explains the error",
-    r"(leav(es?|ing)|left)[ _]over": "residual",
-    r"loud(er|est|ness)?": "noisy, noise level, noise scale",
-    r"rehears\w*": "bootstrap replicate",
-    r"anonymous|without a name": "generic, nonparametric",
-    r"(kept|keeps?|keeping)[ _]back": "held-out runs, test runs",
-    r"matters?": "material; changes the simulation by more than the threshold",
-    r"strays?|r[ua]ns?[ _](off|away)": "diverges",
-    r"fore(tells?|told|sees?|seen|saw)": "predict",
-    r"mend(s|ed|ing)?": "fix",
-    r"passages?": "zero crossing of the velocity",
-    r"stretch(es|ed|ing)?": "segment",
-    r"haste": "step factor",
-    r"steep(er|est|ness)?": "name the quantity",
-    r"foreign": "imported, another program's",
-    r"(by|on) (itself|themselves)|(by|on) (its|their) own account": "individually, separately, alone",
-    r"in (its|their) turn": "rotate, leave-one-out, k-fold",
-    r"doubt(s|ed|ful|ing)?": "suspect, flagged, finding",
-    r"the print": "the paper",
-    r"ma[dk]es? out of": "generate from",
-    r"friction('?s)?[ _]round\w+|round(ing|ed)([ _]off)? (friction|sign|law)|sign(\(\w+\))? is round\w+":
-        "smoothing velocity, smoothed sign",
-}
-"""Regular expression of what no textbook says -> what to say."""
-IN_ESTIMATOR = {
-    r"readers?": "the model whose smoother supplies the pivot angle",
-    r"pull(s|ed|ing)?": "gradient, torque",
-    r"round(ing|ed)": "smoothing velocity, smoothed sign",
-    r"settl(es?|ed|ing)": "converge",
-}
-"""The same for words that have a plain meaning elsewhere: a reader of files, a pull-up resistor, a settling time."""
 CLAUSE = re.compile(r"(What|Who|Whoever|Whose|Which|Where|How|That|Of|By|With|From|As(?! many)|So|Nothing|Beyond)\b")
 """First word of a clause that does not say what comes back."""
 ALLOWED: list[tuple[str, str, str]] = [
@@ -58,10 +25,6 @@ ALLOWED: list[tuple[str, str, str]] = [
     ("estimator/result.py", "`doubt`", "a role of a finding, as documents have it"),
 ]
 """(path, phrase, reason): a JSON key, a contract, another library's name, or the plain meaning of the word."""
-
-
-def compiled(words: dict[str, str]) -> list[tuple[re.Pattern[str], str]]:
-    return [(re.compile(rf"(?<![a-z])({word})(?![a-z])", re.IGNORECASE), say) for word, say in words.items()]
 
 
 EVERYWHERE, ESTIMATOR_ONLY = compiled(WORDS), compiled(IN_ESTIMATOR)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.paths import ROOT
+from tests.support.words import IN_PAGES, WORDS, compiled
 
 DOCS = ROOT / "docs"
 EVIDENCE = sorted((DOCS / "evidence").glob("*.md"))
@@ -14,33 +15,6 @@ PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", RO
 GUIDE = [DOCS / f"{name}.md" for name in re.findall(
     r"^[a-z]+$", (DOCS / "index.md").read_text(encoding="utf-8").split(":caption: Guide")[1].split("```")[0],
     re.MULTILINE)]
-
-WORDS = {
-    r"\bbeside\b": "together with, in addition to, next to",
-    r"\bnil\b": "zero, not significant",
-    r"\bclosures?\b|\bcloses\b": "the residual is white, explains the error",
-    r"\b(left|leaves?|leaving) over\b": "residual",
-    r"\bloud\w*": "noisy, noise level",
-    r"\brehears\w*": "bootstrap replicate",
-    r"\bwithout (a )?names?\b|\banonymous\b": "generic",
-    r"\brounded (sign|off)\b|\bspeed of rounding\b": "smoothed sign, friction smoothing velocity",
-    r"\b(kept|keeps?) back\b": "held-out, test runs",
-    r"\bmatters?\b": "material",
-    r"\bstrays?\b|\bruns? (off|away)\b|\bran (off|away)\b": "diverges",
-    r"\bforet(ell|old)\w*|\bfores(ee|aw)\w*": "predict",
-    r"\bmend\w*": "fix, repair",
-    r"\bpassages?\b": "zero crossing of the velocity",
-    r"\bstretch(es)?\b": "segment",
-    r"\bhaste\w*": "step factor",
-    r"\bsettl\w+|\bunsettled\b": "converge",
-    r"\bforeign\b": "imported, another program's",
-    r"\bby itself\b|\bon its own account\b": "individually, separately",
-    r"\bin its turn\b": "rotate",
-    r"\bdoubt\w*": "suspect, flagged",
-    r"\bthe print\b|\bthe print's\b": "the paper",
-    r"\b(as|where) (it|that) (does|is) where\b|\bof one run nothing\b": "subject, verb, object",
-}
-"""The left column of the list of words as regular expressions, and what to write instead."""
 
 ALLOWED: dict[str, tuple[str, ...]] = {}
 """Page and the phrases in it that keep such a word: a quotation, or the ordinary meaning."""
@@ -80,8 +54,8 @@ def test_a_page_uses_the_textbook_s_words(page: Path) -> None:
     for phrase in ALLOWED.get(name_of(page), ()):
         assert phrase in text, f"{phrase!r} is allowed and not there"
         text = text.replace(phrase, "")
-    found = [f"{match[0]!r} -> {better}" for word, better in WORDS.items()
-             for match in re.finditer(word, " ".join(text.split()), re.IGNORECASE)]
+    found = [f"{match[0]!r} -> {better}" for word, better in compiled(WORDS | IN_PAGES)
+             for match in word.finditer(" ".join(text.split()))]
     assert found == []
 
 
@@ -124,4 +98,4 @@ def test_the_changelog_has_releases_with_a_line_for_each_change() -> None:
 def test_the_checks_can_fail() -> None:
     page = f"A mended page. A {'word ' * 31}end.\n\n| table {'word ' * 40}|\n\n```sh\n{'code ' * 40}\n```\n"
     assert [len(s.split()) for s in sentences(page) if s] == [3, 33]
-    assert any(re.search(word, page, re.IGNORECASE) for word in WORDS)
+    assert any(word.search(page) for word, _ in compiled(WORDS | IN_PAGES))
