@@ -132,8 +132,8 @@ def test_a_slide_has_its_own_units_and_shapes() -> None:
     assert joint1(voltage=True).unit("N m s^2/rad^2") == "V s^2/rad^2"
     (stribeck,), (rotary,) = ([e for e in library(m, False)[0] if e.name == "stribeck_friction"]
                               for m in (slide, joint1()))
-    np.testing.assert_allclose(stribeck.grid(), 0.05 * np.array(rotary.grid()))
-    assert stribeck.clipped(np.array([1.0, 0.01]))[1] == 0.01
+    np.testing.assert_allclose(stribeck.grid(), np.array(rotary.grid()) * [0.05, 1.0])  # an exponent has no unit
+    assert stribeck.clipped(np.array([1.0, 0.01, 2.0]))[1] == 0.01
 
 
 def test_a_stiff_pivot_is_named_with_its_size(runs: tuple[Leg, list[Dataset]]) -> None:

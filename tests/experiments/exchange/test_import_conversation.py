@@ -8,7 +8,7 @@ import pytest
 
 from daq.runs import read_csv
 from experiments.cli import main
-from tests.experiments.exchange.test_guess_joint import record
+from tests.support.driven_joint import record
 
 
 @pytest.fixture
