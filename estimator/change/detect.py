@@ -3,118 +3,54 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
-from scipy.special import fdtrc, fdtri, stdtrit
 
 from daq import Dataset, FloatArray
-from estimator.change.contrast import HIDDEN, Contrast, contrast, difference, seen, total
-from estimator.change.groups import Group, groups_of
+from estimator.change.contrast import Contrast, contrast, difference, seen, total
+from estimator.change.groups import groups_of
 from estimator.change.noise import compare_noise, levels_of, with_noise
-from estimator.change.payload import fieller
 from estimator.change.reference import Reference, require_runs
-from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, NoiseChange, Size
-from estimator.change.scores import ReferenceFit, fit_reference, noisiness, score_run
-from estimator.change.structure import Structure, find_structure
+from estimator.change.result import Change
+from estimator.change.scores import fit_reference, noisiness, score_run
+from estimator.change.structure import find_structure
+from estimator.change.verdict import AGAINST, ALPHA, SESSIONS, Fold, Scored, basis_of, conclude, likeliest_changes
 from estimator.errors import FitError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 
-ALPHA = 0.01
-"""p-value, over all candidates tried, below which something changed."""
-POWER = 0.8
-MOST_CAUSES = 2
 STEPS = 2
 """Times that a change is estimated anew, at the model with the change of before."""
-RIVAL = 6.0
-"""Candidates within this fall of -2 log likelihood of the best are not told apart from it."""
-
-
-@dataclass(frozen=True)
-class Words:
-    """Wording of the answers of a comparison."""
-
-    same: str
-    something: str
-    changed: str
-    one_of: str
-
-
-AGAINST = Words("No change: the test runs differ from the reference runs by no more than these differ among "
-                "themselves.", "Something changed", "Changed", "One of these changed")
-SESSIONS = Words("No difference beyond what the runs of one session show.", "Something differs", "Different",
-                 "One of these differs")
-
-
-@dataclass(frozen=True)
-class Fold:
-    """A run that is predicted by the other runs."""
-
-    run: str
-    others: Contrast
-    own: Contrast
-
-
-@dataclass(frozen=True)
-class Scored:
-    """All candidates on one contrast."""
-
-    groups: tuple[Group, ...]
-    contrast: Contrast
-    structure: Structure
-    pairs: int = 1
-    """Comparisons that are made, each over all groups"""
-
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom of a size's variance."""
-        return self.structure.freedom
-
-    @cached_property
-    def gains(self) -> list[float]:
-        """Fall of -2 log likelihood by each group."""
-        return [group.fit(self.contrast)[1] for group in self.groups]
-
-    @cached_property
-    def order(self) -> list[int]:
-        """Groups, the likeliest first."""
-        return sorted(range(len(self.groups)), key=self.p_value)
-
-    def p_value(self, k: int) -> float:
-        width = len(self.groups[k].names)
-        return min(1.0, self.pairs * len(self.groups) * float(fdtrc(width, self.freedom, self.gains[k] / width)))
+FEW_RUNS = 4
+"""Fewer runs of a session than these give a warning that their scatter is poorly known."""
 
 
 def detect_change(test: Sequence[Dataset], reference: Reference) -> Change:
     """Change between the `reference` runs and `test` runs of one rig; data that cannot tell give `fit_failed`."""
-    begin = time.perf_counter()
-    names = tuple(d.name for d in test)
     fit, structure = reference.fit, reference.structure
-    try:
+
+    def compare() -> Change:
         require_runs(test)
-        with np.errstate(all="ignore"):  # a search may diverge on its way; where it ends is checked
-            noise = compare_noise(levels_of(test, fit.mechanism, fit.options), reference.noise)
-            own = with_noise(fit, [one for one in noise if one.p_value < ALPHA])
-            groups = groups_of(fit, reference.known)
+        noise = compare_noise(levels_of(test, fit.mechanism, fit.options), reference.noise)
+        own = with_noise(fit, [one for one in noise if one.p_value < ALPHA])
+        groups = groups_of(fit, reference.known)
 
-            def against(some: Sequence[Contrast]) -> Contrast:
-                return contrast(total(some), reference.known, structure)
+        def against(some: Sequence[Contrast]) -> Contrast:
+            return contrast(total(some), reference.known, structure)
 
-            def scored(shift: FloatArray | None) -> tuple[Scored, list[Fold]]:
-                parts = seen([score_run(fit, d, own, shift) for d in test], structure)
-                folds = [Fold(name, against(parts[:k] + parts[k + 1 :]), against([parts[k]]))
-                         for k, name in enumerate(names)]
-                return Scored(groups, against(parts), structure), folds
+        def scored(shift: FloatArray | None) -> tuple[Scored, list[Fold]]:
+            parts = seen([score_run(fit, d, own, shift) for d in test], structure)
+            folds = [Fold(d.name, against(parts[:k] + parts[k + 1 :]), against([parts[k]]))
+                     for k, d in enumerate(test)]
+            return Scored(groups, against(parts), structure), folds
 
-            found = conclude(fit, *_relinearised(scored), noise, AGAINST)
-    except (FitError, np.linalg.LinAlgError) as error:
-        found = Change("fit_failed", f"No comparison: {error}.")
-    few = () if len(reference.runs) >= 4 else (f"{len(reference.runs)} reference runs: their scatter is poorly known; "
-                                               "four or more are better",)
-    return replace(found, reference=reference.runs, test=names, warnings=few, wall_s=time.perf_counter() - begin)
+        return conclude(fit, *_relinearised(scored), noise, AGAINST)
+
+    few = len(reference.runs) < FEW_RUNS
+    return replace(_timed(compare), reference=reference.runs, test=tuple(d.name for d in test), warnings=(
+        f"{len(reference.runs)} reference runs: their scatter is poorly known; four or more are better",) * few)
 
 
 def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *,
@@ -125,43 +61,51 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
     scatter is that of runs within their sessions, so exchanging a and b turns the signs and nothing else.
     p-values are over all `pairs` of sessions.
     """
-    begin = time.perf_counter()
-    names = tuple(d.name for d in a), tuple(d.name for d in b)
-    try:
+    def compare() -> Change:
         require_runs(a)
         require_runs(b)
-        with np.errstate(all="ignore"):
-            fits = [fit_reference(runs, mechanism, options, gear_ratio) for runs in (a, b)]
-            fit = min(fits, key=noisiness)
-            levels = [levels_of(runs, mechanism, options) for runs in (a, b)]
-            noise = compare_noise(levels[1], levels[0])
-            there = compare_noise(*levels) if fit is fits[1] else noise
-            own = with_noise(fit, [one for one in there if one.p_value < ALPHA])
-            known = [[score_run(fit, d, None if fit is its else own) for d in runs] for runs, its in zip((a, b), fits)]
-            begun = find_structure(known, fit.mechanism.p)
-            groups = groups_of(fit, total(seen([*known[0], *known[1]], begun)))
+        fits = [fit_reference(runs, mechanism, options, gear_ratio) for runs in (a, b)]
+        fit = min(fits, key=noisiness)
+        levels = [levels_of(runs, mechanism, options) for runs in (a, b)]
+        noise = compare_noise(levels[1], levels[0])
+        there = compare_noise(*levels) if fit is fits[1] else noise
+        own = with_noise(fit, [one for one in there if one.p_value < ALPHA])
+        known = [[score_run(fit, d, None if fit is its else own) for d in runs] for runs, its in zip((a, b), fits)]
+        begun = find_structure(known, fit.mechanism.p)
+        groups = groups_of(fit, total(seen([*known[0], *known[1]], begun)))
 
-            def scored(shift: FloatArray | None) -> tuple[Scored, list[Fold]]:
-                scores = known if shift is None else [
-                    its if fit is fits[k] else [score_run(fit, d, own, shift if k else -shift) for d in (a, b)[k]]
-                    for k, its in enumerate(known)]
-                structure = begun if shift is None else find_structure(scores, fit.mechanism.p)
-                first, second = (seen(runs, structure) for runs in scores)
+        def scored(shift: FloatArray | None) -> tuple[Scored, list[Fold]]:
+            scores = known if shift is None else [
+                its if fit is fits[k] else [score_run(fit, d, own, shift if k else -shift) for d in (a, b)[k]]
+                for k, its in enumerate(known)]
+            structure = begun if shift is None else find_structure(scores, fit.mechanism.p)
+            first, second = (seen(runs, structure) for runs in scores)
 
-                def between(some: Sequence[Contrast], others: Sequence[Contrast]) -> Contrast:
-                    return difference(total(some), total(others), structure)
+            def between(some: Sequence[Contrast], others: Sequence[Contrast]) -> Contrast:
+                return difference(total(some), total(others), structure)
 
-                folds = [Fold(name, between(first[:k] + first[k + 1 :], second), between([first[k]], second))
-                         for k, name in enumerate(names[0])]
-                folds += [Fold(name, between(first, second[:k] + second[k + 1 :]), between(first, [second[k]]))
-                          for k, name in enumerate(names[1])]
-                return Scored(groups, between(first, second), structure, pairs), folds
+            folds = [Fold(d.name, between(first[:k] + first[k + 1 :], second), between([first[k]], second))
+                     for k, d in enumerate(a)]
+            folds += [Fold(d.name, between(first, second[:k] + second[k + 1 :]), between(first, [second[k]]))
+                      for k, d in enumerate(b)]
+            return Scored(groups, between(first, second), structure, pairs), folds
 
-            found = conclude(fit, *_relinearised(scored), noise, SESSIONS)
+        return conclude(fit, *_relinearised(scored), noise, SESSIONS)
+
+    few = min(len(a), len(b)) < FEW_RUNS
+    return replace(_timed(compare), reference=tuple(d.name for d in a), test=tuple(d.name for d in b), warnings=(
+        "fewer than four runs of a session: their scatter is poorly known",) * few)
+
+
+def _timed(compare: Callable[[], Change]) -> Change:
+    """The answer with its time; `fit_failed` with the reason for data that cannot tell."""
+    begin = time.perf_counter()
+    try:
+        with np.errstate(all="ignore"):  # a search may diverge on its way; where it ends is checked
+            found = compare()
     except (FitError, np.linalg.LinAlgError) as error:
         found = Change("fit_failed", f"No comparison: {error}.")
-    few = () if min(map(len, names)) >= 4 else ("fewer than four runs of a session: their scatter is poorly known",)
-    return replace(found, reference=names[0], test=names[1], warnings=few, wall_s=time.perf_counter() - begin)
+    return replace(found, wall_s=time.perf_counter() - begin)
 
 
 def _relinearised(scored: Callable[[FloatArray | None], tuple[Scored, list[Fold]]]) -> tuple[Scored, list[Fold]]:
@@ -171,151 +115,9 @@ def _relinearised(scored: Callable[[FloatArray | None], tuple[Scored, list[Fold]
         order = found[0].order
         if found[0].p_value(order[0]) >= ALPHA:
             break
-        chosen = _search(found[0], order)
-        basis = _basis(found[0].groups, chosen)
+        basis = basis_of(found[0].groups, likeliest_changes(found[0], order))
         try:
             found = scored(basis @ found[0].contrast.along(basis).size())
         except (FitError, np.linalg.LinAlgError):
             break
     return found
-
-
-def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tuple[NoiseChange, ...], words: Words
-             ) -> Change:
-    """Verdict, sizes, and the held-out gain by run."""
-    groups = scored.groups
-    order = scored.order
-    best = order[0]
-    p_any, tried = scored.p_value(best), {g.effect for g in groups}
-    refused = tuple((k, why) for k, why in fit.refused.items() if k not in tried)
-    base = Change("no_change", words.same, detectable=_detectable(scored), noise=noise, p_any=p_any,
-                  structure=(scored.structure.common**0.5, scored.structure.own**0.5), not_testable=refused)
-    if p_any >= ALPHA:
-        noisier = tuple(_noise_cause(n) for n in noise if n.p_value < ALPHA)
-        return base if not noisier else replace(base, verdict="named", causes=noisier,
-                                               sentence=f"{words.changed}: {_words(noisier)}.")
-    chosen = _search(scored, order)
-    held = _held_out(groups, folds, chosen)
-    if not sum(held.gain) > 0.0 or 2 * sum(g > 0.0 for g in held.gain) <= len(held.gain):
-        return replace(base, verdict="changed_unexplained", held_out=held,
-                       sentence=f"{words.something}, and no listed cause predicts runs that did not choose it.")
-    causes = tuple(_cause(scored, k) for k in chosen)
-    rest = _without(scored, chosen)
-    if min(map(rest.p_value, range(len(groups)))) < ALPHA:
-        return replace(base, verdict="partial", causes=causes, held_out=held,
-                       sentence=f"{words.changed}: {_words(causes)}, and something else that these causes leave.")
-    rivals = [k for k in order if groups[k].key not in {groups[c].key for c in chosen}
-              and scored.gains[k] > scored.gains[chosen[0]] - RIVAL] if len(chosen) == 1 else []
-    first = {groups[k].key: k for k in reversed(rivals)}
-    if first:
-        several = (*causes, *(_cause(scored, k) for k in first.values()))
-        return replace(base, verdict="one_of", causes=several, held_out=held,
-                       sentence=f"{words.one_of}: {_words(several)}. These runs cannot tell which.")
-    return replace(base, verdict="named", causes=causes, held_out=held, sentence=f"{words.changed}: {_words(causes)}.")
-
-
-def _search(scored: Scored, order: Sequence[int]) -> list[int]:
-    """The likeliest single change, and a second one where the first leaves something significant that one takes up."""
-    chosen = [max(order, key=scored.gains.__getitem__)]
-    while len(chosen) < MOST_CAUSES:
-        rest = _without(scored, chosen)
-        more = min(range(len(scored.groups)), key=rest.p_value)
-        if rest.p_value(more) >= ALPHA or scored.groups[more].key in {scored.groups[k].key for k in chosen}:
-            break
-        chosen.append(more)
-    return chosen
-
-
-def _without(scored: Scored, chosen: Sequence[int]) -> Scored:
-    """The scores with the `chosen` changes fitted and projected out."""
-    one, basis = scored.contrast, _basis(scored.groups, chosen)
-    carry = one.information @ basis @ one.along(basis).covariance()
-    left = one.information - carry @ basis.T @ one.information
-    gone = np.diag(left) < HIDDEN * np.diag(one.information)
-    score = one.score - carry @ (basis.T @ one.score)
-    score[gone], left[gone], left[:, gone] = 0.0, 0.0, 0.0
-    rest = Contrast(score, left)
-    groups = tuple(replace(g, basis=np.zeros_like(g.basis)) if
-                   (rest.along(g.basis).scale < HIDDEN**0.5 * one.along(g.basis).scale).all() else g
-                   for g in scored.groups)
-    return replace(scored, groups=groups, contrast=rest)
-
-
-def _basis(groups: Sequence[Group], chosen: Sequence[int]) -> FloatArray:
-    """(m, k) of the sizes of all `chosen` changes."""
-    return np.unique(np.concatenate([groups[k].basis for k in chosen], axis=1), axis=1)
-
-
-def _held_out(groups: Sequence[Group], folds: Sequence[Fold], chosen: Sequence[int]) -> HeldOut:
-    """Each run as predicted with the change that the other runs give."""
-    basis, gains = _basis(groups, chosen), []
-    for fold in folds:
-        size, own = fold.others.along(basis).size(), fold.own.along(basis)
-        gains.append(float(2.0 * size @ own.score - size @ own.information @ size))
-    return HeldOut(tuple(fold.run for fold in folds), tuple(gains))
-
-
-def _cause(scored: Scored, k: int) -> ChangedCause:
-    """Sizes of one change, with intervals that include the unexplained structure of the runs."""
-    group, one = scored.groups[k], scored.contrast
-    values, _ = group.fit(one)
-    covariance = group.covariance(one, values)
-    t = float(stdtrit(scored.freedom, 0.975))
-    middle = one.along(group.basis).size()  # a body's likeliest sizes may lie at the edge of what a body can have
-    half = t * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    sizes = [Size(n, u, float(v), (float(min(m - h, v)), float(max(m + h, v))))
-             for n, u, v, m, h in zip(group.names, group.units, values, middle, half)]
-    sentence = group.sentence
-    if group.effect == "payload":
-        sizes += _place(group, values, covariance, t)
-        if values[-1] < 0.0:
-            sentence = sentence.replace("added to", "taken from")
-    return ChangedCause(group.effect, group.kind, group.joint, sentence, tuple(sizes), scored.p_value(k))
-
-
-def _place(group: Group, values: FloatArray, covariance: FloatArray, t: float) -> Iterator[Size]:
-    """Of a body: its distance from the joint where its mass is determined, else the furthest that it can be."""
-    h = group.names.index("first_moment")
-    name, (above, below) = ("distance", (h, 0)) if group.body else ("farthest", (h + 1, h))
-    pair = np.array([above, below])
-    found = fieller(values[pair], covariance[np.ix_(pair, pair)], t)
-    if found is not None and values[below] != 0.0:
-        yield Size(name, "m", float(values[above] / values[below]), found)
-
-
-def _noise_cause(one: NoiseChange) -> ChangedCause:
-    size = Size(one.column, "times", one.ratio, one.ci95)
-    return ChangedCause("noise", "noise", None, f"the noise of {one.column} changed", (size,), one.p_value)
-
-
-def _detectable(scored: Scored) -> tuple[Detectable, ...]:
-    """Of each effect, joint and parameter, at its best shape, by its p-value."""
-    found: dict[tuple[str, int | None, str], Detectable] = {}
-    wanted = float(fdtri(1, scored.freedom, 1.0 - ALPHA / (scored.pairs * len(scored.groups)))) ** 0.5
-    wanted += float(stdtrit(scored.freedom, POWER))
-    for k, group in enumerate(scored.groups):
-        first = scored.contrast.along(group.basis[:, :1])
-        known, change = float(first.information[0, 0]), float(first.size()[0])
-        std = known**-0.5 if known > 0.0 else float("inf")
-        half = float(stdtrit(scored.freedom, 0.975)) * std
-        one = Detectable(group.effect, group.joint, group.names[0], group.units[0], wanted * std, change,
-                         (change - half, change + half), scored.p_value(k))
-        key = (group.effect, group.joint, group.names[0] if group.effect == "parameter" else "")
-        if key not in found or one.p_value < found[key].p_value:
-            found[key] = one
-    return tuple(sorted(found.values(), key=lambda d: (d.p_value, -abs(d.change) / d.size)))
-
-
-def _words(causes: Sequence[ChangedCause]) -> str:
-    return ", ".join(map(_word, causes))
-
-
-def _word(cause: ChangedCause) -> str:
-    first = cause.size[0]
-    value = f"{first.value:.3g}{'' if first.unit == '1' else f' {first.unit}'}"
-    if cause.effect == "parameter":
-        return f"{first.name} by {value}"
-    if cause.effect == "noise":
-        return f"noise of {first.name}, {value}"
-    where = "" if cause.joint is None else f" ({'link' if cause.effect == 'payload' else 'joint'} {cause.joint})"
-    return f"{cause.effect}{where}, {first.name} {value}"

@@ -1,0 +1,221 @@
+"""`conclude`: the verdict of a comparison by the scores of all candidates, with sizes and held-out gains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.special import fdtrc, fdtri, stdtrit
+
+from daq import FloatArray
+from estimator.change.contrast import HIDDEN, Contrast
+from estimator.change.groups import Group
+from estimator.change.payload import fieller
+from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, NoiseChange, Size
+from estimator.change.scores import ReferenceFit
+from estimator.change.structure import Structure
+
+ALPHA = 0.01
+"""p-value, over all candidates tried, below which something changed."""
+POWER = 0.8
+MOST_CAUSES = 2
+RIVAL = 6.0
+"""Candidates within this fall of -2 log likelihood of the best are not told apart from it."""
+
+
+@dataclass(frozen=True)
+class Words:
+    """Wording of the answers of a comparison."""
+
+    same: str
+    something: str
+    changed: str
+    one_of: str
+
+
+AGAINST = Words("No change: the test runs differ from the reference runs by no more than these differ among "
+                "themselves.", "Something changed", "Changed", "One of these changed")
+SESSIONS = Words("No difference beyond what the runs of one session show.", "Something differs", "Different",
+                 "One of these differs")
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A run that is predicted by the other runs."""
+
+    run: str
+    others: Contrast
+    own: Contrast
+
+
+@dataclass(frozen=True)
+class Scored:
+    """All candidates on one contrast."""
+
+    groups: tuple[Group, ...]
+    contrast: Contrast
+    structure: Structure
+    pairs: int = 1
+    """Comparisons that are made, each over all groups"""
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of a size's variance."""
+        return self.structure.freedom
+
+    @cached_property
+    def gains(self) -> list[float]:
+        """Fall of -2 log likelihood by each group."""
+        return [group.fit(self.contrast)[1] for group in self.groups]
+
+    @cached_property
+    def order(self) -> list[int]:
+        """Groups, the likeliest first."""
+        return sorted(range(len(self.groups)), key=self.p_value)
+
+    def p_value(self, k: int) -> float:
+        width = len(self.groups[k].names)
+        return min(1.0, self.pairs * len(self.groups) * float(fdtrc(width, self.freedom, self.gains[k] / width)))
+
+
+def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tuple[NoiseChange, ...], words: Words
+             ) -> Change:
+    """Verdict, sizes, and the held-out gain by run."""
+    groups = scored.groups
+    order = scored.order
+    best = order[0]
+    p_any, tried = scored.p_value(best), {g.effect for g in groups}
+    refused = tuple((k, why) for k, why in fit.refused.items() if k not in tried)
+    base = Change("no_change", words.same, detectable=_detectable(scored), noise=noise, p_any=p_any,
+                  structure=(scored.structure.common**0.5, scored.structure.own**0.5), not_testable=refused)
+    if p_any >= ALPHA:
+        noisier = tuple(_noise_cause(n) for n in noise if n.p_value < ALPHA)
+        return base if not noisier else replace(base, verdict="named", causes=noisier,
+                                               sentence=f"{words.changed}: {_words(noisier)}.")
+    chosen = likeliest_changes(scored, order)
+    held = _held_out(groups, folds, chosen)
+    if not sum(held.gain) > 0.0 or 2 * sum(g > 0.0 for g in held.gain) <= len(held.gain):
+        return replace(base, verdict="changed_unexplained", held_out=held,
+                       sentence=f"{words.something}, and no listed cause predicts runs that did not choose it.")
+    causes = tuple(_cause(scored, k) for k in chosen)
+    rest = _without(scored, chosen)
+    if min(map(rest.p_value, range(len(groups)))) < ALPHA:
+        return replace(base, verdict="partial", causes=causes, held_out=held,
+                       sentence=f"{words.changed}: {_words(causes)}, and something else that these causes leave.")
+    rivals = [k for k in order if groups[k].key not in {groups[c].key for c in chosen}
+              and scored.gains[k] > scored.gains[chosen[0]] - RIVAL] if len(chosen) == 1 else []
+    first = {groups[k].key: k for k in reversed(rivals)}
+    if first:
+        several = (*causes, *(_cause(scored, k) for k in first.values()))
+        return replace(base, verdict="one_of", causes=several, held_out=held,
+                       sentence=f"{words.one_of}: {_words(several)}. These runs cannot tell which.")
+    return replace(base, verdict="named", causes=causes, held_out=held, sentence=f"{words.changed}: {_words(causes)}.")
+
+
+def likeliest_changes(scored: Scored, order: Sequence[int]) -> list[int]:
+    """The likeliest single change, and a second one where the first leaves something significant that one takes up."""
+    chosen = [max(order, key=scored.gains.__getitem__)]
+    while len(chosen) < MOST_CAUSES:
+        rest = _without(scored, chosen)
+        more = min(range(len(scored.groups)), key=rest.p_value)
+        if rest.p_value(more) >= ALPHA or scored.groups[more].key in {scored.groups[k].key for k in chosen}:
+            break
+        chosen.append(more)
+    return chosen
+
+
+def _without(scored: Scored, chosen: Sequence[int]) -> Scored:
+    """The scores with the `chosen` changes fitted and projected out."""
+    one, basis = scored.contrast, basis_of(scored.groups, chosen)
+    carry = one.information @ basis @ one.along(basis).covariance()
+    left = one.information - carry @ basis.T @ one.information
+    gone = np.diag(left) < HIDDEN * np.diag(one.information)
+    score = one.score - carry @ (basis.T @ one.score)
+    score[gone], left[gone], left[:, gone] = 0.0, 0.0, 0.0
+    rest = Contrast(score, left)
+    groups = tuple(replace(g, basis=np.zeros_like(g.basis)) if
+                   (rest.along(g.basis).scale < HIDDEN**0.5 * one.along(g.basis).scale).all() else g
+                   for g in scored.groups)
+    return replace(scored, groups=groups, contrast=rest)
+
+
+def basis_of(groups: Sequence[Group], chosen: Sequence[int]) -> FloatArray:
+    """(m, k) of the sizes of all `chosen` changes."""
+    return np.unique(np.concatenate([groups[k].basis for k in chosen], axis=1), axis=1)
+
+
+def _held_out(groups: Sequence[Group], folds: Sequence[Fold], chosen: Sequence[int]) -> HeldOut:
+    """Each run as predicted with the change that the other runs give."""
+    basis, gains = basis_of(groups, chosen), []
+    for fold in folds:
+        size, own = fold.others.along(basis).size(), fold.own.along(basis)
+        gains.append(float(2.0 * size @ own.score - size @ own.information @ size))
+    return HeldOut(tuple(fold.run for fold in folds), tuple(gains))
+
+
+def _cause(scored: Scored, k: int) -> ChangedCause:
+    """Sizes of one change, with intervals that include the unexplained structure of the runs."""
+    group, one = scored.groups[k], scored.contrast
+    values, _ = group.fit(one)
+    covariance = group.covariance(one, values)
+    t = float(stdtrit(scored.freedom, 0.975))
+    middle = one.along(group.basis).size()  # a body's likeliest sizes may lie at the edge of what a body can have
+    half = t * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    sizes = [Size(n, u, float(v), (float(min(m - h, v)), float(max(m + h, v))))
+             for n, u, v, m, h in zip(group.names, group.units, values, middle, half)]
+    sentence = group.sentence
+    if group.effect == "payload":
+        sizes += _place(group, values, covariance, t)
+        if values[-1] < 0.0:
+            sentence = sentence.replace("added to", "taken from")
+    return ChangedCause(group.effect, group.kind, group.joint, sentence, tuple(sizes), scored.p_value(k))
+
+
+def _place(group: Group, values: FloatArray, covariance: FloatArray, t: float) -> Iterator[Size]:
+    """Of a body: its distance from the joint where its mass is determined, else the furthest that it can be."""
+    h = group.names.index("first_moment")
+    name, (above, below) = ("distance", (h, 0)) if group.body else ("farthest", (h + 1, h))
+    pair = np.array([above, below])
+    found = fieller(values[pair], covariance[np.ix_(pair, pair)], t)
+    if found is not None and values[below] != 0.0:
+        yield Size(name, "m", float(values[above] / values[below]), found)
+
+
+def _noise_cause(one: NoiseChange) -> ChangedCause:
+    size = Size(one.column, "times", one.ratio, one.ci95)
+    return ChangedCause("noise", "noise", None, f"the noise of {one.column} changed", (size,), one.p_value)
+
+
+def _detectable(scored: Scored) -> tuple[Detectable, ...]:
+    """Of each effect, joint and parameter, at its best shape, by its p-value."""
+    found: dict[tuple[str, int | None, str], Detectable] = {}
+    wanted = float(fdtri(1, scored.freedom, 1.0 - ALPHA / (scored.pairs * len(scored.groups)))) ** 0.5
+    wanted += float(stdtrit(scored.freedom, POWER))
+    for k, group in enumerate(scored.groups):
+        first = scored.contrast.along(group.basis[:, :1])
+        known, change = float(first.information[0, 0]), float(first.size()[0])
+        std = known**-0.5 if known > 0.0 else float("inf")
+        half = float(stdtrit(scored.freedom, 0.975)) * std
+        one = Detectable(group.effect, group.joint, group.names[0], group.units[0], wanted * std, change,
+                         (change - half, change + half), scored.p_value(k))
+        key = (group.effect, group.joint, group.names[0] if group.effect == "parameter" else "")
+        if key not in found or one.p_value < found[key].p_value:
+            found[key] = one
+    return tuple(sorted(found.values(), key=lambda d: (d.p_value, -abs(d.change) / d.size)))
+
+
+def _words(causes: Sequence[ChangedCause]) -> str:
+    return ", ".join(map(_word, causes))
+
+
+def _word(cause: ChangedCause) -> str:
+    first = cause.size[0]
+    value = f"{first.value:.3g}{'' if first.unit == '1' else f' {first.unit}'}"
+    if cause.effect == "parameter":
+        return f"{first.name} by {value}"
+    if cause.effect == "noise":
+        return f"noise of {first.name}, {value}"
+    where = "" if cause.joint is None else f" ({'link' if cause.effect == 'payload' else 'joint'} {cause.joint})"
+    return f"{cause.effect}{where}, {first.name} {value}"
