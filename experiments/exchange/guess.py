@@ -130,15 +130,19 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81) -> Guess:
 def _is_joint(imported: ImportedFile) -> bool:
     """One measured angle, one measured torque, and no sensor of a leg: neither read nor left out."""
     angles = len(_fitting(imported, "q1", True)) + len(_fitting(imported, "q2", True))
-    others = any(_kind(name) in ("gyro", "accel") for name in [*imported.names, *imported.left_out])
-    return angles == 1 and len(_fitting(imported, "tau", True)) == 1 and not others
+    return angles == 1 and len(_fitting(imported, "tau", True)) == 1 and not _has_imu(imported)
 
 
 def _is_chain(imported: ImportedFile) -> bool:
     """Angles of three joints or more, or torques of two, and no gyro or accelerometer: neither read nor left out."""
     angles, torques = _angles(imported), _fitting(imported, "tau", True)
-    others = any(_kind(name) in ("gyro", "accel") for name in [*imported.names, *imported.left_out])
-    return not others and 0 < len(torques) <= len(angles) <= MOST_LINKS and (len(angles) > 2 or len(torques) == 2)
+    some = 0 < len(torques) <= len(angles) <= MOST_LINKS and (len(angles) > 2 or len(torques) == 2)
+    return some and not _has_imu(imported)
+
+
+def _has_imu(imported: ImportedFile) -> bool:
+    """Whether a column is a gyro's or an accelerometer's by its name, read or left out."""
+    return any(_kind(name) in ("gyro", "accel") for name in [*imported.names, *imported.left_out])
 
 
 def _angles(imported: ImportedFile) -> list[str]:

@@ -15,10 +15,19 @@ from scipy.optimize import linear_sum_assignment
 from daq import Column, Dataset, FloatArray
 from estimator.model import Mechanism, chain
 from estimator.signals import lowpass
-from experiments.exchange.guess_physics import ANGLE_UNITS, CLEAR, EXPLAINS, FAST_HZ, NOT_SURE, Found, filled
+from experiments.exchange.guess_physics import (
+    ANGLE_UNITS,
+    CLEAR,
+    EXPLAINS,
+    NOT_SURE,
+    SMOOTHING_RADPS,
+    Found,
+    band_hz,
+    filled,
+    inside,
+    scale_warnings,
+)
 
-SMOOTHING_RADPS = 0.05
-"""Velocity over which the sign of friction is smoothed."""
 MOST_ROWS = 1500
 """Instants, evenly taken, at which the equation of motion is put up."""
 POSES = 20
@@ -81,10 +90,7 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
         warnings.append(f"joint 1 hangs at {tilt:.2f} rad, not at 0: subtract that in the map, by an expression as the "
                         "column's name")
     for j in driven:
-        torque = columns[f"tau{j + 1}_nm"]
-        if torque.unit.lower() in ("a", "ma") or not torque.unit:
-            warnings.append(f"the scale of tau{j + 1}_nm does not show: set scale to N m per {torque.unit or 'unit'} "
-                            f"of {torque.name!r}" + ("" if torque.unit else " if it is not in N m at the joint"))
+        warnings += scale_warnings(f"tau{j + 1}_nm", columns[f"tau{j + 1}_nm"])
     prefix = "" if sure else NOT_SURE
     found, notes = {}, {}
     for k in range(n):
@@ -100,8 +106,7 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
         found[f"tau{j + 1}_nm"] = msgspec.structs.replace(columns[f"tau{j + 1}_nm"], sign=1 if sign > 0 else -1)
         notes[f"tau{j + 1}_nm"] = "NOT KNOWN: its sign does not show" if unexplained else (
             f"{prefix}with sign {sign:+d} the inertia matrix is positive definite")
-    read = first.works[-1] * lowpass(filled(raw[f"tau{driven[-1] + 1}_nm"]), min(FAST_HZ, 0.2 * raw.rate_hz),
-                                     raw.rate_hz)
+    read = first.works[-1] * lowpass(filled(raw[f"tau{driven[-1] + 1}_nm"]), band_hz(raw.rate_hz), raw.rate_hz)
     made = _regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1]] @ first.beta
     return Found(found, notes, warnings, unexplained, (read, made), left=first.left)
 
@@ -114,15 +119,13 @@ def _told(one: _Reading) -> str:
 def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column], driven: Sequence[int]
               ) -> Iterator[_Reading]:
     """Every unit and sign with what it leaves; an angle whose name states a unit keeps it."""
-    n, cutoff = mechanism.n, min(FAST_HZ, 0.2 * raw.rate_hz)
+    n, cutoff = mechanism.n, band_hz(raw.rate_hz)
     names = [f"q{k + 1}_rad" for k in range(n)]
     angles = np.stack([lowpass(filled(raw[name]), cutoff, raw.rate_hz) for name in names], axis=-1)
     torque = np.zeros((len(raw), n))
     for j in driven:
         torque[:, j] = lowpass(filled(raw[f"tau{j + 1}_nm"]), cutoff, raw.rate_hz)
-    use = ~raw.gap([*names, *(f"tau{j + 1}_nm" for j in driven)])
-    edge = int(raw.rate_hz) if len(raw) > 6 * raw.rate_hz else 0
-    use[:edge] = use[len(use) - edge :] = False
+    use = inside(raw, [*names, *(f"tau{j + 1}_nm" for j in driven)])
     rows = np.flatnonzero(use)[:: max(1, int(use.sum()) // MOST_ROWS)]
     stated = [bool(columns[name].unit) for name in names]
     variants = [(False, (1, *signs)) for signs in product((1, -1), repeat=n - 1)] + [(True, (1,) * n)]

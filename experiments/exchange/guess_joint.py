@@ -13,15 +13,16 @@ from experiments.exchange.guess_physics import (
     ANGLE_UNITS,
     CLEAR,
     EXPLAINS,
-    FAST_HZ,
     NOT_SURE,
+    SMOOTHING_RADPS,
     Found,
+    band_hz,
     filled,
+    inside,
+    scale_warnings,
 )
 from experiments.exchange.units import factor
 
-SMOOTHING_RADPS = 0.05
-"""Velocity over which the sign of friction is smoothed."""
 BLOCKS = 4
 """Parts of a record that must agree on the sign of the inertia."""
 
@@ -33,11 +34,9 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
     torque. Without gravity the unit of an angle does not show: it stays as the file's name says, or in rad.
     """
     angle, torque = columns["q1_rad"], columns["tau1_nm"]
-    cutoff = min(FAST_HZ, 0.2 * raw.rate_hz)
+    cutoff = band_hz(raw.rate_hz)
     push = lowpass(filled(raw["tau1_nm"]), cutoff, raw.rate_hz)
-    use = ~raw.gap(["q1_rad", "tau1_nm"])
-    edge = int(raw.rate_hz) if len(raw) > 6 * raw.rate_hz else 0
-    use[:edge] = use[len(use) - edge:] = False
+    use = inside(raw, ["q1_rad", "tau1_nm"])
     stated = factor(angle.unit, "q1_rad", angle.name)
     rows = {}
     for unit, scale in ANGLE_UNITS.items():
@@ -68,9 +67,7 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
     if not angle.unit and not sure:
         warnings.append(f"the unit of {angle.name!r} does not show (rad or {rival or 'rad'}): {shown} is taken; set it "
                         "by hand if it is another")
-    if torque.unit.lower() in ("a", "ma") or not torque.unit:
-        warnings.append(f"the scale of tau1_nm does not show: set scale to N m per {torque.unit or 'unit'} of "
-                        f"{torque.name!r}" + ("" if torque.unit else " if it is not in N m at the joint"))
+    warnings += scale_warnings("tau1_nm", torque)
     known = not unexplained
     prefix = "" if angle.unit or sure else NOT_SURE
     notes = {"q1_rad": f"{prefix}one angle and one torque: a single joint; in {shown} its equation of motion leaves "

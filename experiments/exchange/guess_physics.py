@@ -19,6 +19,8 @@ from experiments.exchange.units import DEGREE, TURN, factor, unit_in_name
 SLOW_HZ = 0.3
 """Below this the accelerometer gives the pivot's angle, above it the gyro's integral."""
 FAST_HZ = 8.0
+SMOOTHING_RADPS = 0.05
+"""Velocity over which the sign of friction is smoothed."""
 ANGLE_UNITS = {"": 1.0, "deg": DEGREE, "turn": TURN, "mrad": 1e-3}
 RATE_UNITS = {"": 1.0, "deg/s": DEGREE, "turn/s": TURN, "rpm": TURN / 60.0, "mdps": 1e-3 * DEGREE}
 ACCEL_UNITS = {"": 1.0, "g": 9.80665, "mg": 9.80665e-3}
@@ -134,9 +136,30 @@ def filled(x: FloatArray) -> FloatArray:
     return x if known.all() else np.interp(np.arange(x.size), np.flatnonzero(known), x[known])
 
 
+def scale_warnings(name: str, torque: Column) -> list[str]:
+    """The warning that the scale of a torque in amperes, or without a unit, does not show; none for another unit."""
+    if torque.unit and torque.unit.lower() not in ("a", "ma"):
+        return []
+    return [f"the scale of {name} does not show: set scale to N m per {torque.unit or 'unit'} of {torque.name!r}"
+            + ("" if torque.unit else " if it is not in N m at the joint")]
+
+
+def band_hz(rate_hz: float) -> float:
+    """Cutoff [Hz] below which a record's motion counts."""
+    return min(FAST_HZ, 0.2 * rate_hz)
+
+
+def inside(run: Dataset, names: list[str]) -> NDArray[np.bool_]:
+    """(n,) True where no column of `names` has a gap, without a second at each end of a long record."""
+    use = ~run.gap(names)
+    edge = int(run.rate_hz) if len(run) > 6 * run.rate_hz else 0
+    use[:edge] = use[len(use) - edge :] = False
+    return use
+
+
 def _band(x: FloatArray, rate_hz: float) -> FloatArray:
     """(n,) without what drifts and what only rings."""
-    return lowpass(x, min(FAST_HZ, 0.2 * rate_hz), rate_hz) - lowpass(x, SLOW_HZ, rate_hz)
+    return lowpass(x, band_hz(rate_hz), rate_hz) - lowpass(x, SLOW_HZ, rate_hz)
 
 
 def _tangential(a_x: FloatArray, a_y: FloatArray, omega: FloatArray, rate_hz: float, gravity: float
@@ -204,12 +227,10 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
         notes = {"q2_rad": f"{prefix}in {unit}, sign {first.sign:+d}, the equation of motion leaves "
                            f"{100 * first.left:.1f} % of the torque (next best: {100 * second.left:.0f} %)",
                  "tau2_nm": f"{prefix}with sign {first.works:+d} inertias are positive, and it does the knee's work"}
-    if torque.unit.lower() in ("a", "ma") or not torque.unit:
-        warnings.append(f"the scale of tau2_nm cannot be seen: set scale to N m per {torque.unit or 'unit'} of "
-                        f"{torque.name!r}" + ("" if torque.unit else " if it is not in N m at the joint"))
+    warnings += scale_warnings("tau2_nm", torque)
     if not knee.unit and re.search("motor", knee.name, re.IGNORECASE):
         warnings.append(f"{knee.name!r} sounds like the motor's angle: then set unit, scale (1 / gear ratio) by hand")
-    read = first.works * lowpass(push, min(FAST_HZ, 0.2 * raw.rate_hz), raw.rate_hz)
+    read = first.works * lowpass(push, band_hz(raw.rate_hz), raw.rate_hz)
     return Found(out, notes, warnings, unexplained, (read, first.works * first.made), left=first.left)
 
 
@@ -260,8 +281,8 @@ def _equation(hip: Pose, q2: FloatArray, torque: FloatArray, counts: NDArray[np.
 
     A beta without positive inertias is no leg's: its residual counts as the whole torque.
     """
-    mechanism = leg2(gravity_mps2=gravity, velocity_scale=0.05)
-    cutoff = min(FAST_HZ, 0.2 * rate_hz)
+    mechanism = leg2(gravity_mps2=gravity, velocity_scale=SMOOTHING_RADPS)
+    cutoff = band_hz(rate_hz)
     q = lowpass(np.stack([hip.q1, q2], axis=-1), cutoff, rate_hz)
     rate = lowpass(np.stack([hip.rate, np.gradient(q2, 1.0 / rate_hz)], axis=-1), cutoff, rate_hz)
     z = mechanism.regressor(q, rate, np.gradient(rate, 1.0 / rate_hz, axis=0))
