@@ -26,7 +26,7 @@ from experiments.reports.change import (
 )
 from experiments.reports.diagnosis_figures import ROW_IN, draw
 from experiments.reports.figures import BLUE, GREY, INK, ORANGE, finish
-from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, write_page
+from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, fold, write_page
 from experiments.reports.origin import origin_section
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ def write_change(path: Path | str, pairs: Sequence[Pair], origin: Origin, runs: 
     worst = max((found for _, found in pairs), key=lambda f: list(LEVELS).index(f.verdict))
     lines = [found.sentence if len(pairs) == 1 else f"{b} against {a}: {found.sentence}" for (a, b), found in pairs]
     warnings = dict.fromkeys(f"Warning: {text}" for _, found in pairs for text in found.warnings)
-    box = VerdictBox(LEVELS[worst.verdict], TITLES[worst.verdict], [*lines, f"Next step: {next_of_change(worst)}."],
-                     list(warnings))
+    box = VerdictBox(LEVELS[worst.verdict], TITLES[worst.verdict], lines, list(warnings),
+                     f"Next step: {next_of_change(worst)}.")
     count = len(first.reference) + sum(len(found.test) for _, found in pairs)
     write_page(path, f"From {names[0]} to {', '.join(b for (_, b), _ in pairs)}", f"{count} runs.",
                [*(section for pair in pairs for section in change_sections(pair, len(pairs) > 1)),
@@ -60,9 +60,8 @@ def write_change(path: Path | str, pairs: Sequence[Pair], origin: Origin, runs: 
 def change_sections(pair: Pair, several: bool = False) -> list[Section]:
     """Causes with the figure, noise, smallest changes, what cannot be tested, runs."""
     head = f"{pair[0][1]}: " if several else ""
-    more = [_noise(pair), _smallest(pair[1]), _untestable(pair[1]), _runs(pair)]
-    return [_answer(pair, several),
-            *(replace(s, title=head + s.title) for s in more if s.paragraphs or s.tables or s.pictures)]
+    more = fold([_noise(pair), _smallest(pair[1]), _untestable(pair[1]), _runs(pair)])
+    return [_answer(pair, several), *(replace(s, title=head + s.title) for s in more)]
 
 
 def _answer(pair: Pair, several: bool) -> Section:
@@ -70,7 +69,8 @@ def _answer(pair: Pair, several: bool) -> Section:
     causes = [Table(CAUSE_HEADER, cause_rows(found), right=frozenset({3, 4}))] if found.causes else []
     caption = ("Estimated change of each effect, all else unchanged, over the smallest detectable change: what these "
                "runs would have shown with 80 % probability. Bars are 95 % intervals.")
-    pictures = [Picture(change_plot(found.detectable, f"{a} {b}"), caption)] if drawn_changes(found.detectable) else []
+    drawn = drawn_changes(found.detectable)
+    pictures = [Picture(change_plot(found.detectable, f"{a} {b}"), caption, leads=not several)] if drawn else []
     return Section(f"From {a} to {b}", [found.sentence] if several else [], causes, pictures,
                    [] if found.held_out is None else [held_out_text(found.held_out)])
 

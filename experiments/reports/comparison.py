@@ -107,11 +107,11 @@ def comparison_trust(found: Comparison) -> Trust:
                 "" if best.ci95 is None else f" [{best.ci95[0]:.2g}, {best.ci95[1]:.2g}]") if math.isfinite(
                     _ratio(best)) else "one of them diverged"
             return Trust("caution" if found.flags else "good",
-                         f"{name} IS BETTER ({files[name]}): at {len(wins[name])} of {total} sensors and horizons; the "
-                         f"other model at no more than chance gives. Largest difference: {_place(best)}, rms error of "
+                         f"{name} IS BETTER ({files[name]}): at {len(wins[name])} of {total} sensors and horizons, the "
+                         f"other at no more than chance allows. Largest difference: {_place(best)}, rms error of "
                          f"B over A {told}.", reasons)
-    return Trust("caution", f"NEITHER is better: over {total} sensors and horizons no more differences are significant "
-                 "than by chance.", reasons)
+    return Trust("caution", f"NEITHER is better: over {total} sensors and horizons, no more differences are "
+                 "significant than chance allows.", reasons)
 
 
 def _ratio(error: HorizonError) -> float:

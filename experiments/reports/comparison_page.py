@@ -20,7 +20,7 @@ from experiments.reports.comparison import (
 )
 from experiments.reports.diagnosis_figures import axis_label, draw
 from experiments.reports.figures import BLUE, GREEN, GREY, HEIGHT_IN, INK, ORANGE, finish, picture_lines
-from experiments.reports.html import Picture, Section, Table
+from experiments.reports.html import Picture, Section, Table, fold
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,20 +29,21 @@ FIGURE_SECONDS = 12.0
 
 
 def comparison_sections(found: Comparison) -> list[Section]:
-    """Errors, figures of the first run, parameters."""
-    return [
+    """Errors, figures of the first run, parameters, all folded; the ratio of the errors leads the page."""
+    return fold([
         Section("Free-run errors over horizons",
-                [f"A is {found.files[0]}, B is {found.files[1]}. Each piece starts from the motion that the model "
-                 "itself estimates there from all sensors, and is then driven by the measured torque alone; sensors "
-                 "are compared with what they read. Intervals are those of the ratio by its scatter between runs, or "
-                 "between pieces of two seconds of few runs; one is better where its interval leaves 1 out."],
+                [f"A is {found.files[0]}, B is {found.files[1]}. Each piece starts in the state that the model "
+                 "estimates there from all sensors, and is then driven by the measured torque alone. The error is "
+                 "simulated less measured reading. The interval of the ratio comes from its scatter between runs, or "
+                 "between pieces of 2 s if there are few runs. B is better if the interval lies below 1, A if it lies "
+                 "above."],
                 [Table(ERROR_HEADER, error_rows(found), right=frozenset({2, 3, 4, 5}))],
                 [Picture(ratio_plot(found.errors), "Rms error of B over that of A with 95 % intervals: below 1, B is "
-                         "better.")]),
+                         "better.", leads=True)]),
         *_traces(found),
-        Section("Parameters", ["z is the difference over its standard deviation, as if the two were independent: "
-                               "beyond +-2 they differ. Where both were fitted to the same runs it is too small."],
-                [Table(PARAMETER_HEADER, parameter_rows(found), right=frozenset({1, 2, 3, 4, 5}))])]
+        Section("Parameters", ["z is the difference over its standard deviation, as if the two were independent. "
+                               "Beyond +-2 they differ. If both were fitted to the same runs, z is too small."],
+                [Table(PARAMETER_HEADER, parameter_rows(found), right=frozenset({1, 2, 3, 4, 5}))])])
 
 
 def _traces(found: Comparison) -> list[Section]:
@@ -55,11 +56,13 @@ def _traces(found: Comparison) -> list[Section]:
         pictures += [
             picture_lines(first.time_s, [Line("measured", measured, BLUE, 2.2),
                                          *(Line(name, values, colour) for name, values, colour in known)],
-                          axis_label(column), f"{column}: measured, and as simulated by both.", FIGURE_SECONDS),
+                          axis_label(column), f"{column}: measured, and simulated by both models.", FIGURE_SECONDS),
             picture_lines(first.time_s, [Line(f"{name} less measured", values - measured, colour)
                                          for name, values, colour in known],
-                          f"error of {axis_label(column)}", f"{column}: the errors.", FIGURE_SECONDS)] if known else []
-    return [Section(f"Run {first.run}", ["Whole segments, from the first state."], (), pictures)] if pictures else []
+                          f"error of {axis_label(column)}", f"{column}: the errors of both models.",
+                          FIGURE_SECONDS)] if known else []
+    title = f"Free run of {first.run}"
+    return [Section(title, ["Whole segments, each from its first state."], (), pictures)] if pictures else []
 
 
 def ratio_plot(errors: Sequence[HorizonError]) -> str:

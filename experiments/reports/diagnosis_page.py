@@ -47,11 +47,11 @@ from experiments.reports.diagnosis_text import (
     size_rows,
     size_text,
 )
-from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, write_page
+from experiments.reports.html import Level, Picture, Section, Table, VerdictBox, fold, write_page
 from experiments.reports.next_step import next_step
 from experiments.reports.numbers import normal, number
 from experiments.reports.origin import origin_section
-from experiments.reports.sketch import sketch_section
+from experiments.reports.sketch import sketch_pictures
 
 ALPHA = 0.01
 """p above which a candidate counts as ruled out at its smallest detectable size."""
@@ -91,8 +91,8 @@ def verdict_box(found: Diagnosis, warnings: Sequence[str] = ()) -> VerdictBox:
     """The answer and every warning, for the head of a page."""
     words = verdict_words(found.verdict)
     return VerdictBox(LEVELS[found.verdict], f"{words[:1].upper()}{words[1:]}",
-                   [found.sentence, f"Next step: {next_step(found)}"],
-                   [f"Warning: {text}" for text in (*warnings, *found.warnings)])
+                   [found.sentence], [f"Warning: {text}" for text in (*warnings, *found.warnings)],
+                   f"Next step: {next_step(found)}")
 
 
 def verdict_words(verdict: Verdict) -> str:
@@ -101,23 +101,23 @@ def verdict_words(verdict: Verdict) -> str:
 
 
 def diagnosis_sections(found: Diagnosis, mechanism: Mechanism | None = None) -> list[Section]:
-    """All sections, in the order of the questions; those that have nothing to show are left out. `mechanism` says
-    what the numbers mean; warnings are `verdict_box`'s."""
-    sections = [_verdict(found), *_sketch(found, mechanism), _budget(found), _errors(found), _candidates(found),
+    """All sections, folded, in the order of the questions; those that have nothing to show are left out. `mechanism`
+    says what the numbers mean; warnings are `verdict_box`'s. One figure leads the page."""
+    return fold([_verdict(found), _sketch(found, mechanism), _budget(found), _errors(found), _candidates(found),
                 _signatures(found), _traces(found),
                 _separability(found), _parameters(found, mechanism), _next(found), _ruled_out(found),
-                _untestable(found), _runs(found)]
-    return [s for s in sections if s.paragraphs or s.tables or s.pictures or s.notes]
+                _untestable(found), _runs(found)])
 
 
-def _sketch(found: Diagnosis, mechanism: Mechanism | None) -> list[Section]:
-    """The mechanism as the run drawn below begins; a joint that no encoder reads is drawn as at rest."""
+def _sketch(found: Diagnosis, mechanism: Mechanism | None) -> Section:
+    """The mechanism in the run drawn below; a joint that no encoder reads is drawn as at rest."""
+    title = "The mechanism"
     if mechanism is None or not found.traces:
-        return []
+        return Section(title)
     first = found.traces[0]
-    angles = [first.measured.get(angle_column(mechanism, j)) for j in range(mechanism.n)]
-    pose = np.array([0.0 if q is None else q[0] for q in angles])
-    return sketch_section(mechanism, pose, f"as run {first.run} begins")
+    rest = np.zeros_like(first.time_s)
+    poses = np.stack([first.measured.get(angle_column(mechanism, j), rest) for j in range(mechanism.n)], axis=1)
+    return Section(title, pictures=sketch_pictures(mechanism, poses, first.time_s, first.run))
 
 
 def _verdict(found: Diagnosis) -> Section:
@@ -170,7 +170,8 @@ def _errors(found: Diagnosis) -> Section:
          "These runs were not used to fit or to choose. " + gap_text(found)],
         tables,
         [Picture(error_bars(found.sensors), "Free-run error by sensor, in the sensor's own unit. The error of noise "
-                 "alone is measured on bootstrap replicates: records simulated by the extended model.")])
+                 "alone is measured on bootstrap replicates: records simulated by the extended model.",
+                 leads=not found.traces)])
 
 
 def short_tables(short: ShortRuns | None) -> list[Table]:
@@ -231,12 +232,20 @@ def _traces(found: Diagnosis) -> Section:
     if not found.traces:
         return Section("Before and after")
     first = found.traces[0]
+    shown = [column for column in first.measured if column in first.before and column in first.after]
+    told = max(shown, key=lambda column: (column.startswith("q"), _excess(found, column)), default="")
     seconds = min(TRACE_SECONDS, float(first.time_s[-1] - first.time_s[0]))
     pictures = [Picture(trace_plot(first, column), f"{column} in run {first.run}, the first {seconds:.0f} s: measured, "
                         "and simulated by the nominal and by the extended model; below, simulated less measured.",
-                        trace_chart(first, column))
-                for column in first.measured if column in first.before and column in first.after]
+                        trace_chart(first, column), leads=column == told)
+                for column in shown]
     return Section("Simulation against measurement, before and after", (), (), pictures)
+
+
+def _excess(found: Diagnosis, column: str) -> float:
+    """Error of the nominal model over that of noise alone."""
+    gain = found.sensors.get(column)
+    return gain.before / max(gain.floor, 1e-300) if gain else 0.0
 
 
 def _separability(found: Diagnosis) -> Section:

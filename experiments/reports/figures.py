@@ -36,7 +36,7 @@ STYLE: dict[Any, Any] = {
 
 def picture_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, caption: str, seconds: float,
                   group: str = "run", bands: Sequence[Band] = (),
-                  y_range: tuple[float, float] | None = None) -> Picture:
+                  y_range: tuple[float, float] | None = None, leads: bool = False) -> Picture:
     """Curves over time (n,) [s]: their first `seconds` as a picture, all of them where a browser runs the page's
     script, as far as `MOST_SAMPLES` go. `y_range` cuts what lies outside."""
     whole = time_s - time_s[0]
@@ -46,7 +46,7 @@ def picture_lines(time_s: FloatArray, lines: Sequence[Line], y_label: str, capti
     if whole.size > MOST_SAMPLES:
         caption += f" The first {whole[MOST_SAMPLES - 1]:.0f} of {whole[-1]:.0f} s."
     return Picture(plot_lines(whole[part], shown, y_label, bands=under, y_range=y_range), caption,
-                   Chart(whole, lines, y_label, group=group, bands=bands, y_range=y_range))
+                   Chart(whole, lines, y_label, group=group, bands=bands, y_range=y_range), leads)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from estimator.model import Mechanism
 from experiments.reports.chart import Line
 from experiments.reports.figures import BLUE, GREEN, GREY, ORANGE, picture_lines, plot_points, window
 from experiments.reports.fit_text import PARAMETER_HEADER, VOLTS, noise_rows, parameter_rows, run_noise_lines
-from experiments.reports.html import Picture, Section, Table
+from experiments.reports.html import Picture, Section, Table, fold
 from experiments.reports.numbers import Estimate, number
 from experiments.reports.prior_knowledge import knowledge_section, prior_sentence
 from experiments.reports.residual_tests import (
@@ -27,7 +27,7 @@ from experiments.reports.residual_tests import (
 )
 from experiments.reports.run_agreement import agreement_section
 from experiments.reports.second_opinion import opinion_section
-from experiments.reports.sketch import sketch_section
+from experiments.reports.sketch import sketch_pictures
 
 FIGURE_SECONDS = 12.0
 WORTH_CUTTING = 1.2
@@ -57,11 +57,13 @@ def _sensors(result: FitResult) -> str:
 
 
 def fit_sections(result: FitResult, benchmark: FitResult | None = None) -> list[Section]:
-    """Everything a fit alone can show; `benchmark` is a second model for the torques."""
-    sections = [_parameters(result), *_sketch(result), *knowledge_section(result), *agreement_section(result),
-                *opinion_section(result),
-                *_sensors_section(result), *_torques(result, benchmark), *_residuals(result), _noise(result)]
-    return [*sections, _limits(result)]
+    """Everything that a fit alone can show. `benchmark` is a second model for the torques.
+
+    The parameters stand open, the rest is folded; the torque of the last joint with a motor leads the page.
+    """
+    return [_parameters(result), *fold([
+        *knowledge_section(result), *agreement_section(result), *opinion_section(result), *_sensors_section(result),
+        *_torques(result, benchmark), *_residuals(result), _noise(result), _limits(result)])]
 
 
 def truth_section(mechanism: Mechanism, found: Mapping[str, Estimate], truth: Mapping[str, float]) -> Section:
@@ -77,17 +79,15 @@ def truth_section(mechanism: Mechanism, found: Mapping[str, Estimate], truth: Ma
         [f"The rig was emulated, so its parameters are known: {inside} of {len(rows)} lie inside their 95 % intervals. "
          "The plant computes its motion from masses and lengths and shares no code with the estimator."],
         [Table(["parameter", "truth", "found", "95 % interval", "inside", "unit", "meaning"], rows,
-               right=frozenset({1, 2, 3}))])
+               right=frozenset({1, 2, 3}))], folded=True)
 
 
 def _parameters(result: FitResult) -> Section:
-    return Section("Parameters", [], [Table(PARAMETER_HEADER, parameter_rows(result), right=frozenset({1, 2, 3}))])
-
-
-def _sketch(result: FitResult) -> list[Section]:
-    """The mechanism as it begins the run that the figures show."""
+    """With the mechanism in the run that the figures show."""
     found = _first(result)
-    return [] if found is None else sketch_section(result.mechanism, found[0].q[0], f"as run {found[0].run} begins")
+    sketch = [] if found is None else sketch_pictures(result.mechanism, found[0].q, found[0].time_s, found[0].run)
+    return Section("Parameters", [], [Table(PARAMETER_HEADER, parameter_rows(result), right=frozenset({1, 2, 3}))],
+                   sketch)
 
 
 def _first(result: FitResult) -> tuple[Trajectory, slice] | None:
@@ -146,7 +146,7 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
         cut = torque_range(told, path.tau[:, j], friction_level(result, j))
         pictures.append(picture_lines(path.time_s, lines, f"torque, joint {j + 1} [{force}]",
                                       _torque_caption(result, path, j, unknown, cut is not None), FIGURE_SECONDS,
-                                      y_range=cut))
+                                      y_range=cut, leads=j == max(result.mechanism.actuated, default=-1)))
     return [Section("Torques", [_excerpt(path, part)], pictures=pictures)]
 
 

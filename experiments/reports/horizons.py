@@ -79,7 +79,7 @@ def horizons_section(table: PredictionTable) -> Section:
         "How far ahead the model predicts",
         ["Free runs over pieces of a horizon, each from the model's own smoothed state: rms errors in the unit of the "
          "column, next to those of the last velocity kept. Noise alone: the readings about the smoothed motion."],
-        [Table(header, rows, right=frozenset(range(1, len(header))))], notes=[*horizon_flags(table)])
+        [Table(header, rows, right=frozenset(range(1, len(header))))], notes=[*horizon_flags(table)], folded=True)
 
 
 def horizons_document(table: PredictionTable) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ import base64
 import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from importlib.resources import files
@@ -60,6 +60,8 @@ class Picture:
     caption: str
     chart: Chart | None = None
     """The same curves for a browser, to zoom in."""
+    leads: bool = False
+    """Stands at the head of the page, in place of its section; of several the first."""
 
     @property
     def markup(self) -> Markup:
@@ -81,6 +83,8 @@ class Section:
     """A list of short sentences, after the figures."""
     command: str = ""
     """A command line to be copied, after the paragraphs."""
+    folded: bool = False
+    """Shows its heading until a reader opens it; paper shows all of it."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +95,13 @@ class VerdictBox:
     title: str
     lines: Sequence[str] = ()
     warnings: Sequence[str] = ()
+    action: str = ""
+    """The next step."""
+
+
+def fold(sections: Sequence[Section]) -> list[Section]:
+    """The same sections, folded; without those that have nothing to show."""
+    return [replace(s, folded=True) for s in sections if s.paragraphs or s.tables or s.pictures or s.notes]
 
 
 def uplot_folder() -> Path | None:
@@ -153,15 +164,26 @@ def render_page(title: str, summary: str, sections: Sequence[Section], date: dat
                               undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"typeset": typeset, "prose": _prose, "cell": _cell}
     folder = uplot_folder()
-    live = folder is not None and any(picture.chart for section in sections for picture in section.pictures)
+    sections, lead = _lead(sections)
+    live = folder is not None and any(
+        picture.chart for picture in (*([lead] if lead else []), *(p for s in sections for p in s.pictures)))
     sheets = [(folder / STYLE).read_text(encoding="utf-8")] if live and folder is not None else []
     css = Markup("\n".join([*sheets, environment.get_template("report.css").render()]))
     stamp = (date or datetime.now(UTC)).strftime("%Y-%m-%d %H:%M UTC")
     return environment.get_template("report.html").render(
-        title=title, summary=summary, sections=sections, css=css, stamp=stamp, version=program_version(),
+        title=title, summary=summary, sections=sections, lead=lead, css=css, stamp=stamp, version=program_version(),
         meta=META, origin=None if origin is None else msgspec.json.encode(origin).decode(), verdict=verdict,
         anchors=[f"s{k}-{re.sub('[^a-z0-9]+', '-', s.title.lower()).strip('-')}" for k, s in enumerate(sections, 1)],
         script=Markup(page_script()) if live else "", script_hash=script_hash())
+
+
+def _lead(sections: Sequence[Section]) -> tuple[list[Section], Picture | None]:
+    """The sections without the picture that leads the page, and that picture. A section without any other is left out
+    if it has no table and no note."""
+    lead = next((picture for s in sections for picture in s.pictures if picture.leads), None)
+    rest = [replace(s, pictures=[p for p in s.pictures if p is not lead]) for s in sections]
+    return [new for new, old in zip(rest, sections)
+            if new.tables or new.pictures or new.notes or not old.pictures], lead
 
 
 def write_page(path: Path | str, title: str, summary: str, sections: Sequence[Section],

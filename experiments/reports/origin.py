@@ -51,4 +51,4 @@ def origin_section(origin: Origin, runs: Sequence[Dataset] = ()) -> Section:
     return Section("Where this comes from",
                    [f"legid {origin.version}, commit {origin.commit}. legid verify checks these files against this "
                     "page.", *seed, *how], [Table(["file", "SHA-256"], rows)], command=origin.command,
-                   notes=[f"{d['run']} is damaged: {d['what']}" for d in damaged_runs(runs)])
+                   notes=[f"{d['run']} is damaged: {d['what']}" for d in damaged_runs(runs)], folded=True)

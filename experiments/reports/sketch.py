@@ -9,7 +9,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.model import ImuPlace, Mechanism, parent_of
 from experiments.reports.figures import BLUE, GREEN, GREY, INK, ORANGE, blank_figure, to_svg
-from experiments.reports.html import Picture, Section
+from experiments.reports.html import Picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,19 +18,25 @@ ARC, MARGIN = 0.32, 0.55
 """Radius of an angle's arc and the room around the links, in lengths of a link."""
 
 
-def sketch_section(mechanism: Mechanism, pose: FloatArray, when: str) -> list[Section]:
-    """The mechanism in a pose (n,) [rad] that `when` names; none where there is none to draw."""
-    if mechanism.length_unit != "rad" or not np.isfinite(pose).all():
+def sketch_pictures(mechanism: Mechanism, poses: FloatArray, time_s: FloatArray, run: str) -> list[Picture]:
+    """The mechanism where `poses` (n_samples, n) [rad] are furthest from zero; none where there is none to draw.
+
+    `time_s` (n_samples,) [s] from any start. Hanging straight, as most runs begin, links and labels would overlap.
+    """
+    known = np.flatnonzero(np.isfinite(poses).all(axis=1))
+    if mechanism.length_unit != "rad" or not known.size:
         return []
+    k = known[np.argmax(np.sum(poses[known] ** 2, axis=1))]
+    pose, when = poses[k], f"{time_s[k] - time_s[0]:.1f} s into run {run}"
     motors = [f"joint {j + 1}" for j in mechanism.actuated]
     angles = ", ".join(f"q{j + 1} = {x:.2f} rad" for j, x in enumerate(pose))
     upright = mechanism.gravity < 0.0
     caption = (f"The mechanism {when}: {angles}. Arrows show the sense in which an angle grows; a torque is positive "
                f"in the same sense. q1 counts from {'upright' if upright else 'hanging'}, the others from the link "
-               f"before. Filled joints have a motor ({', '.join(motors) if motors else 'none'}). Links are "
-               "drawn alike long"
+               f"before. Filled joints have a motor ({', '.join(motors) if motors else 'none'}). All "
+               "links are drawn with the same length"
                + ("; x and y are the axes of an IMU." if _imus(mechanism) else "."))
-    return [Section("The mechanism", pictures=[Picture(draw_mechanism(mechanism, pose), caption)])]
+    return [Picture(draw_mechanism(mechanism, pose), caption)]
 
 
 def joint_places(mechanism: Mechanism, pose: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -97,12 +97,15 @@ def validation_picture(validation: Validation) -> str:
 
 
 def validation_section(table: PredictionTable) -> Section:
-    """Table of all runs, figures of the first, with their bands where the table has them."""
+    """Table of all runs, figures of the first, with their bands where the table has them. The joint with the worst fit
+    leads the page."""
     validations = validations_of(table)
     header, rows = validation_rows(validations)
     first = validations[0]
     unit = length_unit(first)
     band = table.runs[0].bands[0] if table.runs[0].bands else None
+    fits = fits_of(table, 0, np.inf)
+    worst = min(range(first.q.shape[1]), key=lambda j: fits.get(f"q{j + 1}_{unit}", np.inf))
     pictures = []
     for j in range(first.q.shape[1]):
         q = first.q[:, j]
@@ -113,7 +116,7 @@ def validation_section(table: PredictionTable) -> Section:
         pictures += [
             picture_lines(first.time_s, lines, f"q{j + 1} [{unit}]", f"Joint {j + 1} in run {first.run}: measured, and "
                           f"simulated from its first state and the measured torque alone{shade}.", FIGURE_SECONDS,
-                          bands=shaded),
+                          bands=shaded, leads=j == worst),
             picture_lines(first.time_s, [Line("simulated less measured", q - first.reference_q[:, j],
                                               ORANGE)], f"error of q{j + 1} [{unit}]",
                           f"Joint {j + 1}: the error" + ("; shaded, what the parameters' uncertainty explains of it."
@@ -125,7 +128,7 @@ def validation_section(table: PredictionTable) -> Section:
               Table(header, rows, right=frozenset(range(1, len(header))))]
     return Section(
         "Free-run simulation against validation data",
-        ["The identified model is started in the measured state and then driven by the measured torque alone. Of other "
-         "motion that tells something only on runs that the fit has not seen. "
+        ["The simulation starts in the measured state and is then driven by the measured torque alone. Only runs that "
+         "the fit has not seen test the model. "
          f"SSE is the summed squared error of the paper's Table V, [{unit}²] and, for "
-         f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."], tables, pictures, notes)
+         f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."], tables, pictures, notes, folded=True)

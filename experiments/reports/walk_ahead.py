@@ -40,7 +40,7 @@ def walk_section(found: WalkAhead) -> Section:
     header, rows = walk_rows(found)
     return Section("How many steps ahead the model predicts", [TITLE],
                    [Table(header, rows, right=frozenset(range(len(header))))],
-                   notes=[fall_text(run) for run in found.whole])
+                   notes=[fall_text(run) for run in found.whole], folded=True)
 
 
 def walk_document(found: WalkAhead) -> dict[str, Any]:

@@ -73,6 +73,6 @@ def _flags(models: tuple[Model, Model], files: tuple[str, str], runs: Sequence[s
 
 def _notes(models: tuple[Model, Model]) -> tuple[str, ...]:
     common = sorted(set(models[0].provenance.runs) & set(models[1].provenance.runs))
-    return (f"Both were fitted to {', '.join(common)}: z of their differences is too small.",) if common else ()
+    return (f"Both were fitted to {', '.join(common)}: the z of each difference is too small.",) if common else ()
 
 

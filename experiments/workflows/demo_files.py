@@ -10,7 +10,6 @@ from experiments.console import command_line, write_json, write_text
 from experiments.models import save_model
 from experiments.provenance import origin_of, source_of
 from experiments.reports import (
-    Section,
     diagnosis_document,
     diagnosis_sections,
     estimates_of,
@@ -55,10 +54,8 @@ def write_results(out: Path, demo: Demo, benchmark: FitResult | None) -> dict[st
     write_page(written["fit report"], "The emulated leg: the nominal fit", fit_summary(result, setup.settings.model),
                [*sections, origin_section(origin)], origin, fit_trust(result).verdict(result.warnings))
     told = diagnosis_sections(demo.diagnosis, setup.mechanism)
-    told[1:1] = [Section("What was hidden", [f"The leg was emulated, and in addition to its rig file it had "
-                                             f"{demo.hidden.words}."]),
-                 truth_section(setup.mechanism, demo.estimates(), demo.truth)]
+    told[1:1] = [truth_section(setup.mechanism, demo.estimates(), demo.truth)]
     write_page(written["report"], f"The emulated leg: {verdict_words(demo.diagnosis.verdict)}",
-               "The whole loop on an emulated leg, held against what was hidden in it.",
+               f"The leg was emulated. In addition to its rig file it had {demo.hidden.words}.",
                [*told, origin_section(origin)], origin, verdict_box(demo.diagnosis))
     return written

@@ -75,6 +75,19 @@ def test_page_answers_in_the_order_of_the_questions(page: str) -> None:
     assert page.index(synthetic().sentence.replace("'", "&#39;")) < page.index("<h2>")
 
 
+def test_page_begins_with_one_sentence_one_figure_and_one_action(page: str) -> None:
+    head, rest = page[page.index("<body>"):].split("</header>")
+    assert head.count("<svg") == 1 and axis_label("q1_rad") in head  # 4.4 times the noise; q2: 3.3 times
+    assert head.index("excess torque 0.05 N m") < head.index("Next step: Validate the extended model")
+    assert rest.count("<h2>") == rest.count("<details>") == 13
+
+
+def test_errors_lead_where_no_run_is_drawn() -> None:
+    found = replace(synthetic(), traces=())
+    page = render_page("t", "", diagnosis_sections(found), verdict=verdict_box(found))
+    assert "multiples of what noise alone leaves" in page.split("</header>")[0]
+
+
 def test_page_shows_what_was_found(page: str) -> None:
     for words in ("0.04 .. 0.06", "few runs", "closes 81 %", "67 to 93 %", "p = 0.004", "&lt; 1e-6",
                   "presliding_friction, joint 2", "backlash, joint 1", "Slow reversals.", "noise alone", "0.006"):

@@ -16,7 +16,7 @@ from experiments.reports.chart import Band, Line
 from experiments.reports.figures import BLUE, picture_lines, plot_lines, window
 from experiments.reports.fit_page import fit_sections, fit_summary, truth_section
 from experiments.reports.fit_text import fit_text
-from experiments.reports.html import Picture, Section, Table, VerdictBox, render_page, typeset
+from experiments.reports.html import Picture, Section, Table, VerdictBox, fold, render_page, typeset
 from experiments.reports.numbers import estimates_of, number
 from tests.support.fits import synthetic_fit
 from tests.support.pages import Outside, allowed_script
@@ -60,10 +60,28 @@ def test_contents_lead_to_every_section_and_the_verdict_stands_first() -> None:
     sections = [Section(title, ["words"]) for title in ("A & b", "C", "C")]
     page = render_page("t", "summary", sections, verdict=VerdictBox("bad", "NOT TO BE USED", ["why"], ["Warning: <w>"]))
     links = re.findall(r'<a href="#([^"]+)">', page)
-    assert links == re.findall(r'<section id="([^"]+)">', page) and len(set(links)) == 3
+    assert links == re.findall(r'<div class="body" id="([^"]+)">', page) and len(set(links)) == 3
     page = page[page.index("<body>"):]
     order = ["<h1>", 'data-tone="bad"', "NOT TO BE USED", "why", "Warning: &lt;w&gt;", "summary", "<nav", "<h2>"]
     assert [page.index(text) for text in order] == sorted(page.index(text) for text in order)
+
+
+def test_a_figure_that_leads_stands_at_the_head_and_nowhere_else() -> None:
+    svg = '<svg viewBox="0 0 1 1"><title>{}</title></svg>'
+    pictures = [Picture(svg.format(name), name, leads=name != "last") for name in ("first", "second", "last")]
+    page = render_page("t", "", [Section("A", ["of the first alone"], pictures=pictures[:1]),
+                                 Section("B", pictures=pictures[1:])])
+    head, rest = page.split("</header>")
+    assert "<title>first</title>" in head and "<title>first</title>" not in rest and "of the first alone" not in rest
+    assert "<title>second</title>" in rest and "<title>last</title>" in rest
+
+
+def test_folded_sections_show_their_headings_and_need_no_contents() -> None:
+    page = render_page("t", "", [Section("Open", ["seen"]), *fold([Section(name, ["hidden"]) for name in "ABC"]),
+                                 *fold([Section("Empty")])])
+    body = page[page.index("<body>"):]
+    assert re.findall(r"<details><summary><h2>(.*?)</h2></summary>", body) == ["A", "B", "C"]
+    assert "<nav" not in body and "<h2>Open</h2>" in body and "Empty" not in body
 
 
 def test_text_from_files_is_escaped() -> None:

@@ -35,6 +35,7 @@ pytestmark = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium w
 WIDTHS = ("[...document.querySelectorAll('figure')].map(f => "
           "(f.querySelector('canvas') ?? f.querySelector('svg')).getBoundingClientRect().width)")
 """Of what each figure shows."""
+UNFOLD = "document.querySelectorAll('details').forEach(e => { e.open = true })"
 PAGES = ("fit", "diagnosis", "validation", "casebook", "study", "demo")
 
 
@@ -85,6 +86,7 @@ def test_a_page_from_the_disk_fetches_nothing_and_fits(folder: Path, browser: Br
         browser.resize(size)
         browser.driver.get(url)
         assert browser.js("document.querySelectorAll('h2').length") > 0
+        browser.js(UNFOLD)
         assert browser.sideways() <= 0
         drawn = browser.js(WIDTHS)
         assert drawn and np.min(drawn) > 200
@@ -97,7 +99,7 @@ def test_figures_zoom_together_and_are_pictures_on_paper_and_without_scripts(fol
     url = (folder / "fit.html").as_uri()
     browser.resize(LAPTOP)
     browser.driver.get(url)
-    shown = "[...document.querySelectorAll('.plot canvas, figure > svg')].map(e => [e.tagName, e.offsetWidth ?? " \
+    shown = "[...document.querySelectorAll('.plot canvas, .chart > svg')].map(e => [e.tagName, e.offsetWidth ?? " \
             "e.getBoundingClientRect().width])"
     labels = "[...document.querySelectorAll('.plot .u-legend')].map(e => e.querySelector('.u-value').textContent)"
     x, y, width = browser.js("(b => { b.scrollIntoView({block: 'center'}); const r = b.getBoundingClientRect(); "
@@ -120,7 +122,7 @@ def test_figures_zoom_together_and_are_pictures_on_paper_and_without_scripts(fol
     for media in ("print", ""):
         browser.cdp("Emulation.setEmulatedMedia", media=media)
         sizes = browser.js(shown)
-        paper = [size for name, size in sizes if name == "svg"][1:]  # the sketch is a picture on the screen, too
+        paper = [size for name, size in sizes if name == "svg"]
         screen = [size for name, size in sizes if name == "CANVAS"]
         assert (min(paper[:3]) > 100 and max(screen) == 0) if media else (
             max(paper[:3]) == 0 and min(screen) > 200), (media, sizes)
@@ -172,6 +174,29 @@ def test_errors_have_axes_of_their_own_below(folder: Path, browser: Browser) -> 
     assert labels
     for upper, lower in labels:
         assert "less measured" not in upper and lower.count("less measured") == 2
+
+
+def test_folded_sections_open_by_hand_by_a_link_and_on_paper(folder: Path, browser: Browser) -> None:
+    """Without any script: rows of tables in folded sections have no height until then."""
+    page = re.sub("<script.*?</script>", "", (folder / "diagnosis.html").read_text(), flags=re.DOTALL)
+    (folder / "unscripted.html").write_text(page)
+    browser.resize(LAPTOP)
+    url = (folder / "unscripted.html").as_uri()
+    seen = "[...document.querySelectorAll('details tbody tr')].filter(e => e.checkVisibility({contentVisibilityAuto: " \
+           "true})).length"
+    rows = "document.querySelectorAll('details tbody tr').length"
+    browser.driver.get(url)
+    assert browser.js(rows) > 20 and browser.js(seen) == 0
+    browser.cdp("Emulation.setEmulatedMedia", media="print")
+    browser.wait(lambda: browser.js(seen) == browser.js(rows), "paper shows all")
+    browser.cdp("Emulation.setEmulatedMedia", media="")
+    browser.wait(lambda: browser.js(seen) == 0, "the screen shows none")
+    browser.js("document.querySelector('summary').click()")
+    opened = browser.js(seen)
+    assert 0 < opened < browser.js(rows)
+    (anchor,) = re.findall(r'id="(s\d+-candidates)"', page)
+    browser.driver.get(f"{url}#{anchor}")
+    browser.wait(lambda: browser.js(f"document.getElementById('{anchor}').parentElement.open"), "the section opens")
 
 
 def test_many_runs_that_disagree_stay_within_the_page(tmp_path: Path, browser: Browser) -> None:

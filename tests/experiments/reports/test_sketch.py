@@ -7,7 +7,7 @@ import pytest
 
 from estimator.model import biped3, chain, joint1, leg2
 from experiments.reports.fit_page import fit_sections
-from experiments.reports.sketch import draw_mechanism, joint_places, sketch_section
+from experiments.reports.sketch import draw_mechanism, joint_places, sketch_pictures
 from tests.support.fits import synthetic_fit
 
 
@@ -25,16 +25,17 @@ def test_both_legs_and_torso_of_a_walker_start_at_the_hip() -> None:
 
 
 def test_the_caption_has_the_pose_the_motors_and_the_imu() -> None:
-    (section,) = sketch_section(leg2(lever_arm=0.2), np.array([0.5, -0.8]), "as run a.csv begins")
-    caption = section.pictures[0].caption
-    assert "as run a.csv begins: q1 = 0.50 rad, q2 = -0.80 rad" in caption
+    poses = np.array([[0.0, 0.0], [0.5, -0.8], [np.nan, 3.0], [0.5, 0.2]])
+    (picture,) = sketch_pictures(leg2(lever_arm=0.2), poses, np.array([5.0, 5.25, 5.5, 5.75]), "a.csv")
+    caption = picture.caption
+    assert "0.2 s into run a.csv: q1 = 0.50 rad, q2 = -0.80 rad" in caption
     assert "motor (joint 2)" in caption and "axes of an IMU" in caption
-    assert all(f"<!-- {word} -->" in section.pictures[0].svg or f">{word}<" in section.pictures[0].svg
+    assert all(f"<!-- {word} -->" in picture.svg or f">{word}<" in picture.svg
                for word in ("q1", "q2", "link 1", "link 2", "IMU", "x", "y", "g"))
     assert ">IMU<" not in draw_mechanism(chain(3), np.zeros(3))
 
 
 def test_a_slide_has_none_and_a_page_of_a_fit_has_one() -> None:
-    assert sketch_section(joint1(prismatic=True), np.zeros(1), "") == []
-    titles = [section.title for section in fit_sections(synthetic_fit())]
-    assert "The mechanism" in titles
+    assert sketch_pictures(joint1(prismatic=True), np.zeros((2, 1)), np.zeros(2), "") == []
+    parameters = fit_sections(synthetic_fit())[0]
+    assert "Arrows show the sense" in parameters.pictures[0].caption
