@@ -24,8 +24,8 @@ LOCKS = {MAIN: "test", "requirements-bench.lock": "bench", "requirements-blind.l
 """Lock file to the extra that it is of; nothing: what building this package needs."""
 ALONE = {"requirements-release.lock", "requirements-build.lock"}
 """Installed by themselves or first; the others come on top of the main one and leave out what it has."""
-SOURCE_ONLY = ("cobs",)
-"""Packages whose pinned version has no wheel for Linux: built where they are installed."""
+SOURCE_ONLY = ("cobs", "readability")
+"""Packages whose pinned version has no wheel for Linux: built where they are installed. The second is pure Python."""
 PLATFORMS = ("x86_64-manylinux_2_28", "aarch64-manylinux_2_28")
 PYTHONS = ("3.11", "3.12", "3.13")
 HEAD = "# Made by `make lock`. Installed by: pip install --require-hashes -r {name}\n"
