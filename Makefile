@@ -103,7 +103,7 @@ KILLS     ?= 1280
 KILLS_OUT ?= build/kills.jsonl
 kills: $(STAMP)
 	mkdir -p $(dir $(KILLS_OUT))
-	$(BIN)/python -m tests.evidence kills --kills $(KILLS) --beside 1000 --keep $(KILLS_OUT) --out docs/evidence/kills.md
+	$(BIN)/python -m tests.evidence kills --kills $(KILLS) --disturbed 1000 --keep $(KILLS_OUT) --out docs/evidence/kills.md
 
 # An hour or two: 10^5 broken files of each of five formats through their readers.
 FILES ?= 100000
@@ -122,7 +122,7 @@ coverage: $(STAMP)
 table5: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence table5 --out docs/evidence/table5.md
 
-# Table III under the protocol that the print is nearest to, and what each open choice does to it.
+# Table III under the protocol that the paper is nearest to, and what each open choice does to it.
 RUNS ?= 200
 replication: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence replication --runs $(RUNS) --out docs/evidence/replication.md
@@ -148,11 +148,11 @@ runs: $(STAMP)
 prior: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence prior --fits $(FITS) --out docs/evidence/prior.md
 
-# Faults in the later runs of real records that lie beside the checkout, the earlier runs being the reference.
+# Faults in the later runs of real records next to the checkout; the earlier runs are the reference.
 changed: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence what-changed --out docs/evidence/what-changed.md
 
-# Real records that lie beside the checkout, with the least of rig files, and spoilt ones: a quarter of an hour.
+# Real records next to the checkout, with minimal rig files, and records with an error put in: a quarter of an hour.
 untuned: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence untuned --out docs/evidence/untuned.md
 

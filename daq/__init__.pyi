@@ -14,7 +14,6 @@ from .mechanisms import JOINTS as JOINTS
 from .rig import Calibration as Calibration
 from .rig import Column as Column
 from .rig import Disturbance as Disturbance
-from .rig import Limits as Limits
 from .rig import Mechanism as Mechanism
 from .rig import Rig as Rig
 from .rig import joint_count as joint_count
@@ -25,6 +24,7 @@ from .rig_devices import Devices as Devices
 from .rig_devices import ImuDevice as ImuDevice
 from .rig_devices import PivotDevice as PivotDevice
 from .rig_devices import ShuntDevice as ShuntDevice
+from .rig_limits import Limits as Limits
 from .rig_text import ASSUMED as ASSUMED
 from .rig_text import set_values as set_values
 from .rig_types import Matrix3 as Matrix3

@@ -13,11 +13,15 @@ from typing import NamedTuple
 import pytest
 
 from tests.support.paths import ROOT
-from tests.support.words import IN_ESTIMATOR, WORDS, compiled
+from tests.support.words import IN_ESTIMATOR, WORDS, compiled, lix
 
 FLOORS = ("drivers", "daq", "estimator", "experiments", "legid")
 LONGEST = 30
 """Most words of a sentence in a message, and of a docstring's first sentence."""
+SENTENCES = r"(?<=[.:;!?])\s+|\n\s*\n|\n\s*[-*|]"
+"""Between the sentences of a message."""
+MOST_LIX = 24.0
+"""Of all messages together."""
 CLAUSE = re.compile(r"(What|Who|Whoever|Whose|Which|Where|How|That|Of|By|With|From|As(?! many)|So|Nothing|Beyond)\b")
 """First word of a clause that does not say what comes back."""
 ALLOWED: list[tuple[str, str, str]] = [
@@ -115,7 +119,7 @@ def complaints(path: str, one: Said) -> Iterator[str]:
         for match in pattern.finditer(text):
             yield f"{here} {match.group()!r} (say: {say}) in {text[max(0, match.start() - 60):match.end() + 60]!r}"
     if one.kind == "message":
-        for sentence in re.split(r"(?<=[.:;!?])\s+|\n\s*\n|\n\s*[-*|]", one.text):
+        for sentence in re.split(SENTENCES, one.text):
             if length(sentence) > LONGEST:
                 yield f"{here} has a sentence of {length(sentence)} words: {sentence[:150]!r}"
     if one.kind == "docstring":
@@ -137,6 +141,20 @@ def problems_of(path: Path) -> list[str]:
 def test_a_file_speaks_plainly(path: Path) -> None:
     found = problems_of(path)
     assert not found, "\n".join(found)
+
+
+def test_messages_read_easily() -> None:
+    assert lix([sentence for path in FILES for one in said_in(path) if one.kind == "message"
+                for sentence in re.split(SENTENCES, one.text)]) < MOST_LIX
+
+
+def test_programs_that_write_the_evidence_speak_plainly() -> None:
+    """Their messages, which are the words of pages; models of MuJoCo are not."""
+    programs = [path for path in (ROOT / "tests/evidence").rglob("*.py") if not path.name.startswith("test_")]
+    found = [line for path in programs for one in said_in(path)
+             if one.kind == "message" and not one.text.lstrip().startswith("<")
+             for line in complaints(str(path.relative_to(ROOT)), one)]
+    assert programs and not found, "\n".join(found)
 
 
 def test_names_in_the_tests_of_the_packages_are_plain() -> None:

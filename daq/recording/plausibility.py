@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.rig import Calibration, Limits
+from daq.rig import Calibration
+from daq.rig_limits import Limits
 from daq.si_units import joint_torque
 from drivers import Hello, Telemetry
 

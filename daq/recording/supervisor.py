@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from daq.rig import Limits
+from daq.rig_limits import Limits
 
 
 class Sample(NamedTuple):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.paths import ROOT
-from tests.support.words import IN_PAGES, WORDS, compiled
+from tests.support.words import IN_PAGES, WORDS, compiled, lix
 
 DOCS = ROOT / "docs"
 EVIDENCE = sorted((DOCS / "evidence").glob("*.md"))
@@ -19,7 +19,7 @@ GUIDE = [DOCS / f"{name}.md" for name in re.findall(
 ALLOWED: dict[str, tuple[str, ...]] = {}
 """Page and the phrases in it that keep such a word: a quotation, or the ordinary meaning."""
 
-LONGEST_SENTENCE = 30
+LONGEST_SENTENCE, MOST_LIX = 30, 32.0
 WORDS_OF_GUIDE, PAGES_OF_GUIDE, WORDS_OF_PAGE = 18_000, 12, 2_200
 WORDS_OF = {"README.md": 700, "docs/decisions.md": 2_500}
 PROSE_OF_EVIDENCE = 400
@@ -62,6 +62,17 @@ def test_a_page_uses_the_textbook_s_words(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_no_sentence_is_longer_than_thirty_words(page: Path) -> None:
     assert [s for s in sentences(page.read_text(encoding="utf-8")) if len(s.split()) > LONGEST_SENTENCE] == []
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *GUIDE], ids=name_of)
+def test_a_page_of_the_guide_reads_easily(page: Path) -> None:
+    assert lix(sentences(page.read_text(encoding="utf-8"))) < MOST_LIX
+
+
+def test_a_hard_page_is_seen() -> None:
+    hard = ("Candidates imitated by nominal parameters except for insignificant information contributions, "
+            "notwithstanding considerable individual likelihood improvements, necessitate comparison.")
+    assert lix([hard]) > 60.0 and lix(["The fit does not converge.", "Give more runs of it."]) < 30.0
 
 
 def test_the_guide_is_short() -> None:

@@ -166,9 +166,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"Made by `make coverage PLANT={given.plant} FITS={given.fits}`, seeds {seeds.start} to {seeds.stop - 1}, "
         f"{datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
         f"Plant: {told}",
-        "Runs of 20 s; hold and rounding of friction are auto, as where rig.toml is silent. Coverage of the 95 %",
-        "intervals over all parameters, then mean and rms of error over standard deviation for beta1 to beta9. A row",
-        f"of few is uncertain, a mean by {given.fits**-0.5:.2f}, an rms by {(2 * given.fits) ** -0.5:.2f}.", "",
+        "Runs of 20 s; the torque hold and the friction smoothing velocity are chosen by the fit, as is the default.",
+        "Coverage of the 95 % intervals over all parameters, then mean and rms of error over standard deviation for",
+        f"beta1 to beta9. Each row is uncertain by its number of fits: a mean by {given.fits**-0.5:.2f}, "
+        f"an rms by {(2 * given.fits) ** -0.5:.2f}.", "",
         "| drive | friction | rate [Hz] | method | fits | coverage | mean | rms |", "|---|---|---|---|---|---|---|---|"]
     for row in rows(seeds, given.rates):
         text.append(row)

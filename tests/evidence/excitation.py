@@ -23,7 +23,8 @@ from pathlib import Path
 import numpy as np
 
 from daq.recording.plan import Plan
-from daq.rig import Limits, Rig, parse_rig
+from daq.rig import Rig, parse_rig
+from daq.rig_limits import Limits
 from estimator.fitting.fit import fit
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.plant import LegBody

@@ -1,6 +1,6 @@
 """Recordings killed at any moment, and recordings with a second process at their devices and at their file.
 
-    python -m tests.evidence kills --kills 1000 --beside 1000 --keep build/kills.jsonl --out docs/evidence/kills.md
+    python -m tests.evidence kills --kills 1000 --disturbed 1000 --keep build/kills.jsonl --out docs/evidence/kills.md
 
 Called again with the same file to keep its findings in, it goes on where it stopped.
 
@@ -8,7 +8,7 @@ Called again with the same file to keep its findings in, it goes on where it sto
 at a moment drawn over the whole of a recording; what it leaves must hold every message that had been handed to the
 system, be called cut off, and recover to a whole file; the next recording on the same devices must start. A second
 process must leave the first whole. One of them is a stranger: it takes samples out of the IMU's FIFO and knows of no
-lock, as a script does; that recording must end itself, or be doubted by whoever reads it. A fault is everything else.
+lock, as a script does; that recording must end itself, or every reader flags it. A fault is everything else.
 """
 
 import argparse
@@ -18,15 +18,14 @@ import mmap
 import os
 import re
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from contextlib import redirect_stderr, redirect_stdout
 from datetime import date
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,12 +37,10 @@ from daq.errors import InputError
 from daq.recording.plan import write_plan
 from daq.rig import load_rig
 from daq.runs import read_run
-from daq.runs.mcap_run import FLUSH_MESSAGES, RunWriter, recover
+from daq.runs.mcap_run import FLUSH_MESSAGES, recover
 from daq.timing.notes import configured
-from drivers import DriverError, lsm9ds1_registers, open_bus
-from drivers.i2c_bus import read_registers
 from experiments.cli import main as legid
-from experiments.rig.devices import connect
+from tests.evidence.kill_processes import COUNTS, PATIENCE_S, ended, served_rig, start, take, unlatch
 from tests.evidence.registry import Evidence
 from tests.support.paths import ROOT
 from tests.support.processes import favoured
@@ -52,11 +49,8 @@ from tests.support.runs import load_run
 
 PLAN_S, WHOLE_S = 0.6, 2.8
 """A plan, and a little more than a recording of it takes with its lead in."""
-PATIENCE_S = 20.0
 RATE_OFF = 0.06
 """By which an IMU's rate may be off the one that was set, in a run that nobody disturbed."""
-COUNTS = struct.Struct("<QQ")
-"""Messages given to the run's writer, and those of them handed to the system."""
 EDGE_NS = 100_000_000
 """What is missing so near to either end of a run puts nothing else out of its time."""
 STRANGER = "a stranger's reading"
@@ -75,96 +69,6 @@ class Killed(NamedTuple):
     lost: int = 0
     """Messages that the writer had and the file has not."""
     fault: str = ""
-
-
-@contextmanager
-def served_rig(folder: Path) -> Iterator[Path]:
-    """The rig file of an emulated rig in a process of its own."""
-    rig = subprocess.Popen([sys.executable, "-m", "experiments.cli", "emulate", "--out", str(folder), "--until-eof"],
-                           stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT)
-    assert rig.stdin is not None and rig.stdout is not None
-    try:
-        rig.stdout.readline()
-        yield folder / "rig.toml"
-    finally:
-        rig.stdin.close()
-        rig.wait(PATIENCE_S)
-
-
-def start(arguments: Sequence[str], said: Path, counts: mmap.mmap | None = None, without: Sequence[int] = ()) -> int:
-    """`legid ARGUMENTS` in a forked process: as from a shell, without the seconds of an interpreter's start, and
-    without these descriptors."""
-    pid = os.fork()
-    if pid:
-        return pid
-    status = 70
-    try:
-        for descriptor in without:
-            os.close(descriptor)
-        with said.open("w") as file, redirect_stdout(file), redirect_stderr(file):
-            if counts is not None:
-                _count(counts)
-            status = legid(list(arguments))
-    finally:
-        os._exit(status)
-
-
-def _count(counts: mmap.mmap) -> None:
-    """Keep the numbers of the run's writer where they outlive this process."""
-    add: Callable[..., None] = RunWriter._add
-
-    def counting(writer: RunWriter, *message: Any, **more: Any) -> None:
-        add(writer, *message, **more)
-        COUNTS.pack_into(counts, 0, writer.messages, writer.messages - writer._unflushed)
-
-    RunWriter._add = counting  # type: ignore[method-assign, assignment]
-
-
-def ended(pid: int) -> int | None:
-    """The exit status once it has one (below zero for a signal), else None after a time that no command needs."""
-    deadline = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        done, status = os.waitpid(pid, os.WNOHANG)
-        if done:
-            return os.waitstatus_to_exitcode(status)
-        time.sleep(0.005)
-    os.kill(pid, signal.SIGKILL)
-    os.waitpid(pid, 0)
-    return None
-
-
-def take(rig: Path, seed: int, taken: Path) -> int:
-    """In a forked process: samples out of the IMU's FIFO, a burst or many; when [ns] and which goes to `taken`."""
-    pid = os.fork()
-    if pid:
-        return pid
-    status = 70
-    try:
-        device = load_rig(rig).devices.imu
-        assert device is not None
-        rng, bus, lines = np.random.default_rng((seed, 1)), open_bus(device.bus), []
-        pauses = np.full(int(2 ** rng.uniform(0, 6)), rng.uniform(0.005, 0.1))
-        for pause in pauses.tolist():
-            before_ns = time.monotonic_ns()
-            level = read_registers(bus, device.address, lsm9ds1_registers.FIFO_SRC, 1)[0] & lsm9ds1_registers.FIFO_FSS
-            if level:
-                size = level * lsm9ds1_registers.SAMPLE_BYTES
-                data = read_registers(bus, device.address, lsm9ds1_registers.OUT_X_L_G, size)
-                lines.append(f"{before_ns} {time.monotonic_ns()} {data.hex()}\n")
-            time.sleep(pause)
-        taken.write_text("".join(lines))
-        status = 0
-    finally:
-        os._exit(status)
-
-
-def unlatch(rig: Path) -> None:
-    """Acknowledge the watchdog's fault that a kill leaves, as a person has to: no recording starts upon it."""
-    device = load_rig(rig).devices.controller
-    assert device is not None
-    with suppress(DriverError), connect(device) as controller:
-        controller.open()
-        controller.clear_faults()
 
 
 def kill_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
@@ -203,9 +107,9 @@ def _judge(path: Path, status: int | None, given: int, handed: int, said: str) -
     faults += ["nobody says that its end is missing"] * (given != raw.messages and (raw.complete or not told))
     faults += [f"damaged within: {raw.damage}"] * (len(raw.damage) > len(told))
     saved = path.with_suffix(".saved.mcap")
-    report, mended = recover(path, saved), read_run(saved)
-    faults += [f"recovered {report.messages} messages, {mended.messages} are read"] * (
-        not mended.complete or mended.messages != raw.messages)
+    report, fixed = recover(path, saved), read_run(saved)
+    faults += [f"recovered {report.messages} messages, {fixed.messages} are read"] * (
+        not fixed.complete or fixed.messages != raw.messages)
     for command in (["info", str(path)], ["fit", str(path)]):
         heard = io.StringIO()
         with redirect_stdout(heard), redirect_stderr(heard):
@@ -216,9 +120,9 @@ def _judge(path: Path, status: int | None, given: int, handed: int, said: str) -
                   "; ".join(faults))
 
 
-def beside_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
+def disturb_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
     """Record, and let a second process at the same devices or file meanwhile."""
-    path, said, counts = _files(folder, "beside_one", number)
+    path, said, counts = _files(folder, "disturb_one", number)
     rng = np.random.default_rng((seed, number))
     plan = str(folder / "plan.csv")
     unlatch(rig)
@@ -240,7 +144,7 @@ def beside_one(rig: Path, folder: Path, number: int, seed: int) -> Killed:
     going_on = command in refused and os.waitid(os.P_PID, second, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
     if going_on:  # it came to the devices when they were free again
         os.kill(second, signal.SIGKILL)
-    status, what = ended(second), f"{command[0]} beside it" + " until it ended" * going_on
+    status, what = ended(second), f"{command[0]} meanwhile" + " until it ended" * going_on
     text = heard.read_text()
     wanted = (-signal.SIGKILL, 1, 2) if going_on else (1, 2) if command in refused else (0, 1, 2)
     faults = [f"{what} ends with {status}: {text[-300:]}"] * (status not in wanted or "internal error" in text)
@@ -263,12 +167,12 @@ def _shared(first: int, stranger: int, path: Path, said: Path, taken: Path) -> K
     lost = len({tuple(row) for row in taken_ones.reshape(-1, 6).tolist()} - kept)
     twice = int((np.diff(_rows(samples), axis=0) == 0).all(axis=1).sum())
     marked = bool(samples["gap_before"].any())
-    doubt = load_run(path, load_rig(path.with_name("rig.toml"))).flags
+    flags = load_run(path, load_rig(path.with_name("rig.toml"))).flags
     found = "nothing lost"
     if lost or twice:
-        found = "doubted" if doubt else "its gaps are marked" if marked else "not a word"
+        found = "flagged" if flags else "its gaps are marked" if marked else "not a word"
     fault = f"{lost} samples are gone, {twice} came twice, without a word" if found == "not a word" else ""
-    fault = fault or (f"doubted without a reason: {doubt}" if doubt and found == "nothing lost" and not bursts else "")
+    fault = fault or (f"flagged without a reason: {flags}" if flags and found == "nothing lost" and not bursts else "")
     return Killed(f"{STRANGER}; {found}", 0, f"the stranger ended with {other}" if other else fault)
 
 
@@ -286,7 +190,7 @@ def _unexplained(path: Path, status: int | None, said: str) -> str:
 
 
 def _disturbed(path: Path, status: int | None, said: str) -> str:
-    """What is wrong with a recording beside which something else went on."""
+    """What is wrong with a recording while something else went on."""
     if status:
         return _unexplained(path, status, said)
     raw = read_run(path)
@@ -298,17 +202,17 @@ def _disturbed(path: Path, status: int | None, said: str) -> str:
     return "" if sound else f"status {status}, complete {raw.complete}, damage {raw.damage}, IMU {rate:.0f} Hz"
 
 
-def page(kills: Sequence[Killed], beside: Sequence[Killed], seconds: float) -> str:
+def page(kills: Sequence[Killed], disturbed: Sequence[Killed], seconds: float) -> str:
     """What was found, as docs/evidence/kills.md has it."""
     lost = [k.lost for k in kills if k.outcome.startswith("cut off")]
     rows = [f"| {what} | {n} |" for what, n in sorted(Counter(k.outcome for k in kills).items(), key=lambda x: -x[1])]
-    rows2 = [f"| {what} | {n} |" for what, n in sorted(Counter(k.outcome for k in beside).items())]
-    faults = [k.fault for k in (*kills, *beside) if k.fault]
+    rows2 = [f"| {what} | {n} |" for what, n in sorted(Counter(k.outcome for k in disturbed).items())]
+    faults = [k.fault for k in (*kills, *disturbed) if k.fault]
     killed = sum(not k.outcome.startswith("ended") for k in kills)
     return "\n".join([
         f"# Recordings killed, and a second process at their devices, {date.today()}", "",
-        f"By `make kills`, {len(kills)} and {len(beside)} recordings in {seconds / 60.0:.0f} minutes: `legid record` "
-        "on emulated rigs in processes of their own, over a port and a bus, in real time.", "",
+        f"By `make kills`, {len(kills)} and {len(disturbed)} recordings in {seconds / 60.0:.0f} minutes: `legid "
+        "record` on emulated rigs in processes of their own, over a port and a bus, in real time.", "",
         "## SIGKILL at any moment of a recording", "", "| found afterwards | times |", "| --- | ---: |", *rows,
         f"| faults | {sum(bool(k.fault) for k in kills)} |", "",
         f"{killed} were killed while they ran. A file that was cut off holds every message that reached the system, "
@@ -317,7 +221,7 @@ def page(kills: Sequence[Killed], beside: Sequence[Killed], seconds: float) -> s
         f"{FLUSH_MESSAGES}. A kill while the motor drives leaves the firmware's watchdog fault, which must be "
         "acknowledged. Recordings that ended themselves named a limit or a time-out.", "",
         "## A second process at the same devices, or at the file that is written", "",
-        "| | times |", "| --- | ---: |", *rows2, f"| faults | {sum(bool(k.fault) for k in beside)} |", "",
+        "| | times |", "| --- | ---: |", *rows2, f"| faults | {sum(bool(k.fault) for k in disturbed)} |", "",
         "A first recording that did not end itself ended whole, with its IMU's rate. A stranger is a process that "
         "takes up to 64 samples from the IMU's FIFO and ignores locks. These samples are missing in the recording, and "
         "every reader of the run reports that.",
@@ -352,7 +256,8 @@ def read(kept: Path, name: str, seed: int) -> list[dict[str, Any]]:
     return [line for line in lines if (line["study"], line["seed"]) == (name, seed)]
 
 
-def lane(index: int, lanes: int, kills: int, beside: int, seed: int, minutes: float, kept: Path, folder: Path) -> None:
+def lane(index: int, lanes: int, kills: int, disturbed: int, seed: int, minutes: float, kept: Path,
+         folder: Path) -> None:
     """The share of one rig."""
     with favoured(), served_rig(folder) as rig:
         text = re.sub(r"^(staleness_s|clock_bound_s) = .*\n", "", rig.read_text(), flags=re.MULTILINE)
@@ -361,7 +266,7 @@ def lane(index: int, lanes: int, kills: int, beside: int, seed: int, minutes: fl
         first = ["--rig", str(rig), "--plan", str(folder / "plan.csv"), "--out", str(folder / "first.mcap")]
         with redirect_stdout(io.StringIO()):
             legid(["record", *first])  # loads once what every fork would load
-        for one, count, share in ((kill_one, kills, 0.5), (beside_one, beside, 0.5)):
+        for one, count, share in ((kill_one, kills, 0.5), (disturb_one, disturbed, 0.5)):
             study(one, rig, range(index, count, lanes), seed, share * minutes, kept)
 
 
@@ -374,7 +279,7 @@ EVIDENCE = (
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--kills", type=int, default=1000)
-    parser.add_argument("--beside", type=int, default=1000)
+    parser.add_argument("--disturbed", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rigs", type=int, default=1, help="at a time; each needs a core of its own")
     parser.add_argument("--minutes", type=float, default=240.0, help="after which no further recording is started")
@@ -384,19 +289,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path)
     args = parser.parse_args(arguments)
     if args.lane is not None:
-        lane(args.lane, args.rigs, args.kills, args.beside, args.seed, args.minutes, args.keep, args.folder)
+        lane(args.lane, args.rigs, args.kills, args.disturbed, args.seed, args.minutes, args.keep, args.folder)
         return 0
     with tempfile.TemporaryDirectory() as place, ThreadPoolExecutor(args.rigs) as pool:
         kept = (args.keep or Path(place) / "found.jsonl").absolute()
-        numbers = ["--kills", str(args.kills), "--beside", str(args.beside), "--seed", str(args.seed), "--rigs",
+        numbers = ["--kills", str(args.kills), "--disturbed", str(args.disturbed), "--seed", str(args.seed), "--rigs",
                    str(args.rigs), "--minutes", str(args.minutes), "--keep", str(kept)]
         list(pool.map(lambda k: subprocess.run(
             [sys.executable, "-m", "tests.evidence", "kills", *numbers, "--lane", str(k), "--folder", f"{place}/{k}"],
             check=True, cwd=ROOT), range(args.rigs)))
-        lines = [read(kept, name, args.seed) for name in ("kill_one", "beside_one")]
-    kills, beside = ([Killed(line["outcome"], line["lost"], line["fault"]) for line in part] for part in lines)
-    text = page(kills, beside, sum(line["seconds"] for part in lines for line in part))
+        lines = [read(kept, name, args.seed) for name in ("kill_one", "disturb_one")]
+    kills, disturbed = ([Killed(line["outcome"], line["lost"], line["fault"]) for line in part] for part in lines)
+    text = page(kills, disturbed, sum(line["seconds"] for part in lines for line in part))
     print(text)
     if args.out is not None:
         args.out.write_text(text)
-    return int(any(k.fault for k in (*kills, *beside)))
+    return int(any(k.fault for k in (*kills, *disturbed)))

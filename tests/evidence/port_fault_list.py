@@ -83,7 +83,7 @@ def late(names: str, by_s: float) -> Act:
     return strike
 
 
-def dammed(names: str, for_s: float) -> Act:
+def collected(names: str, for_s: float) -> Act:
     """Held back, then all of it at once."""
     def strike(bench: PortBench) -> None:
         for way in ways(bench, names):
@@ -299,23 +299,23 @@ FAULTS: dict[str, PortFault] = {
     "cable pulled": PortFault(lambda bench: bench.line.pull()),
     "line cut for 50 ms": PortFault(cut("up down", 0.05), borne=MOMENTS),
     "line cut for 300 ms": PortFault(cut("up down", 0.3)),
-    "what comes up is 200 ms late": PortFault(late("up", 0.2)),
-    "what comes up is 300 ms late": PortFault(late("up", 0.3)),
-    "what goes down is 200 ms late": PortFault(late("down", 0.2)),
-    "what goes down is 300 ms late": PortFault(late("down", 0.3)),
+    "frames from the board 200 ms late": PortFault(late("up", 0.2)),
+    "frames from the board 300 ms late": PortFault(late("up", 0.3)),
+    "frames to the board 200 ms late": PortFault(late("down", 0.2)),
+    "frames to the board 300 ms late": PortFault(late("down", 0.3)),
     "both ways 200 ms late": PortFault(late("up down", 0.2)),
-    "commands dammed for 200 ms, then at once": PortFault(dammed("down", 0.2)),
-    "every frame up damaged": PortFault(changed("up", one_bit)),
-    "every frame down damaged": PortFault(changed("down", one_bit)),
-    "one byte in 100 damaged, up": PortFault(changed("up", bits_at(0.01)), borne=MOMENTS),
-    "one byte in 100 damaged, down": PortFault(changed("down", bits_at(0.01)), borne=MOMENTS),
-    "a third of the frames lost, up": PortFault(changed("up", dropped(1 / 3)), borne=MOMENTS),
-    "a third of the frames lost, down": PortFault(changed("down", dropped(1 / 3)), borne=MOMENTS),
-    "noise between frames, up": PortFault(changed("up", noise(20)), borne=MOMENTS),
-    "noise between frames, down": PortFault(changed("down", noise(20)), borne=MOMENTS),
-    "frames cut in half, down": PortFault(changed("down", halved)),
-    "every frame twice, down": PortFault(changed("down", doubled), borne=MOMENTS),
-    "every frame twice, up": PortFault(changed("up", doubled), borne=MOMENTS),
+    "frames to the board collected for 200 ms, then sent at once": PortFault(collected("down", 0.2)),
+    "every frame from the board damaged": PortFault(changed("up", one_bit)),
+    "every frame to the board damaged": PortFault(changed("down", one_bit)),
+    "one byte in 100 damaged, from the board": PortFault(changed("up", bits_at(0.01)), borne=MOMENTS),
+    "one byte in 100 damaged, to the board": PortFault(changed("down", bits_at(0.01)), borne=MOMENTS),
+    "a third of the frames lost, from the board": PortFault(changed("up", dropped(1 / 3)), borne=MOMENTS),
+    "a third of the frames lost, to the board": PortFault(changed("down", dropped(1 / 3)), borne=MOMENTS),
+    "noise between frames, from the board": PortFault(changed("up", noise(20)), borne=MOMENTS),
+    "noise between frames, to the board": PortFault(changed("down", noise(20)), borne=MOMENTS),
+    "frames cut in half, to the board": PortFault(changed("down", halved)),
+    "every frame twice, to the board": PortFault(changed("down", doubled), borne=MOMENTS),
+    "every frame twice, from the board": PortFault(changed("up", doubled), borne=MOMENTS),
     "telemetry repeats one frame": PortFault(frozen(Telemetry)),
     "telemetry's tick is frozen": PortFault(frozen(Telemetry, "tick_us")),
     "telemetry's sequence is frozen": PortFault(frozen(Telemetry, "seq")),

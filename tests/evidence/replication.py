@@ -1,4 +1,4 @@
-"""`make replication`: Table III under the protocol that the print is nearest to, and what open choices do to it."""
+"""`make replication`: Table III under the protocol that the paper is nearest to, and what open choices do to it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.evidence.registry import Evidence
 
 REGULAR = CASES[:4]
 CLOSE = 0.25
-"""A mean within this share of the print counts as reproduced."""
+"""A mean within this share of the paper counts as reproduced."""
 SEED = 5
 FEW = 40
 """Runs for each open choice."""
@@ -75,12 +75,12 @@ def cell(error: np.ndarray) -> tuple[float, float, float, int]:
 
 
 def close(value: float, method: str, case: int) -> bool:
-    """Within a quarter of the print."""
+    """Within a quarter of the paper."""
     return abs(value / PAPER[method][case][0] - 1.0) <= CLOSE
 
 
 def main_table(runs: int) -> tuple[list[str], dict[str, int]]:
-    """Rows beside the print, and how many of a method's four means are close."""
+    """Rows next to the paper's, and how many of a method's four means are close."""
     rows: list[str] = []
     hits: dict[str, int] = {}
     for method in METHODS:

@@ -160,7 +160,7 @@ def page(fits: int) -> Iterator[str]:
     yield from [
         "", "## Real records, in one command without an option", "",
         "Distance of published and fitted values in half widths of the 95 % interval, in the mechanism's order. Beyond",
-        "3 a fit is wrong and sure of it. The last column is the departure of the mean over runs [%].", "",
+        "3 an interval is too narrow. The last column is the departure of the mean over runs [%].", "",
         "| record | runs | by noise alone | with what runs disagree about | mean over runs |",
         "|---|---|---|---|---|", *(line for line, _ in rows), "",
         "What runs disagree about:", "", "| record | parameter | mean | scatter | by run |", "|---|---|---|---|---|",

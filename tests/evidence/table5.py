@@ -239,7 +239,7 @@ def page(seed: int, legs: int) -> str:
         changed.append(f"| {what} | {' | '.join(cells)} |")
         print(changed[-1], flush=True)
     head = ("| legs | method | filter [Hz] | q1 [rad²] | q2 [rad²] | sum | above the truth's | failures | lowest "
-            "| print |\n| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
+            "| paper |\n| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
     return "\n".join([
         "# Table V: free runs on data that the fit has not seen", "",
         f"Made by `make table5`, seed {seed}, {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",

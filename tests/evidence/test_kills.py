@@ -19,7 +19,7 @@ pytestmark = REAL_CLOCK
 @pytest.mark.slow
 def test_killed_recordings_are_read_and_recovered(tmp_path: Path) -> None:
     out = tmp_path / "kills.md"
-    done = subprocess.run([sys.executable, "-m", "tests.evidence", "kills", "--kills", "8", "--beside", "4", "--out",
+    done = subprocess.run([sys.executable, "-m", "tests.evidence", "kills", "--kills", "8", "--disturbed", "4", "--out",
                            str(out)],
                           cwd=ROOT, text=True, capture_output=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

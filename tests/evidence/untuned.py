@@ -253,8 +253,8 @@ def page(folders: Sequence[str]) -> str:
         f"Made by `make untuned` on {datetime.now(UTC):%Y-%m-%d}. A rig.toml holds mechanism, driven joints, gear and "
         "gravity, nothing", "else. Every figure is of one command without an option.", "",
         "## Departure from what is published [%]", "",
-        "beta1, beta2, ... in the mechanism's order. Before: as a fit was, with nothing chosen. `fit`: with what it "
-        "chooses", "where rig.toml is silent. `tune`: `legid tune --write`, then `legid fit`.", "",
+        "beta1, beta2, ... in the mechanism's order. Before: a fit that chooses nothing. `fit`: with its own "
+        "choices", "for what rig.toml leaves open. `tune`: `legid tune --write`, then `legid fit`.", "",
         "| record | before | `fit` | `tune`, then `fit` |", "|---|---|---|---|", *accurate, "",
         "## Error over a second, each run by the parameters of the others (rms, by joint)", "",
         "Pieces of 1 s from the measured state. The last two columns: less the zeros of the run's encoders, by the "
@@ -267,7 +267,7 @@ def page(folders: Sequence[str]) -> str:
 
 
 EVIDENCE = (
-    Evidence("Real records with the least of rig files, and spoilt ones", "make untuned", "untuned.md", 15,
+    Evidence("Real records with minimal rig files, and records with an error put in", "make untuned", "untuned.md", 15,
              "every spoilt set-up named with its remedy, none converges silently",
              (r"\d+ of \d+ variants are named with the right remedy or run",)),)
 

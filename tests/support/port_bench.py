@@ -29,7 +29,7 @@ from drivers.protocol import (
     encode,
 )
 from experiments.cli import main as legid
-from tests.evidence.kills import start
+from tests.evidence.kill_processes import start
 from tests.support.fault_bench import DRIVING_AT_S, PEAK_NM, RAMP_AT_S, STOPPING_AFTER_S, SWING_HZ
 from tests.support.port_line import Line
 from tests.support.qemu_board import Board

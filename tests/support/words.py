@@ -1,6 +1,8 @@
-"""Words that no textbook has, as regular expressions, with what to say instead."""
+"""Words that no textbook has, as regular expressions, with what to say instead; and how hard a text is to read."""
 
 import re
+
+import pytest
 
 WORDS = {
     r"beside": "together with, in addition to, next to",
@@ -48,3 +50,14 @@ IN_PAGES = {
 
 def compiled(words: dict[str, str]) -> list[tuple[re.Pattern[str], str]]:
     return [(re.compile(rf"(?<![a-z])({word})(?![a-z])", re.IGNORECASE), say) for word, say in words.items()]
+
+
+def lix(texts: list[str]) -> float:
+    """LIX (Björnsson, 1968) of sentences, without code and numbers, by the library `readability`.
+
+    Words a sentence plus the percentage of words with more than six letters: 30 is easy, 40 a newspaper, 50 hard.
+    """
+    readability = pytest.importorskip("readability")
+    words = [re.findall(r"[A-Za-z][A-Za-z'-]*", text.replace("`CODE`", "it")) for text in texts]
+    lines = [" ".join(sentence) for sentence in words if len(sentence) > 2]  # shorter ones are items and labels
+    return float(readability.getmeasures(lines, lang="en")["readability grades"]["LIX"])

@@ -1,4 +1,4 @@
-"""Why a study's numbers differ from the paper's print; figures in the sentences are the study's own where it has them.
+"""Why a study's numbers differ from the paper's; figures in the sentences are the study's own where it has them.
 
 The others are held by tests/experiments/studies/test_study.py.
 """

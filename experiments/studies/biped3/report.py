@@ -20,7 +20,7 @@ from experiments.studies.walker import motor_mechanism
 
 COLOURS = {"mle": ORANGE, PAPERS_MLE: "#b5485d", "wls": BLUE, KNOWN_WLS: "#6aa5d8",
            "rls": GREEN, "hekf": "#8e5cc4", FLOOR: GREY}
-HEADER = ["method", "mean", "excess", "mean, print", "variance", "variance, print", "failed", "failed, print", "median",
+HEADER = ["method", "mean", "excess", "mean, paper", "variance", "variance, paper", "failed", "failed, paper", "median",
           "not converged"]
 TRUST_HEADER = ["case, method", "mean error / floor", "MSE / bound, mean", "MSE / bound, worst", "coverage of 95 %"]
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from daq.recording.plausibility import Plausibility, SuspectTimes, TwoAngles
-from daq.rig import Calibration, Limits
+from daq.rig import Calibration
+from daq.rig_limits import Limits
 from drivers.protocol import Hello, Telemetry
 
 HZ, IMU_HZ = 500, 238.0

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from daq.recording.plausibility import Plausibility
-from daq.rig import Calibration, Limits, parse_rig
+from daq.rig import Calibration, parse_rig
+from daq.rig_limits import Limits
 from daq.runs.mcap_run import read_run
 from daq.timing.align import decode, recorded_rig
 from drivers.mock.plant import StillPlant, StillState
