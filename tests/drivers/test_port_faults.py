@@ -41,7 +41,7 @@ def test_the_board_survives_faults(tmp_path: Path) -> None:
     ("SIGTERM", {"board": "ARMED"}, "armed at the end"),
     ("SIGTERM", {"status": 70, "said": "Traceback: ValueError"}, "status 70: Traceback: ValueError"),
     ("SIGKILL", {"status": -9, "said": ""}, ""),
-    ("every frame twice, up", {"zero_ms": 650.0, "driven_on": True, "status": 0, "said": ""}, ""),
+    ("every frame twice, from the board", {"zero_ms": 650.0, "driven_on": True, "status": 0, "said": ""}, ""),
     ("SIGTERM", {"struck": False}, "the recording ended before the fault came, time and again"),
 ])
 def test_what_is_wrong(name: str, changes: dict[str, object], what: str) -> None:
