@@ -20,6 +20,8 @@ from experiments.reports.fit_checks import GOOD_FIT, ROUGH_FIT, check_fit, torqu
 from experiments.reports.html import Level, VerdictBox
 from experiments.reports.run_agreement import units
 
+HEADLINE = 130
+"""Most letters of a box's title; of a longer sentence it is the part before the colon."""
 NAMED = 2
 """Kinds of suspect results that the first line names."""
 IN_SHORT: dict[str, str] = {
@@ -45,7 +47,7 @@ class Trust:
 
     def verdict(self, warnings: Sequence[str] = ()) -> VerdictBox:
         """For the head of a page."""
-        title, _, rest = self.sentence.partition(": ")
+        title, _, rest = self.sentence.partition(": ") if len(self.sentence) > HEADLINE else (self.sentence, "", "")
         lines = [f"{rest[:1].upper()}{rest[1:]}"] if rest else []
         return VerdictBox(self.level, title, [*lines, *self.reasons], [f"Warning: {text}" for text in warnings])
 
@@ -81,6 +83,9 @@ def fit_trust(result: FitResult) -> Trust:
     if not tested or not torque:
         return Trust("caution", f"NOT TESTED: the filters of {result.method} colour its residual, which cannot test "
                      "the parameters. Use mle.", facts)
+    if any(one.kind == "noise_share" for one in findings):
+        return Trust("caution", "TRUST WITH CARE: much of the torque counts as noise, so the intervals may be too "
+                     "narrow.", facts)
     if min(torque) < GOOD_FIT:
         return Trust("caution", "TRUST the parameters within their intervals; the model's torque is rough.", facts)
     if disputes:

@@ -34,11 +34,14 @@ def ask_facts(facts: RigFacts, ask: Callable[[str], str] | None = None) -> RigFa
         facts = replace(facts, bus=_named(facts.bus, "/dev/i2c-1"))
     get("gear_ratio", "gear ratio of the motor", _positive)
     get("torque_constant_nm_per_a", "joint torque per ampere of motor current, gear included [N m/A]", _positive)
-    get("port", "serial port of the controller, a CAN channel like can0, or none", _name, facts.port or "/dev/ttyACM0")
+    get("port", "serial port of the controller, a CAN channel like can0, or none (files alone)", _name,
+        facts.port or "/dev/ttyACM0")
     place = _named(facts.port, "/dev/ttyACM0")
     if place is not None and "/" not in place:
         facts = replace(facts, port=None, can_channel=place)
         get("node", "the controller's node on CAN", _whole(0, 63))
+    elif place is None:
+        return replace(facts, port=None, records=False)
     else:
         facts = replace(facts, port=place)
     get("rate_hz", "telemetry rate of the controller [Hz]", _positive)
@@ -55,7 +58,7 @@ def _answer(question: str, read: Callable[[str], T], ask: Callable[[str], str]) 
         try:
             text = ask(question).strip()
         except EOFError:
-            raise InputError("legid init", "the answers end before the questions",
+            raise InputError("input", "the answers end before the questions",
                              "answer all, or use --defaults or --probe") from None
         if not text:
             return None

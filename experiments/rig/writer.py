@@ -38,6 +38,8 @@ class RigFacts:
     speed_radps: float = 15.0
     q1_rad: float = 1.6
     q2_rad: float = 2.6
+    records: bool = True
+    """False: the rig has no controller and is for imported files."""
     known: frozenset[str] = frozenset()
     """Names of the fields that somebody gave or a device told; the rest is marked as assumed."""
 
@@ -55,8 +57,8 @@ def rig_toml(facts: RigFacts) -> str:
         mark = f"  {ASSUMED}" if field is not None and field not in facts.known else ""
         return f"{key} = {value}".ljust(33) + f" # {note}{mark}"
 
-    parts = ["# A rig of legid, written by legid init. Check every line marked ASSUMED, then run: legid doctor --rig "
-             "this file", "", "[mechanism]",
+    then = ", then run: legid doctor --rig this file" if facts.records else ""
+    parts = [f"# A rig of legid, written by legid init. Check every line marked ASSUMED{then}", "", "[mechanism]",
              line("model", f'"{facts.model}"', "leg2 | biped3 | joint1 | chain")]
     if facts.model == "chain":
         parts.append(line("links", str(facts.links), "number of links"))
@@ -69,8 +71,11 @@ def rig_toml(facts: RigFacts) -> str:
                   line("side", '"motor"', "motor | joint: where the drive's angle and torque are meant", "side"),
                   line("sign", "1", "-1: the drive counts backwards when the knee's angle grows", "sign")]), "",
               "[sampling]", line("rate_hz", "100.0", "grid on which runs are aligned [Hz]"),
-              line("hold", '"auto"', "zero | linear | average | smooth: torque between samples; or the likeliest"), "",
-              *_imu(facts, line), "", *_controller(facts, line), "",
+              line("hold", '"auto"', "zero | linear | average | smooth: torque between samples; or the likeliest"), ""]
+    if not facts.records:
+        more = "# A rig that records has [devices], [limits] and [calibration], too: docs/rig.md"
+        return "\n".join([*parts, more, ""])
+    parts += [*_imu(facts, line), "", *_controller(facts, line), "",
               "[limits]                          # beyond any of these the torque goes to zero and the run stops",
               line("torque_nm", _number(facts.torque_nm), "joint torque [N m]", "torque_nm"),
               line("speed_radps", _number(facts.speed_radps), "speed of either joint [rad/s]", "speed_radps"),

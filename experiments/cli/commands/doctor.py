@@ -32,6 +32,7 @@ def _seconds(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Check, say, judge."""
+    import shlex
     from pathlib import Path
 
     from daq import WorkError, load_rig
@@ -44,5 +45,7 @@ def run(args: argparse.Namespace) -> int:
     failed = [check.name for check in checks if check.status == "FAIL"]
     if failed:
         raise WorkError(f"{len(failed)} of {len(checks)} checks failed: {', '.join(failed)}")
-    print(f"all {len(checks)} checks passed" + (", with warnings" if any(c.status == "warn" for c in checks) else ""))
+    warned = ", with warnings" if any(c.status == "warn" for c in checks) else ""
+    then = f". Next: legid excite --rig {shlex.quote(args.rig)} --out PLAN.csv" if args.rig else ""
+    print(f"all {len(checks)} checks passed{warned}{then}")
     return 0

@@ -75,6 +75,8 @@ class _Number:
 
 def run(args: argparse.Namespace) -> int:
     """Design, write, tell."""
+    import shlex
+
     from daq import InputError, load_rig
     from daq.recording import write_plan
     from experiments.rig import rig_path
@@ -95,7 +97,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--holds", "is a plan without a model", "leave out --model and --session")
     plan = _designed(args, rig) if args.model else _plain(args, rig)
     write_plan(plan, args.out)
-    print(f"{args.out}: {plan.duration_s:.1f} s at most {plan.peak_nm:.3g} N m")
+    print(f"{args.out}: {plan.duration_s:.1f} s, at most {plan.peak_nm:.3g} N m. "
+          f"Next: legid record --rig {shlex.quote(args.rig)} --plan {shlex.quote(args.out)} --out RUN.mcap")
     return 0
 
 

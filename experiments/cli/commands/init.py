@@ -60,6 +60,9 @@ def run(args: argparse.Namespace) -> int:
     else:
         facts = ask_facts(facts)
     text = write_rig(path, facts, more)
-    print(f"{path}: written; {text.count(ASSUMED)} values are assumed and marked so. "
-          f"Next: legid doctor --rig {shlex.quote(str(path))}")
+    assumed = text.count(ASSUMED)
+    marked = f"; {assumed} values are assumed and marked so" if assumed else ""
+    rig = shlex.quote(str(path))
+    then = f"legid doctor --rig {rig}" if facts.records else f"legid import FILE..., then legid fit RUN... --rig {rig}"
+    print(f"{path}: written{marked}. Next: {then}")
     return 0

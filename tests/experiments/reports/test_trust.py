@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from daq.rig import load_rig
-from estimator import Combination, FitOptions, fit
+from estimator import Combination, Finding, FitOptions, fit
 from estimator.model import leg2
 from estimator.prediction import SHORT_S, PredictedRun, tabulate
 from experiments import cli
@@ -129,6 +129,19 @@ def test_what_no_leg_can_be_is_not_to_be_used() -> None:
     every = tuple(Combination(((name, 1.0),)) for name in sound.mechanism.names)
     assert "no parameter" in fit_trust(replace(sound, undetermined=every)).sentence
     assert fit_trust(replace(sound, method="wls")).sentence.startswith("NOT TESTED")
+
+
+def test_a_noisy_torque_is_no_plain_trust() -> None:
+    """A leg whose shunt had a noise of 30 % of its torque: TRUST, and a warning of intervals that are too narrow."""
+    sound = synthetic_fit()
+    noisy = replace(sound, findings=(Finding("warning", "noise_share", "29 % of the torque's spread counts as noise"),))
+    assert fit_trust(sound).sentence.startswith("TRUST the parameters")
+    found = fit_trust(noisy)
+    assert found.level == "caution" and found.sentence.startswith("TRUST WITH CARE: much of the torque counts as noise")
+    box = found.verdict()
+    assert box.title == found.sentence and list(box.lines) == list(found.reasons)
+    long = replace(found, sentence=f"B IS BETTER: {'word ' * 40}")
+    assert long.verdict().title == "B IS BETTER" and long.verdict().lines[0].startswith("Word word")
 
 
 def test_residuals_of_sensors_and_of_the_passive_joint_count_too() -> None:

@@ -62,6 +62,18 @@ def test_by_asking(tmp_path: Path, answers: Callable[..., list[str]], capsys: py
     assert text.count("ASSUMED, please measure") == 3  # knee zero, shunt offset, mount
 
 
+def test_files_alone_need_no_devices_and_no_limits(tmp_path: Path, answers: Callable[..., list[str]],
+                                                   capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.toml"
+    asked = answers("", "", "", "0.17", "none", "50", "", "none")
+    assert main(["init", str(path)]) == 0
+    rig, text = load_rig(path), path.read_text()
+    assert len(asked) == 8 and rig.devices.controller is None and rig.devices.imu is None
+    assert rig.imus[0].lever_arm_m == 0.17 and rig.motor.gear_ratio == 50.0
+    assert "ASSUMED, please" not in text and "[limits]\n" not in text and "doctor" not in text
+    assert "rig.toml: written. Next: legid import FILE..., then legid fit" in capsys.readouterr().out
+
+
 def test_a_chain_on_can(tmp_path: Path, answers: Callable[..., list[str]]) -> None:
     path = tmp_path / "chain.toml"
     answers("pendulum", "chain", "3", "2,3", "", "20", "", "can0", "5", "", "", "", "", "")
