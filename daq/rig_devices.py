@@ -36,7 +36,7 @@ class ControllerDevice(Table, frozen=True, kw_only=True, forbid_unknown_fields=T
     node: Annotated[int, Meta(ge=0, le=127)] = 0
     """The controller's node on CAN: up to 63, a moteus' `id.id` up to 127."""
     rate_hz: Positive = 500.0
-    """Of the telemetry: as the firmware sends it, or as a polled drive is asked."""
+    """Telemetry rate [Hz]: what the firmware sends, or how often a polled drive is asked."""
     watchdog_ms: Annotated[int, Meta(ge=5, le=1000)] = 100
 
 

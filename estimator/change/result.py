@@ -23,7 +23,7 @@ class Size:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Gain on test runs that did not choose the cause or its size."""
+    """Gain on held-out runs, which chose neither the cause nor its size."""
 
     runs: tuple[str, ...]
     gain: tuple[float, ...]

@@ -98,7 +98,7 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
     held = _held_out(groups, folds, chosen)
     if not sum(held.gain) > 0.0 or 2 * sum(g > 0.0 for g in held.gain) <= len(held.gain):
         return replace(base, verdict="changed_unexplained", held_out=held,
-                       sentence=f"{words.something}, and no listed cause predicts runs that did not choose it.")
+                       sentence=f"{words.something}, and no listed cause predicts the held-out runs.")
     causes = tuple(_cause(scored, k) for k in chosen)
     rest = _without(scored, chosen)
     if min(map(rest.p_value, range(len(groups)))) < ALPHA:

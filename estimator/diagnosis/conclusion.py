@@ -234,7 +234,7 @@ def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explan
     causes = {c.effect + str(c.joint): c for t in indistinguishable for c in causes_of(t, p_value, found)}
     rivals = [causes_of(t, p_value, found) for t in indistinguishable]
     if len(indistinguishable) == 1:
-        told = "; ".join(f"{c.sentence} ({label(c.effect, c.joint)}: {sizes_text(c)})" for c in rivals[0])
+        told = "; ".join(_told(c) for c in rivals[0])
         sentence = f"{told[0].upper()}{told[1:]}."
         steps = "; ".join(sorted({e.experiment for e in best.model.named}))
         if partial:
@@ -242,12 +242,16 @@ def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explan
         return replace(found, verdict="partial" if partial else "named", sentence=sentence,
                        causes=tuple(causes.values()),
                        next_experiment=f"To measure it better: {steps}.")
-    told = " or ".join(" with ".join(f"{c.sentence} ({label(c.effect, c.joint)}: {sizes_text(c)})" for c in r)
-                       for r in rivals)
+    told = " or ".join(" with ".join(_told(c) for c in r) for r in rivals)
     steps = "; ".join(f"for {' and '.join(e.key for e in t.model.named)}: "
                       f"{'; '.join(e.experiment for e in t.model.named)}" for t in indistinguishable)
     return replace(found, verdict="one_of", sentence=f"One of these causes; these runs cannot tell which: {told}.",
                    causes=tuple(causes.values()), next_experiment=f"To tell them apart: {steps}.")
+
+
+def _told(cause: Cause) -> str:
+    """Its sentence, its place and its sizes with intervals."""
+    return f"{cause.sentence}: {label(cause.effect, cause.joint)}, {sizes_text(cause)}"
 
 
 def _where(found: Diagnosis) -> str:

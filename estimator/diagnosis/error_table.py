@@ -43,7 +43,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class ErrorTable:
-    """Squared free-run errors of several models on runs that chose nothing."""
+    """Squared free-run errors of several models on held-out runs."""
 
     columns: tuple[tuple[str, float], ...]
     """(sensor column, horizon [s])"""

@@ -108,7 +108,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class BudgetRow:
-    """One part of the simulation's error on runs that chose nothing."""
+    """One part of the simulation's error on held-out runs."""
 
     what: str
     """nominal | cause | remainder | noise"""

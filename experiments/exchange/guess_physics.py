@@ -98,7 +98,7 @@ def find_imu(rate_hz: float, gyro: Mapping[str, FloatArray], accel: Mapping[str,
     best.sort(key=lambda row: row[0].left)
     (first, side, read, pose, lever), (second, *_) = best[0], best[1]
     unit, sign, said = first.unit or "rad/s", first.sign, unit_in_name(turning, "gyro_radps")
-    fits = f"in {unit}, sign {sign:+d}, its integral explains accel_x but for {100 * first.left:.1f} %"
+    fits = f"in {unit}, sign {sign:+d}, its integral explains accel_x, all but {100 * first.left:.1f} %"
     known, unsure = first.left <= EXPLAINS and heavy, second.left < CLEAR * first.left
     if first.left > EXPLAINS:
         unexplained.append(f"no unit and sign of {turning!r} explains the accelerometer (the best leaves "
@@ -224,9 +224,9 @@ def find_knee(raw: Dataset, columns: Mapping[str, Column], pose: Pose | None, gr
              "tau2_nm": "NOT KNOWN: its sign does not show"}
     if known:
         prefix = NOT_SURE if unsure else ""
-        notes = {"q2_rad": f"{prefix}in {unit}, sign {first.sign:+d}, the equation of motion leaves "
+        notes = {"q2_rad": f"{prefix}in {unit}, sign {first.sign:+d}, the equation of motion explains all but "
                            f"{100 * first.left:.1f} % of the torque (next best: {100 * second.left:.0f} %)",
-                 "tau2_nm": f"{prefix}with sign {first.works:+d} inertias are positive, and it does the knee's work"}
+                 "tau2_nm": f"{prefix}with sign {first.works:+d} inertias are positive, and the torque drives the knee"}
     warnings += scale_warnings("tau2_nm", torque)
     if not knee.unit and re.search("motor", knee.name, re.IGNORECASE):
         warnings.append(f"{knee.name!r} sounds like the motor's angle: then set unit, scale (1 / gear ratio) by hand")

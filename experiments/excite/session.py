@@ -212,5 +212,5 @@ def session_text(found: PlannedSession, folder: Path) -> str:
               f"predicted standard errors of all together: {told}; "
               f"{float(np.exp(np.mean(np.log(after / before)))):.2f} of as many first draws' in the mean"]
     if len(found.plans) < TURN * TURN:
-        lines.append(f"with fewer than {TURN * TURN} runs not every part of a diagnosis sees every kind")
+        lines.append(f"fewer than {TURN * TURN} runs do not give each part of a diagnosis every kind of run")
     return "\n".join(lines)

@@ -78,7 +78,7 @@ class Bench:
             self._looking = self._keep(self._look(fresh))
 
     def stop_looking(self) -> None:
-        """Before a recording, which is to have the machine to itself; what was not looked at is later."""
+        """Stop reading runs before a recording, which needs the whole machine. The rest is read later."""
         if self._looking is not None:
             self._looking.cancel()
             self._looking = None

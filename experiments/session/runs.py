@@ -30,7 +30,7 @@ def _read(path: Path | str, rig: Rig) -> Dataset:
 
 
 def require_whole(data: Dataset, damaged: bool = False) -> Dataset:
-    """`data` itself. Raises `InputError` where something is missing of its file, unless `damaged` ones are wanted."""
+    """`data` itself. Raises `InputError` if its file is damaged and `damaged` is False."""
     if data.damage and not damaged:
         raise InputError(data.name, f"is damaged: {'; '.join(map(str, data.damage))}",
                          "save what is whole with legid recover, or use it as it is with --damaged")

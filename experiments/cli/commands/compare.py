@@ -101,7 +101,7 @@ def _compare_models(args: argparse.Namespace) -> int:
     from experiments.workflows import compare_models
 
     if len(args.places) < 3 or not args.places[1].lower().endswith(MODEL) or args.others:
-        raise InputError(args.places[0], "is a model, and a second model and runs do not follow it",
+        raise InputError(args.places[0], "is a model and needs a second model and runs after it",
                          "give A.json B.json RUN...")
     args.runs = args.places[2:]
     paths = args.places[0], args.places[1]

@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         warn(text)
     seen = seen_in_fit(model, origin.runs)
     if seen:
-        warn(f"{args.model} was fitted to {', '.join(seen)}, which so do not validate it; give other runs")
+        warn(f"{args.model} was fitted to {', '.join(seen)}, which therefore do not validate it; give other runs")
     found = validate_prepared(model, prepared, args.model, origin.runs, against, args.horizons or HORIZONS_S, True)
     table, steps, trust = found.table, found.steps, found.trust
     print("\n".join([trust.sentence, *trust.reasons, "", validation_text(table), horizons_text(table)]))
