@@ -110,7 +110,7 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
     if first:
         several = (*causes, *(_cause(scored, k) for k in first.values()))
         return replace(base, verdict="one_of", causes=several, held_out=held,
-                       sentence=f"{words.one_of}: {_words(several)}. These runs cannot tell which.")
+                       sentence=f"{words.one_of}: {' or '.join(map(_word, several))}. These runs cannot tell which.")
     return replace(base, verdict="named", causes=causes, held_out=held, sentence=f"{words.changed}: {_words(causes)}.")
 
 

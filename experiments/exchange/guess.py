@@ -102,7 +102,7 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81) -> Guess:
         warnings += imu.warnings
         unexplained += imu.unexplained
         pose = imu.pose
-        curves["accel_x_mps2: read, and as gyro and gravity make it [m/s²]"] = imu.check
+        curves["accel_x_mps2: measured, and computed from gyro and gravity [m/s²]"] = imu.check
     elif "q1_rad" not in columns:
         raise _lacking(imported, "a gyro and two axes of an accelerometer, or an angle of the pivot",
                        {kind: WORDS[kind] for kind in ("gyro", "accel")} | {"q1": WORDS["q1_rad"]})
@@ -116,7 +116,7 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81) -> Guess:
         notes["q2_rad"] = f"of the columns that may be the knee's angle: {', '.join(left)}"
     columns |= knee.columns
     notes |= {name: "\n".join(filter(None, (notes.get(name, ""), text))) for name, text in knee.notes.items()}
-    curves["tau2_nm: read, and as the motion makes it [N m]"] = knee.check
+    curves["tau2_nm: measured, and computed from the motion [N m]"] = knee.check
     warnings += knee.warnings
     unexplained += knee.unexplained
     if pose is not None and "q1_rad" in columns and not columns["q1_rad"].unit:
@@ -164,7 +164,7 @@ def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict
     theirs |= found.columns
     reasons = {TIME: notes[TIME]} if TIME in notes else {}
     last = max(name for name in theirs if name.startswith("tau"))
-    curves = {f"{last}: read, and as the motion makes it [N m]": found.check}
+    curves = {f"{last}: measured, and computed from the motion [N m]": found.check}
     return Guess(theirs, reasons | found.notes, found.warnings, found.unexplained, apply_map(imported, theirs), curves)
 
 
@@ -175,7 +175,7 @@ def _guess_joint(imported: ImportedFile, columns: dict[str, Column], notes: dict
     joint = find_joint(apply_map(imported, theirs), theirs)
     theirs |= joint.columns
     reasons = {TIME: notes[TIME]} if TIME in notes else {}
-    curves = {"tau1_nm: read, and as the motion makes it [N m]": joint.check}
+    curves = {"tau1_nm: measured, and computed from the motion [N m]": joint.check}
     return Guess(theirs, reasons | joint.notes, joint.warnings, joint.unexplained, apply_map(imported, theirs), curves)
 
 

@@ -116,7 +116,7 @@ def change_plot(detectable: Sequence[Detectable], name: str) -> str:
 
     def paint(axes: Axes) -> None:
         paint_changes(axes, some)
-        finish(axes, 2, "change / smallest detectable change", "")
+        finish(axes, 1, "change over\nsmallest detectable change", "")  # long names leave the axes narrow
 
     return draw(f"change {name}", 1.05 + ROW_IN * len(some), paint)
 
@@ -136,6 +136,7 @@ def paint_changes(axes: Axes, some: Sequence[Detectable]) -> None:
     axes.scatter([], [], s=20.0, c=BLUE, label="change")
     if np.abs(share).max(initial=0.0) > 5.0:
         axes.set_xscale("symlog", linthresh=1.0)
+        axes.xaxis.set_major_formatter("{x:g}")
     axes.set_yticks(rows, [f"{label(d)}{f' {d.name}' if d.effect == 'parameter' else ''}".replace("_", " ")
                            for d in some])
     axes.invert_yaxis()

@@ -1,4 +1,4 @@
-"""The picture of a guessed map of columns: what was read over what physics makes of the other columns."""
+"""The picture of a guessed map of columns: each reading, and the same computed from the other columns."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def guess_section(guess: Guess, file: str) -> Section:
     pictures = []
     for title, (read, made) in guess.curves.items():
         time_s = np.arange(read.size) / guess.run.rate_hz
-        lines = [Line("read", read, BLUE, 2.0), Line("made", made, ORANGE, 1.0)]
+        lines = [Line("measured", read, BLUE, 2.0), Line("computed", made, ORANGE, 1.0)]
         column, unit = title.split(":")[0], title[title.rindex("["):]
         pictures.append(picture_lines(time_s, lines, f"{column} {unit}", title, SECONDS))
-    return Section("Columns", [f"Guessed from {file}. Where a figure's two curves agree, unit and sign are right; no "
+    return Section("Columns", [f"Guessed from {file}. Unit and sign are right if a figure's two curves agree. No "
                                "figure shows the torque's scale."], [Table(GUESS_HEADER, guess_rows(guess))], pictures)
