@@ -152,7 +152,7 @@ def _torques(result: FitResult, benchmark: FitResult | None) -> list[Section]:
 
 def _torque_caption(result: FitResult, path: Trajectory, j: int, unknown: BoolArray, cut: bool) -> str:
     driven, force = j in result.mechanism.actuated, result.mechanism.force_unit
-    text = f"Torque of joint {j + 1}" + ("" if driven else ", which has no motor: it must be zero")
+    text = f"Torque of joint {j + 1} in run {path.run}" + ("" if driven else ", which has no motor: it must be zero")
     text += f". Rms of measured minus model: {float(result.torque_residual_rms[j]):.3g} {force}"
     left = (path.tau_measured[:, j] - path.tau[:, j])[~unknown]
     if unknown.any() and left.size:
