@@ -144,8 +144,12 @@ def _agreed(files: list[str], target: Path) -> bool:
 
 
 def _show_next(args: argparse.Namespace, target: Path) -> None:
-    """Print the command that imports by the guessed map."""
+    """Print the command that imports by the guessed map; a CSV that lies here already needs another directory."""
     import shlex
+    from pathlib import Path
 
-    out = "" if args.out == "." else f" --out {shlex.quote(args.out)}"
+    there = any(Path(file).suffix == ".csv" and Path(file).resolve().parent == Path(args.out).resolve()
+                for file in args.files)
+    where = "runs" if there else args.out
+    out = "" if where == "." else f" --out {shlex.quote(where)}"
     print(f"then: legid import {shlex.join(args.files)} --map {shlex.quote(str(target))}{out}")

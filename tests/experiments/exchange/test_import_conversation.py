@@ -31,6 +31,16 @@ def test_it_shows_each_file_and_the_command_that_imports(files: list[str], tmp_p
     assert sorted(p.name for p in out.iterdir()) == ["columns.html", "columns.toml"]
 
 
+def test_the_command_that_it_names_works_next_to_the_logs(files: list[str], tmp_path: Path,
+                                                         monkeypatch: pytest.MonkeyPatch,
+                                                         capsys: pytest.CaptureFixture[str]) -> None:
+    """A log that is a CSV would be written onto itself."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["import", "log0.csv", "--map", "columns.toml", "--guess"]) == 0
+    then = capsys.readouterr().out.splitlines()[-1].removeprefix("then: legid ").split()
+    assert main(then) == 0 and read_csv(tmp_path / "runs" / "log0.csv").columns["q1_rad"].size == 3000
+
+
 @pytest.mark.parametrize(("answer", "imported"), [("y", True), ("n", False), ("", False)])
 def test_it_asks_a_person(answer: str, imported: bool, files: list[str], tmp_path: Path,
                           monkeypatch: pytest.MonkeyPatch) -> None:

@@ -59,7 +59,7 @@ def test_fit_report_shows_figures_4_and_5_and_the_validation(demo: Path) -> None
     for words in ("Parameters", "Against the truth", "Accelerometer and gyro", "it must be zero", "wls (encoder)",
                   "Free-run simulation against validation data", "Noise levels", "What is not determined"):
         assert words in page
-    assert page.count("<svg") == 11 and "http-equiv" in page and allowed_script(page)
+    assert page.count("<svg") == 13 and "http-equiv" in page and allowed_script(page)
 
 
 @pytest.mark.slow
