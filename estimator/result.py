@@ -160,7 +160,7 @@ class PriorValue:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Both methods fitted to one half of the data predict the other half, and the reverse."""
+    """Two-fold cross-validation of both methods: each half of the data is predicted by fits to the other half."""
 
     gain: float
     """Share by which the rms error over a second is lower with shooting than with mle: geometric mean over seconds."""

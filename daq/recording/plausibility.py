@@ -74,7 +74,7 @@ class Lasting:
         self.lasted_s = 0.0
 
     def see(self, wrong: bool, time_s: float, begun: bool = False) -> None:
-        """At `time_s` [s] it is wrong, or not; what is wrong later has been so since it had `begun`."""
+        """Note at `time_s` [s] whether the check fails. A failure counts from the time at which it had `begun`."""
         self._since_s = None if not (wrong or begun) else time_s if self._since_s is None else self._since_s
         self.lasted_s = time_s - self._since_s if wrong and self._since_s is not None else 0.0
 

@@ -236,7 +236,7 @@ class Recorder:
         return ""
 
     def _close(self, why: str, stopped: str) -> None:
-        """How well the clock was known, the last event where something went wrong, and the end of the file."""
+        """Write the clock's bound and the last event, and end the file."""
         try:
             bound_s = self._leg.clock_bound_s()
             if bound_s is not None:

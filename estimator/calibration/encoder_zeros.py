@@ -49,14 +49,14 @@ class Zeros:
 
 @dataclass(frozen=True)
 class Differing:
-    """Evidence that encoders' zeros differ from run to run, by joint of which they do."""
+    """Evidence that encoders' zeros differ from run to run, for each joint whose zero does."""
 
     joints: tuple[int, ...]
     """0-based"""
     spread: FloatArray
     """(joints,) standard deviation between the runs [rad, or m on a slide]"""
     p_value: FloatArray
-    """(joints,) that the two halves of a run agree so much better than the runs"""
+    """(joints,) probability that the halves of a run agree so much better than the runs if no zero differs"""
     left: FloatArray
     """(n,) torque residual of least squares without the zeros over that with them"""
 

@@ -16,7 +16,7 @@ from estimator.effects import Effect
 from estimator.model import has_bodies
 
 KINDS: dict[str, Kind] = {"sensors": "sensors", "stand": "environment"}
-"""Module of an effect to what it is a change of; others belong to timing or to the mechanics."""
+"""Module of an effect -> kind of change; effects of other modules are changes of timing or of mechanics."""
 
 
 @dataclass(frozen=True)

@@ -189,9 +189,9 @@ class Effect(ABC):
     lag_s: ClassVar[float] = 0.0
     """Delay of its action against its law [s]: a smaller delay found together with it is no second cause."""
     near_rest: ClassVar[bool] = False
-    """It acts where a joint reverses: there no smoothed sign is exact, and tests find a little of it in every leg."""
+    """True if it acts where a joint reverses: the smoothed sign is inexact there, so every leg shows a little."""
     strict: ClassVar[bool] = False
-    """With a shape at a limit of its range it is another thing than its name says."""
+    """True if a shape parameter at a limit of its range makes it another effect than its name says."""
     rough: ClassVar[Mapping[Kind, float]] = {}
     """Kind of channel -> allowed factor on its noise level with this effect, whose law is not exact there."""
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()

@@ -1,4 +1,4 @@
-"""Kinds of torque plan that an experiment is made of: what each moves. Which effect calls for which, it says itself."""
+"""Kinds of torque plan and the motion that each gives. An effect names the kinds that show it."""
 
 from __future__ import annotations
 

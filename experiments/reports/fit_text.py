@@ -47,7 +47,7 @@ OF_ONE_IMU = re.compile(r"(gyro|accel)([0-9]+)(_[xy])?(_radps|_mps2)")
 
 
 def noise_rows(result: FitResult) -> list[list[str]]:
-    """channel, level, unit of every noise level; none of several together whose own are there."""
+    """(channel, level, unit) of each noise level. A common level is left out if each of its sensors has its own."""
     rows = []
     for name, level in result.noise.items():
         told, unit = _channel(result, name)

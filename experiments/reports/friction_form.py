@@ -9,9 +9,9 @@ from estimator import FitResult
 
 
 def friction_lines(result: FitResult) -> list[str]:
-    """A line for each joint: the share that Coulomb friction takes of what both terms take, with its 95 % interval.
+    """A line for each joint: share of Coulomb friction in the energy that friction dissipates, with its 95 % interval.
 
-    None where a joint is driven, where the motor's power hides what is lost.
+    Empty if a joint is driven: the motor's power hides the dissipation.
     """
     if result.mechanism.actuated or not result.trajectories:
         return []

@@ -52,7 +52,7 @@ class RunLine:
     clipped: int = 0
     """IMU samples with an axis at its rail: the true reading is beyond."""
     ended: str = ""
-    """Why the run ended early, or what is missing of its file; empty when nothing is, or nobody knows."""
+    """Why the run ended early, or what is missing of its file; empty if nothing is known."""
     verdict: str | None = None
     causes: tuple[str, ...] = ()
     """`effect@joint` of that verdict."""
