@@ -62,8 +62,6 @@ class DiagnosisContext:
     rng: np.random.Generator
     given_up: set[frozenset[str]] = field(default_factory=set)
     """Sets of effects whose fits were much less likely than others."""
-    first: list[Model] | None = None
-    """Fits of the most promising effects, once they are made."""
 
     @property
     def split(self) -> RunSplit:

@@ -96,11 +96,9 @@ def keys_of(explanation: Explanation) -> frozenset[str]:
 
 
 def fit_first(context: DiagnosisContext, tests: ScoreTests) -> list[Model]:
-    """The two most promising effects, each fitted alone; a search that begins again takes them over."""
-    if context.first is None:
-        starts = [start_of(context, tests, i) for i in promising(context, tests, SINGLES)[:FIRST_SINGLES]]
-        context.first = fit_models(context, starts)
-    return context.first
+    """The two most promising effects, each fitted alone."""
+    first = promising(context, tests, SINGLES)[:FIRST_SINGLES]
+    return fit_models(context, [start_of(context, tests, i) for i in first])
 
 
 def fit_singles(context: DiagnosisContext, tests: ScoreTests, first: Sequence[Model] = ()) -> list[Explanation]:

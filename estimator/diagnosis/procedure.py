@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -144,49 +144,63 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     def far_wrong() -> bool:
         return not known or known[-1].error(NOMINAL) > FAR_WRONG
 
-    options, other = search(context, tests, say, stated, promising, far_wrong)
-    if other is not None:
+    searched = search(context, tests, say, stated, promising, far_wrong)
+    found, other = next(searched)
+    while other is not None:
         with suppress(FitError):
             again = _diagnose(replace(split, mechanism=other, stiction={}), seed, say, reference, material, None, bias,
                               nominal)
             if again is not None:
                 return again
-        options, _ = search(context, tests, say, None, promising, far_wrong)
+        found, other = next(searched)
     say("simulating the held-out runs", 0.85)
-    concluded = conclude(context, base, tests, options, rng, material, known, ordinary)
+    concluded = conclude(context, base, tests, found, rng, material, known, ordinary)
     return None if concluded is None else replace(concluded, mechanism=split.mechanism)
 
 
 def search(context: DiagnosisContext, tests: ScoreTests, say: Progress, stated: Mechanism | None,
            promise: Callable[[Sequence[Explanation]], bool], far_wrong: Callable[[], bool]
-           ) -> tuple[list[Explanation], Mechanism | None]:
-    """Fitted explanations; or the mechanism with another smoothing velocity, as soon as the best one has another."""
+           ) -> Iterator[tuple[list[Explanation], Mechanism | None]]:
+    """Fitted explanations, at the end with None.
+
+    Before that, once at most and as soon as the likeliest has another smoothing velocity, those found so far with a
+    mechanism that has it: asked for the next, the search goes on with the velocity that it began with.
+    """
+    def another(model: Model | None) -> Mechanism | None:
+        nonlocal stated
+        found = smoothing_velocity_with(model, stated)
+        stated = stated if found is None else None
+        return found
+
     say("re-fitting the best explanations", 0.4)
     first = fit_first(context, tests)
-    other = smoothing_velocity_with(likeliest_of(first), stated)
+    other = another(likeliest_of(first))
     if other is not None:
-        return [], other
+        yield [], other
     options = fit_singles(context, tests, first)
     best = likeliest_of([e.model for e in options])
-    other = None if any(best is m for m in first) else smoothing_velocity_with(best, stated)
+    other = None if any(best is m for m in first) else another(best)
     if other is not None:
-        return [], other
+        yield options, other
     say("scoring their residuals", 0.6)
     options = assess_residuals(context, options[:MOST_ASSESSED])
     if options and not promise(options):
-        return options, None
+        yield options, None
     if far_wrong() and not any(e.adequate for e in closing(context, options)):
         say("re-fitting all others", 0.65)
         every = fit_others(context, tests, options)
         found = likeliest_of([e.model for e in every])
         if found is not None and not any(found is e.model for e in options):
-            other = smoothing_velocity_with(found, stated)
+            other = another(found)
             if other is not None:
-                return [], other
+                yield options, other
             options = assess_residuals(context, every[:MOST_ASSESSED])
     options = explain(context, tests, options, say, promise)
     more = max((e for e in options if len(e.model.effects) > 1), key=lambda e: (e.adequate, e.gain), default=None)
-    return options, None if more is None else smoothing_velocity_with(more.model, stated)
+    other = None if more is None else another(more.model)
+    if other is not None:
+        yield options, other
+    yield options, None
 
 
 def likeliest_of(models: Sequence[Model]) -> Model | None:

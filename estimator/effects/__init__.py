@@ -11,6 +11,7 @@ from estimator.effects.base import (
     SensorEffect,
     Shape,
     Size,
+    StateEffect,
     TorqueEffect,
     View,
 )
@@ -36,6 +37,7 @@ __all__ = [
     "SensorTimeSkew",
     "Shape",
     "Size",
+    "StateEffect",
     "TorqueEffect",
     "View",
     "battery",

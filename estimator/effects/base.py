@@ -8,8 +8,8 @@ simulation all call the same `perturb`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -79,6 +79,8 @@ class Points:
     """Number of the run, 0, 1, ..."""
     exchanged: FloatArray | float = 0.0
     """1 where a walker's leg 2 stands, see `Mechanism.exchanged`."""
+    state: FloatArray | float = 0.0
+    """(...) of a `StateEffect`."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,9 @@ class Joined(Protocol):
 
     joint: int | None
 
+    def felt(self, count: int) -> Iterable[int]:
+        """Joints of `count` whose motion its law depends on."""
+
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         """(...) torque on the joint [N m]."""
 
@@ -207,6 +212,15 @@ class Effect(ABC):
     def parts(self) -> tuple[Joined, ...]:
         """Terms whose sum is its law, joint by joint."""
         return (self,)
+
+    @property
+    def has_state(self) -> bool:
+        """Whether its law has a state in a simulation."""
+        return isinstance(self, StateEffect) and self.parts == (self,)
+
+    def felt(self, count: int) -> Iterable[int]:
+        """Joints of `count` whose motion its law depends on."""
+        return (self.joint or 0,)
 
     @property
     def key(self) -> str:
@@ -311,6 +325,42 @@ class TorqueEffect(Effect):
         out = np.zeros_like(at.q)
         out[self.joint or 0] = self.law(at, size, view)
         return out
+
+
+class StateEffect(Effect):
+    """A torque by the motion and one state z, which begins as sign(v) and forgets: z[k+1] = e z[k] + (1 - e) target.
+
+    The state is linear between samples.
+    """
+
+    per_joint = True
+    instant = True
+
+    @abstractmethod
+    def relaxation(self, v: tuple[FloatArray, FloatArray], sign: tuple[FloatArray, FloatArray], size: FloatArray,
+                   dt_s: float) -> tuple[FloatArray, FloatArray]:
+        """(e, target) over intervals, by rate and smoothed sign (...) at both ends."""
+
+    def states(self, v: FloatArray, sign: FloatArray, starts: NDArray[np.intp], size: FloatArray, dt_s: float
+               ) -> FloatArray:
+        """z (N,) along the rates v (N,) of segments that begin at samples `starts`: one bidiagonal solve."""
+        from scipy.linalg import solve_banded
+
+        decay, target = self.relaxation((v[:-1], v[1:]), (sign[:-1], sign[1:]), size, dt_s)
+        decay[starts[1:] - 1] = 0.0
+        right = np.concatenate([sign[:1], (1.0 - decay) * target])
+        right[starts] = sign[starts]
+        band = np.ones((2, v.shape[0]))
+        band[1, :-1] = -decay
+        return np.asarray(solve_banded((1, 0), band, right, check_finite=False))
+
+    def perturb(self, view: View, size: FloatArray) -> Perturbation:
+        j, s = self.joint or 0, view.samples
+        z = self.states(s.v[j], s.sign[j], view.starts, size, view.dt_s)
+        gauss, samples = np.zeros_like(view.gauss.q), np.zeros_like(s.q)
+        gauss[j] = self.law(replace(view.gauss, state=view.to_gauss(z)), size, view)
+        samples[j] = self.law(replace(s, state=z), size, view)
+        return Perturbation(gauss, samples)
 
 
 class SensorEffect(Effect):

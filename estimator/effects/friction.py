@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.effects.base import CONSTANT, Effect, Perturbation, Points, Shape, Size, TorqueEffect, View
+from estimator.effects.base import CONSTANT, Points, Shape, Size, StateEffect, TorqueEffect, View
 from estimator.model import Mechanism
 
 
@@ -128,7 +127,7 @@ class FrictionDrift(TorqueEffect):
         return level * at.sign[self.joint or 0]
 
 
-class PreslidingFriction(Effect):
+class PreslidingFriction(StateEffect):
     """LuGre bristles in place of part of the sign: A (z - sign v) + B (v - |v| z), dz/ds = (sign v - z) / s0.
 
     The state z lags the sign of the velocity over a displacement s0 along the path s after a reversal. Bristles that
@@ -149,33 +148,12 @@ class PreslidingFriction(Effect):
     experiment = "micro-motions: sines of a few milliradians about several angles"
     depends_on = "v"
     plans = ("micro", "slow")
-    per_joint = True
 
-    def perturb(self, view: View, size: FloatArray) -> Perturbation:
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         j = self.joint or 0
-        z = relaxed_sign(view.samples.v[j], view.samples.sign[j], view.starts, view.dt_s, size[-1])
-        gauss, samples = np.zeros_like(view.gauss.q), np.zeros_like(view.samples.q)
-        for at, state, out in ((view.gauss, view.to_gauss(z), gauss), (view.samples, z, samples)):
-            out[j] = size[0] * (state - at.sign[j]) + size[1] * (at.v[j] - np.abs(at.v[j]) * state)
-        return Perturbation(gauss, samples)
+        return size[0] * (at.state - at.sign[j]) + size[1] * (at.v[j] - np.abs(at.v[j]) * at.state)
 
-
-def relaxed_sign(v: FloatArray, sign: FloatArray, starts: NDArray[np.intp], dt_s: float, distance: float) -> FloatArray:
-    """z (N,) of dz/ds = (sign - z) / distance along the path, from z = sign at each start.
-
-    Exact over an interval of constant sign: z[k+1] = z[k] e + sign (1 - e), e = exp(-|dq| / distance); the
-    recurrence is one bidiagonal solve.
-    """
-    from scipy.linalg import solve_banded
-
-    path = 0.5 * np.abs(v[1:] + v[:-1]) * dt_s
-    decay = np.exp(-path / distance)
-    target = 0.5 * (sign[1:] + sign[:-1])
-    decay[starts[1:] - 1] = 0.0
-    rhs = np.empty_like(v)
-    rhs[0] = sign[0]
-    rhs[1:] = (1.0 - decay) * target
-    rhs[starts] = sign[starts]
-    band = np.ones((2, v.shape[0]))
-    band[1, :-1] = -decay
-    return np.asarray(solve_banded((1, 0), band, rhs, check_finite=False))
+    def relaxation(self, v: tuple[FloatArray, FloatArray], sign: tuple[FloatArray, FloatArray], size: FloatArray,
+                   dt_s: float) -> tuple[FloatArray, FloatArray]:
+        """Exact over an interval of constant sign: e = exp(-|dq| / s0)."""
+        return np.exp(-0.5 * np.abs(v[1] + v[0]) * dt_s / size[-1]), 0.5 * (sign[1] + sign[0])

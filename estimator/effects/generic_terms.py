@@ -6,12 +6,12 @@ significant.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects.base import Effect, Perturbation, Points, Size, View
+from estimator.effects.base import Effect, Perturbation, Points, Size, TorqueEffect, View
 from estimator.model import Mechanism
 from estimator.signals import IMU_CHANNELS, Channel, encoder_of
 
@@ -59,7 +59,7 @@ READINGS: dict[str, Reading] = {
 }
 
 
-class GenericTorque(Effect):
+class GenericTorque(TorqueEffect):
     """size * law(motion) on one joint."""
 
     sizes = (Size("size", "N m", 0.01),)
@@ -75,12 +75,11 @@ class GenericTorque(Effect):
     def key(self) -> str:
         return f"{self.label}@{(self.joint or 0) + 1}"
 
-    def perturb(self, view: View, size: FloatArray) -> Perturbation:
-        j = self.joint or 0
-        gauss, samples = np.zeros_like(view.gauss.q), np.zeros_like(view.samples.q)
-        gauss[j] = size[0] * self._law(view.gauss, j)
-        samples[j] = size[0] * self._law(view.samples, j)
-        return Perturbation(gauss, samples)
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        return size[0] * self._law(at, self.joint or 0)
+
+    def felt(self, count: int) -> Iterable[int]:
+        return range(count)
 
 
 class GenericReading(Effect):

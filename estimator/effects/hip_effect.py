@@ -7,7 +7,7 @@ rest, with one size.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
@@ -29,6 +29,10 @@ class Half:
     def acts(self, at: Points) -> FloatArray:
         """1 where it acts, 0 elsewhere; as broad as the instants of `at`."""
         return np.asarray(np.equal(at.exchanged, self.exchanged), dtype=np.float64)
+
+    def felt(self, count: int) -> Iterable[int]:
+        """See `Effect.felt`."""
+        return self.effect.felt(count)
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         """The effect's law where it acts; see `Effect.law`."""

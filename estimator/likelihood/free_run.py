@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects import BodyEffect, Laws, SensorEffect, View
+from estimator.effects import BodyEffect, Effect, Laws, SensorEffect, StateEffect, View
 from estimator.likelihood.extended_likelihood import ExtendedProblem, added
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
-from estimator.model import simulate
+from estimator.model import simulate, smooth_sign
 from estimator.signals import Channel, encoder_of, imu_readings, torque_of
 
 PASSES = 60
@@ -110,7 +110,7 @@ class _Plant:
         self.problem, self.start, self.u = problem, state.x, u
         self.beta, sizes = problem.simulated(state.beta)
         self.pairs = list(zip(problem.effects, sizes))
-        self.memory = [p for p in self.pairs if not p[0].instant and not isinstance(p[0], SensorEffect | BodyEffect)]
+        self.memory = [p for p in self.pairs if _remembers(p[0])]
         """Effects whose torque depends on the motion before: found by iteration, the others by Newton's method."""
         self.or_still = or_still and not self.memory  # an iteration in which a piece is lost leads nowhere
         self.lost = 0
@@ -126,7 +126,7 @@ class _Plant:
                 self.start = Latents(np.column_stack([self.start.q, q]), np.column_stack([self.start.v, v]),
                                      np.column_stack([self.start.u, np.zeros_like(q)]))
                 self.u = np.column_stack([self.u, np.zeros_like(q)])
-        instant = [p for p in self.pairs if p[0].instant]
+        instant = [p for p in self.pairs if not _remembers(p[0]) and p[0].instant]
         self.laws = Laws(instant, replace(view, mechanism=self.mechanism, beta=self.all_beta)) if instant else None
 
     def view(self, q: FloatArray, v: FloatArray, samples: FloatArray | None = None) -> View:
@@ -138,9 +138,8 @@ class _Plant:
             taken: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Motion in the samples `where` from its `start`, near q, v; effects with a memory take `taken` (n, 2, K)."""
         c, here = self.problem.collocation, self.intervals(where)
-        laws = None if self.laws is None else replace(self.laws, first=here.start)
         found = simulate(self.mechanism, self.all_beta, *start, self.u[where], c.dt, c.hold,
-                         (q[where], v[where]), self.all_taken(taken[:, :, here]), laws)
+                         (q[where], v[where]), self.all_taken(taken[:, :, here]), self.laws_on(where, v))
         return found[0], found[1]
 
     def run_parts(self, parts: Sequence[slice], q: FloatArray, v: FloatArray, taken: FloatArray
@@ -155,10 +154,9 @@ class _Plant:
         near_q, near_v = q.copy(), v.copy()
         near_q[begin], near_v[begin] = self.start.q[begin], self.start.v[begin]
         if len(parts) > 1 and whole.start not in self.alone:
-            laws = None if self.laws is None else replace(self.laws, first=here.start)
             found = simulate(self.mechanism, self.all_beta, near_q[whole.start], near_v[whole.start], self.u[whole],
-                             c.dt, c.hold, (near_q[whole], near_v[whole]), self.all_taken(taken[:, :, here]), laws,
-                             begin[1:] - whole.start)
+                             c.dt, c.hold, (near_q[whole], near_v[whole]), self.all_taken(taken[:, :, here]),
+                             self.laws_on(whole, near_v), begin[1:] - whole.start)
             if self.is_kept(found[0], whole):
                 return found[0], found[1]
             self.alone.add(whole.start)
@@ -169,6 +167,17 @@ class _Plant:
             each = [e if k else (near_q[p.start] + np.zeros_like(e[0]), np.zeros_like(e[1]))
                     for k, p, e in zip(kept, parts, each)]
         return np.concatenate([e[0] for e in each]), np.concatenate([e[1] for e in each])
+
+    def laws_on(self, where: slice, v: FloatArray) -> Laws | None:
+        """Instant laws in the samples `where`, their states from the rates v (N, n) near the simulated ones."""
+        if self.laws is None:
+            return None
+        laws, problem = self.laws, self.problem
+        starts = np.concatenate([[0], problem.ends[:-1]])
+        states = [e.states(v[:, e.joint or 0], smooth_sign(v[:, e.joint or 0], laws.scale(e)), starts, size, problem.dt)
+                  for e, size in laws.with_state]
+        start = np.stack(states, axis=1)[where] if states else None
+        return replace(laws, first=self.intervals(where).start, start=start)
 
     def all_taken(self, taken: FloatArray) -> FloatArray:
         """`taken` (n, 2, K) with a row for each body."""
@@ -286,6 +295,13 @@ def _window(plant: _Plant, where: slice, before: _Run) -> _Run | None:
         share = _calmed(share, moved, last)
         last = moved
     return (q, v, samples) if moved <= LOOSE_RAD else None
+
+
+def _remembers(effect: Effect) -> bool:
+    """Whether its torque depends on the motion before, by more than a state of its own."""
+    if isinstance(effect, SensorEffect | BodyEffect):
+        return False
+    return not effect.instant or (isinstance(effect, StateEffect) and not effect.has_state)
 
 
 def _calmed(share: float, moved: float, before: float) -> float:

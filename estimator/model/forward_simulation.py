@@ -16,26 +16,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.model.collocation import Collocation
+from estimator.model.collocation import GAUSS, Collocation
 from estimator.model.mechanism import Mechanism
 from estimator.model.terms import Motion
 from estimator.numerics import solve_bidiagonal
 
 _Terms = tuple[Motion, FloatArray]
 """Motion, and the derivatives of the torque that it needs by its features (n, 2, 5, n, K)"""
+_Path = tuple[FloatArray, FloatArray, FloatArray]
+"""Angles and rates (K + 1, n), states of the law (K + 1, S)"""
 WINDOW = 20
 """Samples a window when marching."""
 MAX_NEWTON = 40
 
 
 class Law(Protocol):
-    """Torque that something outside the mechanism takes by the motion at the same instant."""
+    """Torque that something outside the mechanism takes by the motion and by S states of its own."""
 
-    def torque(self, motion: Motion, where: slice) -> FloatArray:
-        """(n, 2, K) on the intervals `where` of the simulation."""
+    @property
+    def states(self) -> FloatArray:
+        """(N, S) guess of its states; the first of a simulation holds."""
 
-    def slopes(self, motion: Motion, where: slice) -> FloatArray:
+    def torque(self, motion: Motion, where: slice, z: FloatArray) -> FloatArray:
+        """(n, 2, K) on the intervals `where` of the simulation, with the states z (K + 1, S) at their ends."""
+
+    def slopes(self, motion: Motion, where: slice, z: FloatArray) -> FloatArray:
         """(n, 5, n, 2, K) its derivatives by the features of the motion."""
+
+    def by_states(self, motion: Motion, where: slice, z: FloatArray) -> FloatArray:
+        """(n, 2, S, K) its derivatives by the states at the Gauss points."""
+
+    def gaps(self, v: FloatArray, z: FloatArray) -> FloatArray:
+        """(S, K) what the states miss of their own equation along the rates v (K + 1, n)."""
+
+    def gap_slopes(self, v: FloatArray, z: FloatArray) -> FloatArray:
+        """(S, 2, n + S, K) its derivatives by the rates and states at both ends of each interval."""
 
 
 def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatArray, tau: FloatArray, dt_s: float,
@@ -56,9 +71,9 @@ def simulate(mechanism: Mechanism, beta: FloatArray, q0: FloatArray, qd0: FloatA
     q, v = np.full((n, mechanism.n), np.nan), np.full((n, mechanism.n), np.nan)
     q[0], v[0] = q0, qd0
     if guess is not None and n > 1:
-        found = _newton(equation, slice(0, n - 1), *_pinned(guess, q0, qd0))
+        found = _newton(equation, slice(0, n - 1), (*_pinned(guess, q0, qd0), equation.states(n)))
         if found is not None:
-            q, v = found
+            q, v = found[:2]
             if restarts is not None:  # to the last bit
                 q[restarts], v[restarts] = guess[0][restarts], guess[1][restarts]
     if held is None and not np.isfinite(q).all():
@@ -89,33 +104,49 @@ class _Equation:
             torque = torque + self.between[:, :, where]
         return torque if self.taken is None else torque - self.taken[:, :, where]
 
+    def states(self, count: int) -> FloatArray:
+        """(count, S) states of the law near the simulated motion."""
+        return np.zeros((count, 0)) if self.law is None else self.law.states[:count]
+
     @cached_property
     def between(self) -> FloatArray | None:
         return self.collocation.between(self.tau, np.array([len(self.tau)]))
 
-    def defect(self, where: slice, q: FloatArray, v: FloatArray, torque: FloatArray) -> tuple[FloatArray, _Terms]:
-        """(n, 2, K) what is left of the equation at q, v (K + 1, n)."""
-        c = self.collocation
+    def defect(self, where: slice, path: _Path, torque: FloatArray) -> tuple[FloatArray, _Terms]:
+        """(2 n + S, K) what is left of the equations of motion and of the states along a path."""
+        c, (q, v, states) = self.collocation, path
         motion = c.motion(q, v, np.arange(len(q) - 1))
         z, slopes = c.fast(*motion, self.beta)
         left = (self.beta @ z.reshape(len(self.beta), -1)).reshape(torque.shape) - torque
         if self.law is not None:
-            left = left + self.law.torque(motion, where)
+            left = left + self.law.torque(motion, where, states)
+        rows = left.reshape(2 * len(left), -1)
+        if states.shape[1] and self.law is not None:
+            rows = np.concatenate([rows, self.law.gaps(v, states)])
         if self.held is not None:
-            left[:, :, self.held[where]] = 0.0
-        return left, (motion, slopes)
+            rows[:, self.held[where]] = 0.0
+        return rows, (motion, slopes)
 
-    def jacobian(self, where: slice, terms: _Terms) -> FloatArray:
-        """(n, 2, 4, n, K) its derivatives by both ends of each interval."""
-        motion, slopes = terms
-        added = None if self.law is None else self.law.slopes(motion, where)
+    def jacobian(self, where: slice, terms: _Terms, path: _Path) -> FloatArray:
+        """(b, 2, b, K) its derivatives by angles, rates and states at both ends of each interval; b = 2 n + S."""
+        (motion, slopes), (_, v, states) = terms, path
+        added = None if self.law is None else self.law.slopes(motion, where, states)
         found = self.collocation.by_ends(slopes, added)
-        if self.held is not None:
+        n, count = len(found), states.shape[1]
+        out = found.reshape(2 * n, 2, 2 * n, -1)
+        if count and self.law is not None:
+            out = np.pad(out, [(0, count), (0, 0), (0, count), (0, 0)])
+            felt = self.law.by_states(motion, where, states)
+            for end in range(2):
+                share = np.array([g if end else 1.0 - g for g in GAUSS])[:, None, None]
+                out[: 2 * n, end, 2 * n :] = (share * felt).reshape(2 * n, count, -1)
+            out[2 * n :, :, n:] = self.law.gap_slopes(v, states)
+        if self.held is not None:  # of the later end nothing moves
             given = np.flatnonzero(self.held[where])
-            found[..., given] = 0.0
-            for j, point in np.ndindex(found.shape[:2]):  # a row for the angle, one for the rate of the later end
-                found[j, point, 2 + point, j, given] = 1.0
-        return found
+            out[..., given] = 0.0
+            for row in range(len(out)):
+                out[row, 1, row, given] = 1.0
+        return out
 
 
 def _pinned(guess: tuple[FloatArray, FloatArray], q0: FloatArray, qd0: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -127,6 +158,7 @@ def _pinned(guess: tuple[FloatArray, FloatArray], q0: FloatArray, qd0: FloatArra
 def _march(equation: _Equation, q: FloatArray, v: FloatArray) -> None:
     """Fill q, v (N, n) from their first sample on, window by window; stops where no solution is found."""
     n, window, start = len(q), WINDOW, 0
+    states = equation.states(n)[0]
     m, dt = equation.collocation.mechanism, equation.collocation.dt
     while start < n - 1:
         stop = min(start + window, n - 1)
@@ -134,43 +166,42 @@ def _march(equation: _Equation, q: FloatArray, v: FloatArray) -> None:
         with np.errstate(all="ignore"):
             a = m.forward_dynamics(q[start], v[start], equation.tau[start], equation.beta) if window == 1 else 0.0
         gq, gv = q[start] + v[start] * dt * k + 0.5 * a * (dt * k) ** 2, v[start] + a * dt * k
-        found = _newton(equation, slice(start, stop), gq, gv)
+        found = _newton(equation, slice(start, stop), (gq, gv, np.tile(states, (len(k), 1))))
         if found is None:
             if window == 1:
                 return
             window = max(1, window // 4)
             continue
-        q[start : stop + 1], v[start : stop + 1] = found
+        q[start : stop + 1], v[start : stop + 1], states = found[0], found[1], found[2][-1]
         start, window = stop, min(WINDOW, 2 * window)
 
 
-def _newton(equation: _Equation, where: slice, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+def _newton(equation: _Equation, where: slice, path: _Path) -> _Path | None:
     """Solve the collocation equations with the first sample held; None where Newton does not converge."""
-    n, b, torque = q.shape[1], 2 * q.shape[1], equation.torque(where)
+    edges, torque = np.cumsum([x.shape[1] for x in path])[:-1], equation.torque(where)
     scale = 1e-9 * (1.0 + float(np.max(np.abs(torque))))
     with np.errstate(all="ignore"):
-        defect, terms = equation.defect(where, q, v, torque)
+        defect, terms = equation.defect(where, path, torque)
         size = float(np.max(np.abs(defect)))
         for _ in range(MAX_NEWTON):
             if not np.isfinite(size):
                 return None
             try:
-                slopes = equation.jacobian(where, terms).reshape(b, 2, b, -1)
-                step = solve_bidiagonal(slopes, -defect.reshape(b, -1))
+                step = np.split(solve_bidiagonal(equation.jacobian(where, terms, path), -defect), edges, axis=1)
             except np.linalg.LinAlgError:
                 return None
             share = 1.0
             for _ in range(6):
-                trial_q, trial_v = q.copy(), v.copy()
-                trial_q[1:] += share * step[:, :n]
-                trial_v[1:] += share * step[:, n:]
-                trial, trial_terms = equation.defect(where, trial_q, trial_v, torque)
+                tried = [x.copy() for x in path]
+                for x, moved in zip(tried, step):
+                    x[1:] += share * moved
+                trial, trial_terms = equation.defect(where, (tried[0], tried[1], tried[2]), torque)
                 norm = float(np.linalg.norm(trial))
                 if np.isfinite(norm) and norm < (1.0 - 0.1 * share) * float(np.linalg.norm(defect)):
                     break
                 share *= 0.5
-            q, v, defect, terms = trial_q, trial_v, trial, trial_terms
+            path, defect, terms = (tried[0], tried[1], tried[2]), trial, trial_terms
             size = float(np.max(np.abs(defect)))
             if size < scale or (size < 1e4 * scale and share < 1.0):
-                return q, v
+                return path
     return None

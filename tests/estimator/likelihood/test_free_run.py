@@ -16,7 +16,7 @@ from estimator.effects import classes
 from estimator.effects.base import Effect
 from estimator.effects.derivatives import Laws
 from estimator.effects.drive import TorqueSaturation
-from estimator.effects.friction import StribeckFriction
+from estimator.effects.friction import PreslidingFriction, StribeckFriction
 from estimator.effects.sensors import EncoderOffset
 from estimator.effects.stand import BaseCompliance
 from estimator.effects.structure import Backlash, RotorInertia
@@ -53,15 +53,29 @@ def test_slopes_are_those_of_the_law(kind: type[Effect]) -> None:
     x = Latents(*(rng.normal(size=(count, 2)) for _ in range(3)))
     laws = Laws([(effect, size)], problem.view(x, np.array([0.14, 0.03, 0.05, 0.5, 0.15, 0.02, 0.03, 0.03, 0.06])), 3)
     motion, where = problem.collocation.motion(x.q, x.v, problem.left[3:23]), slice(0, 20)
-    slopes = laws.slopes(motion, where)
+    z = rng.uniform(-1.0, 1.0, size=(21, int(effect.has_state)))
+    slopes = laws.slopes(motion, where, z)
     for feature, name in enumerate(Motion._fields):
         for joint in range(2):
             def moved(by: float, name: str = name, joint: int = joint) -> Motion:
                 values = getattr(motion, name).copy()
                 values[joint] += by
                 return motion._replace(**{name: values})
-            found = (laws.torque(moved(1e-6), where) - laws.torque(moved(-1e-6), where)) / 2e-6
+            found = (laws.torque(moved(1e-6), where, z) - laws.torque(moved(-1e-6), where, z)) / 2e-6
             assert slopes[:, feature, joint] == pytest.approx(found, rel=2e-3, abs=1e-4 * np.abs(slopes).max())
+    if effect.has_state:  # by the states: along the ends of the intervals, as Newton's method moves them
+        by_states = laws.by_states(motion, where, z)[:, :, 0]
+        assert by_states[1] == pytest.approx(laws.torque(motion, where, z + 0.5)[1] * 2.0
+                                             - laws.torque(motion, where, z - 0.5)[1] * 2.0 - by_states[1])
+        v, by_ends = x.v[3:24], laws.gap_slopes(x.v[3:24], z)
+        for end, column in np.ndindex(2, 3):
+            def gap(by: float, end: int = end, column: int = column) -> FloatArray:
+                """Along every other interval, whose ends no other shares."""
+                rates, states = v.copy(), z.copy()
+                (rates if column < 2 else states)[end::2, column % 2] += by
+                return laws.gaps(rates, states)[0, ::2]
+            found = (gap(1e-6) - gap(-1e-6)) / 2e-6
+            assert by_ends[0, end, column, ::2] == pytest.approx(found, rel=1e-3, abs=1e-6)
 
 
 def test_a_rotor_heavier_than_its_link_is_a_heavier_link() -> None:
@@ -83,7 +97,29 @@ def test_a_rotor_heavier_than_its_link_is_a_heavier_link() -> None:
     assert runs[0].q == pytest.approx(runs[1].q, abs=1e-7)
 
 
-@pytest.mark.parametrize("effects, sizes", [([], []), ([StribeckFriction(1)], [0.1, 0.2, 2.0])])
+@pytest.mark.parametrize("displacement", [0.002, 0.03])
+def test_a_state_solved_with_the_motion_is_that_found_by_iteration(displacement: float,
+                                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    """... and costs one simulation, where stiff bristles over two seconds cost hundreds."""
+    count = 200
+    torque = 0.4 * np.sin(0.08 * np.arange(count))[:, None]
+    beta = np.array([0.02, 0.1, 0.03, 0.05, 0.05, 0.01, displacement])
+    problem = problem_of(joint1(), count, torque, [PreslidingFriction(0)])
+    still = np.zeros((count, 1))
+    state = State(Latents(still, still, torque), beta, Noise(np.ones(1), np.ones(1)), np.eye(beta.size))
+    module, calls = sys.modules[free_run.__module__], []
+    simulate = module.simulate
+    monkeypatch.setattr(module, "simulate", lambda *args: calls.append(1) or simulate(*args))
+    found = free_run(problem, state, torque)
+    assert found is not None and np.ptp(found.q) > 0.5 and len(calls) == 1
+    monkeypatch.setattr(module, "_remembers", lambda effect: True)
+    again = free_run(problem, state, torque)
+    assert again is not None and len(calls) > 5
+    assert found.q == pytest.approx(again.q, abs=2e-5)
+
+
+@pytest.mark.parametrize("effects, sizes", [([], []), ([StribeckFriction(1)], [0.1, 0.2, 2.0]),
+                                            ([PreslidingFriction(1)], [0.05, 0.01, 0.01])])
 def test_pieces_simulated_together_are_those_simulated_one_by_one(
         effects: list[Effect], sizes: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
     """Each piece begins at the state that it is given, whatever the one before it ended with; torque over ends of
