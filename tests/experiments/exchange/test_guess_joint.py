@@ -7,6 +7,7 @@ import pytest
 
 from experiments.cli import main
 from experiments.exchange.column_map import load_map
+from experiments.models import load_model
 from tests.support.driven_joint import record
 
 RIG = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
@@ -46,3 +47,31 @@ def test_a_torque_of_another_machine_is_not_explained(tmp_path: Path, capsys: py
     np.savetxt(file, table, delimiter=",", comments="", header="time,pos,effort")
     assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 1
     assert "explains the torque 'effort'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("unit", "written"), [(1.0, ""), (np.pi / 180, "deg")])
+def test_a_pendulum_that_swings_freely_goes_to_a_fit(unit: float, written: str, tmp_path: Path) -> None:
+    """No torque in the file: gravity still shows the unit, and one known number gives the scale."""
+    h, q, v = 0.001, 2.5, 0.0
+    angles = []
+    for _ in range(20_000):
+        v -= h * (9.81 * 0.02 * np.sin(q) + 4e-4 * v) / 0.005
+        q += h * v
+        angles.append(q)
+    noise = np.random.default_rng(1).normal(0.0, 5e-4, 2000)
+    np.savetxt(tmp_path / "swing.csv", np.stack([np.arange(2000) * 0.01, (angles[::10] + noise) / unit], axis=1),
+               delimiter=",", comments="", header="t,theta")
+    (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = []\n')
+    assert main(["import", str(tmp_path / "swing.csv"), "--out", str(tmp_path / "runs"), "--yes"]) == 0
+    found = load_map(tmp_path / "runs" / "columns.toml")
+    assert set(found) == {"time_s", "q1_rad"} and found["q1_rad"].unit == written
+    model, run, rig = (str(tmp_path / name) for name in ("model.json", "runs/swing.csv", "rig.toml"))
+    assert main(["fit", run, "--rig", rig, "--fix", "beta2=0.02", "--model-out", model]) == 0
+    assert load_model(model).parameters[0].value == pytest.approx(0.005, rel=0.01)
+
+
+def test_a_table_without_a_header_is_said_to_have_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = record(tmp_path / "x.csv", ("pos", "effort"), 1.0, 1, 1.0)
+    file.write_text("\n".join(file.read_text().splitlines()[1:]))
+    assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 2
+    assert "has no header line: 3 columns without a name" in capsys.readouterr().err
