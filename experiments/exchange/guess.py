@@ -245,7 +245,7 @@ def _lacking(imported: ImportedFile, what: str, words: Mapping[str, str]) -> Inp
         return InputError(imported.name, f"lacks {what}: {', '.join(useless[:6])}",
                           "correct those cells, or map another column by hand: see docs/exchange.md")
     if imported.names and all(map(UNNAMED.fullmatch, imported.names)):
-        return InputError(imported.name, f"has no header line: {len(imported.names)} columns without a name",
+        return InputError(imported.name, f"has no header line: its {len(imported.names)} columns have no names",
                           'write the map by hand, name = "column 2" for the second: see docs/exchange.md')
     names = ", ".join(map(repr, imported.names[:20]))
     return InputError(imported.name, f"lacks {what} by the names of its columns: {names}",

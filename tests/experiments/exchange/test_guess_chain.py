@@ -88,6 +88,8 @@ def test_torques_of_another_machine_are_not_explained(tmp_path: Path, capsys: py
     np.savetxt(file, table, delimiter=",", comments="", header=",".join(["time", *NUMBERED]))
     assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 1
     assert "explain the torques" in capsys.readouterr().err
+    found = load_map(tmp_path / "c.toml")
+    assert all(found[f"q{k}_rad"].name == f"q{k}" and not found[f"q{k}_rad"].unit for k in (1, 2, 3))
 
 
 @pytest.mark.parametrize(("angles", "torques_", "joints"), [

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.runs import read_csv
 from experiments.cli import main
 from experiments.exchange.column_map import load_map
 from experiments.models import load_model
@@ -50,7 +51,8 @@ def test_a_torque_of_another_machine_is_not_explained(tmp_path: Path, capsys: py
 
 
 @pytest.mark.parametrize(("unit", "written"), [(1.0, ""), (np.pi / 180, "deg")])
-def test_a_pendulum_that_swings_freely_goes_to_a_fit(unit: float, written: str, tmp_path: Path) -> None:
+def test_a_pendulum_that_swings_freely_goes_to_a_fit(unit: float, written: str, tmp_path: Path,
+                                                        capsys: pytest.CaptureFixture[str]) -> None:
     """No torque in the file: gravity still shows the unit, and one known number gives the scale."""
     h, q, v = 0.001, 2.5, 0.0
     angles = []
@@ -65,6 +67,7 @@ def test_a_pendulum_that_swings_freely_goes_to_a_fit(unit: float, written: str, 
     assert main(["import", str(tmp_path / "swing.csv"), "--out", str(tmp_path / "runs"), "--yes"]) == 0
     found = load_map(tmp_path / "runs" / "columns.toml")
     assert set(found) == {"time_s", "q1_rad"} and found["q1_rad"].unit == written
+    assert "a joint that swings freely" in capsys.readouterr().out
     model, run, rig = (str(tmp_path / name) for name in ("model.json", "runs/swing.csv", "rig.toml"))
     assert main(["fit", run, "--rig", rig, "--fix", "beta2=0.02", "--model-out", model]) == 0
     assert load_model(model).parameters[0].value == pytest.approx(0.005, rel=0.01)
@@ -74,4 +77,18 @@ def test_a_table_without_a_header_is_said_to_have_none(tmp_path: Path, capsys: p
     file = record(tmp_path / "x.csv", ("pos", "effort"), 1.0, 1, 1.0)
     file.write_text("\n".join(file.read_text().splitlines()[1:]))
     assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 2
-    assert "has no header line: 3 columns without a name" in capsys.readouterr().err
+    assert "has no header line: its 3 columns have no names" in capsys.readouterr().err
+
+
+def test_seconds_of_a_record_are_imported_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A hand holds the pendulum before it is let go."""
+    file = record(tmp_path / "x.csv", ("pos", "effort"), 1.0, 1, 1.0)
+    out, columns = tmp_path / "runs", tmp_path / "runs" / "columns.toml"
+    assert main(["import", str(file), "--out", str(out), "--yes", "--span", "5,9"]) == 0
+    time_s = read_csv(out / "x.csv").time_s
+    assert (time_s[0], time_s[-1]) == (pytest.approx(5.0), pytest.approx(8.995))
+    capsys.readouterr()
+    for wanted, said in (("50,66", "no sample between 50 and 66 s; it goes from 0 to 14.995 s"),
+                         ("9,5", "'9,5' is not FROM,TO in seconds"), ("5", "is not FROM,TO")):
+        assert main(["import", str(file), "--map", str(columns), "--out", str(out), "--span", wanted]) == 2
+        assert said in capsys.readouterr().err
