@@ -125,7 +125,7 @@ def validation_section(table: PredictionTable) -> Section:
               Table(header, rows, right=frozenset(range(1, len(header))))]
     return Section(
         "Free-run simulation against validation data",
-        ["The identified model is started in the measured state and then driven by the measured torque alone. Of other "
-         "motion that tells something only on runs that the fit has not seen. "
+        ["The identified model is started in the measured state and then driven by the measured torque alone. "
+         "Only runs that the fit has not seen test it. "
          f"SSE is the summed squared error of the paper's Table V, [{unit}²] and, for "
          f"rates, [{unit}²/s²]; RMSE is in {unit} and {unit}/s."], tables, pictures, notes)
