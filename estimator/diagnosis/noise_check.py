@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator.diagnosis.decision_rule import NOISY_SENSOR, NOISY_TORQUE, NOISY_UNDECLARED, STILL_NOISY
 from estimator.diagnosis.refit import Model, refit
-from estimator.fitting import TORQUE_SHARE, mistakes_torque
+from estimator.fitting import TORQUE_SHARE, mistaken_torques
 from estimator.options import accel_level, encoder_level, gyro_level, torque_level
 from estimator.signals import Channel, encoder_of, imu_channels, torque_of, white_noise_level
 
@@ -116,8 +116,10 @@ def noise_dominated(nominal: Model) -> str:
     """
     split = nominal.split
     floors = split.floors(nominal.problem, nominal.state.beta)
-    if not mistakes_torque(nominal.problem, nominal.state, floors):
+    joints = mistaken_torques(nominal.problem, nominal.state, floors)
+    if not joints:
         return ""
     share, rate = 100 * TORQUE_SHARE, split.runs[0][0].rate_hz
-    return (f"the nominal fit assigns {share:.0f} % of a measured torque to noise, its upper limit; lower rate_hz "
-            f"under [sampling] if the angles are too coarse for a torque at {rate:g} Hz")
+    where = " and ".join(str(j + 1) for j in joints)
+    return (f"the nominal fit assigns {share:.0f} % of the torque of joint {where} to noise, its upper limit; lower "
+            f"rate_hz under [sampling] if the angles are too coarse for a torque at {rate:g} Hz")

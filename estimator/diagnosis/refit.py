@@ -19,7 +19,7 @@ from estimator.fitting import (
     free_mask,
     gentle_start,
     iterate,
-    mistakes_torque,
+    mistaken_torques,
     start_state,
 )
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
@@ -90,7 +90,7 @@ def fit_nominal(split: RunSplit) -> Model:
                 state = iterate(blank, state, freed, split.options, floors, steps_left)
         except FitError:
             continue
-        if state.converged and not mistakes_torque(blank, state, floors):
+        if state.converged and not mistaken_torques(blank, state, floors):
             break
     rest = blank.stiction(state.noise)
     if not np.isfinite(state.beta).all() or rest is None or not np.isfinite(state.x.q).all():
@@ -151,7 +151,7 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
         free[place.stop - len(effect.shapes) : place.stop] = ~(held | effect.at_limits(size) if hold_limits else held)
     floors = None if noise is not None else split.floors(problem, state.beta[:p])
     state = iterate(problem, state, free, split.options, floors, limit)
-    if floors is not None and mistakes_torque(problem, state, floors):
+    if floors is not None and mistaken_torques(problem, state, floors):
         raise FitError("the fit takes the torque for noise")
     state = converge_motion(problem, state, CONVERGE_STEPS)
     return Model(split, tuple(e for e, _ in effects), state, problem)

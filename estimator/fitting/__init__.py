@@ -10,7 +10,7 @@ from estimator.fitting.disturbance import (
 )
 from estimator.fitting.fit import between_samples, fit
 from estimator.fitting.fit_each import fit_each
-from estimator.fitting.gauss_newton import MAX_ITERATIONS, PASSIVE_SHARE, TORQUE_SHARE, iterate, mistakes_torque
+from estimator.fitting.gauss_newton import MAX_ITERATIONS, PASSIVE_SHARE, TORQUE_SHARE, iterate, mistaken_torques
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_state
 from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.mle import describe_smoothing_velocity
@@ -46,7 +46,7 @@ __all__ = [
     "imu_levels",
     "iterate",
     "known_noise",
-    "mistakes_torque",
+    "mistaken_torques",
     "next_measurement",
     "noise_floors",
     "of_noise",

@@ -198,9 +198,10 @@ def most_noise(problem: LatentProblem, joint: int, floors: Noise, disturbed: boo
     return TORQUE_SHARE * float(problem.torque_spread[joint]) + float(floors.torque[joint])
 
 
-def mistakes_torque(problem: LatentProblem, state: State, floors: Noise) -> bool:
-    """Whether the fit took as much of a driven joint's torque for noise as it is allowed: no model of the rig."""
-    return any(state.noise.torque[j] > 0.99 * most_noise(problem, j, floors, False) for j in problem.mechanism.actuated)
+def mistaken_torques(problem: LatentProblem, state: State, floors: Noise) -> list[int]:
+    """Driven joints whose torque the fit took for noise as far as it may: no model of the rig."""
+    return [j for j in problem.mechanism.actuated
+            if state.noise.torque[j] > 0.99 * most_noise(problem, j, floors, False)]
 
 
 def shortened(angles: FloatArray, share: float) -> float:

@@ -18,7 +18,7 @@ which nothing depends.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -40,7 +40,7 @@ PATTERNS = {
     "q2": r"\bq_?[2-9]|q_?[2-9]_|knee|knie|joint_?[2-9]\b|ankle|wrist|elbow|pos|angle|winkel|enc(?![ey])|theta|\bq\b",
 }
 """Kind of signal -> how columns that hold it are called; of several kinds the first one counts."""
-NOT_MEASURED = r"cmd|command|set_?point|desired|(?<![a-z])des(?![a-z])|target|ref|goal|input_"
+NOT_MEASURED = r"cmd|command|set_?point|desired|(?<![a-z])des(?![a-z])|target|ref|goal|input_|clip"
 WORDS = {"gyro": "gyro, omega, wz or gz", "accel": "acc, ax", "tau2_nm": "torque, effort, tau, current or iq",
          "q2_rad": "knee, q2, angle, position or encoder", "q1_rad": "hip, q1 or pivot", TIME: "time, t or stamp"}
 """What a person is told to call them."""
@@ -48,10 +48,14 @@ MOST_LINKS = 5
 """Of a chain whose columns are guessed: signs are tried in all combinations."""
 MOST_RIVALS = 4
 """Columns that are tried in addition to the most likely one."""
-NOT_AN_ANGLE = r"vel|speed|rate|dot|temp|volt|setpoint|err|status|fault|acc"
+NOT_AN_ANGLE = r"vel|speed|rate|dot|temp|volt|setpoint|err|status|fault|acc|imu"
+MADE_OF_OTHERS = 1e-4
+"""An angle that is a sum of others but for this share of its spread is no joint of its own."""
 TIME_NAMES = r"^_*(time|t|timestamp|stamp|sec|seconds|zeit|clock|millis|micros|time_.*|t_.*|.*timestamp.*|.*time)$"
 STEP_S = (0.0002, 0.1)
 """Steps between which a log of a leg lies: they tell seconds from milliseconds."""
+UNNAMED = re.compile(r"column \d+")
+"""What a reader calls a column of a table without a header."""
 AXIS = re.compile(r"[^a-zA-Z0-9]?([xyz])(?:[\s\[(_].*)?$", re.IGNORECASE)
 
 
@@ -74,8 +78,8 @@ class Guess:
 def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81) -> Guess:
     """Columns of `imported` with units and signs, for a hanging leg, a single joint or a chain. Raises `InputError`.
 
-    A file with one angle, one torque and no gyro or accelerometer is a single joint's. One with three angles or more,
-    or with two torques, is a chain's whose joints all have encoders.
+    A file with one angle, one torque or none and no gyro or accelerometer is a single joint's. One with three angles or
+    more, or with two torques, is a chain's whose joints all have encoders.
     """
     columns, notes, rivals = _by_name(imported)
     if _is_joint(imported):
@@ -128,28 +132,49 @@ def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81) -> Guess:
 
 
 def _is_joint(imported: ImportedFile) -> bool:
-    """One measured angle, one measured torque, and no sensor of a leg: neither read nor left out."""
+    """One measured angle, at most one measured torque, and no sensor of a leg: neither read nor left out."""
     angles = len(_fitting(imported, "q1", True)) + len(_fitting(imported, "q2", True))
-    return angles == 1 and len(_fitting(imported, "tau", True)) == 1 and not _has_imu(imported)
+    torques = len(_fitting(imported, "tau", True)) if _has(imported, "tau") else 1
+    return angles == 1 and torques == 1 and not _has(imported, "gyro", "accel")
 
 
 def _is_chain(imported: ImportedFile) -> bool:
     """Angles of three joints or more, or torques of two, and no gyro or accelerometer: neither read nor left out."""
     angles, torques = _angles(imported), _fitting(imported, "tau", True)
     some = 0 < len(torques) <= len(angles) <= MOST_LINKS and (len(angles) > 2 or len(torques) == 2)
-    return some and not _has_imu(imported)
+    return some and not _has(imported, "gyro", "accel")
 
 
-def _has_imu(imported: ImportedFile) -> bool:
-    """Whether a column is a gyro's or an accelerometer's by its name, read or left out."""
-    return any(_kind(name) in ("gyro", "accel") for name in [*imported.names, *imported.left_out])
+def _has(imported: ImportedFile, *kinds: str) -> bool:
+    """Whether a column is of one of these kinds by its name, read or left out."""
+    return any(_kind(name) in kinds for name in [*imported.names, *imported.left_out])
 
 
 def _angles(imported: ImportedFile) -> list[str]:
-    """Columns that are measured angles by their names: by their numbers where each has one, else as in the file."""
+    """Columns that are measured angles by their names, without those that are sums of others: by their numbers where
+    each has one, else as in the file."""
     names = sorted([*_fitting(imported, "q1", True), *_fitting(imported, "q2", True)], key=imported.names.index)
-    numbers = [re.findall(r"\d+", name) for name in names]
-    return sorted(names, key=lambda name: int(re.findall(r"\d+", name)[-1])) if all(numbers) else names
+    own = _independent(imported, names, driven_joints(names, _fitting(imported, "tau", True)).values())
+    numbers = [re.findall(r"\d+", name) for name in own]
+    return sorted(own, key=lambda name: int(re.findall(r"\d+", name)[-1])) if all(numbers) else own
+
+
+def _independent(imported: ImportedFile, names: list[str], driven: Collection[int]) -> list[str]:
+    """Those of `names` that are no linear combination of others; angles of `driven` joints are kept before others."""
+    values = [imported.table_of(name).columns[name] for name in names]
+    if len({x.size for x in values}) != 1:  # signals with times of their own
+        return names
+    known = np.isfinite(np.array(values)).all(axis=0)
+    if known.sum() < len(names) + 2:
+        return names
+    centred = np.array([x[known] - x[known].mean() for x in values])
+    kept: list[int] = []
+    for k in sorted(range(len(names)), key=lambda k: (k not in driven, k)):
+        base = centred[kept].T
+        left = centred[k] - base @ np.linalg.lstsq(base, centred[k], rcond=None)[0]
+        if left.std() > MADE_OF_OTHERS * centred[k].std():
+            kept.append(k)
+    return [names[k] for k in sorted(kept)]
 
 
 def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str], gravity_mps2: float
@@ -170,12 +195,15 @@ def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict
 
 def _guess_joint(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str]) -> Guess:
     """The guess for one joint from the columns of `_by_name`, which are named as a leg's."""
-    theirs = {"q1_rad": columns.get("q1_rad") or columns["q2_rad"], "tau1_nm": columns["tau2_nm"]}
+    theirs = {"q1_rad": columns.get("q1_rad") or columns["q2_rad"]}
+    theirs |= {"tau1_nm": columns["tau2_nm"]} if "tau2_nm" in columns else {}
     theirs |= {TIME: columns[TIME]} if TIME in columns else {}
     joint = find_joint(apply_map(imported, theirs), theirs)
     theirs |= joint.columns
     reasons = {TIME: notes[TIME]} if TIME in notes else {}
-    curves = {"tau1_nm: measured, and computed from the motion [N m]": joint.check}
+    what = "tau1_nm: measured, and computed from the motion [N m]" if "tau1_nm" in theirs else \
+        "acceleration: measured, and computed from gravity and friction [rad/s²]"
+    curves = {what: joint.check}
     return Guess(theirs, reasons | joint.notes, joint.warnings, joint.unexplained, apply_map(imported, theirs), curves)
 
 
@@ -216,6 +244,9 @@ def _lacking(imported: ImportedFile, what: str, words: Mapping[str, str]) -> Inp
     if useless:
         return InputError(imported.name, f"lacks {what}: {', '.join(useless[:6])}",
                           "correct those cells, or map another column by hand: see docs/exchange.md")
+    if imported.names and all(map(UNNAMED.fullmatch, imported.names)):
+        return InputError(imported.name, f"has no header line: its {len(imported.names)} columns have no names",
+                          'write the map by hand, name = "column 2" for the second: see docs/exchange.md')
     names = ", ".join(map(repr, imported.names[:20]))
     return InputError(imported.name, f"lacks {what} by the names of its columns: {names}",
                       f"name it by a word such as {'; '.join(words.values())}, or write the map by hand, see "

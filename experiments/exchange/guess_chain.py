@@ -66,8 +66,8 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
 
     `columns` are q1_rad, q2_rad, ... and the torque of each driven joint. The equation of motion of the open chain
     must leave little of the torques under the right unit and signs, with a positive definite inertia matrix. Absolute
-    angles are tried, too. Whether the chain is seen from its left or its right does not show: joint 1's angle keeps
-    its sign.
+    angles are tried, too. Columns that nothing explains are left as they stand in the file. Whether the chain is seen
+    from its left or its right does not show: joint 1's angle keeps its sign.
     """
     n = sum(name.startswith("q") for name in columns)
     driven = [j for j in range(n) if f"tau{j + 1}_nm" in columns]
@@ -81,6 +81,7 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
         unexplained.append(f"no unit and signs of {named} explain the torques (the best leave {100 * first.left:.0f} %"
                            "): too little motion, a motor's angle before its gear, another order of the joints, or a "
                            "mechanism that is no open chain")
+        first = next(one for one in ranked if _is_plain(one))
     sure = second.left >= CLEAR * first.left
     if not unexplained and not sure:
         warnings.append(f"unit and signs are a close call: {_told(first)} leave {100 * first.left:.0f} % of the "
@@ -109,6 +110,11 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
     read = first.works[-1] * lowpass(filled(raw[f"tau{driven[-1] + 1}_nm"]), band_hz(raw.rate_hz), raw.rate_hz)
     made = _regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1]] @ first.beta
     return Found(found, notes, warnings, unexplained, (read, made), left=first.left)
+
+
+def _is_plain(one: _Reading) -> bool:
+    """The columns are read as they stand in the file."""
+    return not one.unit and not one.absolute and min(*one.signs, *one.works) == 1
 
 
 def _told(one: _Reading) -> str:

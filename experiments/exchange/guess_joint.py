@@ -1,4 +1,4 @@
-"""Units and signs of one driven joint's angle and torque, by its equation of motion."""
+"""Unit and sign of one joint's angle and torque, by its equation of motion; a joint without a motor swings freely."""
 
 from __future__ import annotations
 
@@ -31,54 +31,60 @@ def find_joint(raw: Dataset, columns: Mapping[str, Column]) -> Found:
     """Unit of the angle and sign of the torque of one joint: tau = I qdd + b qd + c sgn(qd) + k sin q + h cos q.
 
     Gravity shows the unit, since it is a sine of the angle. The inertia is positive under the right sign of the
-    torque. Without gravity the unit of an angle does not show: it stays as the file's name says, or in rad.
+    torque. Without gravity the unit of an angle does not show: it stays as the file's name says, or in rad. Without
+    `tau1_nm` in `columns` the joint swings freely: the other terms must explain the acceleration.
     """
-    angle, torque = columns["q1_rad"], columns["tau1_nm"]
+    angle, torque = columns["q1_rad"], columns.get("tau1_nm")
     cutoff = band_hz(raw.rate_hz)
-    push = lowpass(filled(raw["tau1_nm"]), cutoff, raw.rate_hz)
-    use = inside(raw, ["q1_rad", "tau1_nm"])
+    use = inside(raw, list(columns.keys() & {"q1_rad", "tau1_nm"}))
     stated = factor(angle.unit, "q1_rad", angle.name)
-    rows = {}
+    rows: dict[str, FloatArray] = {}
+    pushes: dict[str, FloatArray] = {}
     for unit, scale in ANGLE_UNITS.items():
-        q = lowpass(scale / stated * filled(raw["q1_rad"]), cutoff, raw.rate_hz)
-        rows[unit] = _regressor(q, raw.rate_hz)
-    left = {unit: _left(z[use], push[use]) for unit, z in rows.items()}
+        z = _regressor(lowpass(scale / stated * filled(raw["q1_rad"]), cutoff, raw.rate_hz), raw.rate_hz)
+        if torque is not None:
+            rows[unit], pushes[unit] = z, lowpass(filled(raw["tau1_nm"]), cutoff, raw.rate_hz)
+        else:
+            rows[unit], pushes[unit] = z[:, 1:], z[:, 0]
+    left = {unit: _left(z[use], pushes[unit][use]) for unit, z in rows.items()}
     by_name = next((unit for unit, scale in ANGLE_UNITS.items() if np.isclose(scale, stated)), "")
     best = min(left, key=lambda unit: left[unit])
     clear = best == by_name or CLEAR * left[best] < left[by_name]
     unit = best if clear and left[best] <= EXPLAINS else by_name
     rival = min((other for other in left if other != unit), key=lambda other: left[other])
     sure = left[rival] >= CLEAR * left[unit]
-    inertia = _inertia(rows[unit][use], push[use])
-    parts = [_inertia(z, tau) for z, tau in zip(np.array_split(rows[unit][use], BLOCKS),
-                                                np.array_split(push[use], BLOCKS))]
-    agree = all(part * inertia > 0 for part in parts)
-    works, shown = (1 if inertia > 0 else -1), unit or "rad"
+    z, push, shown = rows[unit], pushes[unit], unit or "rad"
+    what = "the acceleration" if torque is None else f"the torque {torque.name!r}"
     warnings, unexplained = [], []
     if left[unit] > EXPLAINS:
-        unexplained.append(f"no unit of {angle.name!r} explains the torque {torque.name!r} (the best leaves "
-                           f"{100 * left[unit]:.0f} %): too little motion, or the torque of another joint")
-    elif not agree:
-        unexplained.append(f"the sign of {torque.name!r} does not show: parts of the record differ in the sign of the "
-                           "inertia; import a record with faster motion")
+        unexplained.append(f"no unit of {angle.name!r} explains {what} (the best leaves {100 * left[unit]:.0f} %): too "
+                           f"little motion, or {'a motor' if torque is None else 'the torque of another joint'}")
     if angle.unit and unit != by_name:
         warnings.append(f"the name of {angle.name!r} says {angle.unit}, but {shown} leaves {100 * left[unit]:.0f} % of "
-                        f"the torque, not {100 * left[by_name]:.0f} %: {shown} is taken")
+                        f"{what}, not {100 * left[by_name]:.0f} %: {shown} is taken")
     if not angle.unit and not sure:
         warnings.append(f"the unit of {angle.name!r} does not show (rad or {rival or 'rad'}): {shown} is taken; set it "
                         "by hand if it is another")
-    warnings += scale_warnings("tau1_nm", torque)
-    known = not unexplained
+    found = {"q1_rad": msgspec.structs.replace(angle, unit=angle.unit if unit == by_name else unit)}
+    notes = {}
+    works = 1
+    if torque is not None:
+        works = 1 if _inertia(z[use], push[use]) > 0 else -1
+        parts = zip(np.array_split(z[use], BLOCKS), np.array_split(push[use], BLOCKS))
+        if not unexplained and any(_inertia(*part) * works <= 0 for part in parts):
+            unexplained.append(f"the sign of {torque.name!r} does not show: parts of the record differ in the sign of "
+                               "the inertia; import a record with faster motion")
+        warnings += scale_warnings("tau1_nm", torque)
+        found["tau1_nm"] = msgspec.structs.replace(torque, sign=1 if works > 0 else -1)
+        notes["tau1_nm"] = "NOT KNOWN: its sign does not show" if unexplained else (
+            f"with sign {works:+d} the inertia is positive")
     prefix = "" if angle.unit or sure else NOT_SURE
-    notes = {"q1_rad": f"{prefix}one angle and one torque: a single joint; in {shown} its equation of motion leaves "
-                       f"{100 * left[unit]:.1f} % of the torque" if known else "NOT KNOWN: it does not fit the torque",
-             "tau1_nm": f"with sign {works:+d} the inertia is positive" if known else
-                        "NOT KNOWN: its sign does not show"}
-    kept = angle.unit if unit == by_name else unit
-    found = {"q1_rad": msgspec.structs.replace(angle, unit=kept),
-             "tau1_nm": msgspec.structs.replace(torque, sign=1 if works > 0 else -1)}
-    made = rows[unit] @ _solve(rows[unit][use], push[use])
-    return Found(found, notes, warnings, unexplained, (works * push, works * made), left=left[unit])
+    kind = "no torque: a joint that swings freely" if torque is None else "one torque: a single joint"
+    notes["q1_rad"] = f"NOT KNOWN: it does not fit {what}" if unexplained else (
+        f"{prefix}one angle and {kind}; in {shown} its equation of motion leaves {100 * left[unit]:.1f} % of "
+        + ("the acceleration" if torque is None else "the torque"))
+    return Found(found, notes, warnings, unexplained, (works * push, works * (z @ _solve(z[use], push[use]))),
+                 left=left[unit])
 
 
 def _regressor(q: FloatArray, rate_hz: float) -> FloatArray:

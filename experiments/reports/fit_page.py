@@ -111,6 +111,8 @@ def _sensors_section(result: FitResult) -> list[Section]:
         lines = [Line("measured", measured, BLUE, 2.2), Line("estimate", path.predicted[column], ORANGE, 0.9)]
         rms = float(np.sqrt(np.nanmean((measured - path.predicted[column]) ** 2)))
         name, _, unit = label[:-1].partition(" [")
+        if column.startswith("q"):
+            name = f"{'position' if unit == 'm' else 'angle'} {name}"
         share = fit_percent(measured, path.predicted[column])
         pictures.append(picture_lines(path.time_s, lines, label,
                                       f"{name[0].upper()}{name[1:]}, measured and as estimated. Rms difference over "
@@ -190,7 +192,7 @@ def _match(benchmark: FitResult | None, path: Trajectory) -> Trajectory | None:
 def _excerpt(path: Trajectory, part: slice) -> str:
     shown = float(path.time_s[part][-1] - path.time_s[0])
     whole = float(path.time_s[-1] - path.time_s[0])
-    return (f"Run {path.run}: pictures show the first {shown:.0f} of {whole:.0f} s."
+    return (f"Run {path.run}. On paper, figures show the first {shown:.0f} of {whole:.0f} s."
             if shown < whole - 0.5 else f"Run {path.run}.")
 
 

@@ -11,7 +11,7 @@ from estimator import FitResult
 def friction_lines(result: FitResult) -> list[str]:
     """A line for each joint: share of Coulomb friction in the energy that friction dissipates, with its 95 % interval.
 
-    Empty if a joint is driven: the motor's power hides the dissipation.
+    Empty if a joint is driven, since the motor's power hides the dissipation, or if neither term is positive.
     """
     if result.mechanism.actuated or not result.trajectories:
         return []
@@ -20,10 +20,11 @@ def friction_lines(result: FitResult) -> list[str]:
     for j in range(result.mechanism.n):
         columns = [k for k, p in enumerate(result.mechanism.parameters)
                    if p.term in ("coulomb", "viscous") and p.at[0] == j]
-        if len(columns) < 2 or {result.mechanism.parameters[k].name for k in columns} & result.open_parameters:
+        names = {result.mechanism.parameters[k].name for k in columns}
+        if len(columns) < 2 or names & result.open_parameters or not np.any(result.beta[columns] > 0.0):
             continue
         share, half = coulomb_share(result, columns, qd[:, j])
-        low, high = max(share - half, 0.0), min(share + half, 1.0)
+        low, share, high = np.clip([share - half, share, share + half], 0.0, 1.0)
         lines.append(f"friction of joint {j + 1}: its Coulomb part takes {100 * share:.0f} % [{100 * low:.0f}, "
                      f"{100 * high:.0f}] of the energy that friction takes, its viscous part the rest; legid diagnose "
                      "tells whether another form is missing")

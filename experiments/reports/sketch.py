@@ -73,8 +73,9 @@ def _draw_link(axes: Axes, mechanism: Mechanism, link: int, begin: FloatArray, e
     start, along = begin[link], end[link] - begin[link]
     parent = parent_of(mechanism, link)
     axes.plot(*zip(start, end[link]), color=BLUE, linewidth=4.0, solid_capstyle="round", zorder=2)
-    axes.annotate(f"link {link + 1}", tuple(start + 0.6 * along), xytext=(7, 3), textcoords="offset points",
-                  fontsize=9.0)
+    side = 1 if along[0] >= 0.0 else -1  # away from the vertical, where the arc is
+    axes.annotate(f"link {link + 1}", tuple(start + 0.6 * along), xytext=(7 * side, 3), textcoords="offset points",
+                  fontsize=9.0, ha="left" if side > 0 else "right")
     driven = link in mechanism.actuated
     axes.plot(*start, "o", color=BLUE, markerfacecolor=ORANGE if driven else "white", markersize=8.0, zorder=4)
     up = 1.0 if mechanism.gravity < 0.0 else -1.0

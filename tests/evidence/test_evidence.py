@@ -6,9 +6,10 @@ import sys
 
 import pytest
 
+from tests.evidence import untuned
 from tests.evidence.__main__ import main
 from tests.evidence.registry import INDEX, Evidence, evidence, index
-from tests.support.paths import ROOT
+from tests.support.paths import ROOT, needs_records
 
 PAGES = {path.name for path in INDEX.parent.glob("*.md")} - {"index.md", "limits.md"}
 
@@ -58,3 +59,11 @@ def test_the_runner_lists_runs_and_refuses(capsys: pytest.CaptureFixture[str]) -
 def test_a_page_without_its_result_is_refused() -> None:
     with pytest.raises(ValueError, match="has no result of `make soak`"):
         Evidence("what", "make soak", "soak.md", 1.0, "none", ("no such sentence",)).line()
+
+
+@needs_records
+def test_a_spoilt_servo_is_refused_for_what_was_spoilt() -> None:
+    """Its files are driven by volts, and its rig file says so."""
+    (case,) = (case for case in untuned.cases() if case[:2] == ("servo", "degrees for radians"))
+    status, said = untuned.fitted(case[3], case[2])
+    assert status == 1 and case[4] in said

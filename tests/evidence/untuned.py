@@ -184,7 +184,7 @@ def raw(folder: str, names: Sequence[str], rig: Rig) -> list[Dataset]:
 
 def cases() -> Iterator[Case]:
     """Every spoilt variant."""
-    arm, joint = parse_rig(ARM), parse_rig(JOINT + 'input = "voltage"\n')
+    arm, servo = parse_rig(ARM), RECORDS["bam_xl330"].rig
     c0 = raw("dfki_c0", ("00", "01", "02", "05"), arm)
     a0 = raw("dfki_a0", ("00", "01", "02", "03"), arm)
     for what, (by, said) in ARM_SPOILS.items():
@@ -201,11 +201,11 @@ def cases() -> Iterator[Case]:
     yield "arm A.0", "torque negated in one run", ARM, [*a0[:3], turned], f"{turned.name} is set aside"
     emps = raw("emps", ("estimation",), parse_rig(RECORDS["emps"].rig))
     yield "axis", "force negated", RECORDS["emps"].rig, [spoilt(emps[0], negated("tau1_n"))], "tau1_n looks negated"
-    bam = raw("bam_xl330", ("kp100_sin_sin", "kp400_up_and_down"), joint)
+    bam = raw("bam_xl330", ("kp100_sin_sin", "kp400_up_and_down"), parse_rig(servo))
     for what, by, said in (("volts negated", negated("voltage1_v"), "duty looks negated"),
                            ("degrees for radians", times(180 / np.pi, "q1_rad"), "q1_rad looks in degrees"),
                            ("gravity upside down", lambda d: {"q1_rad": d["q1_rad"] + np.pi}, "upside down")):
-        yield "servo", what, JOINT, [spoilt(run, by) for run in bam], said
+        yield "servo", what, servo, [spoilt(run, by) for run in bam], said
     rng = np.random.default_rng(5)
     body = random_leg(rng)
     legs = [record(body, rng, seconds=10.0, amplitude=a, name=f"leg{k}.csv") for k, a in enumerate((1.2, 0.8))]

@@ -8,10 +8,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from daq import InputError
 from experiments.cli.arguments import add_force
 
 if TYPE_CHECKING:
-    from daq import Column
+    from daq import Column, Dataset
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -34,14 +35,26 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--yes", action="store_true", help="import by a guessed map without asking")
     add_force(parser)
     parser.add_argument("--rate", metavar="HZ", type=float, help="samples per second; default: the slowest signal's")
+    parser.add_argument("--span", metavar="FROM,TO", type=span,
+                        help="import these seconds of each file alone, by its own clock")
     parser.set_defaults(run=run)
+
+
+def span(text: str) -> tuple[float, float]:
+    """A reader of FROM,TO [s], both finite."""
+    try:
+        start, end = (float(part) for part in text.split(","))
+    except ValueError:
+        start = end = 0.0
+    if not -float("inf") < start < end < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not FROM,TO in seconds, such as 50,66")
+    return start, end
 
 
 def run(args: argparse.Namespace) -> int:
     """Guess, or read, map and write; a file that cannot be read does not stop the others."""
     import sys
 
-    from daq import InputError
     from daq.runs import write_csv
     from experiments.console import make_directory, printable, warn
     from experiments.exchange import apply_map, is_guess, load_map, read_imported, runs_in
@@ -68,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
                 written = target.with_name(f"{target.stem}{ending}.csv")
                 if written.resolve() in given:
                     raise InputError(str(written), "exists already", "give another directory with --out")
-                data = apply_map(imported, own, args.rate)
+                data = _cut(apply_map(imported, own, args.rate), args.span)
                 rows = write_csv(data, written, replace=args.force)
                 print(f"{written}: {rows} samples at {data.rate_hz:g} Hz, columns time_s, {', '.join(data.columns)}")
                 for flag in data.flags:
@@ -83,6 +96,17 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _cut(data: Dataset, wanted: tuple[float, float] | None) -> Dataset:
+    """The samples of the wanted seconds, or all. Raises `InputError` where there is none."""
+    if wanted is None:
+        return data
+    first, last = data.time_s.searchsorted([wanted[0], wanted[1]])
+    if first == last:
+        raise InputError(data.name, f"has no sample between {wanted[0]:g} and {wanted[1]:g} s",
+                         f"it goes from {data.time_s[0]:g} to {data.time_s[-1]:g} s: give --span within that")
+    return data.part(slice(int(first), int(last)))
+
+
 def _targets(files: list[str], out: Path) -> Iterator[tuple[str, Path]]:
     """(file, where its run goes): its name, and its folder's before it where two have one name."""
     names = [re.sub(r"(\.csv)?\.[^.]*$", "", Path(file).name) for file in files]
@@ -95,7 +119,7 @@ def _guess(args: argparse.Namespace, target: Path) -> None:
     """Show what the files hold, and write the guessed map to `target` and its page next to it."""
     import sys
 
-    from daq import InputError, WorkError, write_file
+    from daq import WorkError, write_file
     from experiments.console import text_table
     from experiments.exchange import guess_map, guess_text, is_guess, read_imported
     from experiments.reports import GUESS_HEADER, guess_rows, guess_section, guess_verdict, write_page
@@ -121,7 +145,6 @@ def _guess(args: argparse.Namespace, target: Path) -> None:
 
 def _summary(file: str, columns: Mapping[str, Column], rate_hz: float | None) -> list[str]:
     """Row of a table: samples, rate, length and share of missing samples of one file, read by the guessed map."""
-    from daq import InputError
     from experiments.exchange import apply_map, read_imported
 
     try:

@@ -188,7 +188,7 @@ def test_torque_that_is_mostly_noise_allows_no_verdict_that_nothing_is_wrong(run
         spoiled.append(replace(run, columns=dict(run.columns) | {"tau2_nm": drowned}))
     found = diagnose(spoiled, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), seed=1)
     assert found.verdict in ("fit_failed", "unexplained")
-    assert "40 % of a measured torque to noise" in found.sentence and "rate_hz" in found.sentence
+    assert "40 % of the torque of joint 2 to noise" in found.sentence and "rate_hz" in found.sentence
 
 
 def test_too_little_data_is_refused_in_words() -> None:

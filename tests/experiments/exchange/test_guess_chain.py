@@ -51,6 +51,21 @@ def test_absolute_angles_become_relative_ones(tmp_path: Path) -> None:
     assert [load_map(columns)[f"q{k}_rad"].name for k in (1, 2, 3)] == ["q1", "'q2' - 'q1'", "'q3' - 'q2'"]
 
 
+def test_commands_and_sums_of_angles_are_no_joints(tmp_path: Path) -> None:
+    """What brachiating robots log: a second arm's absolute angle, an IMU's mean angle, torques before their limit."""
+    names = ["arm1_pos", "tail_pos", "phi_pos", "tail_tau", "phi_tau"]
+    file, columns = record(tmp_path / "x.csv", [*names[:3], "arm1_tau", *names[3:]]), tmp_path / "c.toml"
+    t, q1, q2, q3, _, tau2, tau3 = np.loadtxt(file, delimiter=",", skiprows=1).T
+    sums = {"arm2_pos": q2 + q3, "raw_imu_pos": 0.99 * q1 + 0.01 * np.cos(t), "tail_clipped_tau": 0.9 * tau2}
+    np.savetxt(file, np.stack([t, q1, q2, q3, tau2, tau3, *sums.values()], axis=1), delimiter=",", comments="",
+               header=",".join(["time", *names, *sums]), fmt="%.15g")
+    main(["import", str(file), "--guess", "--map", str(columns)])
+    found = load_map(columns)
+    assert sorted(found) == ["q1_rad", "q2_rad", "q3_rad", "tau2_nm", "tau3_nm", "time_s"]
+    assert [found[name].name for name in ("tau2_nm", "tau3_nm")] == ["tail_tau", "phi_tau"]
+    assert not {"arm2_pos", "raw_imu_pos"} & {column.name for column in found.values()}
+
+
 def test_two_driven_joints_go_to_a_fit(tmp_path: Path) -> None:
     columns = tmp_path / "c.toml"
     file = record(tmp_path / "x.csv", ["q1", "q2", "tau1", "tau2"], links=2, unit=np.pi / 180)
@@ -73,6 +88,8 @@ def test_torques_of_another_machine_are_not_explained(tmp_path: Path, capsys: py
     np.savetxt(file, table, delimiter=",", comments="", header=",".join(["time", *NUMBERED]))
     assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 1
     assert "explain the torques" in capsys.readouterr().err
+    found = load_map(tmp_path / "c.toml")
+    assert all(found[f"q{k}_rad"].name == f"q{k}" and not found[f"q{k}_rad"].unit for k in (1, 2, 3))
 
 
 @pytest.mark.parametrize(("angles", "torques_", "joints"), [

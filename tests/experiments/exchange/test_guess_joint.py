@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.runs import read_csv
 from experiments.cli import main
 from experiments.exchange.column_map import load_map
+from experiments.models import load_model
 from tests.support.driven_joint import record
 
 RIG = '[mechanism]\nmodel = "joint1"\nactuated = [1]\n'
@@ -46,3 +48,47 @@ def test_a_torque_of_another_machine_is_not_explained(tmp_path: Path, capsys: py
     np.savetxt(file, table, delimiter=",", comments="", header="time,pos,effort")
     assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 1
     assert "explains the torque 'effort'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("unit", "written"), [(1.0, ""), (np.pi / 180, "deg")])
+def test_a_pendulum_that_swings_freely_goes_to_a_fit(unit: float, written: str, tmp_path: Path,
+                                                        capsys: pytest.CaptureFixture[str]) -> None:
+    """No torque in the file: gravity still shows the unit, and one known number gives the scale."""
+    h, q, v = 0.001, 2.5, 0.0
+    angles = []
+    for _ in range(20_000):
+        v -= h * (9.81 * 0.02 * np.sin(q) + 4e-4 * v) / 0.005
+        q += h * v
+        angles.append(q)
+    noise = np.random.default_rng(1).normal(0.0, 5e-4, 2000)
+    np.savetxt(tmp_path / "swing.csv", np.stack([np.arange(2000) * 0.01, (angles[::10] + noise) / unit], axis=1),
+               delimiter=",", comments="", header="t,theta")
+    (tmp_path / "rig.toml").write_text('[mechanism]\nmodel = "joint1"\nactuated = []\n')
+    assert main(["import", str(tmp_path / "swing.csv"), "--out", str(tmp_path / "runs"), "--yes"]) == 0
+    found = load_map(tmp_path / "runs" / "columns.toml")
+    assert set(found) == {"time_s", "q1_rad"} and found["q1_rad"].unit == written
+    assert "a joint that swings freely" in capsys.readouterr().out
+    model, run, rig = (str(tmp_path / name) for name in ("model.json", "runs/swing.csv", "rig.toml"))
+    assert main(["fit", run, "--rig", rig, "--fix", "beta2=0.02", "--model-out", model]) == 0
+    assert load_model(model).parameters[0].value == pytest.approx(0.005, rel=0.01)
+
+
+def test_a_table_without_a_header_is_said_to_have_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = record(tmp_path / "x.csv", ("pos", "effort"), 1.0, 1, 1.0)
+    file.write_text("\n".join(file.read_text().splitlines()[1:]))
+    assert main(["import", str(file), "--guess", "--map", str(tmp_path / "c.toml")]) == 2
+    assert "has no header line: its 3 columns have no names" in capsys.readouterr().err
+
+
+def test_seconds_of_a_record_are_imported_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A hand holds the pendulum before it is let go."""
+    file = record(tmp_path / "x.csv", ("pos", "effort"), 1.0, 1, 1.0)
+    out, columns = tmp_path / "runs", tmp_path / "runs" / "columns.toml"
+    assert main(["import", str(file), "--out", str(out), "--yes", "--span", "5,9"]) == 0
+    time_s = read_csv(out / "x.csv").time_s
+    assert (time_s[0], time_s[-1]) == (pytest.approx(5.0), pytest.approx(8.995))
+    capsys.readouterr()
+    for wanted, said in (("50,66", "no sample between 50 and 66 s; it goes from 0 to 14.995 s"),
+                         ("9,5", "'9,5' is not FROM,TO in seconds"), ("5", "is not FROM,TO")):
+        assert main(["import", str(file), "--map", str(columns), "--out", str(out), "--span", wanted]) == 2
+        assert said in capsys.readouterr().err

@@ -117,6 +117,14 @@ def test_figures_of_the_paper_are_there_with_units(page: str) -> None:
         assert len(svg) < 200_000
 
 
+def test_an_angle_keeps_its_symbol_in_a_caption() -> None:
+    path = synthetic_fit().trajectories[0]
+    angles = {"q1_rad": path.q[:, 0], "q2_rad": path.q[:, 1]}
+    fit = replace(synthetic_fit(), sensors="encoder", trajectories=(replace(path, measured=angles, predicted=angles),))
+    captions = [picture.caption for section in fit_sections(fit) for picture in section.pictures]
+    assert [text[:18] for text in captions if "as estimated" in text] == ["Angle q1, measured", "Angle q2, measured"]
+
+
 def test_figures_follow_the_colour_scheme(page: str) -> None:
     assert "currentColor" in page and "prefers-color-scheme: dark" in page
     assert "#010203" not in page and "#000000" not in page

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -33,6 +35,14 @@ def test_the_caption_has_the_pose_the_motors_and_the_imu() -> None:
     assert all(f"<!-- {word} -->" in picture.svg or f">{word}<" in picture.svg
                for word in ("q1", "q2", "link 1", "link 2", "IMU", "x", "y", "g"))
     assert ">IMU<" not in draw_mechanism(chain(3), np.zeros(3))
+
+
+@pytest.mark.parametrize(("pose", "anchor"), [(-0.5, "end"), (0.5, "start")])
+def test_a_link_s_name_stands_on_the_far_side_of_its_angle(pose: float, anchor: str) -> None:
+    svg = draw_mechanism(joint1(), np.array([pose]))
+    place = r'text-anchor: (\w+)[^>]* x="([\d.]+)"[^>]*>'
+    (link,), (angle,) = (re.findall(place + word, svg) for word in ("link 1<", "q1<"))
+    assert link[0] == anchor and (float(link[1]) - float(angle[1])) * pose > 0.0
 
 
 def test_a_slide_has_none_and_a_page_of_a_fit_has_one() -> None:
