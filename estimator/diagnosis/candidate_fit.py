@@ -10,7 +10,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext, Explanation
 from estimator.diagnosis.decision_rule import COMPARED, HOPELESS
-from estimator.diagnosis.refit import Model, deviance, misfit, misfit_by_run, refit
+from estimator.diagnosis.refit import Model, deviance, misfit, misfit_by_run, refit, short_errors
 from estimator.diagnosis.score_statistics import ScoreTests
 from estimator.effects import Effect
 from estimator.errors import FitError
@@ -139,7 +139,7 @@ def compare_fits(context: DiagnosisContext, models: Sequence[Model], keep: Seque
     models = [*models[:COMPARED], *(m for m in models[COMPARED:] if any(m is f for f in keep))]
     every = [context.nominal, *models]
 
-    def refitted(k: int) -> tuple[float, FloatArray] | None:
+    def refitted(k: int) -> tuple[float, FloatArray, FloatArray] | None:
         m = every[k]
         try:
             again = refit(m, list(zip(m.effects, m.sizes())), COMPARE_STEPS, noise)
@@ -148,12 +148,12 @@ def compare_fits(context: DiagnosisContext, models: Sequence[Model], keep: Seque
                 return None
             # the nominal model may not converge under so little noise; its last step is used
             again = replace(m, state=replace(m.state, noise=noise))
-        return misfit(again), misfit_by_run(again)
+        return misfit(again), misfit_by_run(again), short_errors(m)
 
     plain, *found = parallel_map(refitted, len(every), context.split.workers)
     assert plain is not None
-    out = [Explanation(m, plain[0] - w[0], _NO_TESTS, -1, False, by_run=w[1])
-           for m, w in zip(models, found) if w is not None]
+    out = [Explanation(m, plain[0] - w[0], _NO_TESTS, -1, False, by_run=w[1],
+                       error=float(np.sqrt(np.mean(w[2] / plain[2])))) for m, w in zip(models, found) if w is not None]
     out.sort(key=lambda e: -e.gain)
     first = {effects_of(e.model): i for i, e in reversed(list(enumerate(out)))}
     return [e for i, e in enumerate(out) if first[effects_of(e.model)] == i]

@@ -33,6 +33,8 @@ class Explanation:
     """It leaves nothing detectable."""
     by_run: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(R,) misfit of each discover run, under the noise levels of those that it was weighed with"""
+    error: float = 1.0
+    """rms error of its free runs over a second on the discover runs, over the nominal model's"""
     bias: tuple[RunScore, ...] = ()
     """What its scores are on average when it is right, one a discover run, its own sizes left out."""
     inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -47,6 +49,22 @@ class Explanation:
         model, width = self.model, self.model.width
         spread = np.sqrt(self.inflation[:width])
         return np.outer(spread, spread) * model.state.covariance[:width, :width]
+
+
+def seated(found: Sequence[Explanation], most: int) -> list[Explanation]:
+    """The first `most` of explanations, the likeliest first; the last place is for the one that simulates best.
+
+    What is likeliest can be a sensor's small fault, which every sample shows and no simulation feels.
+    """
+    first, best = list(found[:most]), simulates_best(found)
+    return first if best is None or any(best is e for e in first) else [*first[: most - 1], best]
+
+
+def simulates_best(found: Sequence[Explanation]) -> Explanation | None:
+    """The one with the least error of free runs, of those without a shape at a limit where it is another thing."""
+    answers = [e for e in found if not any(effect.strict and effect.at_limits(size).any()
+                                           for effect, size in zip(e.model.effects, e.model.sizes()))]
+    return min(answers, key=lambda e: e.error, default=None)
 
 
 @dataclass

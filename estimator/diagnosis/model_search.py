@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.diagnosis.candidate_fit import Start, effects_of, fit_candidates, fit_models, own_gain
-from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, p_of
+from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, p_of, seated, simulates_best
 from estimator.diagnosis.decision_rule import (
     ALPHA,
     COLLINEAR,
@@ -148,7 +148,7 @@ def combine(context: DiagnosisContext, singles: Sequence[Explanation], say: Prog
         others = [replace(p, adequate=False) for p in more if not any(p is k for k in pairs)]
         return [*pairs, *others, *([replace(s, adequate=False) for s in singles] if pairs else singles)]
     say("trying pairs", 0.7)
-    pairs = forward_step(context, singles[:PARENTS], PAIRS)
+    pairs = forward_step(context, seated(singles, PARENTS), PAIRS)
     pairs += backward_step(context, pairs)
     if any(s.adequate for s in pairs) or not pairs or not promise(pairs + singles):
         return pairs + singles
@@ -224,7 +224,8 @@ def assess_residuals(context: DiagnosisContext, explanation: Sequence[Explanatio
     bias = bias or bootstrap_bias(context, explanation[0].model, scores)
     first = assess_residual(context, explanation[0], bias, None, scores)
     scatter = first.left.scatter
-    rivals = [e for e in explanation[1:] if e.gain > RIVAL * explanation[0].gain]
+    best = simulates_best(explanation)
+    rivals = [e for e in explanation[1:] if e.gain > RIVAL * explanation[0].gain or e is best]
     return [first, *(assess_residual(context, e, bias, scatter) for e in rivals)]
 
 
@@ -320,4 +321,4 @@ def forward_step(context: DiagnosisContext, parents: Sequence[Explanation], most
         if smaller is not None:
             grown.append(replace(e, parent=smaller, gain_over_parent=e.gain - gains.get(smaller, 0.0)))
     bias = parents[0].bias if parents[0].adequate else ()  # what little its effect leaves hardly changes noise levels
-    return assess_residuals(context, grown[:MOST_GROWN], bias)
+    return assess_residuals(context, seated(grown, MOST_GROWN), bias)

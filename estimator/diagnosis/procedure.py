@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from daq import Dataset, FloatArray
 from estimator.diagnosis import conclusion
-from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of
+from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of, seated
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import ALPHA, EDGE, FAR_WRONG, MATERIAL, MOST_ASSESSED, SUFFICES, SURE
 from estimator.diagnosis.error_budget import budget
@@ -183,7 +183,7 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress, stated: 
     if other is not None:
         yield options, other
     say("scoring their residuals", 0.6)
-    options = assess_residuals(context, options[:MOST_ASSESSED])
+    options = assess_residuals(context, seated(options, MOST_ASSESSED))
     if options and not promise(options):
         yield options, None
     if far_wrong() and not any(e.adequate for e in closing(context, options)):
@@ -194,7 +194,7 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress, stated: 
             other = another(found)
             if other is not None:
                 yield options, other
-            options = assess_residuals(context, every[:MOST_ASSESSED])
+            options = assess_residuals(context, seated(every, MOST_ASSESSED))
     options = explain(context, tests, options, say, promise)
     more = max((e for e in options if len(e.model.effects) > 1), key=lambda e: (e.adequate, e.gain), default=None)
     other = None if more is None else another(more.model)

@@ -25,7 +25,15 @@ from estimator.fitting import (
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
-from estimator.prediction import SmoothedRun, draw_replicate, per_value, simulate_run, smooth_under
+from estimator.prediction import (
+    SHORT_S,
+    SmoothedRun,
+    draw_replicate,
+    per_value,
+    predict_run,
+    simulate_run,
+    smooth_under,
+)
 from estimator.signals import SignalSet
 
 CONVERGE_STEPS = 15
@@ -185,6 +193,19 @@ def misfit_by_run(model: Model) -> FloatArray:
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
         out.append(problem.motion_equations(state.x, state.beta, state.noise).objective)
     return np.array(out)
+
+
+def short_errors(model: Model) -> FloatArray:
+    """(C,) mean squared error of each sensor in free runs over SHORT_S on the discover runs; inf where they diverge."""
+    split, total = model.split, 0.0
+    for i, state in zip(split.discover, run_states(model)):
+        problem = split.problem([i], model.problem.stage.angle_range, model.effects)
+        found = predict_run([SmoothedRun(split.names[i], tuple(split.runs[i]), problem, state)], [SHORT_S],
+                            misfits=False)
+        squares = (found.simulated[0, 0] - found.measured) ** 2
+        squares = squares[~np.isnan(found.measured).all(axis=1)]
+        total = total + np.where(np.isnan(squares), np.inf, squares).sum(axis=1)
+    return np.asarray(total)
 
 
 def deviance(model: Model) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnosis.context import DiagnosisContext, Explanation
+from estimator.diagnosis.context import DiagnosisContext, Explanation, seated
 from estimator.diagnosis.decision_rule import EDGE, SHORTLIST, SHORTLIST_EACH, SUFFICES, SURE
 from estimator.diagnosis.error_budget import generic_extension
 from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors, with_floor
@@ -227,7 +227,7 @@ def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
 def first_of_each(options: Sequence[Explanation]) -> list[Explanation]:
     """The first of each number of effects, the fewest effects first."""
     counts = sorted({len(o.model.effects) for o in options})
-    return [o for n in counts for o in [o for o in options if len(o.model.effects) == n][:SHORTLIST_EACH]]
+    return [o for n in counts for o in seated([o for o in options if len(o.model.effects) == n], SHORTLIST_EACH)]
 
 
 def by_likelihood(options: Sequence[Explanation]) -> list[Explanation]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from estimator.diagnosis import candidate_fit, model_search, procedure
 from estimator.diagnosis.candidate_fit import hopeful
-from estimator.diagnosis.context import Explanation
+from estimator.diagnosis.context import Explanation, seated
 from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.diagnosis.model_search import closing
 from estimator.diagnosis.score_statistics import ScoreTests
@@ -23,6 +24,10 @@ NONE_LEFT = ScoreTests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.ones(
 @dataclass(frozen=True)
 class Named:
     key: str
+    strict: bool = True
+
+    def at_limits(self, size: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return size > 0.0
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,10 @@ class Fitted:
 
     effects: tuple[Named, ...]
     deviance: float
+    at_limit: bool = False
+
+    def sizes(self) -> list[Any]:
+        return [np.array([float(self.at_limit)]) for _ in self.effects]
 
 
 @dataclass
@@ -49,6 +58,18 @@ def fitted(gain: float, *effects: str) -> Any:
 
 def explained(gain: float, adequate: bool, *effects: str) -> Explanation:
     return Explanation(fitted(gain, *effects), 1.0, NONE_LEFT, -1, adequate)
+
+
+def test_the_last_place_is_for_what_simulates_best() -> None:
+    """A geared leg's IMU, 3 mrad askew: gain 5,482, and friction that moves the leg: gain 972."""
+    every = (5482.0, "askew", 0.993), (5400.0, "biased", 0.993), (4000.0, "stiff", 1.002), (972.0, "stribeck", 0.927)
+    found = [replace(explained(gain, False, name), error=error) for gain, name, error in every]
+    bristles = replace(explained(1469.0, False, "bristles"), error=0.5,
+                       model=Fitted((Named("bristles"),), -1469.0, at_limit=True))
+    askew, biased, _, stribeck = found
+    assert seated([*found, bristles], 2) == [askew, stribeck]
+    assert seated([askew, stribeck, biased], 2) == [askew, stribeck] and seated(found, 4) == found
+    assert seated([bristles], 2) == [bristles] and seated([], 2) == []
 
 
 @pytest.fixture(autouse=True)

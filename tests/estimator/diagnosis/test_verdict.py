@@ -49,6 +49,9 @@ class Fitted:
 
     effects: tuple[str, ...]
 
+    def sizes(self) -> list[Any]:
+        return []
+
 
 def explained(gain: float, *effects: str) -> Explanation:
     return Explanation(cast(Any, Fitted(tuple(cast(Any, Named(e)) for e in effects))), gain, NOTHING_LEFT, -1,
