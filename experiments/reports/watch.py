@@ -10,6 +10,7 @@ from estimator.change import Block, Change, WatchedRun
 from experiments.reports.change import change_document
 from experiments.reports.origin import Source
 
+SCHEMA = "legid.watch/1"
 MOST_H = 1e6
 """Longer times between false alarms are not told apart."""
 
@@ -73,7 +74,7 @@ def watch_summary(lines: Sequence[Watched], false_alarms: float) -> str:
 def watch_document(lines: Sequence[Watched], false_alarms: float, reference: Sequence[str],
                    sources: Sequence[Source] = ()) -> dict[str, Any]:
     """`legid.watch/1`; see docs/formats.md."""
-    return {"schema": "legid.watch/1", "false_alarms_per_hour": false_alarms,
+    return {"schema": SCHEMA, "false_alarms_per_hour": false_alarms,
             "reference": {"runs": list(reference), "sources": [{"file": s.file, "sha256": s.sha256} for s in sources]},
             "watched": [{"run": one.found.run, "state": one.state, "seconds": one.found.seconds,
                          "alarm": None if one.found.alarm is None else _block(one.found.alarm),

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from daq import Dataset, InputError, Rig
@@ -71,9 +72,12 @@ def watcher_of(against: Runs | Model, where: str, rig: Rig, false_alarms: float,
     require_one_rig(setup.datasets)
     require_alike(setup.datasets)
     require_sound(setup)
-    with threadpool_limits(1):
-        reference = learn_reference(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio)
-        return Watcher(prepared.rig, start_watch(reference, false_alarms, setup.datasets), damaged)
+    try:
+        with threadpool_limits(1):
+            reference = learn_reference(setup.datasets, setup.mechanism, setup.options, setup.gear_ratio)
+            return Watcher(prepared.rig, start_watch(reference, false_alarms, setup.datasets), damaged)
+    except np.linalg.LinAlgError as error:
+        raise FitError(f"the reference runs give no reference: {error}") from None
 
 
 def arrivals(places: Sequence[str], known: Sequence[str], follow: bool, sleep: Callable[[float], None] = time.sleep
