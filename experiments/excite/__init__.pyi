@@ -6,6 +6,11 @@ from .optimal_design import Design as Design
 from .optimal_design import Search as Search
 from .optimal_design import design as design
 from .optimal_design import design_text as design_text
+from .separation import Contest as Contest
+from .separation import contest_of as contest_of
+from .separation import question_of as question_of
+from .separation import separate as separate
+from .separation import separation_text as separation_text
 from .session import next_choice as next_choice
 from .session import plan_session as plan_session
 from .session import session_text as session_text

@@ -149,7 +149,7 @@ class Bench:
             raise InputError(where, f"{name} is not positive, so the model cannot be used for a design",
                              "give a model from a fit that determines it")
         self.limits: Limits = rig.limits
-        self._noise = {**USUAL_NOISE, **{name: level for name, level in model.noise.items() if level > 0}}
+        self._levels = {**USUAL_NOISE, **{name: level for name, level in model.noise.items() if level > 0}}
         self._noise_hz = rig.sampling.rate_hz
         self._has_imu = model.mechanism.model == "leg2" and model.provenance.sensors == "imu"
         self.fine = self.prior(RATE_HZ)
@@ -158,8 +158,13 @@ class Bench:
     def prior(self, rate_hz: float) -> PlanInformation:
         """The information of plans sampled at this rate, of the fit that the rig's own rate would give."""
         scale = np.sqrt(rate_hz / self._noise_hz)
-        noise = {name: scale * level for name, level in self._noise.items() if name != "passive_joint_nm"}
+        noise = {name: scale * level for name, level in self._levels.items() if name != "passive_joint_nm"}
         return PlanInformation(self.mechanism, self.beta, noise, rate_hz, self._has_imu)
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Noise by channel, for samples at RATE_HZ."""
+        return {name: np.sqrt(RATE_HZ / self._noise_hz) * level for name, level in self._levels.items()}
 
     def sized(self, shape: FloatArray, margin: float, largest_nm: float | None = None) -> Candidate | None:
         """The shape at RATE_HZ, of peak one, as large as the limits allow, judged; None where that cannot be."""

@@ -122,8 +122,8 @@ def next_of_change(found: Change) -> str:
     if found.verdict == "changed_unexplained":
         return "Diagnose the new runs without the reference: legid diagnose RUN... --rig RIG --html PAGE"
     if found.verdict == "one_of":
-        return ("Record both sessions with more kinds of motion: legid excite --rig RIG --model MODEL.json "
-                "--session NEXT")
+        return ("Record what tells the causes apart: legid excite --rig RIG --model MODEL.json --separate "
+                "DIAGNOSIS.json --out PLAN")
     return ACTIONS[found.causes[0].kind]
 
 

@@ -18,6 +18,7 @@ from daq.timing import recorded_rig
 from experiments.console import progress, text_table
 from experiments.reports.diagnosis_json import SCHEMA
 from experiments.reports.run_info import BOUND_S, clock_bound_s, lost_frames
+from experiments.reports.watch import SCHEMA as WATCH
 
 RAIL_COUNTS = 32760
 """Of 16 bits: from here on a reading is at its rail."""
@@ -35,6 +36,22 @@ class _Diagnosis(Struct):
     verdict: str
     causes: tuple[_Cause, ...] = ()
     runs: dict[str, tuple[str, ...]] = {}
+
+
+class _Any(Struct):
+    schema: str
+
+
+class _Tested(Struct):
+    run: str
+    state: str
+
+
+class _Watch(Struct):
+    """What is read of a watch JSON."""
+
+    schema: str
+    watched: tuple[_Tested, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -58,6 +75,8 @@ class RunLine:
     """`effect@joint` of that verdict."""
     diagnosis: str | None = None
     """File of that verdict."""
+    watch: str | None = None
+    """State by the newest `legid watch` JSON in its folder: ok, alarm, changed or not tested."""
 
     @property
     def faulty(self) -> bool:
@@ -81,12 +100,13 @@ def list_runs(folder: Path | str) -> list[RunLine]:
     of that name."""
     folder = Path(folder)
     if folder.suffix == ".mcap" and folder.is_file():
-        return [_with_verdict(_line(folder, folder.parent), folder, _verdicts(folder.parent))]
+        return [_with_verdict(_line(folder, folder.parent), folder, _documents(folder.parent))]
     if not folder.is_dir():
         raise InputError(str(folder), "is no folder", "name one that holds run files")
-    verdicts = _verdicts(folder)
+    documents = _documents(folder)
     paths = sorted(folder.rglob("*.mcap"))
-    lines = [_with_verdict(_line(path, folder), path, verdicts) for path in progress(paths, "reading runs", unit="run")]
+    lines = [_with_verdict(_line(path, folder), path, documents)
+             for path in progress(paths, "reading runs", unit="run")]
     return sorted(lines, key=lambda line: (line.recorded is None, line.recorded or datetime.max.replace(tzinfo=UTC)))
 
 
@@ -110,6 +130,9 @@ def runs_text(lines: Sequence[RunLine]) -> str:
             for line in lines]
     header = ["run", "recorded [UTC]", "seconds", "rig", "clock [us]", "lost", "gaps", "clipped", "verdict",
               "ended early"]
+    if any(line.watch for line in lines):
+        header.append("watch")
+        rows = [[*row, line.watch or "-"] for row, line in zip(rows, lines)]
     return text_table(header, rows, right={2, 4, 5, 6, 7})
 
 
@@ -157,23 +180,32 @@ def _ended(raw: RawRun) -> str:
     return f"damaged: {'; '.join(map(str, raw.damage))}" if raw.damage else ""
 
 
-def _verdicts(folder: Path) -> list[tuple[Path, _Diagnosis]]:
-    """Diagnosis JSONs below the folder, newest first."""
-    found = []
+def _documents(folder: Path) -> list[tuple[Path, _Diagnosis | _Watch]]:
+    """JSONs of diagnoses and watches below the folder, newest first."""
+    found: list[tuple[float, Path, _Diagnosis | _Watch]] = []
     for path in folder.rglob("*.json"):
         try:
-            document = msgspec.json.decode(path.read_bytes(), type=_Diagnosis)
+            data = path.read_bytes()
+            schema = msgspec.json.decode(data, type=_Any).schema
+            document = msgspec.json.decode(data, type=_Watch) if schema == WATCH else \
+                msgspec.json.decode(data, type=_Diagnosis)
         except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError):
             continue
-        if document.schema == SCHEMA:
+        if schema in (SCHEMA, WATCH):
             found.append((path.stat().st_mtime, path, document))
     return [(path, document) for _, path, document in sorted(found, key=lambda entry: entry[0], reverse=True)]
 
 
-def _with_verdict(line: RunLine, path: Path, verdicts: Sequence[tuple[Path, _Diagnosis]]) -> RunLine:
-    """The newest diagnosis in the run's own folder that names the run: another folder's run of that name is another."""
-    for where, document in verdicts:
-        if where.parent == path.parent and any(path.name in group for group in document.runs.values()):
+def _with_verdict(line: RunLine, path: Path, documents: Sequence[tuple[Path, _Diagnosis | _Watch]]) -> RunLine:
+    """`line` with what the newest diagnosis and watch in the run's own folder say of it: another folder's run of that
+    name is another."""
+    for where, document in reversed(documents):
+        if where.parent != path.parent:
+            continue
+        if isinstance(document, _Watch):
+            states = {one.run: one.state for one in document.watched}
+            line = replace(line, watch=states.get(path.name, line.watch))
+        elif any(path.name in group for group in document.runs.values()):
             causes = tuple(c.effect if c.joint is None else f"{c.effect}@{c.joint}" for c in document.causes)
-            return replace(line, verdict=document.verdict, causes=causes, diagnosis=where.name)
+            line = replace(line, verdict=document.verdict, causes=causes, diagnosis=where.name)
     return line

@@ -184,6 +184,13 @@ def move(leg: Leg, rng: np.random.Generator, *, seconds: float = 20.0, closed: b
     return Motion(time, rows, leg)
 
 
+def drive(leg: Leg, torque: np.ndarray) -> Motion:
+    """A motion from rest under a torque of every tick [N m]."""
+    rows = np.empty((torque.size, 7))
+    _simulate(leg.beta(), np.zeros_like(torque), np.zeros_like(torque), torque, False, 10.0, rows)
+    return Motion(np.arange(torque.size) * TICK_S, rows, leg)
+
+
 def sample(motion: Motion, rng: np.random.Generator, rate_hz: float, *, gyro: float = 0.005, accel: float = 0.05,
            torque: float = 0.02, name: str = "run") -> Dataset:
     """What a recorder on a grid of `rate_hz` has of a motion; at a tick torque and acceleration are the mean of both

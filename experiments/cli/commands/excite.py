@@ -36,6 +36,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_force(parser)
     parser.add_argument("--next", metavar="DIAGNOSIS.json",
                         help="with --session: plans that show the causes of this diagnosis best")
+    parser.add_argument("--separate", metavar="DIAGNOSIS.json",
+                        help="with --model and --out: the plan that tells the rivals of this diagnosis apart soonest, "
+                             "and the seconds that it needs")
     parser.add_argument("--runs", type=_Number(4, 64), default=16,
                         help="with --session: number of plans (default 16: every part of a diagnosis sees every kind)")
     parser.add_argument("--criterion", choices=("d", "worst"), default="d",
@@ -91,11 +94,13 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--session", "is designed by a model of the rig", "give --model MODEL.json")
     if args.peak is not None and args.model:
         raise InputError("--peak", "is for a plan without a model", "leave out --peak; --margin scales the plan")
+    if args.separate is not None and (args.session is not None or not args.model):
+        raise InputError("--separate", "designs one plan by a model of the rig", "give --model and --out")
     if args.session is not None:
         return _session(args, rig)
     if args.holds is not None and (args.model or args.session):
         raise InputError("--holds", "is a plan without a model", "leave out --model and --session")
-    plan = _designed(args, rig) if args.model else _plain(args, rig)
+    plan = _separating(args, rig) if args.separate else _designed(args, rig) if args.model else _plain(args, rig)
     write_plan(plan, args.out)
     print(f"{args.out}: {plan.duration_s:.1f} s, at most {plan.peak_nm:.3g} N m. "
           f"Next: legid record --rig {shlex.quote(args.rig)} --plan {shlex.quote(args.out)} --out RUN.mcap")
@@ -137,6 +142,24 @@ def _designed(args: argparse.Namespace, rig: Rig) -> Plan:
     with stages("designing") as show:
         found = design(bench, band, search, lambda done, total: show(f"{done:.1f} of {total:g} starts", done / total))
     print(design_text(found, rig.limits))
+    return found.best.plan
+
+
+def _separating(args: argparse.Namespace, rig: Rig) -> Plan:
+    """The plan that tells rivals apart, told of on the way."""
+    from experiments.console import stages
+    from experiments.excite import contest_of, question_of, separate, separation_text
+    from experiments.models import load_model
+    from experiments.session import setup_of
+
+    question = question_of(args.separate)
+    bench, band, search = _prior(args, rig)
+    model = load_model(args.model)
+    contest = contest_of(bench, question, model, setup_of([], rig, model.provenance.sensors).options)
+    with stages("designing") as show:
+        found = separate(contest, band, search,
+                         lambda done, total: show(f"{done:.0f} of {total:.0f} plans", done / total))
+    print(separation_text(found))
     return found.best.plan
 
 

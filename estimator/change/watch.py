@@ -1,0 +1,180 @@
+"""`Watch`: a sequential test whether a rig still is what its reference runs say, block by block of motion.
+
+The local approach (Basseville and Nikiforov, Detection of Abrupt Changes, 1993, chapter 8): of each block the score of
+the innovations' likelihood by every parameter, effect and generic term, at the reference model. Scores add up over
+blocks. At the end of each block the generalised likelihood ratio compares "no change" with every single change
+(`groups`) that began 1, 2, 4 or 8 blocks ago.
+
+A window counts as one run: its own structure is integrated out once, so a drift that lasts for hours is no change while
+reference runs drift as far. Left-out reference runs widen this further, change by change (`scale`).
+
+The threshold is a union bound: over all windows and changes a block alarms with at most the share of false alarms that
+its length has of an hour. It needs no independence of blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import fdtrc
+
+from daq import Dataset, FloatArray
+from estimator.change.contrast import Contrast, contrast, seen, total
+from estimator.change.groups import Group, groups_of
+from estimator.change.reference import Reference
+from estimator.change.scores import RunScore, score_run
+from estimator.change.structure import PRIOR_RUNS
+from estimator.errors import FitError
+
+BLOCK_S = 5.0
+WINDOWS = (1, 2, 4, 8)
+"""Blocks back to the change that is tried."""
+HOUR_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """The test at the end of one block."""
+
+    end_s: float
+    """From the run's first sample"""
+    seconds: float
+    per_hour: float
+    """False alarms per hour of a threshold that this block just reaches."""
+    effect: str
+    """The likeliest change"""
+    joint: int | None
+    since_s: float
+    """Motion from where that change began to the end of the block"""
+
+
+@dataclass(frozen=True)
+class WatchedRun:
+    """All blocks of one run."""
+
+    run: str
+    blocks: tuple[Block, ...] = ()
+    alarm: Block | None = None
+    """The first block below the threshold"""
+    failed: str = ""
+    """Why the run was not tested."""
+
+    @property
+    def worst(self) -> Block | None:
+        """The likeliest change."""
+        return min(self.blocks, key=lambda b: b.per_hour, default=None)
+
+    @property
+    def seconds(self) -> float:
+        """Motion that was tested."""
+        return sum(b.seconds for b in self.blocks)
+
+
+@dataclass
+class Watch:
+    """The test, with the blocks since its last alarm."""
+
+    reference: Reference
+    false_alarms: float
+    """Per hour of motion."""
+    groups: tuple[Group, ...]
+    scale: FloatArray
+    """(windows, groups) mean of the left-out reference runs' statistic over that without structure of its own"""
+    recent: list[tuple[float, RunScore]] = field(default_factory=list)
+    """Length [s] and score of the latest blocks."""
+
+    def test(self, run: Dataset) -> WatchedRun:
+        """All blocks of `run`, the next one in time. After an alarm the test starts anew."""
+        found: list[Block] = []
+        alarm = None
+        try:
+            for part in blocks_of(run):
+                score = score_run(self.reference.fit, part)
+                self.recent = [*self.recent[1 - WINDOWS[-1] :], (len(part) / part.rate_hz, score)]
+                found.append(self._block(float(part.time_s[-1] - run.time_s[0])))
+                if found[-1].per_hour < self.false_alarms:
+                    alarm = alarm or found[-1]
+                    self.recent = []
+        except (FitError, np.linalg.LinAlgError) as error:
+            self.recent = []
+            return WatchedRun(run.name, tuple(found), alarm, str(error))
+        return WatchedRun(run.name, tuple(found), alarm)
+
+    def _block(self, end_s: float) -> Block:
+        lengths = np.array([seconds for seconds, _ in self.recent])
+        best: tuple[float, int, int] = (2.0, 0, 1)
+        for w, blocks in enumerate(WINDOWS):
+            if blocks > len(self.recent):
+                break
+            own = _together([score for _, score in self.recent[-blocks:]])
+            p = self._p_values(self._contrast(own, self.reference.known), w)
+            k = int(np.argmin(p))
+            best = min(best, (float(p[k]), k, blocks))
+        p_value, k, blocks = best
+        tried = len(self.groups) * len(WINDOWS)
+        group = self.groups[k]
+        return Block(end_s, float(lengths[-1]), min(1.0, tried * p_value) * HOUR_S / float(lengths[-1]), group.effect,
+                     group.joint, float(lengths[-blocks:].sum()))
+
+    def _contrast(self, own: RunScore, known: Contrast) -> Contrast:
+        structure = self.reference.structure
+        return contrast(seen([own], structure)[0], known, structure)
+
+    def _p_values(self, one: Contrast, window: int) -> FloatArray:
+        """(groups,) of single changes"""
+        statistic = self._gains(one) / self.width / self.scale[window]
+        return np.asarray(fdtrc(self.width, self.reference.structure.freedom, statistic))
+
+    @cached_property
+    def width(self) -> FloatArray:
+        """(groups,) number of sizes of each."""
+        return np.array([float(len(g.names)) for g in self.groups])
+
+    @cached_property
+    def _single(self) -> FloatArray:
+        """(m, groups) change of all columns by groups of one size; zero for others."""
+        return np.stack([g.basis[:, 0] * (len(g.names) == 1) for g in self.groups], axis=-1)
+
+    def _gains(self, one: Contrast) -> FloatArray:
+        """(groups,) fall of -2 log likelihood, as `Group.fit` gives it."""
+        known = np.einsum("mk,mk->k", self._single, one.information @ self._single)
+        alone = (self._single.T @ one.score) ** 2 / np.where(known > 0.0, known, np.inf)
+        return np.array([gain if len(g.names) == 1 else g.fit(one)[1] for g, gain in zip(self.groups, alone)])
+
+    def calibrate(self, runs: Sequence[Dataset]) -> None:
+        """Set `scale` by the reference `runs`, each against the others. Raises `FitError`."""
+        every = [[score_run(self.reference.fit, part) for part in blocks_of(run)] for run in runs]
+        wholes = seen([_together(parts) for parts in every], self.reference.structure)
+        for w, blocks in enumerate(WINDOWS):
+            means = []
+            for k, parts in enumerate(every):
+                others = total(wholes[:k] + wholes[k + 1 :])
+                ends = range(min(blocks, len(parts)), len(parts) + 1)
+                means.append(np.mean([self._gains(self._contrast(_together(parts[max(end - blocks, 0) : end]), others))
+                                      for end in ends], axis=0) / self.width)
+            self.scale[w] = np.maximum(1.0, (PRIOR_RUNS + np.sum(means, axis=0)) / (PRIOR_RUNS + len(means)))
+
+
+def start_watch(reference: Reference, false_alarms: float, runs: Sequence[Dataset] = ()) -> Watch:
+    """The test against `reference`, calibrated on its left-out `runs` if these are at hand. Raises `FitError`."""
+    groups = groups_of(reference.fit, reference.known)
+    watch = Watch(reference, false_alarms, groups, np.ones((len(WINDOWS), len(groups))))
+    if runs:
+        watch.calibrate(runs)
+    return watch
+
+
+def blocks_of(run: Dataset) -> Iterator[Dataset]:
+    """Parts of a run of about `BLOCK_S` each."""
+    count = max(1, round(len(run) / run.rate_hz / BLOCK_S))
+    edges = np.linspace(0, len(run), count + 1).round().astype(int)
+    for begin, end in pairwise(edges):
+        yield run.part(slice(int(begin), int(end)))
+
+
+def _together(parts: Sequence[RunScore]) -> RunScore:
+    return RunScore(np.sum([p.score for p in parts], axis=0), np.sum([p.information for p in parts], axis=0))

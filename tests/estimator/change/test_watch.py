@@ -1,0 +1,106 @@
+"""The sequential test: on white noise as often as allowed, a change soon, a drift of the reference never."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq import Dataset
+from estimator.change import Watch, start_watch, watch
+from estimator.change.contrast import seen, total
+from estimator.change.groups import Group
+from estimator.change.scores import RunScore
+from estimator.change.structure import find_structure
+from estimator.errors import FitError
+
+COLUMNS, BLOCKS = 8, 4
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Stands for the reference model: a run's score is in its column."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the test reads of a reference."""
+
+    fit: Any
+    known: Any
+    structure: Any
+
+
+def run(rng: np.random.Generator, moved: dict[int, float]) -> Dataset:
+    """20 s whose "columns" are rows of a regression with the given coefficients, and its residual."""
+    n = 2000
+    rows = rng.normal(size=(n, COLUMNS))
+    theta = np.zeros(COLUMNS)
+    for k, size in moved.items():
+        theta[k] = size
+    columns = {f"x{k}": rows[:, k] for k in range(COLUMNS)}
+    return Dataset("run", 100.0, np.arange(n) / 100.0, {**columns, "y": rows @ theta + rng.normal(size=n)})
+
+
+def score_run(fit: Any, data: Dataset) -> RunScore:
+    if not np.isfinite(data["y"]).all():
+        raise FitError("cannot follow")
+    rows = np.stack([data[f"x{k}"] for k in range(COLUMNS)], axis=-1)
+    return RunScore(rows.T @ data["y"], rows.T @ rows)
+
+
+def started(monkeypatch: pytest.MonkeyPatch, drift: float, false_alarms: float, seed: int = 3,
+            calibrated: bool = True) -> tuple[Watch, np.random.Generator]:
+    """A test whose reference runs differ in column 5 by as much as `drift`; columns 0 and 1 are parameters."""
+    rng = np.random.default_rng(seed)
+    runs = [run(rng, {5: drift * np.cos(2 * np.pi * k / 8)}) for k in range(8)]
+    scores = [score_run(None, one) for one in runs]
+    structure = find_structure([scores], 2)
+    groups = tuple(Group(f"effect{k}", "sensors", None, "", np.eye(COLUMNS)[:, [k]], ("size",), ("1",))
+                   for k in range(COLUMNS))
+    monkeypatch.setattr(watch, "score_run", score_run)
+    monkeypatch.setattr(watch, "groups_of", lambda fit, known: groups)
+    reference: Any = Known(Fit(), total(seen(scores, structure)), structure)
+    return start_watch(reference, false_alarms, runs if calibrated else ()), rng
+
+
+def test_white_noise_alarms_less_often_than_allowed_but_not_never(monkeypatch: pytest.MonkeyPatch) -> None:
+    test, rng = started(monkeypatch, 0.0, 20.0)
+    runs = [test.test(run(rng, {})) for _ in range(540)]  # three hours
+    alarms = sum(one.alarm is not None for one in runs)
+    assert alarms <= 3 * 20
+    assert min(block.per_hour for one in runs for block in one.blocks) < 200.0  # not conservative without bound
+
+
+@pytest.mark.parametrize("size", [0.25, 0.6])
+def test_a_change_is_found_within_a_run_and_dated(size: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    test, rng = started(monkeypatch, 0.0, 0.1)
+    assert all(test.test(run(rng, {})).alarm is None for _ in range(5))
+    alarm = test.test(run(rng, {6: size})).alarm
+    assert alarm is not None and alarm.effect == "effect6" and alarm.since_s <= alarm.end_s + 5.0
+    assert test.recent == [] or len(test.recent) < BLOCKS
+
+
+def test_a_drift_that_the_reference_holds_is_no_alarm_however_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    test, rng = started(monkeypatch, 0.2, 1.0)
+    assert all(test.test(run(rng, {5: 0.2})).alarm is None for _ in range(90))  # half an hour at its edge
+    assert test.test(run(rng, {5: 2.0})).alarm is not None
+    assert test.test(run(rng, {6: 0.5})).alarm is not None
+
+
+def test_left_out_reference_runs_widen_what_drifts_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    test, _ = started(monkeypatch, 0.2, 1.0)
+    assert (test.scale[:, 5] > 1.5).all() and np.delete(test.scale, 5, axis=1).max() < 1.5
+    assert (started(monkeypatch, 0.2, 1.0, calibrated=False)[0].scale == 1.0).all()
+
+
+def test_a_run_that_cannot_be_followed_is_said_to_be_untested(monkeypatch: pytest.MonkeyPatch) -> None:
+    test, rng = started(monkeypatch, 0.0, 1.0)
+    good = run(rng, {})
+    y = good["y"].copy()
+    y[1200] = np.nan
+    found = test.test(replace(good, columns={**good.columns, "y": y}))
+    assert found.failed == "cannot follow" and found.alarm is None and len(found.blocks) == 2
+    assert test.test(good).failed == ""
