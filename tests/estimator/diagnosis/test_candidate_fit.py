@@ -65,7 +65,7 @@ def test_the_last_place_is_for_what_simulates_best() -> None:
     every = (5482.0, "askew", 0.993), (5400.0, "biased", 0.993), (4000.0, "stiff", 1.002), (972.0, "stribeck", 0.927)
     found = [replace(explained(gain, False, name), error=error) for gain, name, error in every]
     bristles = replace(explained(1469.0, False, "bristles"), error=0.5,
-                       model=Fitted((Named("bristles"),), -1469.0, at_limit=True))
+                       model=cast(Any, Fitted((Named("bristles"),), -1469.0, at_limit=True)))
     askew, biased, _, stribeck = found
     assert seated([*found, bristles], 2) == [askew, stribeck]
     assert seated([askew, stribeck, biased], 2) == [askew, stribeck] and seated(found, 4) == found
