@@ -97,9 +97,13 @@ def _rows(runs: Sequence[RunScore], scale: FloatArray, parameters: int) -> _Rows
 
 
 def _misfit(logs: FloatArray, sessions: Sequence[_Rows]) -> float:
-    """-log restricted likelihood of (common, own), and their prior."""
+    """-log restricted likelihood of (common, own), and their prior; inf where a variance is so large that rounding
+    leaves no covariance."""
     common, own = np.exp(logs)
-    return float(sum(_restricted(rows, common, own) for rows in sessions) - 0.5 * np.sum(logs))
+    try:
+        return float(sum(_restricted(rows, common, own) for rows in sessions) - 0.5 * np.sum(logs))
+    except np.linalg.LinAlgError:
+        return np.inf
 
 
 def _restricted(rows: _Rows, common: float, own: float) -> float:
