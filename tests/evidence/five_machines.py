@@ -122,7 +122,7 @@ MACHINES = (
          fits("runs/joint_2.csv"),
          "legid diagnose runs/joint_2.csv --rig rig.toml"),
         {"beta1": 18.2, "beta2": 11.4, "beta3": 20.2, "beta4": 13.3},
-        "drive gain, bodies, rotor and friction identified by the authors, UR10E_parameters.txt, arm stretched",
+        "drive gain, bodies, rotor and friction identified by the authors, UR10E_parameters.txt, arm straight",
         ("The table has no header. `utils/data_processing/parseURData.m` names its columns.",
          "By the URDF's masses the first moment is 12.6 kg m, and by the controller's torque, column 27, 12.8. The "
          "authors' gain is too small, then, which no motion shows."),

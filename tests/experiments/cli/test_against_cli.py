@@ -132,7 +132,7 @@ def test_what_is_neither_two_models_nor_two_sessions_is_refused(tmp_path: Path, 
                                                                 ) -> None:
     for words, said in ((["a.csv", "b.csv"], "is neither a model nor a folder"),
                         ([str(tmp_path)], "is the only session"),
-                        (["a.json", "b.json"], "a second model and runs do not follow"),
+                        (["a.json", "b.json"], "needs a second model and runs after it"),
                         ([str(tmp_path), str(tmp_path), "--horizons", "1"], "belongs to a comparison of models")):
         assert cli.main(["compare", *words, "--rig", RIG]) == 2
         error = capsys.readouterr().err
