@@ -97,8 +97,8 @@ def _rows(runs: Sequence[RunScore], scale: FloatArray, parameters: int) -> _Rows
 
 
 def _misfit(logs: FloatArray, sessions: Sequence[_Rows]) -> float:
-    """-log restricted likelihood of (common, own), and their prior; inf where a variance is so large that rounding
-    leaves no covariance."""
+    """-log restricted likelihood of (common, own), and their prior; inf where a variance is so large that the
+    covariance is singular."""
     common, own = np.exp(logs)
     try:
         return float(sum(_restricted(rows, common, own) for rows in sessions) - 0.5 * np.sum(logs))

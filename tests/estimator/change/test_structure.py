@@ -8,7 +8,7 @@ from estimator.change.scores import RunScore
 from estimator.change.structure import _misfit, _rows
 
 
-def test_a_variance_beyond_rounding_is_the_least_likely() -> None:
+def test_a_variance_that_makes_the_covariance_singular_is_the_least_likely() -> None:
     """A search that came there ended in a traceback."""
     rng = np.random.default_rng(0)
     draws = [rng.normal(size=(6, 6)) for _ in range(4)]
