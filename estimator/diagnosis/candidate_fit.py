@@ -153,10 +153,15 @@ def compare_fits(context: DiagnosisContext, models: Sequence[Model], keep: Seque
     plain, *found = parallel_map(refitted, len(every), context.split.workers)
     assert plain is not None
     out = [Explanation(m, plain[0] - w[0], _NO_TESTS, -1, False, by_run=w[1],
-                       error=float(np.sqrt(np.mean(w[2] / plain[2])))) for m, w in zip(models, found) if w is not None]
+                       error=_relative(w[2], plain[2])) for m, w in zip(models, found) if w is not None]
     out.sort(key=lambda e: -e.gain)
     first = {effects_of(e.model): i for i, e in reversed(list(enumerate(out)))}
     return [e for i, e in enumerate(out) if first[effects_of(e.model)] == i]
+
+
+def _relative(squares: FloatArray, nominal: FloatArray) -> float:
+    """rms of errors over the nominal model's, sensors alike; inf where both diverge."""
+    return float(np.sqrt(np.mean(np.nan_to_num(squares / nominal, nan=np.inf, posinf=np.inf))))
 
 
 def effects_of(model: Model) -> frozenset[str]:

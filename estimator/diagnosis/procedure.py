@@ -186,6 +186,7 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress, stated: 
     options = assess_residuals(context, seated(options, MOST_ASSESSED))
     if options and not promise(options):
         yield options, None
+        return
     if far_wrong() and not any(e.adequate for e in closing(context, options)):
         say("re-fitting all others", 0.65)
         every = fit_others(context, tests, options)

@@ -21,3 +21,15 @@ def write_model(path: Path, beta: list[float], settings: dict[str, Any]) -> Path
 
 
 LEG = {"model": "leg2", "actuated": (2,), "lever_arm_m": 0.2}
+LEG_RIG = """[mechanism]
+model = "leg2"
+actuated = [2]
+[imu]
+lever_arm_m = 0.2
+[limits]
+torque_nm = 1.5
+speed_radps = 12.0
+q1_rad = {q1}
+q2_rad = 2.0
+"""
+"""Its rig file, with limits and a place for that of q1."""

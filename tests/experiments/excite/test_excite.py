@@ -19,20 +19,9 @@ from experiments.excite.optimal_design import RATE_HZ, TAPER_S, Bench, merit
 from experiments.excite.session import chosen_for, next_choice, usual_choice
 from experiments.models import known_effects
 from experiments.models.model_file import load_model
-from tests.support.models import LEG, write_model
+from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg, record
 
-RIG = """[mechanism]
-model = "leg2"
-actuated = [2]
-[imu]
-lever_arm_m = 0.2
-[limits]
-torque_nm = 1.5
-speed_radps = 12.0
-q1_rad = {q1}
-q2_rad = 2.0
-"""
 SECONDS = 6.0
 
 
@@ -40,7 +29,7 @@ SECONDS = 6.0
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rig, and a prior model that is off by some per cent."""
     path = tmp_path_factory.mktemp("excite")
-    (path / "rig.toml").write_text(RIG.format(q1=1.0))
+    (path / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
     beta = Leg().beta() * (1 + 0.05 * np.random.default_rng(3).standard_normal(9))
     write_model(path / "model.json", list(beta), LEG)
     return path
@@ -152,7 +141,7 @@ def test_models_off_by_the_model_error_keep_the_limits(folder: Path) -> None:
 
 def test_one_joint(tmp_path: Path) -> None:
     write_model(tmp_path / "model.json", [0.02, 0.1, 0.03, 0.01], {"model": "joint1", "actuated": (1,)})
-    (tmp_path / "rig.toml").write_text(RIG.format(q1=1.0).replace("leg2", "joint1").replace("[2]", "[1]"))
+    (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0).replace("leg2", "joint1").replace("[2]", "[1]"))
     assert excite(tmp_path, "--out", str(tmp_path / "plan.csv"), steps=5) == 0
     assert 0 < read_plan(tmp_path / "plan.csv").peak_nm <= 0.8 * 1.5
 
@@ -228,10 +217,10 @@ def test_what_cannot_be_is_one_line(folder: Path, tmp_path: Path, capsys: pytest
     (tmp_path / "d.json").write_text('{"schema": "legid.fit/1"}')
     assert excite(folder, "--session", str(tmp_path / "s"), "--next", str(tmp_path / "d.json")) == 2
     write_model(tmp_path / "model.json", [0.02, 0.1, 0.03, 0.01], {"model": "joint1", "actuated": (1,)})
-    (tmp_path / "rig.toml").write_text(RIG.format(q1=1.0))
+    (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
     assert excite(tmp_path, *out) == 2
     (tmp_path / "model.json").write_bytes((folder / "model.json").read_bytes())
-    (tmp_path / "rig.toml").write_text(RIG.format(q1=1e-6))
+    (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1e-6))
     assert excite(tmp_path, *out) == 1
     errors = capsys.readouterr().err.splitlines()
     assert len(errors) == 7

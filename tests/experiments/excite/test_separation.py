@@ -15,20 +15,9 @@ from experiments.excite import Band, Bench, Search, contest_of, design, question
 from experiments.excite.separation import Contest, expected_ratios, seconds_until
 from experiments.models import load_model
 from experiments.session import setup_of
-from tests.support.models import LEG, write_model
+from tests.support.models import LEG, LEG_RIG, write_model
 from tests.support.mujoco_leg import Leg
 
-RIG = """[mechanism]
-model = "leg2"
-actuated = [2]
-[imu]
-lever_arm_m = 0.2
-[limits]
-torque_nm = 1.5
-speed_radps = 12.0
-q1_rad = 1.0
-q2_rad = 2.0
-"""
 DRAG = {"effect": "quadratic_drag", "joint": 2, "size": [{"name": "drag", "value": 0.001}]}
 STRIBECK = {"effect": "stribeck_friction", "joint": 2, "size": [{"name": "excess_torque", "value": 0.01}]}
 DELAY = {"effect": "torque_delay", "joint": None, "size": [{"name": "delay", "value": 0.001}]}
@@ -47,7 +36,7 @@ def diagnosis(folder: Path, verdict: str, causes: list[Any], candidates: Sequenc
 
 def contest(folder: Path, path: Path) -> Contest:
     write_model(folder / "model.json", (1.02 * Leg().beta()).tolist(), LEG)
-    (folder / "rig.toml").write_text(RIG)
+    (folder / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
     rig, model = load_rig(folder / "rig.toml"), load_model(folder / "model.json")
     return contest_of(Bench(model, rig, "model.json"), question_of(path), model, setup_of([], rig, "imu").options)
 
