@@ -17,7 +17,7 @@ from drivers.i2c_bus import I2CBus, claim, explain, read_registers, with_retries
 
 MANUFACTURER = 0x5449
 AVERAGES = (1, 4, 16, 64, 128, 256, 512, 1024)
-"""By the code in the AVG field, of both chips."""
+"""Averages by the code in the AVG field, of both chips."""
 RESET_S = 0.001
 CHECK_EVERY_S = 0.1
 SHARE_OF_PERIOD = 0.6
@@ -39,7 +39,7 @@ class Chip:
     """Register of the shunt voltage."""
     voltage_bytes: int
     spare_bits: int
-    """Of the voltage register, at its low end."""
+    """Unused bits at the low end of the voltage register."""
     volts_per_count: float
     flags: int
     """Register of the flags."""
@@ -48,7 +48,7 @@ class Chip:
     overflow: int
     """Bit in it: the chip's arithmetic overflowed."""
     conversion_us: tuple[int, ...]
-    """By the code in the shunt's conversion time field."""
+    """Conversion times by the code in the shunt's field."""
     mode: int
     """Shunt voltage alone, over and over."""
 

@@ -167,7 +167,7 @@ class Wiring:
     """python-can's configuration; given, `port` and `baud` are not used."""
     node: int = 0
     rate_hz: float = 500.0
-    """At which a polled drive is asked."""
+    """Rate at which a polled drive is asked."""
     gear_ratio: float = 1.0
     """Turns of the motor per turn of the joint."""
     turns: float = 1.0
@@ -176,11 +176,11 @@ class Wiring:
     torque_constant_nm_per_a: float = 1.0
     """Joint torque per ampere, gear included."""
     torque_limit_nm: float = 2.0
-    """Of the joint, by the rig file."""
+    """The joint's limit in the rig file."""
     speed_limit_radps: float = 15.0
-    """Of the joint, by the rig file."""
+    """The joint's limit in the rig file."""
     watchdog_ms: int = 100
-    """Of the drive, by the rig file."""
+    """The drive's watchdog in the rig file."""
 
 
 def drive_kinds() -> list[str]:
@@ -220,7 +220,7 @@ def find_nodes(kind: str, wiring: Wiring) -> list[int]:
 
 
 def drive_rate_hz(kind: str) -> float:
-    """At which a drive of this kind is polled by default [Hz]: the module's RATE_HZ."""
+    """Default polling rate of a drive of this kind [Hz]: the module's RATE_HZ."""
     return float(getattr(drive_module(kind), "RATE_HZ", 250.0))
 
 

@@ -77,12 +77,12 @@ class Address(IntEnum):
 
 CURRENT_MODE = 0
 COUNTS = 4096
-"""Of the position, a turn of the output."""
+"""Counts of the position, a turn of the output."""
 VELOCITY_RPM = 0.229
 WATCHDOG_UNIT_MS = 20
 WATCHDOG_ERROR = 0xFF
 TICK_WRAP = 32768
-"""Of the realtime tick [ms]."""
+"""Period of the realtime tick [ms]."""
 OLDEST_WITH_WATCHDOG = 38
 """Firmware."""
 
@@ -110,7 +110,7 @@ MODELS = {1190: Model("XL330-M077", 1e-3), 1200: Model("XL330-M288", 1e-3), 1210
           1020: Model("XM430-W350", 2.69e-3), 1030: Model("XM430-W210", 2.69e-3), 1000: Model("XH430-W350", 2.69e-3),
           1010: Model("XH430-W210", 2.69e-3), 1040: Model("XH430-V350", 1.34e-3), 1050: Model("XH430-V210", 1.34e-3),
           1120: Model("XM540-W270", 2.69e-3), 1130: Model("XM540-W150", 2.69e-3)}
-"""By model number."""
+"""Models by model number."""
 
 
 def crc(data: bytes) -> int:
@@ -208,5 +208,5 @@ def unsigned(table: bytes, at: int, size: int) -> int:
 
 
 def signed(table: bytes, at: int, size: int) -> int:
-    """The same, with a sign."""
+    """The signed number in the same bytes."""
     return int.from_bytes(table[at:at + size], "little", signed=True)

@@ -33,12 +33,12 @@ FIRST, SIZE = Address.TORQUE_ENABLE, Address.PRESENT_TEMPERATURE + 1 - Address.T
 EEPROM = 64
 """Bytes below Torque Enable."""
 SETTLE_S = 0.02
-"""After a write to the EEPROM."""
+"""Pause after a write to the EEPROM [s]."""
 PING_BYTES = 3
-"""Of the parameters of its answer: model number and firmware."""
+"""Length of the parameters of its answer: model number and firmware."""
 REBOOT_S = 0.3
 ANSWER_S = 0.005
-"""In which an answer that is under way arrives."""
+"""Time in which an answer that is under way arrives [s]."""
 SILENCE_MARGIN_NS = 5_000_000
 WATCHDOG_STEP_NS = dxl.WATCHDOG_UNIT_MS * 1_000_000
 NODES_TRIED = 20

@@ -43,7 +43,7 @@ class Deflection(NamedTuple):
 
     limits: Limits
     moved: tuple[float, float, float]
-    """By how much each axis moved, in the limits' unit."""
+    """Shift of each axis, in the limits' unit."""
 
     @property
     def passed(self) -> bool:

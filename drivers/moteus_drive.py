@@ -51,7 +51,7 @@ FAULTS = {32: Fault.KNEE_ENCODER, 33: Fault.GATE_DRIVER, 34: Fault.OVERVOLTAGE, 
           36: Fault.INTERNAL, 37: Fault.INTERNAL, 38: Fault.OVERTEMPERATURE, 39: Fault.POSITION_LIMIT,
           40: Fault.UNDERVOLTAGE, 41: Fault.INTERNAL, 42: Fault.KNEE_ENCODER, 43: Fault.KNEE_ENCODER,
           44: Fault.GATE_DRIVER, 46: Fault.INTERNAL, 48: Fault.POSITION_LIMIT}
-"""From moteus' fault codes; any other is INTERNAL."""
+"""Faults by moteus' fault codes; any other is INTERNAL."""
 NAMES = {32: "calibration", 33: "motor driver", 34: "over voltage", 35: "encoder", 36: "motor not configured",
          37: "pwm cycle overrun", 38: "over temperature", 39: "outside limit", 40: "under voltage",
          41: "config changed", 42: "theta invalid", 43: "position invalid", 44: "driver enable", 46: "timing violation",
@@ -62,7 +62,7 @@ NAMES = {32: "calibration", 33: "motor driver", 34: "over voltage", 35: "encoder
          103: "limited by servopos"}
 SETTINGS = ("servo.timeout_mode", "servo.max_current_A", "servo.max_velocity", "servopos.position_min",
             "servopos.position_max", "servo.enable_motor_temperature")
-"""Of its configuration, read by `conf get`."""
+"""Names of its configuration, read by `conf get`."""
 CONSOLE_BYTES = 48
 SETTING_S = 0.3
 QUERY = (read(Kind.INT8, Register.MODE) + read(Kind.F32, Register.POSITION, 4) +

@@ -72,9 +72,9 @@ class Subframe(NamedTuple):
     start: int
     """First register; of a stream its channel."""
     values: tuple[float, ...] = ()
-    """Of the registers from `start` on, as they stand on the wire; of a READ as many NaN as are asked for."""
+    """Values of the registers from `start` on, as they stand on the wire; of a READ as many NaN as are asked for."""
     data: bytes = b""
-    """Of a stream."""
+    """Bytes of a stream."""
 
 
 def write(kind: Kind, start: int, values: Sequence[float]) -> bytes:

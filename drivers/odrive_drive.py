@@ -41,7 +41,7 @@ QUIET_S = 0.06
 BEAT_NS = 500_000_000
 """A heartbeat that is older says nothing; it comes every 100 ms."""
 MARGIN = 1.5
-"""By which the limits that are written to the drive are beyond those of the rig file, which act first."""
+"""Factor of the limits that are written to the drive over those of the rig file, which act first."""
 PROOF_NS = 60_000_000
 """How much later than its time the watchdog may be seen to have acted."""
 FEEDS = 0.75

@@ -39,7 +39,7 @@ ANSWER_NS = 20_000_000
 CATCH_UP = 3
 """Requests that a poll that came late makes up for, at most."""
 ASK_AGAIN_NS = 100_000_000
-"""While a drive is being identified."""
+"""Time between requests while a drive is being identified."""
 
 
 class Reading(NamedTuple):
@@ -56,7 +56,7 @@ class Reading(NamedTuple):
     bus_v: float
     motor_degc: float
     knee_again_rad: float = math.nan
-    """By a second sensor."""
+    """Angle by a second sensor."""
     code: float = math.nan
     """The maker's number of what is wrong."""
     taken_ns: int | None = None

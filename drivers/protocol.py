@@ -49,7 +49,7 @@ class Fault(IntFlag):
 
 
 ESTOP_OPEN = 1 << 15
-"""In `faults` of a Telemetry frame, and no fault itself: the E-stop input is open now."""
+"""Bit in `faults` of a Telemetry frame, no fault itself: the E-stop input is open now."""
 
 
 class Feature(IntFlag):
@@ -147,7 +147,7 @@ class DriveLimits:
     reaction: int
     speed_limit_radps: float
     position_min_rad: float
-    """Of the knee encoder's angle, as `Telemetry.knee_rad` [rad]."""
+    """Limit of the knee encoder's angle, as `Telemetry.knee_rad` [rad]."""
     position_max_rad: float
 
 

@@ -29,7 +29,7 @@ class HostLoad:
         self._read(now_ns)
 
     def look(self, now_ns: int) -> None:
-        """At every turn; reads the system's count now and then, and after every long turn."""
+        """Note one turn of the loop; the system's count is read now and then, and after every long turn."""
         turn_s, self._turned_ns = (now_ns - self._turned_ns) * 1e-9, now_ns
         if turn_s > LONG_TURN_S:
             self._stalls.append((now_ns, min(turn_s, self._read(now_ns))))

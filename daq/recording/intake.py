@@ -70,7 +70,7 @@ class ControllerIntake:
     def __init__(self, controller: Drive, sink: Sink, calibration: Calibration,
                  now_ns: Callable[[], int]) -> None:
         self.hello = hello_of(controller)
-        """As it was when the recording began."""
+        """Its value when the recording began."""
         self.boot_id = self.first_boot_id = self.hello.boot_id
         self.heard_ns = now_ns()
         """Host time of the last telemetry. Heartbeats and answers do not count: they say nothing of the leg."""

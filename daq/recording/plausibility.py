@@ -25,7 +25,7 @@ CLOCK_DRIFT = 0.02
 ECHO_NM = 1e-3
 """How far the echo of a command may be off it [N m]: both are whole counts of 1e-6 N m, on CAN of 1e-4 or less."""
 ECHO_SHARE = 0.4
-"""Of the staleness that is allowed a command and its echo together may take this share."""
+"""Share of the allowed staleness that a command and its echo may take together."""
 FAST_S, SLOW_S = 0.02, 0.25
 """Memory of the two comparisons of torque [s]: a wrong drive shows in the fast one, a dead shunt under a gentle plan in
 the slow one."""
@@ -212,7 +212,7 @@ class TwoAngles:
             self._changed[k] = one, other
 
     def _alone(self, both_rad: tuple[float, float]) -> float:
-        """By how much one has turned since the other last changed [rad]."""
+        """Angle that one has turned since the other last changed [rad]."""
         self.look(*both_rad)
         return max(abs(both_rad[1 - k] - self._changed[k][1]) for k in (0, 1))
 
@@ -228,13 +228,13 @@ class ImuHealth:
 
     @property
     def stuck_s(self) -> float:
-        """For how long gyro or accelerometer have repeated one reading of all their axes [s]."""
+        """Time for which gyro or accelerometer have repeated one reading of all their axes [s]."""
         most = max(self._same)
         return most * self._period_s if most >= STUCK_SAMPLES else 0.0
 
     @property
     def rail_s(self) -> float:
-        """For how long an axis has been at its rail [s]."""
+        """Time for which an axis has been at its rail [s]."""
         return self._railed * self._period_s
 
     def see(self, raw: NDArray[np.int16]) -> None:
@@ -333,7 +333,7 @@ class Plausibility:
         self._trip_s = trip_s + self._periods_s
 
     def suspects(self, now_ns: int) -> SuspectTimes:
-        """For how long each check has failed."""
+        """Time for which each check has failed."""
         found = SuspectTimes(self._progress.age_s(now_ns), self._echo.wrong.lasted_s, self._torque.wrong.lasted_s,
                        self._encoder.wrong.lasted_s)
         if self._imu is None:

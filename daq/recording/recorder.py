@@ -327,7 +327,7 @@ class Recorder:
                    self._senses.hall_seen)
 
     def _status(self) -> Status:
-        """For a watcher: how far the run is, how the controller is, what was lost."""
+        """Progress of the run, state of the controller and losses, for a watcher."""
         telemetry, stats, imu = self._leg.telemetry, self._controller.stats, self._imu
         drive = State(telemetry.state).name.lower() if telemetry else "silent"
         if telemetry is not None and telemetry.faults:

@@ -41,7 +41,7 @@ class Row(NamedTuple):
     time_s: float
     """Since the recording began."""
     q1_rad: float | None
-    """From the pivot's Hall sensor; None where the rig has none."""
+    """Angle of the pivot's Hall sensor; None if the rig has none."""
     q2_rad: float | None
     torque_nm: float | None
     torque_cmd_nm: float | None

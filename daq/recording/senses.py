@@ -13,7 +13,7 @@ from daq.rig import Rig
 from drivers import Hello, Telemetry
 
 REACT_S = 0.01
-"""From a reading to less torque [s]: a turn of supervision, the link twice, the current loop."""
+"""Delay from a reading to less torque [s]: a turn of supervision, the link twice, the current loop."""
 RATE_TOLERANCE = 0.06
 """How far the IMU's rate may be off its nominal one; beyond, somebody else reads its FIFO, or it is another chip."""
 GRAVITY_TOLERANCE = 0.25

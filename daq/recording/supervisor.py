@@ -23,7 +23,7 @@ class Sample(NamedTuple):
     q1_rad: float | None = None
     q2_rad: float | None = None
     q1_ahead_rad: float | None = None
-    """Where the joint comes to rest when the torque is cut now [rad]."""
+    """Angle at which the joint comes to rest if the torque is cut now [rad]."""
     q2_ahead_rad: float | None = None
     temperature_degc: float | None = None
     bus_v: float | None = None

@@ -21,9 +21,9 @@ from drivers.mock.plant import Segment, Snapshot, StillState, snapshot
 from drivers.mock.settings import FirmwareSettings
 
 TURNAROUND_NS = 60_000
-"""From the last bit of a request to the first of its answer."""
+"""Time from the last bit of a request to the first of its answer."""
 COUNTS = 16_384
-"""Of the drive's encoder, a turn of its own."""
+"""Counts of the drive's encoder, a turn of its own."""
 
 
 class DriveFacts(NamedTuple):
@@ -31,7 +31,7 @@ class DriveFacts(NamedTuple):
 
     node: int
     rate_hz: float
-    """At which it is polled [Hz]."""
+    """Rate at which it is polled [Hz]."""
     serial: bool
     """It is served on a serial port, itself or behind its adapter; otherwise on CAN."""
 

@@ -23,7 +23,7 @@ class DriveState:
         self.state = State.DISARMED
         self.latched = Fault(0)
         self.torque_nm = 0.0
-        """After derating."""
+        """Torque after derating."""
         self.reaction = Reaction.LIMP
         """To the faults that are latched; LIMP but in FAULT."""
         self.late = 0

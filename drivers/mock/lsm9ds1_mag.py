@@ -24,7 +24,7 @@ class MockMagnetometer:
     def __init__(self, clock: Clock, address: int = 0x1E) -> None:
         self.address = address
         self.field_gauss = (0.2, 0.0, 0.4)
-        """In the magnetometer's own axes."""
+        """Field in the magnetometer's own axes."""
         self.self_test_mgauss = (2000.0, 2000.0, 500.0)
         """What the self-test adds; zeros for a broken chip."""
         self.closed = False

@@ -50,7 +50,7 @@ class StillPlant:
     state: StillState = StillState()
 
     def step(self, dt_s: float, torque_nm: float) -> StillState:
-        """The same state always."""
+        """Return the same state at all times."""
         return self.state
 
 

@@ -48,7 +48,7 @@ class ReplayLink:
             self.put([self._hello])
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Do nothing: a replay holds no device."""
 
 
 class ReplayBus:
@@ -102,7 +102,7 @@ class ReplayBus:
             self.fill()
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Do nothing: a replay holds no device."""
 
 
 def frames(row: Any) -> Telemetry:
@@ -117,7 +117,7 @@ def pong(row: Any) -> Pong:
 
 
 def rebooted(hello: Hello, boot_id: int) -> Hello:
-    """The same controller after a restart."""
+    """Hello of the same controller after a restart."""
     return replace(hello, boot_id=boot_id)
 
 

@@ -51,7 +51,7 @@ class ShuntSettings:
     shunt_ohm: float = 0.01
     sign: int = 1
     offset_v: float = 0.0
-    """Of the chip's input [V]; the INA226 has up to 10 uV."""
+    """Offset of the chip's input [V]; the INA226 has up to 10 uV."""
     noise_v: float = 4e-6
     clock_error: float = 0.0
     """The chip's conversions are longer by this share of the nominal time."""
@@ -72,7 +72,7 @@ class FirmwareSettings:
     torque_gain: float = 1.0
     """The joint gets so much of the torque that the drive believes to make: its constant is wrong by that."""
     current_noise_a: float = 0.02
-    """Of one telemetry frame's mean [A]."""
+    """Noise of one telemetry frame's mean [A]."""
     shunt_offset_a: float = 0.0
     current_loop_s: float = 0.001
     """Time constant with which the torque follows the command; 0 is at once."""
@@ -94,14 +94,14 @@ class FirmwareSettings:
     overvoltage_v: float = 30.0
     speed_limit_radps: float = 40.0
     speed_derate_radps: float = 32.0
-    """From here on torque that speeds the knee up shrinks, to nothing at the limit."""
+    """Speed above which torque that speeds the knee up shrinks, to nothing at the limit."""
     position_min_rad: float = -6.28
     position_max_rad: float = 6.28
-    """Of what the knee encoder reads."""
+    """Limit of the angle that the knee encoder reads."""
     position_derate_rad: float = 0.3
     """So far before them torque towards them begins to shrink."""
     reaction: Reaction = Reaction.LIMP
-    """To faults of the host or of the motion; to all others the drive goes limp."""
+    """Reaction to faults of the host or of the motion; to all others the drive goes limp."""
     brake_nms_per_rad: float = 0.5
     """Torque of the shorted motor per speed of the knee."""
     hold_stiffness_nm_per_rad: float = 20.0
