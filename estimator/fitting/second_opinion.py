@@ -10,7 +10,7 @@ their difference is therefore the one of independent errors,
 which is too large rather than too small (where `mle` is right and efficient the variance of the difference is that of
 shooting less that of `mle`: Hausman, Econometrica 46, 1978). Above `MOST_DISAGREEMENT` held-out data decide: both
 methods are fitted to one half and predict the other half a second ahead, from states by filtered differences, of no
-model. Where that leaves it open `mle` stays.
+model. Where that leaves it open, or the gain is below `LEAST_GAIN`, `mle` stays.
 """
 
 from __future__ import annotations
@@ -39,6 +39,9 @@ from estimator.signals import split_signals
 
 MOST_DISAGREEMENT = 3.0
 """Disagreement, in half widths, from which on a fit is not to be trusted."""
+LEAST_GAIN = 0.01
+"""Share of the held-out error by which shooting must be better at least. In an hour of data a thousandth is significant,
+and of two estimates that predict alike it says nothing about which is nearer to the truth."""
 RUNS_APART = 4
 """From so many runs on halves are of whole runs; below, each run is cut into ..."""
 BLOCKS = 4
@@ -74,7 +77,7 @@ def with_second_opinion(datasets: Sequence[Dataset], mechanism: Mechanism, optio
             opinion = _compared(result, shot, free)
     mechanism = found
     opinion = replace(opinion, held_out=_held_out(datasets, mechanism, options))
-    if opinion.held_out is None or opinion.held_out.ci95[0] <= 0.0:
+    if opinion.held_out is None or opinion.held_out.ci95[0] <= LEAST_GAIN:
         return replace(result, second_opinion=opinion)
     try:
         reported = _of_shooting(datasets, mechanism, options, result, shot)

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.likelihood import assembly_numba, correlated_torque
 from estimator.likelihood.disturbance import Process, expected_score
-from estimator.likelihood.memory import keep_pages, pieces
+from estimator.likelihood.memory import keep_pages, pieces, refuse_too_long
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Accumulators, Extra, Latents, Linearised
 from estimator.model import Collocation, Mechanism
@@ -74,6 +74,7 @@ class LatentProblem:
         lengths = [len(s.time_s) for s in signals]
         self.ends = np.cumsum(lengths)
         self.total = int(self.ends[-1])
+        refuse_too_long(self.total, self.block, 1 + mechanism.p)
         self.left = np.setdiff1d(np.arange(self.total - 1), self.ends[:-1] - 1)
         """Samples that begin an interval."""
         self.dt = 1.0 / signals[0].rate_hz

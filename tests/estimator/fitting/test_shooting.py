@@ -10,12 +10,13 @@ import pytest
 
 from daq import Dataset, FloatArray
 from estimator import FitOptions, FitResult
-from estimator.fitting import MOST_DISAGREEMENT, fit_admissible, with_second_opinion
+from estimator.fitting import MOST_DISAGREEMENT, fit_admissible, second_opinion, with_second_opinion
 from estimator.fitting.fit import estimate
 from estimator.fitting.second_opinion import shoot_from
 from estimator.fitting.shooting import Shot
 from estimator.fitting.shooting_segments import Segments
 from estimator.model import Mechanism, joint1, leg2, simulate
+from estimator.result import HeldOut
 from estimator.signals import split_signals
 from tests.support.free_swing import swing
 from tests.support.geared_pendulum import GearedPendulum
@@ -129,6 +130,16 @@ def test_a_geared_pendulum_is_found_whatever_noise_its_encoder_is_said_to_have(l
         assert found.second_opinion is None or found.second_opinion.largest < MOST_DISAGREEMENT
     np.testing.assert_allclose(found.beta[:2], truth.beta()[:2], rtol=0.04)
     np.testing.assert_allclose(found.beta[2:], truth.beta()[2:], rtol=0.15)
+
+
+@pytest.mark.parametrize(("low", "method"), [(0.005, "mle"), (0.02, "shooting")])
+def test_shooting_is_reported_only_where_it_predicts_better_by_a_margin(low: float, method: str,
+                                                                        monkeypatch: pytest.MonkeyPatch) -> None:
+    run = record_geared(GearedPendulum(), np.random.default_rng(1), seconds=9.0)
+    options = replace(ENCODER, noise={"encoder_rad": 3e-4})
+    mle = fit_admissible([run], joint1(), options)
+    monkeypatch.setattr(second_opinion, "_held_out", lambda *_: HeldOut(low + 0.005, (low, low + 0.01), 99))
+    assert with_second_opinion([run], joint1(), options, mle).method == method
 
 
 def test_a_run_that_is_too_short_leaves_mle_as_it_is() -> None:
