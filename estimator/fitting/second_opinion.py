@@ -40,8 +40,8 @@ from estimator.signals import split_signals
 MOST_DISAGREEMENT = 3.0
 """Disagreement, in half widths, from which on a fit is not to be trusted."""
 LEAST_GAIN = 0.01
-"""Share of the held-out error by which shooting must be better at least. In an hour of data a thousandth is significant,
-and of two estimates that predict alike it says nothing about which is nearer to the truth."""
+"""Share of the held-out error by which shooting must be better at least. In an hour of data a thousandth is
+significant, and of two estimates that predict alike it says nothing about which is nearer to the truth."""
 RUNS_APART = 4
 """From so many runs on halves are of whole runs; below, each run is cut into ..."""
 BLOCKS = 4

@@ -1,0 +1,86 @@
+"""A fit does not hang on what means nothing: the last digits of readings, the order of files, when a clock began."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq import Dataset, FloatArray, Rig, load_rig
+from daq.runs import read_run
+from daq.timing import recorded_rig
+from experiments.session import load_runs
+from experiments.workflows import Fitted, fit_runs
+from tests.support.paths import FIXTURES, REAL, needs_records
+
+LEAST_MOVE = 0.1
+"""Share of a 95 % interval by which no value may move."""
+RECORDS = {"dfki_c0": ("00", "01", "02"), "dfki_a0": ("00", "01", "02"), "emps": ("estimation",),
+           "multiarm": ("free_swing",)}
+Change = Callable[[list[Dataset], np.random.Generator], list[Dataset]]
+
+
+def resolution(values: FloatArray) -> float:
+    """Smallest step between the values of a column."""
+    steps = np.diff(np.unique(values[np.isfinite(values)]))
+    return float(np.min(steps[steps > 1e-9 * np.ptp(values)], initial=np.inf)) if steps.size else 0.0
+
+
+def in_the_last_digit(runs: list[Dataset], rng: np.random.Generator) -> list[Dataset]:
+    def moved(values: FloatArray) -> FloatArray:
+        step = resolution(values)
+        return values + rng.uniform(-0.01, 0.01, len(values)) * (step if np.isfinite(step) else 0.0)
+
+    return [replace(run, columns={name: moved(values) for name, values in run.columns.items()}) for run in runs]
+
+
+def in_another_order(runs: list[Dataset], rng: np.random.Generator) -> list[Dataset]:
+    return [runs[k] for k in rng.permutation(len(runs))]
+
+
+def at_another_time(runs: list[Dataset], rng: np.random.Generator) -> list[Dataset]:
+    return [replace(run, time_s=run.time_s + rng.uniform(0.0, 1e4)) for run in runs]
+
+
+def hardly_moves(runs: list[Dataset], rig: Rig, change: Change, times: int, fixed: dict[str, float] | None = None
+                 ) -> None:
+    rng, base = np.random.default_rng(1), fit_runs(runs, rig, fixed=fixed)
+    for _ in range(times):
+        found = fit_runs(change(runs, rng), rig, fixed=fixed)
+        assert found.result.method == base.result.method
+        assert found.result.mechanism.names == base.result.mechanism.names
+        assert moved(found, base) < LEAST_MOVE
+
+
+def moved(found: Fitted, base: Fitted) -> float:
+    """Largest change of a value as a share of its interval, open ones left out."""
+    half = np.maximum(base.result.half_width, 1e-300)
+    shares = np.abs(found.result.beta - base.result.beta) / (2.0 * half)
+    return float(np.max(np.where(np.isfinite(half), shares, 0.0)))
+
+
+@pytest.mark.parametrize("name", ["healthy", "noisy", "gap", "saturated-gyro", "pulled-cable", "clock-reset"])
+@pytest.mark.parametrize("change", [in_the_last_digit, at_another_time])
+def test_a_recording_of_the_emulated_leg_is_fitted_alike(name: str, change: Change) -> None:
+    path = FIXTURES / f"{name}.mcap"
+    rig = recorded_rig(read_run(path))
+    hardly_moves(load_runs([path], rig, True), rig, change, 3)
+
+
+def test_recordings_of_the_emulated_leg_are_fitted_alike_in_any_order() -> None:
+    rig = load_rig(FIXTURES / "rig.toml")
+    hardly_moves(load_runs([FIXTURES / f"{name}.mcap" for name in ("healthy", "noisy", "gap")], rig, True), rig,
+                 in_another_order, 3)
+
+
+@needs_records
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "change"), [
+    *((name, change) for name in RECORDS for change in (in_the_last_digit, at_another_time)),
+    ("dfki_c0", in_another_order), ("dfki_a0", in_another_order)])
+def test_a_real_record_is_fitted_alike(name: str, change: Change) -> None:
+    rig = load_rig(REAL / name / "rig.toml")
+    runs = load_runs([REAL / name / f"{run}.csv.gz" for run in RECORDS[name]], rig)
+    hardly_moves(runs, rig, change, 2, {"beta5": 1.0} if name == "multiarm" else None)  # which nothing drives
