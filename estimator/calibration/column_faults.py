@@ -1,8 +1,9 @@
 """Columns whose sign, unit, order or gear is wrong, found by trying the corrections.
 
 A record obeys tau = Z(q, qd, qdd) beta with a possible beta under the right reading of its columns only. Each likely
-mistake is corrected and least squares repeated; the correction with a possible beta and the smallest residual is
-reported. Mistakes that no motion shows, such as the torque's scale, are not tried.
+mistake is corrected and least squares repeated. The correction with a possible beta and the smallest residual is
+reported, if it also predicts each part of the records by the other parts. Mistakes that no motion shows, such as the
+torque's scale, are not tried.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
 from estimator.fitting import faults, free_mask, weighted_least_squares
@@ -40,6 +43,10 @@ GEAR_CLEAR = 1.18
 NEAR_ONE = 0.1
 """... factors closer to one are the scatter of such a search. (Measured on 26 real records as they are: the best factor
 beyond that leaves 1.00 to 1.16 times less.)"""
+EQUAL = 1e-3
+"""Residuals that differ by a smaller share are equal."""
+FOLDS = 4
+"""Parts of the records, each of which is predicted by the others."""
 LEAST_SPAN, MOST_SPAN = 0.1, 20.0
 """How far an angle goes that was moved for an identification [rad]. A unit that makes it less is not tried; an angle
 that goes further turned, or is in another unit, or in counts."""
@@ -116,12 +123,21 @@ def find_remedies(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
         steps = GEAR_STEPS if span < MOST_SPAN else COUNT_SPANS / span
         reading = _best_gear(motion, mechanism, options, j, steps)
         found += [] if reading is None else [replace(reading, clear=GEAR_CLEAR)]
-    cures = [r for r in found if not r.faults and r.left < MOST_LEFT
-             and ((bool(nothing.faults) and not r.remedy.scales) or r.left * r.clear < nothing.left)]
+    cures = [r for r in found if not r.faults and r.left < MOST_LEFT and _better(r, nothing, r.left, nothing.left)]
+    if cures:
+        held = _held_out(motion, mechanism, options, nothing.remedy)
+        cures = [r for r in cures if (own := _held_out(motion, mechanism, options, r.remedy)) < MOST_LEFT
+                 and _better(r, nothing, own, held)]
     least = min((r.left for r in cures), default=0.0)
     near = [r for r in cures if r.left <= ALIKE * least]
     fewest = min((r.remedy.changes for r in near), default=0)
     return nothing, tuple(sorted((r for r in near if r.remedy.changes == fewest), key=lambda r: round(r.left, 3)))
+
+
+def _better(cured: Reading, nothing: Reading, left: float, as_it_is: float) -> bool:
+    """Whether a remedy that leaves `left` is called for: far less, or no more where the record makes no mechanism."""
+    alike = bool(nothing.faults) and not cured.remedy.scales
+    return left <= (1.0 + EQUAL) * as_it_is if alike else left * cured.clear < as_it_is
 
 
 def _nothing(n: int) -> Remedy:
@@ -144,14 +160,40 @@ def _filtered(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
     return _Motion(q, qd, qdd, tau, tuple(np.cumsum([len(rows[0]) for rows in segments])), rate / thin)
 
 
-def _read(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> Reading:
+class _Equations(NamedTuple):
+    """tau = Z beta of all segments under one reading, with constants of the driven joints behind the parameters."""
+
+    z: FloatArray
+    """(m, n, p + constants)"""
+    tau: FloatArray
+    """(m, n)"""
+    free: NDArray[np.bool_]
+    """(p + constants,)"""
+    start: FloatArray
+    """(p + constants,) of which those that are not free are kept"""
+    samples_per_dof: float
+
+    def solved(self, where: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """beta by the rows `where`, and its standard deviation."""
+        with np.errstate(all="ignore"):
+            found, covariance, _ = weighted_least_squares(self.z[where], self.tau[where], self.free, self.start,
+                                                          self.samples_per_dof)
+        return found, np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+    def left(self, error: FloatArray) -> float:
+        """`error` (m, n) as a share of the torque that the free parameters have to explain."""
+        known = self.tau - self.z[:, :, ~self.free] @ self.start[~self.free]
+        return float(np.sqrt(np.mean(error**2) / max(float(np.mean(known**2)), 1e-300)))
+
+
+def _equations(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> _Equations | None:
+    """None where all segments are too short."""
     q, qd, qdd = (x @ remedy.angles.T for x in (motion.q, motion.qd, motion.qdd))
-    q = q + remedy.zero
     constants = np.zeros((len(q), mechanism.n, len(mechanism.actuated)))
     for column, j in enumerate(mechanism.actuated):
         constants[:, j, column] = 1.0
     free, beta = free_mask(mechanism, options)
-    z = np.concatenate([mechanism.regressor(q, qd, qdd), constants], axis=2)
+    z = np.concatenate([mechanism.regressor(q + remedy.zero, qd, qdd), constants], axis=2)
     tau = motion.tau @ remedy.torques.T
     band = min(SLOW_HZ, 0.1 * motion.rate_hz)
     edge = int(0.5 * motion.rate_hz / band)
@@ -162,19 +204,33 @@ def _read(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Re
             zs.append(lowpass(z[where], band, motion.rate_hz, options.filter_order)[inner])
             taus.append(lowpass(tau[where], band, motion.rate_hz, options.filter_order)[inner])
     if not zs:
-        return Reading(remedy, 1.0, ("too short",))
-    rows, right = np.concatenate(zs), np.concatenate(taus)
+        return None
     offset = [k for j, k in mechanism.offset_columns.items() if j in mechanism.actuated]
     mask = np.append(free, np.ones(constants.shape[2], dtype=bool))
     mask[offset] = False  # the constants stand for them
     start = np.append(np.where(free, 0.0, beta), np.zeros(constants.shape[2]))
-    with np.errstate(all="ignore"):
-        per_dof = max(1.0, 0.5 * motion.rate_hz / band)
-        found, covariance, _ = weighted_least_squares(rows, right, mask, start, per_dof)
-    known = right - rows[:, :, ~mask] @ start[~mask]
-    left = float(np.sqrt(np.mean((right - rows @ found) ** 2) / max(float(np.mean(known**2)), 1e-300)))
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))[: mechanism.p]
-    return Reading(remedy, left, faults(mechanism, found[: mechanism.p], std, q))
+    return _Equations(np.concatenate(zs), np.concatenate(taus), mask, start, max(1.0, 0.5 * motion.rate_hz / band))
+
+
+def _read(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> Reading:
+    rows = _equations(motion, mechanism, options, remedy)
+    if rows is None:
+        return Reading(remedy, 1.0, ("too short",))
+    found, std = rows.solved(np.arange(len(rows.z)))
+    q = motion.q @ remedy.angles.T + remedy.zero
+    return Reading(remedy, rows.left(rows.tau - rows.z @ found),
+                   faults(mechanism, found[: mechanism.p], std[: mechanism.p], q))
+
+
+def _held_out(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> float:
+    """`left` of each of `FOLDS` parts of the records by the parameters of the others."""
+    rows = _equations(motion, mechanism, options, remedy)
+    if rows is None:
+        return 1.0
+    every = np.arange(len(rows.z))
+    parts = np.array_split(every, FOLDS)
+    return rows.left(np.concatenate([rows.tau[part] - rows.z[part] @ rows.solved(np.setdiff1d(every, part))[0]
+                                     for part in parts]))
 
 
 def _likely(mechanism: Mechanism, imu: bool, gear_ratio: float, span: FloatArray) -> Iterator[Remedy]:

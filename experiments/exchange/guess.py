@@ -18,7 +18,7 @@ which nothing depends.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,6 +29,7 @@ from experiments.exchange.column_map import TIME, apply_map
 from experiments.exchange.guess_chain import driven_joints, find_chain
 from experiments.exchange.guess_joint import find_joint
 from experiments.exchange.guess_physics import Pose, find_imu, find_knee
+from experiments.exchange.guess_walker import find_walker, walker_or_chain
 from experiments.exchange.imported import ImportedFile
 from experiments.exchange.units import BRACKETED, unit_in_name
 
@@ -37,7 +38,8 @@ PATTERNS = {
     "accel": r"acc|linear_accel|(?<![a-z])a[xyz](?![a-z])",
     "tau": r"torque|effort|\btau|_tau|trq|moment|\btq|current|strom|iq_|_iq|\biq\b",
     "q1": r"\bq1|q_?1_|hip|pivot|joint_?1\b|shoulder|joint_?0\b",
-    "q2": r"\bq_?[2-9]|q_?[2-9]_|knee|knie|joint_?[2-9]\b|ankle|wrist|elbow|pos|angle|winkel|enc(?![ey])|theta|\bq\b",
+    "q2": r"\bq_?[2-9]|q_?[2-9]_|knee|knie|joint_?[2-9]\b|ankle|wrist|elbow|torso|trunk|pos|angle|winkel"
+          r"|enc(?![ey])|theta|\bq\b",
 }
 """Kind of signal -> how columns that hold it are called; of several kinds the first one counts."""
 NOT_MEASURED = r"cmd|command|set_?point|desired|(?<![a-z])des(?![a-z])|target|ref|goal|input_|clip"
@@ -48,6 +50,7 @@ MOST_LINKS = 5
 """Of a chain whose columns are guessed: signs are tried in all combinations."""
 MOST_RIVALS = 4
 """Columns that are tried in addition to the most likely one."""
+TORSO = r"torso|trunk"
 NOT_AN_ANGLE = r"vel|speed|rate|dot|temp|volt|setpoint|err|status|fault|acc|imu"
 MADE_OF_OTHERS = 1e-4
 """An angle that is a sum of others but for this share of its spread is no joint of its own."""
@@ -76,10 +79,11 @@ class Guess:
 
 
 def guess_map(imported: ImportedFile, gravity_mps2: float = 9.81) -> Guess:
-    """Columns of `imported` with units and signs, for a hanging leg, a single joint or a chain. Raises `InputError`.
+    """Columns of `imported` with units and signs, for a hanging leg, a single joint, a chain or a walker.
 
     A file with one angle, one torque or none and no gyro or accelerometer is a single joint's. One with three angles or
-    more, or with two torques, is a chain's whose joints all have encoders.
+    more, or with two torques, is a chain's whose joints all have encoders. Three angles and two torques may be a
+    walker's, which touchdowns show. Raises `InputError`.
     """
     columns, notes, rivals = _by_name(imported)
     if _is_joint(imported):
@@ -139,10 +143,11 @@ def _is_joint(imported: ImportedFile) -> bool:
 
 
 def _is_chain(imported: ImportedFile) -> bool:
-    """Angles of three joints or more, or torques of two, and no gyro or accelerometer: neither read nor left out."""
+    """Angles of three joints or more, or torques of two, and no gyro or accelerometer, neither read nor left out, but
+    a torso's."""
     angles, torques = _angles(imported), _fitting(imported, "tau", True)
     some = 0 < len(torques) <= len(angles) <= MOST_LINKS and (len(angles) > 2 or len(torques) == 2)
-    return some and not _has(imported, "gyro", "accel")
+    return some and (not _has(imported, "gyro", "accel") or bool(re.search(TORSO, " ".join(angles), re.IGNORECASE)))
 
 
 def _has(imported: ImportedFile, *kinds: str) -> bool:
@@ -179,14 +184,24 @@ def _independent(imported: ImportedFile, names: list[str], driven: Collection[in
 
 def _guess_chain(imported: ImportedFile, columns: dict[str, Column], notes: dict[str, str], gravity_mps2: float
                  ) -> Guess:
-    """The guess for a chain of joints, each with an encoder."""
+    """The guess for a chain of joints, each with an encoder, or for a walker."""
     angles = _angles(imported)
-    theirs = {f"q{k}_rad": Column(name=name, unit=unit_in_name(name, "q2_rad")) for k, name in enumerate(angles, 1)}
-    for name, j in driven_joints(angles, sorted(_fitting(imported, "tau", True), key=imported.names.index)).items():
-        theirs[f"tau{j + 1}_nm"] = Column(name=name, unit=unit_in_name(name, "tau2_nm"))
-    theirs |= {TIME: columns[TIME]} if TIME in columns else {}
-    found = find_chain(apply_map(imported, theirs), {k: c for k, c in theirs.items() if k != TIME}, gravity_mps2)
-    theirs |= found.columns
+    driven = driven_joints(angles, sorted(_fitting(imported, "tau", True), key=imported.names.index))
+    time = {TIME: columns[TIME]} if TIME in columns else {}
+
+    def put(order: Sequence[int]) -> tuple[dict[str, Column], Dataset]:
+        theirs = {f"q{k}_rad": Column(name=angles[j], unit=unit_in_name(angles[j], "q2_rad"))
+                  for k, j in enumerate(order, 1)}
+        theirs |= {f"tau{order.index(j) + 1}_nm": Column(name=name, unit=unit_in_name(name, "tau2_nm"))
+                   for name, j in driven.items()}
+        return theirs, apply_map(imported, time | theirs)
+
+    theirs, raw = put(range(len(angles)))
+    found = find_chain(raw, theirs, gravity_mps2)
+    if len(angles) == 3 and len(driven) == 2:
+        theirs, raw = put(sorted(range(3), key=lambda j: (j in driven.values(), j)))
+        found = walker_or_chain(find_walker(raw, theirs, gravity_mps2), found)
+    theirs = found.columns | time
     reasons = {TIME: notes[TIME]} if TIME in notes else {}
     last = max(name for name in theirs if name.startswith("tau"))
     curves = {f"{last}: measured, and computed from the motion [N m]": found.check}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -36,7 +36,8 @@ HANGS_RAD = 0.1
 """A zero of joint 1 further from hanging than this is reported."""
 
 
-class _Reading(NamedTuple):
+@dataclass(frozen=True)
+class Reading:
     """The angles in one unit, relative or absolute, with signs of angles and torques."""
 
     left: float
@@ -48,7 +49,7 @@ class _Reading(NamedTuple):
     q: FloatArray
     """(N, n) [rad]"""
     beta: FloatArray
-    """See `_regressor`."""
+    """(p,) by least squares"""
 
 
 def driven_joints(angles: Sequence[str], torques: Sequence[str]) -> dict[str, int]:
@@ -72,58 +73,66 @@ def find_chain(raw: Dataset, columns: Mapping[str, Column], gravity: float) -> F
     n = sum(name.startswith("q") for name in columns)
     driven = [j for j in range(n) if f"tau{j + 1}_nm" in columns]
     mechanism = chain(n, gravity_mps2=gravity, velocity_scale=SMOOTHING_RADPS)
+
     ranked = sorted(_readings(mechanism, raw, columns, driven), key=lambda one: one.left)
     first = ranked[0]
-    second = next((one for one in ranked[1:] if one.left > first.left), ranked[-1])
-    named = ", ".join(repr(columns[f"q{k + 1}_rad"].name) for k in range(n))
-    warnings, unexplained = [], []
-    if first.left > EXPLAINS:
-        unexplained.append(f"no unit and signs of {named} explain the torques (the best leave {100 * first.left:.0f} %"
-                           "): too little motion, a motor's angle before its gear, another order of the joints, or a "
-                           "mechanism that is no open chain")
-        first = next(one for one in ranked if _is_plain(one))
-    sure = second.left >= CLEAR * first.left
-    if not unexplained and not sure:
-        warnings.append(f"unit and signs are a close call: {_told(first)} leave {100 * first.left:.0f} % of the "
-                        f"torques, {_told(second)} {100 * second.left:.0f} %; look at the plot")
-    tilt = _hangs_at(mechanism, first.beta)
-    if not unexplained and abs(tilt) > HANGS_RAD:
-        warnings.append(f"joint 1 hangs at {tilt:.2f} rad, not at 0: subtract that in the map, by an expression as the "
-                        "column's name")
-    for j in driven:
-        warnings += scale_warnings(f"tau{j + 1}_nm", columns[f"tau{j + 1}_nm"])
-    prefix = "" if sure else NOT_SURE
-    found, notes = {}, {}
-    for k in range(n):
-        angle, before = columns[f"q{k + 1}_rad"], columns[f"q{max(k, 1)}_rad"]
-        name = f"'{angle.name}' - '{before.name}'" if first.absolute and k else angle.name
-        unit, sign = angle.unit or first.unit, first.signs[k]
-        less = "less the joint before, " if name != angle.name else ""
-        found[f"q{k + 1}_rad"] = msgspec.structs.replace(angle, name=name, unit=unit, sign=1 if sign > 0 else -1)
-        notes[f"q{k + 1}_rad"] = "NOT KNOWN: no unit and signs explain the torques" if unexplained else (
-            f"{prefix}in {unit or 'rad'}, sign {sign:+d}, {less}the equation of motion leaves {100 * first.left:.1f} % "
-            f"of the torques (next best: {100 * second.left:.0f} %)")
-    for j, sign in zip(driven, first.works):
-        found[f"tau{j + 1}_nm"] = msgspec.structs.replace(columns[f"tau{j + 1}_nm"], sign=1 if sign > 0 else -1)
-        notes[f"tau{j + 1}_nm"] = "NOT KNOWN: its sign does not show" if unexplained else (
-            f"{prefix}with sign {sign:+d} the inertia matrix is positive definite")
     read = first.works[-1] * lowpass(filled(raw[f"tau{driven[-1] + 1}_nm"]), band_hz(raw.rate_hz), raw.rate_hz)
     made = _regressor(mechanism, first.q, raw.rate_hz)[:, driven[-1]] @ first.beta
-    return Found(found, notes, warnings, unexplained, (read, made), left=first.left)
+    found = told(ranked, columns, (read, made), range(-1, n - 1), "a mechanism that is no open chain")
+    tilt = _hangs_at(mechanism, first.beta)
+    if not found.unexplained and abs(tilt) > HANGS_RAD:
+        found.warnings.append(f"joint 1 hangs at {tilt:.2f} rad, not at 0: subtract that in the map, by an expression "
+                              "as the column's name")
+    return found
 
 
-def _is_plain(one: _Reading) -> bool:
-    """The columns are read as they stand in the file."""
-    return not one.unit and not one.absolute and min(*one.signs, *one.works) == 1
+def told(ranked: Sequence[Reading], columns: Mapping[str, Column], check: tuple[FloatArray, FloatArray],
+         before: Sequence[int], otherwise: str) -> Found:
+    """The map by the first of `ranked`, with reasons and warnings.
+
+    `before` is the joint from which a joint's relative angle counts, from 0; `otherwise` says what else a file may hold
+    that no reading explains.
+    """
+    first = ranked[0]
+    second = next((one for one in ranked[1:] if one.left > first.left), ranked[-1])
+    sure = second.left >= CLEAR * first.left
+    angles, torques = ([name for name in sorted(columns) if name.startswith(kind)] for kind in ("q", "tau"))
+    warnings = [text for name in torques for text in scale_warnings(name, columns[name])]
+    if first.left > EXPLAINS:
+        named = ", ".join(repr(columns[name].name) for name in angles)
+        why = (f"no unit and signs of {named} explain the torques (the best leave {100 * first.left:.0f} %): too "
+               f"little motion, a motor's angle before its gear, another order of the joints, or {otherwise}")
+        notes = {name: "NOT KNOWN: no unit and signs explain the torques" for name in angles}
+        notes |= {name: "NOT KNOWN: its sign does not show" for name in torques}
+        return Found(dict(columns), notes, warnings, [why], check, left=first.left)
+    if not sure:
+        warnings.append(f"unit and signs are a close call: {_told(first)} leave {100 * first.left:.0f} % of the "
+                        f"torques, {_told(second)} {100 * second.left:.0f} %; look at the plot")
+    prefix = "" if sure else NOT_SURE
+    found, notes = {}, {}
+    for k, (column, sign) in enumerate(zip(angles, first.signs)):
+        angle, less = columns[column], ""
+        name, unit = angle.name, angle.unit or first.unit
+        if first.absolute and k:
+            less = columns[angles[before[k]]].name
+            name = f"'{name}' - '{less}'"
+        found[column] = msgspec.structs.replace(angle, name=name, unit=unit, sign=1 if sign > 0 else -1)
+        notes[column] = (f"{prefix}in {unit or 'rad'}, sign {sign:+d}, {less and f'less {less!r}, '}the equation of "
+                         f"motion leaves {100 * first.left:.1f} % of the torques (next best: {100 * second.left:.0f} "
+                         "%)")
+    for column, sign in zip(torques, first.works):
+        found[column] = msgspec.structs.replace(columns[column], sign=1 if sign > 0 else -1)
+        notes[column] = f"{prefix}with sign {sign:+d} the inertia matrix is positive definite"
+    return Found(found, notes, warnings, [], check, left=first.left)
 
 
-def _told(one: _Reading) -> str:
+def _told(one: Reading) -> str:
     return (f"{one.unit or 'rad'}{', absolute' if one.absolute else ''}, signs of angles "
             f"{' '.join(f'{s:+d}' for s in one.signs)}, of torques {' '.join(f'{s:+d}' for s in one.works)}")
 
 
 def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column], driven: Sequence[int]
-              ) -> Iterator[_Reading]:
+              ) -> Iterator[Reading]:
     """Every unit and sign with what it leaves; an angle whose name states a unit keeps it."""
     n, cutoff = mechanism.n, band_hz(raw.rate_hz)
     names = [f"q{k + 1}_rad" for k in range(n)]
@@ -146,7 +155,7 @@ def _readings(mechanism: Mechanism, raw: Dataset, columns: Mapping[str, Column],
 
 def _by_torque_signs(mechanism: Mechanism, q: FloatArray, torque: FloatArray, rows: NDArray[np.intp],
                      driven: Sequence[int], rate_hz: float, read: tuple[str, bool, tuple[int, ...]]
-                     ) -> Iterator[_Reading]:
+                     ) -> Iterator[Reading]:
     """Least squares of the equation of motion for every sign of the torques.
 
     The normal equations are put up once: the signs enter their right-hand side alone.
@@ -164,7 +173,7 @@ def _by_torque_signs(mechanism: Mechanism, q: FloatArray, torque: FloatArray, ro
         left = float(np.sqrt(max(power - right @ beta, 0.0) / spread))
         if np.linalg.eigvalsh(mechanism.inertia_matrix(poses, beta[: mechanism.p])).min() <= 0.0:
             left = max(left, 1.0)
-        yield _Reading(left, *read, works, q, beta)
+        yield Reading(left, *read, works, q, beta)
 
 
 def _regressor(mechanism: Mechanism, q: FloatArray, rate_hz: float) -> FloatArray:

@@ -144,9 +144,12 @@ class Bench:
             raise InputError(where, "is not a mechanism of one or two rotary joints with one driven joint",
                              "give a model of such a rig")
         self.beta = np.array(model.beta)
-        if not (self.beta > 0).all():
-            name = self.mechanism.names[int(np.argmin(self.beta))]
-            raise InputError(where, f"{name} is not positive, so the model cannot be used for a design",
+        signed = np.array([p.term == "offset" for p in self.mechanism.parameters])
+        sizes = np.where(signed, np.abs(self.beta), self.beta)
+        least = int(np.argmin(sizes))
+        if not sizes[least] > 0:
+            raise InputError(where, f"{self.mechanism.names[least]} is {'zero' if signed[least] else 'not positive'}, "
+                                    "so the model cannot be used for a design",
                              "give a model from a fit that determines it")
         self.limits: Limits = rig.limits
         self._levels = {**USUAL_NOISE, **{name: level for name, level in model.noise.items() if level > 0}}

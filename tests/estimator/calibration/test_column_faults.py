@@ -13,10 +13,13 @@ from daq import FloatArray
 from daq.dataset import Dataset
 from estimator.calibration.column_faults import find_remedies
 from estimator.calibration.imu_faults import read_imu, wrong_lever
+from estimator.model.chain import chain
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
+from estimator.signals import lowpass
 from experiments.session.suspicion import Suspicion, suspect
 from tests.support.mujoco_leg import Leg, random_leg, record
+from tests.support.mujoco_tree import disturbed, move, random_tree, torques
 
 DEGREES = 180.0 / np.pi
 Spoil = Mapping[str, Callable[[Dataset], np.ndarray]]
@@ -144,3 +147,42 @@ def test_the_knee_tells_a_reading_from_its_mirror_image(columns: list[str], name
     assert found.remedies[0].startswith(named) and found.against
     assert "tau2_nm" not in found.remedies[0] and "q2_rad" not in found.remedies[0]
     assert suspect([run], leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), 1.0, False) == Suspicion()
+
+
+def chain_of_three(seed: int, seconds: float, share: float, third: float = 1.0, coulomb: float = 0.1) -> Dataset:
+    """MuJoCo's chain, joints 2 and 3 driven, the third with a torque `third` times as large."""
+    rng = np.random.default_rng(seed)
+    tree = random_tree(rng, (-1, 0, 1), coulomb=coulomb)
+    if third < 1.0:
+        tree = tree._replace(coulomb=tree.coulomb * np.array([0.2, 1.0, 4.0]))
+        tau = torques(tree, rng, seconds, 100.0, share, (1,)) + third * torques(tree, rng, seconds, 100.0, share, (2,))
+    else:
+        tau = torques(tree, rng, seconds, 100.0, share, (1, 2))
+    return disturbed(move(tree, tau, 100.0, start=([0.8, 0.2, 0.1], [0.0] * 3)), (1, 2), 100.0, rng)
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_a_joint_that_hardly_turns_is_read_as_it_stands(seed: int) -> None:
+    """Its friction holds it to 0.02 rad; with the sign turned the residual is a third larger."""
+    run, mechanism = chain_of_three(seed, 3.0, 0.5, 0.7, 0.3), chain(3, actuated=(1, 2))
+    now, found = find_remedies([run], mechanism, FitOptions(sensors="encoder"))
+    assert np.ptp(run["q3_rad"]) < 0.05 and now.faults and not found
+    assert suspect([run], mechanism, FitOptions(sensors="encoder"), 1.0, True) == Suspicion()
+
+
+@pytest.mark.parametrize(("seed", "seconds"), [(81, 2.0), (84, 2.0), (87, 3.0)])
+def test_a_factor_that_predicts_no_other_part_of_the_record_is_not_named(seed: int, seconds: float) -> None:
+    """A gear's friction of 1 N m that grows with the torque: a factor of 1.3 imitates it in 2 s."""
+    run = chain_of_three(seed, seconds, 0.4)
+    rate = lowpass(np.gradient(run["q3_rad"], 0.01), 15.0, 100.0)
+    rubbing = spoilt(run, {"tau3_nm": lambda d: d["tau3_nm"] + np.tanh(rate / 0.5) * (1.0 + np.abs(d["tau3_nm"]))})
+    assert not find_remedies([rubbing], chain(3, actuated=(1, 2)), FitOptions(sensors="encoder"))[1]
+
+
+@pytest.mark.parametrize(("by", "named"), [
+    (scaled(1.0 / 0.6, "q3_rad"), "q3_rad looks 1.6"), (scaled(DEGREES, "q3_rad"), "q3_rad looks in degrees"),
+    (negated("tau2_nm"), "tau2_nm looks negated")])
+def test_a_chain_that_moves_shows_its_columns(by: Spoil, named: str) -> None:
+    run = spoilt(chain_of_three(52, 8.0, 0.5), by)
+    _, found = find_remedies([run], chain(3, actuated=(1, 2)), FitOptions(sensors="encoder"))
+    assert found[0].remedy.what.startswith(named)

@@ -146,6 +146,18 @@ def test_one_joint(tmp_path: Path) -> None:
     assert 0 < read_plan(tmp_path / "plan.csv").peak_nm <= 0.8 * 1.5
 
 
+@pytest.mark.parametrize(("offset", "viscous", "said"), [
+    (-0.02, 0.03, ""), (0.0, 0.03, "torque_offset_1 is zero"), (-0.02, -0.03, "beta3 is not positive")])
+def test_only_a_torque_offset_may_be_negative(offset: float, viscous: float, said: str, tmp_path: Path,
+                                              capsys: pytest.CaptureFixture[str]) -> None:
+    write_model(tmp_path / "model.json", [0.02, 0.1, viscous, 0.01, offset],
+                {"model": "joint1", "actuated": (1,), "torque_offset": (1,)})
+    (tmp_path / "rig.toml").write_text(LEG_RIG.format(q1=1.0).replace("leg2", "joint1").replace("[2]", "[1]"))
+    assert excite(tmp_path, "--out", str(tmp_path / "plan.csv"), steps=5) == (2 if said else 0)
+    assert said in capsys.readouterr().err
+    assert said or 0 < read_plan(tmp_path / "plan.csv").peak_nm <= 0.8 * 1.5
+
+
 def session(folder: Path, name: str, *more: str) -> dict:
     assert excite(folder, "--session", str(folder / name), *more, steps=3) == 0
     return json.loads((folder / name / "session.json").read_text())
