@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 
 from daq import InputError, Rig, WorkError, load_rig
 from daq.recording import Plan, write_plan
@@ -48,7 +49,7 @@ from experiments.reports import (
     write_diagnosis,
     write_investigation,
 )
-from experiments.session import contradictions, prepare, setup_of
+from experiments.session import contradictions, load_runs, prepare, setup_of
 from experiments.workflows.diagnose import diagnose_prepared
 from experiments.workflows.fit import fit_runs
 from experiments.workflows.record import record_plan
@@ -158,12 +159,13 @@ class Investigator:
         for turn in range(GENTLE):
             plan = first_plan(self.rig, self.asked.seed + turn, SECONDS, peak)
             self._record(plan, "first", why)
-            with suppress(FitError, WorkError), self.clock.limited():
+            with suppress(FitError, InputError, WorkError), self.clock.limited():  # too little motion for a model
                 self.asked.progress("fitting", 0.0)
                 fitted = fit_runs(self.files, self.rig)
                 check_sound(fitted.result, for_model=True)
                 made = model_of(fitted.result, fitted.setup.settings, fitted.setup.options.hold,
                                 [run.name for run in fitted.setup.datasets])
+                made = _positive(made)
                 Bench(made, self.rig, "the first fit")
                 self.model = made
                 if (fitted.result.std < KNOWN * np.abs(fitted.result.beta)).all():
@@ -180,7 +182,7 @@ class Investigator:
 
     def _used(self) -> float:
         """Largest share of a limit of angle or speed that the last run reached."""
-        setup = prepare(self.files[-1:], self.rig).setup
+        setup = setup_of(load_runs(self.files[-1:], self.rig, damaged=True), self.rig)  # usable or not
         limits, n = self.rig.limits, setup.mechanism.n
         data, shares = setup.datasets[0], [0.0]
         for j, (angle, speed) in enumerate(((limits.q1_rad, limits.q1_speed_radps if n > 1 else limits.speed_radps),
@@ -220,7 +222,8 @@ class Investigator:
             raise End("failed", f"{found.sentence} A further run would not change that.")
         made = diagnosed_model(found, setup, self.rig.motor.gear_ratio)
         save_model(made, self.out / "model.json")
-        with suppress(InputError):  # a parameter that is not positive: the model before it goes on
+        made = _positive(made)
+        with suppress(InputError):  # no model for a design: the one before it goes on
             Bench(made, self.rig, "the diagnosis")
             self.model = made
         return found
@@ -363,6 +366,15 @@ class Investigator:
 
     def _search(self) -> Search:
         return Search(self.margin, tries=1, steps=40, seed=self.asked.seed + len(self.files))
+
+
+def _positive(model: Model) -> Model:
+    """`model` with a share KNOWN of the largest parameter of the same unit in place of one that is not positive."""
+    largest: dict[str, float] = {}
+    for one in model.parameters:
+        largest[one.unit] = max(one.value, largest.get(one.unit, 0.0))
+    return structs.replace(model, parameters=tuple(
+        one if one.value > 0.0 else structs.replace(one, value=KNOWN * largest[one.unit]) for one in model.parameters))
 
 
 def investigate_rig(rig_path: Path | str, out: Path, budget_s: float, asked: Asked,

@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -198,6 +199,24 @@ def test_a_person_confirms_every_recording(tmp_path: Path, made_up: Callable[...
     assert {k: v for k, v in again.items() if k != "provenance"} == {
         k: v for k, v in written.items() if k != "provenance"}
     assert again["provenance"]["runs"] == written["provenance"]["runs"]
+
+
+def test_a_first_run_that_gives_no_model_is_followed_by_one_with_more_torque(
+        tmp_path: Path, made_up: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
+    made_up(NAMED)
+    plain, errors = investigate.fit_runs, iter([legid.FitError("too little motion"), InputError("a", "not positive")])
+
+    def fitted(*given: Any) -> Any:
+        error = next(errors, None)
+        if error is not None:
+            raise error
+        return plain(*given)
+
+    monkeypatch.setattr(investigate, "fit_runs", fitted)
+    done = run(tmp_path / "i")
+    first = [one for one in done.steps[0].experiments if one.kind == "first"]
+    assert done.ending == "settled" and len(first) >= 2
+    assert all(b.peak_nm > a.peak_nm for a, b in pairwise(first))
 
 
 def test_a_limit_that_trips_ends_the_run_and_keeps_it(tmp_path: Path) -> None:
