@@ -21,7 +21,7 @@ from experiments import cli
 from experiments.emulation.plant import LegBody
 from experiments.excite import Search
 from experiments.reports import Investigation
-from experiments.workflows import Asked, investigate, investigate_rig
+from experiments.workflows import Asked, fit_runs, investigate, investigate_rig
 from experiments.workflows.time_budget import Clock, End, Spent
 from tests.support.diagnoses import NAMES, synthetic
 from tests.support.pages import Outside
@@ -204,7 +204,7 @@ def test_a_person_confirms_every_recording(tmp_path: Path, made_up: Callable[...
 def test_a_first_run_that_gives_no_model_is_followed_by_one_with_more_torque(
         tmp_path: Path, made_up: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     made_up(NAMED)
-    plain, errors = investigate.fit_runs, iter([legid.FitError("too little motion"), InputError("a", "not positive")])
+    plain, errors = fit_runs, iter([legid.FitError("too little motion"), InputError("a", "not positive")])
 
     def fitted(*given: Any) -> Any:
         error = next(errors, None)
