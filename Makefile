@@ -12,7 +12,7 @@ LOCKED := $(BIN)/python -m pip install --quiet --disable-pip-version-check --req
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench blind family port port-faults fuzz tutorial screenshots changed watch wheel arm64 \
+	table5 replication seven-links imu-links walker bench blind family port port-faults fuzz tutorial screenshots changed watch separate wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -157,6 +157,10 @@ HOURS ?= 2
 LEGS  ?= 2
 watch: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence watch --hours $(HOURS) --legs $(LEGS) --out docs/evidence/watch.md
+
+# Emulated legs whose diagnosis ends one_of, with one more run of the designed torque and of the usual one: half an hour.
+separate: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence separate --minutes $(or $(MINUTES),30) --out docs/evidence/separate.md
 
 # Real records next to the checkout, with minimal rig files, and records with an error put in: a quarter of an hour.
 untuned: $(STAMP)

@@ -9,6 +9,7 @@ from .api import WorkError as WorkError
 from .api import compare as compare
 from .api import diagnose as diagnose
 from .api import fit as fit
+from .api import investigate as investigate
 from .api import load as load
 from .api import load_model as load_model
 from .api import load_rig as load_rig
@@ -20,8 +21,11 @@ from .api import save_model as save_model
 from .api import simulate as simulate
 from .api import tune as tune
 from .api import validate as validate
+from .api import watch as watch
 from .api import write_plan as write_plan
 from .changes import Change as Change
+from .changes import Investigation as Investigation
+from .changes import Watching as Watching
 from .listings import Comparison as Comparison
 from .listings import Effects as Effects
 from .listings import Excitation as Excitation

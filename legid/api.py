@@ -43,8 +43,10 @@ from experiments.reports import (
     origin_from,
     source_of,
 )
+from experiments.rig import confirm_estop, confirm_motion
 from experiments.session import damaged_runs, load_runs, prepare
 from experiments.workflows import (
+    Asked,
     as_reference,
     compare_models,
     diagnose_prepared,
@@ -52,21 +54,23 @@ from experiments.workflows import (
     find_change_since,
     find_difference,
     fit_runs,
+    investigate_rig,
     record_plan,
     reference_values,
     simulate_run,
     tune_runs,
     validate_prepared,
+    watcher_of,
     with_reference_terms,
 )
-from legid.changes import Change
+from legid.changes import Change, Investigation, Watching
 from legid.listings import Comparison, Tuning
 from legid.results import Dataset, Diagnosis, FitResult, Validation, Validations, dressed, sources_of
 
 __all__ = ["Change", "Comparison", "Dataset", "Diagnosis", "DriverError", "FitError", "FitResult", "InputError",
-           "Model", "Plan", "Recording", "Rig", "Tuning", "Validation", "Validations", "WorkError", "compare",
-           "diagnose", "fit", "load", "load_model", "load_rig", "model", "multisine", "read_plan", "record",
-           "save_model", "simulate", "tune", "validate", "write_plan"]
+           "Investigation", "Model", "Plan", "Recording", "Rig", "Tuning", "Validation", "Validations", "Watching",
+           "WorkError", "compare", "diagnose", "fit", "investigate", "load", "load_model", "load_rig", "model",
+           "multisine", "read_plan", "record", "save_model", "simulate", "tune", "validate", "watch", "write_plan"]
 
 RigLike = Rig | Path | str
 Runs = PlainDataset | Sequence[PlainDataset]
@@ -261,6 +265,47 @@ def record(rig: Path | str, plan: Plan, out: Path | str, emulate: str | None = N
     """
     report, warnings = record_plan(rig, plan, out, emulate, seed, progress)
     return Recording(load(out, rig), report, tuple(warnings))
+
+
+def watch(runs: Runs, against: Runs | Model, rig: RigLike | None = None, false_alarms: float = 0.1) -> Watching:
+    """Every run, in the order given, tested for a change since the reference runs `against`, as `legid watch`.
+
+    `against`: earlier runs of the same rig, or a model that a diagnosis of them gave. The test is sequential; its
+    threshold comes from the `false_alarms` that are allowed per hour of motion. From the second run after an alarm on a
+    line says what changed. Raises `InputError`, and `FitError` where the reference runs give no reference.
+    """
+    if not 0.0 < false_alarms <= 60.0:
+        raise InputError("false_alarms", f"{false_alarms:g} is not above 0 and at most 60 an hour", "give such a rate")
+    given, known = _given(runs, rig)
+    earlier = against if isinstance(against, Model) else (
+        (against,) if isinstance(against, PlainDataset) else tuple(against))
+    watcher = watcher_of(earlier, "the model", known, false_alarms)
+    lines = tuple(map(watcher.watch, given))
+    sources = () if isinstance(earlier, Model) else sources_of(earlier)
+    return Watching(lines, false_alarms, tuple(watcher.test.reference.runs), (sources, sources_of(given)))
+
+
+def investigate(rig: Path | str, out: Path | str, budget_min: float = 30.0, emulate: str | None = None, seed: int = 1,
+                yes: bool = False, estop_at_hand: bool = False, workers: int = 1,
+                progress: Callable[[str, float], None] | None = None) -> Investigation:
+    """Recordings and diagnoses of a rig until one cause stands, nothing material is left, or `budget_min` [min] are
+    spent, as `legid investigate`.
+
+    `rig` is a path. Everything goes into the folder `out`: runs, plans, a diagnosis a step, the model, the journal. A
+    person confirms every recording on the terminal, unless `yes`. `emulate` names an effect hidden in an emulated leg
+    instead ("none": nothing). The result's `ending` says why it ended; Ctrl-C is the ending `stopped`. `progress` is
+    called with (stage, share done). Raises `InputError`, and `WorkError` or a `DriverError` where nothing was recorded.
+    """
+    known, source = load_rig(rig), source_of(rig)
+
+    def confirm(what: str) -> bool:
+        confirm_estop(known, estop_at_hand)
+        return confirm_motion(what, yes)
+
+    asked = Asked(confirm, emulate, seed, workers, progress or (lambda stage, share: None))
+    done = investigate_rig(rig, Path(out), 60.0 * budget_min, asked,
+                           lambda files: origin_from(tuple(map(source_of, files)), source, seed))
+    return Investigation(done, Path(out))
 
 
 def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequence[float] | None = None,

@@ -15,7 +15,20 @@ from estimator import FitResult
 from estimator.change import Change
 from estimator.diagnosis import Diagnosis, SensorGain, Signature
 from estimator.prediction import Validation
-from experiments.reports import BLUE, GREEN, GREY, ORANGE, Comparison, drawn_changes, paint_changes, window
+from experiments.reports import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    Comparison,
+    Investigation,
+    Watched,
+    drawn_changes,
+    paint_changes,
+    paint_errors,
+    paint_watch,
+    window,
+)
 from experiments.workflows import Tuning
 
 SECONDS = 12.0
@@ -167,6 +180,22 @@ def change_figure(found: Change) -> Figure:
     ax = figure.subplots()
     paint_changes(ax, some)
     ax.set_xlabel("change / smallest detectable change")
+    return figure
+
+
+def watch_figure(lines: Sequence[Watched], false_alarms: float) -> Figure:
+    """False alarms per hour that each block of motion just reaches, over the runs."""
+    figure = NotebookFigure(figsize=(7.2, 3.2), layout="constrained")
+    paint_watch(figure.subplots(), lines, false_alarms)
+    return figure
+
+
+def investigation_figure(done: Investigation) -> Figure:
+    """Held-out errors over the steps. Raises `WorkError` where no step has a diagnosis."""
+    if done.found is None:
+        raise WorkError(done.why)
+    figure = NotebookFigure(figsize=(7.2, 3.2), layout="constrained")
+    paint_errors(figure.subplots(), done)
     return figure
 
 

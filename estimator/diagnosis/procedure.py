@@ -322,6 +322,7 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: ScoreTests, opti
                                                           decision.best[0].model if decision.best else None,
                                                           decision.draws),
                    error=(decision.table.error(NOMINAL), decision.table.error(decision.row)),
+                   compared=decision.compared,
                    rotations=account(split, decision.turns, decision.table, decision.row, material))
     if decision.verdict in ("partial", "unexplained") and decision.terms is not None:
         base = replace(base, remainder=conclusion.remainder_of(decision.terms))

@@ -185,6 +185,9 @@ class Diagnosis:
     budget: tuple[BudgetRow, ...] = ()
     error: tuple[float, float] | None = None
     """rms free-run error before and after in units of what noise alone leaves, over all sensors and horizons."""
+    compared: tuple[tuple[tuple[str, ...], float], ...] = ()
+    """Keys of the effects of every explanation that was compared, and its rms free-run error on the held-out runs in
+    the units of `error`; the least error first."""
     immaterial: tuple[Cause, ...] = ()
     """Present, but the simulation's error hardly falls by them."""
     remainder: Remainder | None = None

@@ -18,6 +18,7 @@ from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.refit import Model, deviance, refit
 from estimator.diagnosis.rotation import Turn, rotate
 from estimator.diagnosis.score_statistics import ScoreTests
+from estimator.effects import GenericReading, GenericTorque
 from estimator.errors import FitError
 from estimator.verdicts import Verdict
 
@@ -54,6 +55,16 @@ class Decision:
     """Rotations over the other runs, where the held-out ones were inconclusive."""
     more: Explanation | None = None
     """The likeliest with one more effect, which is present but not material."""
+
+    @property
+    def compared(self) -> tuple[tuple[tuple[str, ...], float], ...]:
+        """Keys of the effects and error of every model of listed effects alone, the least error first."""
+        errors: dict[tuple[str, ...], float] = {}
+        for row, model in enumerate(self.table.models):
+            keys = tuple(sorted(e.key for e in model.named))
+            if keys and not any(isinstance(e, GenericTorque | GenericReading) for e in model.named):
+                errors[keys] = min(self.table.error(row), errors.get(keys, np.inf))
+        return tuple(sorted(errors.items(), key=lambda one: one[1]))
 
 
 def decide(context: DiagnosisContext, tests: ScoreTests, options: Sequence[Explanation], material: float,

@@ -21,8 +21,8 @@ from experiments.cli.arguments import add_verbosity, check_outputs
 from experiments.console import USUAL, PlainOutput, commanded, detail, printable, verbosity
 
 HELP_ORDER = ("demo", "record", "calibrate", "info", "recover", "import_", "export", "fit", "tune", "validate",
-              "compare", "diagnose", "watch", "effects", "simulate", "gains", "casebook", "monte_carlo", "doctor",
-              "runs", "init", "excite", "emulate", "live", "verify", "completion")
+              "compare", "diagnose", "investigate", "watch", "effects", "simulate", "gains", "casebook", "monte_carlo",
+              "doctor", "runs", "init", "excite", "emulate", "live", "verify", "completion")
 """The order of `legid --help`; modules of the folder that are not in it come last."""
 TRACEBACK = "LEGID_TRACEBACK"
 """Environment variable under which an unexpected error keeps its traceback, for debugging."""

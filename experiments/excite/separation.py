@@ -80,6 +80,8 @@ class Question:
     """Causes that are present anyway."""
     against: bool = False
     """Whether rivals are changes since reference runs."""
+    left_out: tuple[str, ...] = ()
+    """A line for each rival that the design does not take, with the reason."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,11 @@ class Separation:
     def seconds(self) -> float:
         return self.best.plan.duration_s
 
+    @property
+    def apart(self) -> dict[tuple[str, str], float]:
+        """Pairs that the best plan tells apart, and their expected log likelihood ratios."""
+        return {pair: float(ratio) for pair, ratio in zip(self.pairs, self.after) if ratio >= LEAST}
+
 
 def question_of(path: Path | str) -> Question:
     """The rivals of a diagnosis JSON. Raises `InputError` where it leaves nothing to separate."""
@@ -108,6 +115,11 @@ def question_of(path: Path | str) -> Question:
         raise InputError(where, error.strerror or str(error), REMEDY) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         raise InputError(where, "is not JSON", REMEDY) from None
+    return question_in(found, where)
+
+
+def question_in(found: Any, where: str) -> Question:
+    """The rivals of the diagnosis document `found`, which errors call `where`. Raises as `question_of`."""
     if not isinstance(found, dict) or found.get("schema") != "legid.diagnosis/1":
         raise InputError(where, "is no legid.diagnosis/1", REMEDY)
     verdict = found.get("verdict")
@@ -121,13 +133,27 @@ def question_of(path: Path | str) -> Question:
         others = [r for r in map(_of_candidate, found["candidates"]) if r is not None and r.label not in named]
     except (KeyError, TypeError, ValueError):
         raise InputError(where, "`causes` or `candidates` are damaged", REMEDY) from None
-    distinct = tuple({r.label: r for r in reversed(others)}.values())[::-1][:MOST]
+    distinct = tuple({r.label: r for r in reversed(others)}.values())[::-1]
     rivals, sure = (causes, ()) if verdict == "one_of" else (distinct, causes if verdict == "partial" else ())
-    known = tuple(r for r in rivals if r.effect == "parameter" or r.effect in known_effects())
+    known = tuple(r for r in rivals if _designable(r))[:None if verdict == "one_of" else MOST]
+    last = rivals.index(known[-1]) if known and verdict != "one_of" else len(rivals)
+    left = tuple(_why_left_out(r) for r in rivals[:last] if not _designable(r))
     if len(known) < 2:
-        raise InputError(where, "names fewer than two rivals that a torque plan can tell apart",
+        raise InputError(where, "; ".join(["names fewer than two rivals that a torque plan can tell apart", *left]),
                          "plan a session by legid excite --session DIR --next DIAGNOSIS.json")
-    return Question(known, tuple(c for c in sure if c.effect in known_effects()), "against" in found)
+    return Question(known, tuple(c for c in sure if c.effect in known_effects()), "against" in found, left)
+
+
+def _designable(rival: Rival) -> bool:
+    """Whether the information of a plan has a column for it."""
+    return rival.effect == "parameter" or rival.effect in known_effects()
+
+
+def _why_left_out(rival: Rival) -> str:
+    if rival.effect == "payload":
+        return (f"payload at link {rival.joint} is left out: it changes several parameters, and the design tells apart "
+                "rivals of one parameter or one effect; weigh the link instead")
+    return f"{rival.label} is left out: no effect of that name is installed here; install its package"
 
 
 def _of_candidate(row: dict[str, Any]) -> Rival | None:
@@ -158,7 +184,9 @@ class Contest:
                 self._places[rival.label] = [[m.names.index(rival.label)]]
                 self._sizes[rival.label] = np.array([rival.sizes[rival.label]])
                 continue
-            effect = placed(kinds[rival.effect], None if rival.joint is None else rival.joint - 1, m)
+            kind = kinds[rival.effect]
+            whole = m.actuated[0] if kind.per_joint else None  # the contract has no joint for a rotor: the driven one
+            effect = placed(kind, whole if rival.joint is None else rival.joint - 1, m)
             self._sizes[rival.label] = np.array([rival.sizes.get(s.name, 0.0) for s in effect.sizes])
             for shape in dict.fromkeys((_shape(effect, rival), *effect.grid())):
                 columns.append(Column(effect, shape))
@@ -180,11 +208,11 @@ class Contest:
 
     def ratios(self, information: FloatArray) -> FloatArray:
         """(ordered pairs,) lambda: the first rival is true, the second is fitted at its likeliest shape."""
-        return np.array([min(self._left(information, a, fitted) for fitted in self._places[b.label])
+        return np.array([min(self.left(information, a, fitted) for fitted in self._places[b.label])
                          for a, b in permutations(self.question.rivals, 2)])
 
-    def _left(self, information: FloatArray, a: Rival, fitted: Sequence[int]) -> float:
-        """What parameters, sure causes and the columns `fitted` do not take up of rival a."""
+    def left(self, information: FloatArray, a: Rival, fitted: Sequence[int] = ()) -> float:
+        """lambda of rival a with what parameters, sure causes and the columns `fitted` take up removed."""
         own, theta = self._places[a.label][0], self._sizes[a.label]
         taken = [*self._free, *fitted, *(k for one in self.question.sure for k in self._places[one.label][0])]
         whole = information[np.ix_(taken, taken)]
@@ -287,21 +315,22 @@ def expected_ratios(contest: Contest, torque_nm: FloatArray) -> FloatArray:
     return np.array([min(ratio, found[j, i]) for (i, j), ratio in found.items() if i < j])
 
 
-def separation_text(found: Separation) -> str:
-    """Text for a person: of each pair the seconds until it is settled, by this plan and by the first draw."""
+def separation_text(found: Separation, question: Question) -> str:
+    """Text for a person: of each pair the seconds until it is settled, by this plan and by the first draw; then the
+    rivals that are left out."""
     lines = []
     for (a, b), before, after in zip(found.pairs, found.before, found.after):
         if after < LEAST:
             lines.append(f"{a} or {b}: no torque found within the limits tells them apart")
             continue
-        expected, sure = (seconds_until(found.seconds, after, power) for power in (0.5, POWER))
-        first = f"{seconds_until(found.seconds, before, 0.5):.3g} s" if before >= LEAST else "never"
+        expected, sure = (settling_seconds(found.seconds, after, power) for power in (0.5, POWER))
+        first = f"{settling_seconds(found.seconds, before, 0.5):.3g} s" if before >= LEAST else "never"
         lines.append(f"{a} or {b}: likelihood ratio {np.exp(CERTAIN):.0f} expected after {expected:.3g} s of this "
                      f"plan, with {100 * POWER:.0f} % probability after {sure:.3g} s (random phases: {first})")
-    return "\n".join(lines)
+    return "\n".join([*lines, *question.left_out])
 
 
-def seconds_until(seconds: float, ratio: float, power: float) -> float:
+def settling_seconds(seconds: float, ratio: float, power: float = POWER) -> float:
     """Motion [s] after which the log likelihood ratio exceeds CERTAIN with probability `power`, where one plan of so
     many seconds has the mean `ratio`."""
     z = float(ndtri(power))

@@ -67,6 +67,17 @@ from .import_picture import GUESS_HEADER as GUESS_HEADER
 from .import_picture import guess_rows as guess_rows
 from .import_picture import guess_section as guess_section
 from .import_picture import guess_verdict as guess_verdict
+from .investigation import Ending as Ending
+from .investigation import Experiment as Experiment
+from .investigation import Investigation as Investigation
+from .investigation import Step as Step
+from .investigation import belief_text as belief_text
+from .investigation import experiment_text as experiment_text
+from .investigation import investigation_document as investigation_document
+from .investigation import investigation_text as investigation_text
+from .investigation import step_text as step_text
+from .investigation_page import paint_errors as paint_errors
+from .investigation_page import write_investigation as write_investigation
 from .markdown import write_markdown as write_markdown
 from .numbers import Estimate as Estimate
 from .numbers import estimates_of as estimates_of
@@ -106,4 +117,5 @@ from .watch import Watched as Watched
 from .watch import line_text as line_text
 from .watch import watch_document as watch_document
 from .watch import watch_summary as watch_summary
+from .watch_page import paint_watch as paint_watch
 from .watch_page import write_watch as write_watch

@@ -55,6 +55,9 @@ def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = ()) -> dict
         "rotations": [{"confirm_runs": list(r.runs), "sizes": dict(r.sizes), "falls": r.falls}
                       for r in found.rotations],
         "error": None if found.error is None else {"before": found.error[0], "after": found.error[1]},
+        "compared": [{"causes": [{"effect": effect, "joint": contract_joint(effect, joint)}
+                                 for effect, joint in map(split_key, keys)], "error": _finite(error)}
+                     for keys, error in found.compared],
         "parameters": {"nominal": dict(found.nominal), "extended": dict(found.extended)},
         "not_testable": [{"effect": effect, "joint": contract_joint(effect, joint), "why": why}
                          for effect, joint, why in untestable(found)],

@@ -23,9 +23,9 @@ def with_origin(document: Mapping[str, Any], origin: Origin, runs: Sequence[Data
     return {**document, "damaged": damaged_runs(runs), "provenance": origin}
 
 
-def origin_from(sources: Sequence[Source]) -> Origin:
-    """Origin of a result that a script asked for: the program and the run files."""
-    return msgspec.structs.replace(origin_of(), runs=tuple(sources))
+def origin_from(sources: Sequence[Source], rig: Source | None = None, seed: int | None = None) -> Origin:
+    """Origin of a result that a script asked for: the program, the run files, the rig file and the seed."""
+    return msgspec.structs.replace(origin_of(rig=rig, seed=seed), runs=tuple(sources))
 
 
 def write_document(path: Path | str, document: Mapping[str, Any], sources: Sequence[Source] = ()) -> None:

@@ -47,18 +47,19 @@ def write_watch(path: Path | str, lines: Sequence[Watched], false_alarms: float,
 
 
 def watch_plot(lines: Sequence[Watched], false_alarms: float) -> str:
+    """`paint_watch` as an `<svg>` element."""
+    return draw("watch", 2.6, lambda axes: paint_watch(axes, lines, false_alarms))
+
+
+def paint_watch(axes: Axes, lines: Sequence[Watched], false_alarms: float) -> None:
     """False alarms per hour that each block just reaches, over the runs, and the threshold."""
     points = [(k + (j + 0.5) / len(one.found.blocks), block.per_hour) for k, one in enumerate(lines)
               for j, block in enumerate(one.found.blocks)]
-
-    def paint(axes: Axes) -> None:
-        x, y = np.array(points).reshape(-1, 2).T
-        low = y < false_alarms
-        for which, colour, label in ((~low, BLUE, "block"), (low, ORANGE, "alarm")):
-            axes.scatter(x[which], np.maximum(y[which], LEAST), s=14.0, c=colour, label=label, zorder=3)
-        axes.axhline(false_alarms, color=INK, linestyle="--", linewidth=1.0, label="threshold")
-        axes.set_yscale("log")
-        axes.set_xlim(0.0, max(len(lines), 1))
-        finish(axes, 3, "run", "false alarms per hour")
-
-    return draw("watch", 2.6, paint)
+    x, y = np.array(points, dtype=float).reshape(-1, 2).T
+    low = y < false_alarms
+    for which, colour, label in ((~low, BLUE, "block"), (low, ORANGE, "alarm")):
+        axes.scatter(x[which], np.maximum(y[which], LEAST), s=14.0, c=colour, label=label, zorder=3)
+    axes.axhline(false_alarms, color=INK, linestyle="--", linewidth=1.0, label="threshold")
+    axes.set_yscale("log")
+    axes.set_xlim(0.0, max(len(lines), 1))
+    finish(axes, 3, "run", "false alarms per hour")

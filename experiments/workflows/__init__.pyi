@@ -20,6 +20,8 @@ from .fit_each import refit_all as refit_all
 from .fit_each import refits_document as refits_document
 from .fit_each import refits_text as refits_text
 from .fit_each import verdict as verdict
+from .investigate import Asked as Asked
+from .investigate import investigate_rig as investigate_rig
 from .record import record_plan as record_plan
 from .record import replay_recording as replay_recording
 from .simulate import simulate_run as simulate_run

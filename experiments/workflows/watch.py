@@ -36,16 +36,17 @@ class Watcher:
     damaged: bool = False
     alarmed: list[Dataset] = field(default_factory=list)
 
-    def watch(self, file: str) -> Watched:
-        """The next run. A run that cannot be read or used is not tested, and the reason is given."""
+    def watch(self, run: Path | str | Dataset) -> Watched:
+        """The next run, a file or a data set. One that cannot be read or used is not tested; the reason is given."""
         reference = self.test.reference
         try:
-            prepared = prepare([file], self.rig, sensors=reference.fit.options.sensors, beta=reference.fit.beta,
+            prepared = prepare([run], self.rig, sensors=reference.fit.options.sensors, beta=reference.fit.beta,
                                damaged=self.damaged)
             setup = without_benchmark(prepared.setup)
             require_sound(setup)
         except (InputError, FitError) as error:
-            return Watched(WatchedRun(Path(file).name, failed=str(error)))
+            name = run.name if isinstance(run, Dataset) else Path(run).name
+            return Watched(WatchedRun(name, failed=str(error)))
         with threadpool_limits(1):
             data = setup.datasets[0]
             found = self.test.test(data)

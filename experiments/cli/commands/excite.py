@@ -159,7 +159,7 @@ def _separating(args: argparse.Namespace, rig: Rig) -> Plan:
     with stages("designing") as show:
         found = separate(contest, band, search,
                          lambda done, total: show(f"{done:.0f} of {total:.0f} plans", done / total))
-    print(separation_text(found))
+    print(separation_text(found, question))
     return found.best.plan
 
 

@@ -44,14 +44,13 @@ def run(args: argparse.Namespace) -> int:
     from daq import load_rig
     from daq.recording import read_plan, watched_by
     from experiments.console import progress_to
-    from experiments.rig import confirm_estop, rig_path
+    from experiments.rig import MOVES, confirm_estop, rig_path
     from experiments.workflows import record_plan
 
     plan = read_plan(args.plan)
     if args.emulate is None:
         confirm_estop(load_rig(rig_path(args.rig)), args.estop_at_hand)
-        print("The leg will move: hardwired emergency stop at hand, nobody within its reach (docs/safety.md).",
-              flush=True)
+        print(MOVES, flush=True)
     with watched_by(args.watched_by) as remote, progress_to("recording") as report:
         done, warnings = record_plan(rig_path(args.rig), plan, args.out, args.emulate, args.seed, report, remote)
     print(f"{args.out}: {done.duration_s:.1f} s, {done.messages} messages, {done.imu_samples} IMU samples, "

@@ -12,7 +12,7 @@ from daq import load_rig
 from daq.recording import read_plan
 from experiments.cli import main
 from experiments.excite import Band, Bench, Search, contest_of, design, question_of, separate
-from experiments.excite.separation import Contest, expected_ratios, seconds_until
+from experiments.excite.separation import Contest, expected_ratios, settling_seconds
 from experiments.models import load_model
 from experiments.session import setup_of
 from tests.support.models import LEG, LEG_RIG, write_model
@@ -66,11 +66,20 @@ def test_the_expected_ratio_is_that_of_a_regression(tmp_path: Path) -> None:
         assert ratio == pytest.approx(left @ left, rel=1e-6)
 
 
+def test_a_rotor_without_a_joint_is_that_of_the_driven_joint(tmp_path: Path) -> None:
+    rotor = {"effect": "rotor_inertia", "joint": None, "size": [{"name": "inertia", "value": 0.001}]}
+    rivals = contest(tmp_path, diagnosis(tmp_path, "one_of", [rotor, SPRING]))
+    there = contest(tmp_path, diagnosis(tmp_path, "one_of", [{**rotor, "joint": 2}, SPRING]))
+    torque = 0.3 * np.sin(0.06 * np.arange(400))
+    assert expected_ratios(rivals, torque) == pytest.approx(expected_ratios(there, torque), rel=1e-9)
+    assert expected_ratios(rivals, torque)[0] > 0.0
+
+
 def test_seconds_until_settled_hold_for_normal_ratios() -> None:
     """The log likelihood ratio of t seconds has mean m t and variance 2 m t."""
     rng = np.random.default_rng(0)
     for power in (0.5, 0.9):
-        seconds = seconds_until(10.0, 2.0, power)
+        seconds = settling_seconds(10.0, 2.0, power)
         mean = 0.2 * seconds
         draws = mean + np.sqrt(2.0 * mean) * rng.normal(size=100_000)
         assert np.mean(draws > np.log(20.0)) == pytest.approx(power, abs=0.005)
@@ -105,6 +114,21 @@ def test_the_rivals_of_every_verdict_that_leaves_some(tmp_path: Path) -> None:
     rivals = contest(tmp_path, tmp_path / "d.json")
     moved = rivals.bench.fine.move(0.3 * np.sin(0.06 * np.arange(400)))
     assert moved is not None and rivals.ratios(rivals.information(moved)).min() > 0.0
+
+
+def test_a_rival_that_is_left_out_is_named_with_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    payload = {"effect": "payload", "joint": 2, "size": [{"name": "mass", "value": 0.1}]}
+    gone = {"effect": "a_ghost", "joint": 1, "size": [{"name": "fright", "value": 0.1}]}
+    path = diagnosis(tmp_path, "one_of", [payload, DRAG, gone, STRIBECK], against={"runs": []})
+    found = question_of(path)
+    assert [r.label for r in found.rivals] == ["quadratic_drag@2", "stribeck_friction@2"]
+    assert [line.split(":")[0] for line in found.left_out] == ["payload at link 2 is left out", "a_ghost@1 is left out"]
+    contest(tmp_path, path)
+    assert main(["excite", "--rig", str(tmp_path / "rig.toml"), "--model", str(tmp_path / "model.json"), "--separate",
+                 str(path), "--tries", "1", "--steps", "1", "--seconds", "4", "--out", str(tmp_path / "p.csv")]) == 0
+    assert "payload at link 2 is left out: it changes several parameters" in capsys.readouterr().out
+    with pytest.raises(Exception, match="payload at link 2 is left out"):
+        question_of(diagnosis(tmp_path, "one_of", [payload, DRAG], against={"runs": []}))
 
 
 @pytest.mark.parametrize(("verdict", "causes", "said"), [

@@ -1,0 +1,311 @@
+"""`make separate`: does the torque that `legid excite --separate` designs name the truth more often than the usual one?
+
+Emulated legs with a small fault and four short runs of the default design. Where their diagnosis ends `one_of` with the
+fault among its causes, one more run is recorded twice: by the designed torque, and by a further default design of the
+same length. Each is diagnosed with the same four runs. A fault has the size at which the information of the four plans
+leaves its nearest rival almost as likely. Called again it goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import structs
+from scipy.stats import beta as beta_law
+from scipy.stats import binomtest
+
+from daq import FloatArray, Rig, load_rig
+from estimator.diagnosis import Diagnosis
+from estimator.effects import library
+from experiments.emulation import LegBody, record_emulated
+from experiments.emulation.hidden_effects import Hidden
+from experiments.excite import (
+    Band,
+    Bench,
+    Contest,
+    Question,
+    Rival,
+    Search,
+    contest_of,
+    design,
+    plan_session,
+    question_in,
+    separate,
+    usual_choice,
+)
+from experiments.models import (
+    Model,
+    ParameterValue,
+    Provenance,
+    build_mechanism,
+    mechanism_settings,
+)
+from experiments.reports import diagnosed_model, diagnosis_document
+from experiments.session import Setup, prepare, setup_of
+from experiments.studies import machine
+from experiments.workflows import diagnose_prepared
+from tests.evidence.kept import kept
+from tests.evidence.registry import Evidence
+from tests.support.paths import DEMO_RIG
+
+SEED, SECONDS, RATE_HZ = 5050, 2.5, 100.0
+TIES = (3.0, 6.0)
+"""Twice the expected log likelihood ratio, over the four runs, of a fault over its nearest rival of the library: a
+diagnosis does not tell apart what differs by less than 8 (`TIE_GAIN`)."""
+SPREAD, PRIOR = 0.15, 0.03
+"""Standard deviation of the legs' parameters about the emulated leg's, and of the prior model's about theirs."""
+FEW = 10
+"""Below so many the comparison decides nothing."""
+SEARCH = Search(tries=1, steps=40)
+
+
+FAULTS: dict[str, int | None] = {
+    "imu_misalignment": None, "rotor_inertia": None, "joint_stiffness": 2, "quadratic_drag": 1,
+    "accelerometer_bias": None}
+"""Fault -> its joint, from 1: those whose information the likeliest rival takes up most (82 to 94 %) over four plans
+of one leg."""
+
+
+class Outcome(NamedTuple):
+    """One leg with one fault."""
+
+    verdict: str
+    """After the four runs."""
+    rivals: tuple[str, ...]
+    size: float
+    score: float
+    """Standard deviations by which the four runs show it"""
+    designed: tuple[str, tuple[str, ...]] | None
+    """Verdict and causes with the designed run; None where the four runs do not end `one_of` with the fault."""
+    usual: tuple[str, tuple[str, ...]] | None
+    ratios: tuple[float, float] = (0.0, 0.0)
+    """Expected log likelihood ratio of the fault over its nearest rival by the designed and by the usual run"""
+    seconds: float = 0.0
+    """Time that this took"""
+
+
+def hidden(effect: str, size: float, rig: Rig) -> tuple[Hidden, Rig]:
+    """The fault in an emulated leg, and the rig as it is, of which the rig file knows nothing."""
+    if effect == "stribeck_friction":
+        return Hidden(effect, 1, "", (("stribeck", (size, 0.0)), ("stribeck_radps", 0.25))), rig
+    if effect == "rotor_inertia":
+        return Hidden(effect, None, "", (("rotor", size),)), rig
+    if effect == "joint_stiffness":
+        return Hidden(effect, 2, "", torques=(lambda t, motion, torque: (0.0, -size * motion[1]),)), rig
+    if effect == "quadratic_drag":
+        return Hidden(effect, 1, "", torques=(lambda t, motion, torque: (-size * motion[2] * abs(motion[2]), 0.0),)
+                      ), rig
+    c = rig.calibration
+    if effect == "accelerometer_bias":
+        x, y, z = c.accel_bias_mps2
+        other = structs.replace(c, accel_bias_mps2=(x + size, y, z))
+    else:
+        turn = np.array([[np.cos(size), -np.sin(size), 0.0], [np.sin(size), np.cos(size), 0.0], [0.0, 0.0, 1.0]])
+        other = structs.replace(c, imu_mount=tuple(map(tuple, (turn @ np.array(c.imu_mount)).tolist())))
+    return Hidden(effect, None, ""), structs.replace(rig, calibration=other)
+
+
+def leg_of(number: int) -> LegBody:
+    """A leg about the emulated one."""
+    rng, plain = np.random.default_rng([SEED, number]), LegBody()
+    factor = np.exp(SPREAD * rng.standard_normal(8)).tolist()
+    return replace(plain, m1=plain.m1 * factor[0], i1=plain.i1 * factor[1], m2=plain.m2 * factor[2],
+                   i2=plain.i2 * factor[3], viscous=(plain.viscous[0] * factor[4], plain.viscous[1] * factor[5]),
+                   coulomb=(plain.coulomb[0] * factor[6], plain.coulomb[1] * factor[7]))
+
+
+def prior_of(rig: Rig, body: LegBody, number: int) -> Model:
+    """A model a little off the leg, as first runs give it."""
+    rng, settings = np.random.default_rng([SEED, number, 1]), mechanism_settings(rig)
+    mechanism = build_mechanism(settings)
+    values = np.array(body.beta()) * (1.0 + PRIOR * rng.standard_normal(mechanism.p))
+    return Model(schema="legid.model/1", mechanism=settings, noise={}, hold="linear",
+                 parameters=tuple(ParameterValue(name=p.name, meaning=p.meaning, unit=p.unit, value=float(v))
+                                  for p, v in zip(mechanism.parameters, values)),
+                 covariance=tuple(map(tuple, np.diag((PRIOR * values) ** 2).tolist())),
+                 provenance=Provenance(runs=(), method="mle", sensors="imu", date="2026-01-01T00:00:00+00:00",
+                                       version="evidence"))
+
+
+def causes_of(found: Diagnosis) -> tuple[str, ...]:
+    """Labels of the causes."""
+    return tuple(dict.fromkeys(label(c["effect"], c["joint"]) for c in diagnosis_document(found)["causes"]))
+
+
+def label(effect: str, joint: int | None) -> str:
+    """`effect@joint`."""
+    return effect if joint is None else f"{effect}@{joint}"
+
+
+def tied_size(bench: Bench, rig: Rig, prior: Model, effect: str, torques: Sequence[FloatArray], tie: float
+              ) -> tuple[float, float]:
+    """Size of the fault at which the runs under these torques leave `tie` over its nearest rival of the whole library,
+    and the standard deviations by which they show it."""
+    effects = library(bench.mechanism, True)[0]
+    rivals = tuple(Rival(e.name, None if e.joint is None else e.joint + 1, {e.sizes[0].name: e.sizes[0].scale})
+                   for e in effects)
+    contest = contest_of(bench, Question(rivals), prior, setup_of([], rig, "imu").options)
+    moved = [contest.bench.fine.move(torque) for torque in torques]
+    whole = np.sum([contest.information(one) for one in moved if one is not None], axis=0)
+    place = [one.effect == effect and FAULTS[effect] in (None, one.joint) for one in rivals].index(True)
+    left = contest.ratios(whole).reshape(len(rivals), len(rivals) - 1)[place].min()
+    factor = np.sqrt(tie / left)
+    scale = next(iter(rivals[place].sizes.values()))
+    return float(factor * scale), float(factor * np.sqrt(contest.left(whole, rivals[place])))
+
+
+@kept
+def outcome(effect: str, tie: float, number: int) -> Outcome:
+    """One leg with the fault of such a size that its nearest rival is `tie` less likely."""
+    began, truth, body = time.perf_counter(), label(effect, FAULTS[effect]), leg_of(number)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        text = DEMO_RIG.read_text(encoding="utf-8").replace("rate_hz = 250.0", f"rate_hz = {RATE_HZ}")
+        (folder / "rig.toml").write_text(text, encoding="utf-8")
+        rig = load_rig(folder / "rig.toml")
+        prior = prior_of(rig, body, number)
+        bench, band, search = Bench(prior, rig, "prior"), Band(SECONDS, 0.0, 3.0), replace(SEARCH, seed=number)
+        plans = [one.candidate for one in plan_session(bench, band, search, usual_choice(), 4).plans]
+        options = setup_of([], rig, "imu").options
+        size, score = tied_size(bench, rig, prior, effect, [p.torque_nm for p in plans], tie)
+        leg, own = hidden(effect, size, rig)
+
+        def recorded(name: str, torque: FloatArray, k: int) -> Path:
+            plan = replace(plans[0], torque_nm=torque).plan
+            record_emulated(folder / name, own, text, plan, 100 * number + k, body, leg)
+            return folder / name
+
+        files = [recorded(f"run{k}.mcap", one.torque_nm, k) for k, one in enumerate(plans)]
+        first, setup = diagnosed(files, rig)
+        found = causes_of(first)
+        if first.verdict != "one_of" or truth not in found:
+            return Outcome(first.verdict, found, size, score, None, None, seconds=time.perf_counter() - began)
+        model = diagnosed_model(first, setup, rig.motor.gear_ratio)
+        bench = Bench(model, rig, "the diagnosis")
+        contest = contest_of(bench, question_in(diagnosis_document(first), "the diagnosis"), model, options)
+        torques = (separate(contest, band, search).best.torque_nm,
+                   design(bench, band, replace(search, seed=number + 1000)).best.torque_nm)
+        ends, ratios = [], []
+        for k, torque in enumerate(torques):
+            last = diagnosed([*files, recorded(f"more{k}.mcap", torque, 50)], rig)[0]
+            ends.append((last.verdict, causes_of(last)))
+            ratios.append(nearest(contest, torque, truth))
+    return Outcome(first.verdict, found, size, score, ends[0], ends[1], (ratios[0], ratios[1]),
+                   time.perf_counter() - began)
+
+
+def diagnosed(files: Sequence[Path], rig: Rig) -> tuple[Diagnosis, Setup]:
+    """The ordinary diagnosis of the runs, and its set-up."""
+    prepared = prepare(files, rig)
+    return diagnose_prepared(prepared, workers=1), prepared.setup
+
+
+def nearest(contest: Contest, torque: FloatArray, truth: str) -> float:
+    """Smallest expected log likelihood ratio of the truth over a rival by one run under this torque."""
+    moved = contest.bench.fine.move(torque)
+    if moved is None:
+        return 0.0
+    names = [r.label for r in contest.question.rivals]
+    ratios = 0.5 * contest.ratios(contest.information(moved)).reshape(len(names), len(names) - 1)
+    return float(ratios[names.index(truth)].min())
+
+
+def interval(hits: int, of: int) -> str:
+    """Share with its 95 % interval (Clopper and Pearson)."""
+    if of == 0:
+        return "-"
+    low = 0.0 if hits == 0 else float(beta_law.ppf(0.025, hits, of - hits + 1))
+    high = 1.0 if hits == of else float(beta_law.ppf(0.975, hits + 1, of - hits))
+    return f"{hits} of {of} ({100 * hits / of:.0f} %, {100 * low:.0f} to {100 * high:.0f} %)"
+
+
+def truth_alone(effect: str, end: tuple[str, tuple[str, ...]]) -> bool:
+    """Whether the diagnosis names the fault and nothing else."""
+    return end == ("named", (label(effect, FAULTS[effect]),))
+
+
+def wrong(effect: str, end: tuple[str, tuple[str, ...]]) -> bool:
+    """Whether it names something that is not there."""
+    verdict, causes = end
+    return verdict in ("named", "partial") and set(causes) != {label(effect, FAULTS[effect])}
+
+
+def page(legs: int, wanted: int, minutes: float) -> Iterator[str]:
+    """The page, line by line."""
+    began = time.monotonic()
+    rows: list[tuple[str, float, Outcome]] = []
+    for number, tie, effect in product(range(legs), TIES, FAULTS):
+        if sum(one.designed is not None for _, _, one in rows) >= wanted or (
+                time.monotonic() - began > 60.0 * minutes):
+            break
+        rows.append((effect, tie, outcome(effect, tie, number)))
+        print(effect, tie, number, rows[-1][2], flush=True)
+    open_ = [(effect, one) for effect, _, one in rows if one.designed is not None and one.usual is not None]
+    count = len(open_)
+    designed = [truth_alone(effect, one.designed) for effect, one in open_ if one.designed]
+    usual = [truth_alone(effect, one.usual) for effect, one in open_ if one.usual]
+    only = [sum(a and not b for a, b in zip(designed, usual)), sum(b and not a for a, b in zip(designed, usual))]
+    chance = binomtest(only[0], sum(only)).pvalue if sum(only) else 1.0
+    least = [float(np.median([o.ratios[k] for _, o in open_])) if count else np.nan for k in range(2)]
+    spent = sum(one.seconds for _, _, one in rows) / 60.0
+    yield from [
+        "# The torque that tells rivals apart", "",
+        f"Made by `make separate MINUTES={minutes:g}` (seed {SEED}), {datetime.now(UTC):%Y-%m-%d}, {machine()}, "
+        f"{spent:.0f} minutes of one core that other work shared.", "",
+        f"Emulated legs with one fault each, four runs of {SECONDS:g} s of the default design, a diagnosis. The "
+        "information of the four plans gives the size of a fault. Twice its log likelihood ratio over its nearest "
+        "rival of the library is expected to be 3 or 6. A diagnosis does not tell apart what differs by less than 8.",
+        "",
+        f"{count} of {len(rows)} diagnoses end `one_of` with the fault among the causes; {wanted} of these "
+        "were asked for." + (" So the comparison below is open." if 0 < count < FEW else ""), "",
+        "| fault | standard deviations | verdict after the four runs | causes |", "| --- | ---: | --- | --- |"]
+    for effect, _, one in rows:
+        yield (f"| {label(effect, FAULTS[effect])} | {one.score:.1f} | {one.verdict} | {', '.join(one.rivals)} |")
+    if not open_:
+        yield from ["", "So no designed run could be compared with a usual one. Faults of these sizes are not "
+                    "material, or the four runs name them.", ""]
+        return
+    yield from [
+        "", f"To each of the {count} one run of {SECONDS:g} s is added, by the designed torque or by a further default "
+        "design.", "",
+        "| | designed torque | default design |", "| --- | --- | --- |",
+        f"| the fault alone is named | {interval(sum(designed), count)} | {interval(sum(usual), count)} |",
+        f"| something else is named | {interval(sum(wrong(e, o.designed) for e, o in open_ if o.designed), count)} | "
+        f"{interval(sum(wrong(e, o.usual) for e, o in open_ if o.usual), count)} |",
+        f"| the other run fails, this one names the fault | {only[0]} | {only[1]} |",
+        f"| expected log likelihood ratio over the nearest rival, median | {least[0]:.3g} | {least[1]:.3g} |", "",
+        f"The chance of so unequal counts without a difference is {chance:.2g} (sign test).", "",
+        "| fault | designed torque | default design | ratio, designed | ratio, default |",
+        "| --- | --- | --- | ---: | ---: |"]
+    for effect, one in open_:
+        ends = [f"{end[0]}: {', '.join(end[1])}" if end else "-" for end in (one.designed, one.usual)]
+        yield (f"| {label(effect, FAULTS[effect])} | {ends[0]} | {ends[1]} | {one.ratios[0]:.3g} | "
+               f"{one.ratios[1]:.3g} |")
+    yield ""
+
+
+EVIDENCE = (
+    Evidence("The torque that tells rivals apart: does one run of it name the fault?", "make separate",
+             "separate.md", 30, "named more often than by the default design, nothing wrong",
+             (r"(\d+ of \d+ diagnoses end `one_of`)",)),)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--legs", type=int, default=20, help="at most")
+    parser.add_argument("--wanted", type=int, default=30, help="diagnoses that end one_of")
+    parser.add_argument("--minutes", type=float, default=30.0, help="after which no other leg is begun")
+    words = parser.parse_args(arguments)
+    lines = list(page(words.legs, words.wanted, words.minutes))
+    print("\n".join(lines))
+    words.out.write_text("\n".join(lines), encoding="utf-8")
