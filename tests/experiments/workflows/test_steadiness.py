@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +19,8 @@ LEAST_MOVE = 0.1
 """Share of a 95 % interval by which no value may move."""
 RECORDS = {"dfki_c0": ("00", "01", "02"), "dfki_a0": ("00", "01", "02"), "emps": ("estimation",),
            "multiarm": ("free_swing",)}
-Change = Callable[[list[Dataset], np.random.Generator], list[Dataset]]
+Runs = Sequence[Dataset]
+Change = Callable[[Runs, np.random.Generator], Runs]
 
 
 def resolution(values: FloatArray) -> float:
@@ -28,7 +29,7 @@ def resolution(values: FloatArray) -> float:
     return float(np.min(steps[steps > 1e-9 * np.ptp(values)], initial=np.inf)) if steps.size else 0.0
 
 
-def in_the_last_digit(runs: list[Dataset], rng: np.random.Generator) -> list[Dataset]:
+def in_the_last_digit(runs: Runs, rng: np.random.Generator) -> Runs:
     def moved(values: FloatArray) -> FloatArray:
         step = resolution(values)
         return values + rng.uniform(-0.01, 0.01, len(values)) * (step if np.isfinite(step) else 0.0)
@@ -36,16 +37,15 @@ def in_the_last_digit(runs: list[Dataset], rng: np.random.Generator) -> list[Dat
     return [replace(run, columns={name: moved(values) for name, values in run.columns.items()}) for run in runs]
 
 
-def in_another_order(runs: list[Dataset], rng: np.random.Generator) -> list[Dataset]:
+def in_another_order(runs: Runs, rng: np.random.Generator) -> Runs:
     return [runs[k] for k in rng.permutation(len(runs))]
 
 
-def at_another_time(runs: list[Dataset], rng: np.random.Generator) -> list[Dataset]:
+def at_another_time(runs: Runs, rng: np.random.Generator) -> Runs:
     return [replace(run, time_s=run.time_s + rng.uniform(0.0, 1e4)) for run in runs]
 
 
-def hardly_moves(runs: list[Dataset], rig: Rig, change: Change, times: int, fixed: dict[str, float] | None = None
-                 ) -> None:
+def hardly_moves(runs: Runs, rig: Rig, change: Change, times: int, fixed: dict[str, float] | None = None) -> None:
     rng, base = np.random.default_rng(1), fit_runs(runs, rig, fixed=fixed)
     for _ in range(times):
         found = fit_runs(change(runs, rng), rig, fixed=fixed)
