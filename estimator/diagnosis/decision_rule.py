@@ -112,10 +112,6 @@ WIDEST = 0.1
 HORIZONS_S = (0.1, 1.0, np.inf)
 """Lengths of the pieces [s]: what a controller looks ahead, a swing, and the whole run. Long free runs of a leg that
 sticks are chaotic, and tell nothing of friction near rest; short ones do not add up what is slow."""
-PIVOT_ZERO_RAD = 2e-3
-"""Standard deviation of the zero of a pivot's angle that only an IMU tells [rad]: 1 mg by which an accelerometer's zero
-drifts, and 0.1 mm under one end of a board of 6 cm. No run tells which of two readings is right that differ by so
-little, so it is no error of a simulation."""
 BLOCK_S = 2.0
 """Length of a block that is resampled [s]: a few periods of the slowest motion."""
 DRAWS = 400

@@ -3,8 +3,7 @@
 A free run starts from the fitted motion and is driven by the measured torque alone, over pieces of `HORIZONS_S`. Its
 squared errors, in units of what noise alone leaves in a replicate of the same piece, are comparable over channels and
 horizons; their mean over all of them is the error of a model. Where no encoder measures the pivot's angle, it is what
-the model reads out of the sensors under which these runs are likeliest, and its zero is known to `PIVOT_ZERO_RAD`
-only: the variance of that zero is added to the errors and to what noise leaves.
+the model reads out of the sensors under which these runs are likeliest.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.decision_rule import BLOCK_S, DRAWS, HORIZONS_S, PIVOT_ZERO_RAD
+from estimator.diagnosis.decision_rule import BLOCK_S, DRAWS, HORIZONS_S
 from estimator.diagnosis.refit import Model, smooth
 from estimator.parallel import parallel_map
 from estimator.prediction import FloorNoise, SmoothedRun, channel_names, floor_errors, predict_run, white_noise
@@ -31,9 +30,7 @@ class Unit:
     noise: FloorNoise
     """Under which its replicates are drawn"""
     floor: FloatArray
-    """(C,) mean squared error that noise alone leaves in each column, with the `zero`"""
-    zero: FloatArray
-    """(C,) variance of what a column's angle is counted from; 0 where an encoder or a sensor measures it"""
+    """(C,) mean squared error that noise alone leaves in each column"""
     smoother: Model
     """The one that reads the pivot's angle, and ..."""
     pivots: tuple[FloatArray, ...]
@@ -135,11 +132,10 @@ def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.
     misfits = np.stack([p.misfits for p in parts], axis=-1)
     smoother = int(np.argmin(misfits.sum(axis=1)[could]))
     squares = np.concatenate([p.squares[smoother] for p in parts], axis=1)
-    zero = _zero_of(reference)
-    floor = _least(floor, np.minimum(squares, bound)) + zero
-    unit = Unit(reference, drawn, floor, zero, models[could[smoother]], tuple(p.pivots[smoother] for p in parts), bound,
+    floor = _least(floor, np.minimum(squares, bound))
+    unit = Unit(reference, drawn, floor, models[could[smoother]], tuple(p.pivots[smoother] for p in parts), bound,
                 misfits[0])
-    return ErrorTable(_columns_of(reference), _bounded([squares], floor, bound, zero),
+    return ErrorTable(_columns_of(reference), _bounded([squares], floor, bound),
                       misfits[0] - misfits, np.repeat(np.arange(len(parts)), lengths), tuple(models), unit)
 
 
@@ -155,8 +151,7 @@ def extend_errors(table: ErrorTable, more: Sequence[Model]) -> ErrorTable:
     if not more:
         return table
     parts = parallel_map(measured, len(split.confirm), split.workers)
-    unit = table.unit
-    values = _bounded([p[0] for p in parts], unit.floor, unit.bound, unit.zero)
+    values = _bounded([p[0] for p in parts], table.unit.floor, table.unit.bound)
     agreement = np.stack([p[1] for p in parts], axis=-1)
     return replace(table, values=np.concatenate([table.values, values]), models=(*table.models, *more),
                    agreement=np.concatenate([table.agreement, agreement]))
@@ -176,8 +171,7 @@ def with_floor(table: ErrorTable, noise: FloorNoise, seeds: NDArray[np.int64]) -
 
     parts = parallel_map(measured, len(split.confirm), split.workers)
     lengths = np.bincount(table.runs, minlength=len(parts))
-    squares = table.values * unit.floor - unit.zero
-    floor = _least(np.average(parts, axis=0, weights=lengths), squares) + unit.zero
+    floor = _least(np.average(parts, axis=0, weights=lengths), table.values * unit.floor)
     return replace(table, values=table.values * (unit.floor / floor), unit=replace(unit, noise=noise, floor=floor))
 
 
@@ -235,16 +229,9 @@ def _squares(sensors: Sequence[str], fitted: Sequence[SmoothedRun], pivots: Floa
     return means.reshape(*means.shape[:3], -1), np.tile(moments, len(HORIZONS_S))
 
 
-def _zero_of(model: Model) -> FloatArray:
-    """(C,) variance of the zero of each column's angle: that of the pivot's where an IMU alone tells it."""
-    unmeasured = model.split.has_imu and not model.problem.has_encoder[0]
-    pivot = channel_names(model.problem)[0]
-    return np.array([PIVOT_ZERO_RAD**2 if unmeasured and name == pivot else 0.0 for name, _ in _columns_of(model)])
-
-
-def _bounded(squares: Sequence[FloatArray], floor: FloatArray, bound: FloatArray, zero: FloatArray) -> FloatArray:
-    """(M, B, C) of all runs, each (M, blocks, C), with the variance of their zero, in units of the floor."""
-    return np.asarray((np.minimum(np.concatenate(squares, axis=1), bound) + zero) / floor)
+def _bounded(squares: Sequence[FloatArray], floor: FloatArray, bound: FloatArray) -> FloatArray:
+    """(M, B, C) of all runs, each (M, blocks, C), in units of the floor."""
+    return np.asarray(np.minimum(np.concatenate(squares, axis=1), bound) / floor)
 
 
 def _misfits(fitted: Sequence[SmoothedRun], reference: Model) -> FloatArray:

@@ -17,12 +17,10 @@ TILTED = {"nominal": 0.0, "bias": 0.0, "offset": 0.01}
 MISFIT = {"nominal": 500.0, "bias": 300.0, "offset": 350.0}
 
 
-@pytest.mark.parametrize("encoder", [True, False])
-def test_the_model_under_which_the_runs_are_likeliest_reads_the_pivots_angle(encoder: bool,
-                                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_model_under_which_the_runs_are_likeliest_reads_the_pivots_angle(monkeypatch: pytest.MonkeyPatch) -> None:
     """The vertical was 1.4 mrad off in the accelerometer, among ten small faults. A torque at the pivot, whose noise
     came out lowest, was the unit of all errors, and what it read as well: every other model seemed to err by what the
-    two differ in, and the torque was named. The zero of an angle that only an IMU tells counts as known to 2 mrad."""
+    two differ in, and the torque was named."""
     def smooth(model: Any, run: int) -> Any:
         return SimpleNamespace(model=model, problem=None, misfit=lambda noise: MISFIT[model.name],
                                state=SimpleNamespace(x=SimpleNamespace(q=SWING[:, None] + TILTED[model.name])))
@@ -31,29 +29,21 @@ def test_the_model_under_which_the_runs_are_likeliest_reads_the_pivots_angle(enc
         return SimpleNamespace(channels=(PIVOT,), rate_hz=100.0, measured=np.full((1, 200), np.nan),
                                simulated=np.stack([[[SWING + TILTED[f.model.name] + 1e-4]] for f in fitted]))
 
-    split = SimpleNamespace(confirm=(0,), workers=1, stiction={}, has_imu=True)
-    problem = SimpleNamespace(has_encoder=(encoder,))
+    split = SimpleNamespace(confirm=(0,), workers=1, stiction={})
     monkeypatch.setattr(error_table, "HORIZONS_S", (np.inf,))
     monkeypatch.setattr(error_table, "smooth", smooth)
     monkeypatch.setattr(error_table, "predict_run", predict_run)
     monkeypatch.setattr(error_table, "sensors_of", lambda model: (PIVOT,))
     monkeypatch.setattr(error_table, "floor_of", lambda *_: np.full((1, 1, 200), 1e-8))
     monkeypatch.setattr(error_table, "white_noise", lambda _: None)
-    monkeypatch.setattr(error_table, "channel_names", lambda _: (PIVOT,))
-    models = cast(Any, [SimpleNamespace(name=name, split=split, problem=problem, state=SimpleNamespace(noise=None))
-                        for name in TILTED])
+    models = cast(Any, [SimpleNamespace(name=name, split=split, state=SimpleNamespace(noise=None)) for name in TILTED])
     seeds = np.zeros(1, dtype=np.int64)
 
     table = error_table.measure_errors(models, models[2], seeds)
     assert table.unit.smoother is models[1]
-
-    def error(distance: float) -> float:
-        zero = 0.0 if encoder else 2e-3
-        return float(np.hypot(distance, zero) / np.hypot(1e-4, zero))
-
-    assert [table.error(k) for k in range(3)] == pytest.approx([1.0, 1.0, error(0.0101)], rel=1e-3)
+    assert [table.error(k) for k in range(3)] == pytest.approx([1.0, 1.0, 101.0], rel=1e-3)
     told = error_table.measure_errors(models, models[2], seeds, [2])  # who may not read does not
-    assert [told.error(k) for k in range(3)] == pytest.approx([error(0.0099), error(0.0099), 1.0], rel=1e-3)
+    assert [told.error(k) for k in range(3)] == pytest.approx([99.0, 99.0, 1.0], rel=1e-3)
 
 
 def test_noise_leaves_no_more_than_a_model_of_the_same_runs_errs() -> None:

@@ -267,7 +267,7 @@ def test_the_split_rotates_for_a_second_cause_only_where_it_may_be_material() ->
 def test_no_error_counts_for_more_than_that_of_who_knows_nothing() -> None:
     """A piece that ran 1,439 rad away in a tenth of a second made all of an error."""
     errors = np.array([[4.0, 9.0], [1.0, 1.0]])
-    assert np.allclose(_bounded([errors[:, None]], np.array([1.0, 2.0]), np.array([3.0, 1e9]), np.zeros(2)),
+    assert np.allclose(_bounded([errors[:, None]], np.array([1.0, 2.0]), np.array([3.0, 1e9])),
                        [[[3.0, 4.5]], [[1.0, 0.5]]])
 
 
