@@ -17,6 +17,20 @@ from daq import Dataset, FloatArray
 GRAVITY = 9.8
 Law = Callable[[int, float, float, float], float]
 """(leg 0 or 1, hip angle torso less leg, its rate, motor's torque) -> torque that the hip takes [N m]"""
+RIG = """[mechanism]
+model = "biped3"
+actuated = [2, 3]
+gravity_mps2 = 9.8
+[walker]
+[sampling]
+rate_hz = 100.0
+hold = "zero"
+[noise]
+torque_nm = 0.3
+encoder_rad = [2e-3, 2e-4, 2e-4]
+passive_nm = 0.05
+"""
+"""rig.toml of the plant's records, as `record` disturbs them."""
 
 
 def no_loss(leg: int, angle: float, rate: float, torque: float) -> float:

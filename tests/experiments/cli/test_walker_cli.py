@@ -10,23 +10,9 @@ import pytest
 from daq import Dataset
 from daq.runs import write_csv
 from experiments import cli
-from tests.support.walker_plant import Gait, Law, Plant, Walker, no_loss, record, walk
+from tests.support.walker_plant import RIG, Gait, Law, Plant, Walker, no_loss, record, walk
 
-RIG = """[mechanism]
-model = "biped3"
-actuated = [2, 3]
-gravity_mps2 = 9.8
-[walker]
-[motor]
-gear_ratio = 20.0
-[sampling]
-rate_hz = 100.0
-hold = "zero"
-[noise]
-torque_nm = 0.3
-encoder_rad = [2e-3, 2e-4, 2e-4]
-passive_nm = 0.05
-"""
+GEARED = RIG + "[motor]\ngear_ratio = 20.0\n"
 
 
 def put(folder: Path, seed: int, steps: int, stance: bool, loss: Law = no_loss) -> Path:
@@ -39,7 +25,7 @@ def put(folder: Path, seed: int, steps: int, stance: bool, loss: Law = no_loss) 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("walks")
-    (made / "rig.toml").write_text(RIG)
+    (made / "rig.toml").write_text(GEARED)
     put(made, 2, 12, False)
     put(made, 3, 12, True)
     return made

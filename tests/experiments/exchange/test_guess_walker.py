@@ -10,24 +10,11 @@ from experiments.cli import main
 from experiments.exchange.column_map import load_map
 from experiments.models import load_model
 from tests.support.mujoco_tree import disturbed, move, random_tree, torques
-from tests.support.walker_plant import Gait, Plant, Walker, random_walker, record, walk
+from tests.support.walker_plant import RIG, Gait, Plant, Walker, random_walker, record, walk
 
 NAMED = ["torso_pitch", "left_hip_pos", "right_hip_pos", "left_hip_torque", "right_hip_torque"]
 LAST = ["q1", "q2", "q3", "tau1", "tau2"]
 """The angle without a motor is the torso's, wherever it stands."""
-RIG = """[mechanism]
-model = "biped3"
-actuated = [2, 3]
-gravity_mps2 = 9.8
-[walker]
-[sampling]
-rate_hz = 100.0
-hold = "zero"
-[noise]
-torque_nm = 0.3
-encoder_rad = [2e-3, 2e-4, 2e-4]
-passive_nm = 0.05
-"""
 
 
 @pytest.fixture(scope="module")
