@@ -99,7 +99,7 @@ def explanation(keys: Sequence[str]) -> str:
 def belief_text(found: Diagnosis | None) -> str:
     """Verdict, rivals and their errors on held-out runs; one line."""
     if found is None:
-        return "nothing: no diagnosis yet"
+        return "no diagnosis yet"
     causes = ", ".join(dict.fromkeys(explanation([c.effect if c.joint is None else f"{c.effect}@{c.joint}"])
                                      for c in found.causes))
     text = found.verdict + (f" ({causes})" if causes else "")

@@ -45,7 +45,8 @@ def _section(number: int, step: Step, before: Diagnosis | None) -> Section:
     rows = [[one.run, one.kind, f"{one.seconds:.0f}", f"{one.peak_nm:.3g}",
              ", ".join(f"{pair}: {value:.3g}" for pair, value in one.expected), one.ended] for one in step.experiments]
     after = "not diagnosed" if step.found is None else belief_text(step.found)
-    tables = [Table(HEADER, rows, right=frozenset({2, 3}))]
+    told = [k for k, cells in enumerate(zip(*rows)) if any(cells)]  # a phone has no room for empty columns
+    tables = [Table([HEADER[k] for k in told], [[row[k] for k in told] for row in rows], right=frozenset({2, 3}))]
     if step.found is not None and step.found.compared:
         tables.append(Table(["explanation", "held-out error"], _errors(step.found),
                             "rms free-run error on held-out runs, in units of noise alone", frozenset({1})))
