@@ -36,8 +36,6 @@ from estimator.prediction import (
 )
 from estimator.signals import SignalSet
 
-CONVERGE_STEPS = 15
-"""Steps in which a fit's motion converges afterwards, for objectives that can be compared."""
 SMOOTHING_STEPS = 12
 """Most steps for the friction smoothing velocities, from the end of a fit."""
 FIRST = 12
@@ -105,7 +103,7 @@ def fit_nominal(split: RunSplit) -> Model:
         raise FitError("the nominal fit does not converge, so its residual cannot be tested")
     lengths = [sum(len(s.time_s) for s in split.runs[i]) for i in split.discover]
     split = split.with_stiction(dict(zip(split.discover, np.split(rest, np.cumsum(lengths)[:-1]))))
-    state = converge_motion(blank.with_stiction(rest), replace(state, noise=state.noise.levels()), CONVERGE_STEPS)
+    state = converge_motion(blank.with_stiction(rest), replace(state, noise=state.noise.levels()))
     if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
@@ -161,7 +159,7 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
     state = iterate(problem, state, free, split.options, floors, limit)
     if floors is not None and mistaken_torques(problem, state, floors):
         raise FitError("the fit takes the torque for noise")
-    state = converge_motion(problem, state, CONVERGE_STEPS)
+    state = converge_motion(problem, state)
     return Model(split, tuple(e for e, _ in effects), state, problem)
 
 

@@ -16,12 +16,15 @@ from estimator.likelihood import LatentProblem, State, find_stiction
 from estimator.numerics import eliminate
 
 SAME_OBJECTIVE = 0.1
-"""Fall of the objective, -2 log likelihood, below which a step changed nothing; two of these end the search."""
+"""Fall of the objective, -2 log likelihood, below which a step changes nothing: one predicted, or two observed, end the
+search."""
+CONVERGE_STEPS = 15
+"""Most steps from the motion of a fit, whose noise levels still move and whose objective is compared."""
 FREE_STEPS = 3
 """Steps that are not shortened: they come from far off."""
 
 
-def converge_motion(problem: LatentProblem, state: State, limit: int) -> State:
+def converge_motion(problem: LatentProblem, state: State, limit: int = CONVERGE_STEPS) -> State:
     """`state` with the likeliest motion, sought from its own in up to `limit` steps.
 
     Where neither the problem nor the state knows what dry friction leaves open at rest, it is found on the way. Raises
@@ -44,8 +47,11 @@ def converge_motion(problem: LatentProblem, state: State, limit: int) -> State:
         if iteration >= FREE_STEPS:
             share = max(0.1, 0.5 * share) if fall < 0.0 else min(1.0, 1.2 * share)
         try:
-            step = -eliminate(point.chain.first(1)).solution(np.ones(1))
+            solved = eliminate(point.chain.first(1))
         except np.linalg.LinAlgError:
             raise FitError("the equations of the motion became singular") from None
+        if not (seeks_rest and iteration < REST_STEPS) and float(solved.product()[0, 0]) < SAME_OBJECTIVE:
+            break
+        step = -solved.solution(np.ones(1))
         x = x.moved(shortened(step[:, : problem.n], share) * step)
     return replace(state, x=best, noise=noise)

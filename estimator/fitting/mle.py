@@ -30,6 +30,7 @@ from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
+from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
 from estimator.fitting.prior import Known, prior_at, prior_values
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
@@ -71,6 +72,8 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     if bound_s > 0.0 and problem.has_imu:
         floors = noise_floors(problem, mechanism, state.beta)
         state, skew, found = _with_skew(problem, state, signals, free, options, floors, bound_s)
+    if state.converged and skew is None:  # runs' scores, and so the intervals, hold at the likeliest motion alone
+        state = converge_motion(problem, state)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
     result = _with_agreement(result, problem, signals, state, free, skew, options.prior)
     known = prior_values(result.mechanism, options.prior, result.beta, result.covariance)

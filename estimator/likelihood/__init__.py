@@ -12,12 +12,12 @@ from estimator.likelihood.noise_scale import NoiseScale, unit_scale
 from estimator.likelihood.normal_equations import Latents, Linearised
 from estimator.likelihood.state import State
 from estimator.likelihood.stiction import draw_stiction, find_smoothing, find_stiction
-from estimator.likelihood.trajectory_likelihood import TIGHT, LatentProblem
+from estimator.likelihood.trajectory_likelihood import LatentProblem, slack_of
 from estimator.likelihood.weighted_residuals import weighted_residuals_after
 
 __all__ = [
-    "LOST_RAD", "REST_SPREAD", "TIGHT", "BatchProblem", "Candidate", "ExtendedProblem", "FreeRun", "LatentProblem",
+    "LOST_RAD", "REST_SPREAD", "BatchProblem", "Candidate", "ExtendedProblem", "FreeRun", "LatentProblem",
     "Latents", "Linearised", "Noise", "NoiseScale", "Point", "Process", "Records", "Stage", "State", "compile_kernels",
     "draw_stiction", "effective_samples", "find_smoothing", "find_stiction", "free_run", "held_variance", "pieces",
-    "read_motion", "unit_scale", "weighted_residuals_after",
+    "read_motion", "slack_of", "unit_scale", "weighted_residuals_after",
 ]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.likelihood.noise import Noise
-from estimator.likelihood.trajectory_likelihood import TIGHT
+from estimator.likelihood.trajectory_likelihood import slack_of
 from estimator.model import Collocation, Mechanism
 from estimator.numerics import BlockTridiagonal, eliminate
 
@@ -83,7 +83,7 @@ class BatchProblem:
         rows[:, :, :, :, :2] = jac.reshape(n, 2, 2, 2, n, count).transpose(5, 1, 0, 2, 3, 4)
         for i in range(n):
             rows[:, :, i, :, 2, i] = -c.torque_weights
-        scale = np.tile(1.0 / (TIGHT * self.noise.torque), 2)
+        scale = np.tile(1.0 / (slack_of(m) * self.noise.torque), 2)
         rows = rows.reshape(count, 2 * n, 2 * b) * scale[:, None]
         columns = np.empty((count, 2 * n, m.p + 1))  # by beta, then the residual itself
         columns[:, :, :-1] = z.transpose(3, 2, 1, 0).reshape(count, 2 * n, -1) * scale[:, None]

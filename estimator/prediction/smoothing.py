@@ -16,8 +16,6 @@ from estimator.options import FitOptions
 from estimator.prediction.predictor import Predictor
 from estimator.signals import Kinematics, SignalSet, differentiate, split_signals
 
-CONVERGE_STEPS = 15
-"""Steps in which a motion converges whose noise levels still creep."""
 SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
 """Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
 LONGER = ((1000.0, 6), (200.0, 6), (40.0, 6), (16.0, 6), (8.0, 6), (4.0, 6), (2.0, 8), (1.4, 8), (1.0, 30))
@@ -67,7 +65,7 @@ def smooth(model: Predictor, data: Dataset, options: FitOptions, session_s: floa
     held = np.zeros(state.beta.size, dtype=bool)
     state = iterate(problem, state, held, options, noise_floors(problem, mechanism, model.beta))
     if not state.converged:  # levels that still creep, such as that of a passive joint whose model is exact
-        state = converge_motion(problem, state, CONVERGE_STEPS)
+        state = converge_motion(problem, state)
     return SmoothedRun(data.name, tuple(signals), problem, state)
 
 

@@ -24,7 +24,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
 
 from daq import FloatArray
 from estimator.fitting import PASSIVE_SHARE
-from estimator.likelihood import REST_SPREAD, TIGHT
+from estimator.likelihood import REST_SPREAD, slack_of
 from estimator.model import Collocation, Mechanism, simulate
 
 SMOOTH_RADPS = 0.03
@@ -92,7 +92,7 @@ class PlanInformation:
         motion = self.collocation.motion(moved.q, moved.v, left)
         z, slopes = self.collocation.terms(motion)
         shape = motion.angle.shape[1:]
-        scale = 1.0 / (TIGHT * self.torque_level)
+        scale = 1.0 / (slack_of(self.mechanism) * self.torque_level)
         jac = self.collocation.jacobian(slopes, self.beta, shape)  # (n, 2, 4, n, K)
         rows = np.zeros((count - 1, n, 2, 2, 3, n))  # ..., end, (q, v, u), joint
         rows[:, :, :, :, :2] = jac.transpose(4, 0, 1, 2, 3).reshape(count - 1, n, 2, 2, 2, n)
@@ -134,7 +134,7 @@ class PlanInformation:
         n, count = self.n, len(moved.q)
         by_q, by_v = np.zeros((count, n)), np.zeros((count, n))
         y = np.einsum("kbp,pm->mkb", at.latents, weights)
-        r = np.einsum("krp,pm->mkr", at.residual, weights) / np.repeat(TIGHT * self.torque_level, 2)
+        r = np.einsum("krp,pm->mkr", at.residual, weights) / np.repeat(slack_of(self.mechanism) * self.torque_level, 2)
         slope = self._torque_weight(moved.v)[1]
         for m, w in enumerate(weights.T):
             along_q, along_v = y[m, :, :n], y[m, :, n : 2 * n]

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from daq.dataset import Dataset
 from estimator.fitting.fit import fit
-from estimator.likelihood.trajectory_likelihood import TIGHT
+from estimator.likelihood.trajectory_likelihood import slack_of
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from tests.support.mujoco_leg import Leg, record
@@ -42,7 +42,7 @@ def residuals(w: np.ndarray, run: Dataset, reference: float) -> np.ndarray:
     for share in GAUSS:
         at = run.time_s[:-1] + share * np.diff(run.time_s)
         needed = MECHANISM.inverse_dynamics(spline(at), spline(at, 1), spline(at, 2), beta)
-        out.append((needed - (1.0 - share) * u[:-1] - share * u[1:]) / (TIGHT * np.array([pivot, 0.02])))
+        out.append((needed - (1.0 - share) * u[:-1] - share * u[1:]) / (slack_of(MECHANISM) * np.array([pivot, 0.02])))
     qdd = MECHANISM.forward_dynamics(q, v, u, beta)[:, 0]
     out += [u[:, 0] / pivot, (u[:, 1] - run["tau2_nm"]) / 0.02, (q[:, 1] - run["q2_rad"]) / 2e-4,
             (v[:, 0] - run["gyro_radps"]) / 0.005,

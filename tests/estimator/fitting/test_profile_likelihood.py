@@ -8,7 +8,7 @@ from estimator.fitting.fit import fit
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.profile_likelihood import expected_misfit, known_noise, search, suits
 from estimator.likelihood.batch_likelihood import BatchProblem, Records
-from estimator.likelihood.trajectory_likelihood import TIGHT
+from estimator.likelihood.trajectory_likelihood import slack_of
 from estimator.model.collocation import Collocation
 from estimator.signals.segments import split_signals
 from experiments.studies.biped3.study import CASES, case_options, noisy_record, truth
@@ -52,7 +52,7 @@ def test_minimum_agrees_with_a_general_solver(case: int) -> None:
         beta = w[-8:] * unit
         z = collocation.to_joint(collocation.terms(collocation.motion(q, v, left))[0])
         defect = np.einsum("p,pigk->igk", beta, z) - collocation.torque(u, left)
-        return np.concatenate([(defect / (TIGHT * noise.torque)[:, None, None]).ravel(),
+        return np.concatenate([(defect / (slack_of(MECHANISM) * noise.torque)[:, None, None]).ravel(),
                                ((q - signals.angles) / noise.encoder).ravel(),
                                ((u - signals.torque) / noise.torque).ravel()])
 

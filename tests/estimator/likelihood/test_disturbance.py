@@ -73,7 +73,7 @@ def test_innovations_are_white() -> None:
 def test_a_disturbance_that_is_off_changes_nothing(mechanism: Mechanism, imu: bool) -> None:
     """The same least squares and information as without its latents, up to the level that stands for none."""
     rng, n = np.random.default_rng(11), mechanism.n
-    signals = [SignalSet(f"run{i}", 100.0, np.arange(count) / 100.0, rng.normal(size=(count, n)),
+    signals = [SignalSet(f"run{i}", 10.0, np.arange(count) / 10.0, rng.normal(size=(count, n)),
                          rng.normal(size=(count, n)), {c: rng.normal(size=count) for c in imu_columns(0) if imu})
                for i, count in enumerate((70, 45))]
     beta = np.array([3.0 if p.term == "inertia" and p.at[0] == p.at[1] else 0.1 for p in mechanism.parameters])

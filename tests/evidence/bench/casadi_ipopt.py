@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from estimator.likelihood.trajectory_likelihood import TIGHT
+from estimator.likelihood.trajectory_likelihood import slack_of
 from tests.evidence.bench.record import Posed, Watch
 
 GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
@@ -83,7 +83,7 @@ def solve(posed: Posed, tolerance: float = 1e-7) -> Solved:
     assert isinstance(smoothing, float)
     sensors = sensor_function(mechanism.lever_arm, smoothing).map(p.total)(x, b)
     defects = defect_function(p.dt, smoothing).map(p.total - 1)(x[:, :-1], x[:, 1:], b)
-    scale = np.tile(np.tile(1.0 / (TIGHT * noise.torque), 2)[:, None], p.total - 1)
+    scale = np.tile(np.tile(1.0 / (slack_of(mechanism) * noise.torque), 2)[:, None], p.total - 1)
     residual = ca.vertcat(ca.vec((sensors - measured) * weight), ca.vec(defects * scale))
     unknown = ca.vertcat(ca.vec(x), b)
     jacobian = ca.jacobian(residual, unknown)

@@ -16,7 +16,7 @@ import numpy as np
 from daq.runs import write_csv
 from estimator.fitting.fit import fit
 from estimator.likelihood.memory import pieces
-from estimator.likelihood.trajectory_likelihood import PIECE, TIGHT
+from estimator.likelihood.trajectory_likelihood import PIECE, slack_of
 from estimator.model import Collocation, Motion
 from tests.evidence.bench.record import OPTIONS, Posed, Recorded, Watch, pose
 from tests.support.assembly_numpy import accelerometer_rows, motion_rows
@@ -51,7 +51,7 @@ def by_kernels(c: Collocation, motion: Motion, beta: np.ndarray) -> tuple[np.nda
 def evaluate(posed: Posed) -> Callable[[], None]:
     """One evaluation of all residuals and their Jacobian, nothing made of them."""
     p, x, beta, noise = posed.problem, posed.end.x, posed.end.beta, posed.end.noise
-    weight = 1.0 / (TIGHT * noise.torque)
+    weight = 1.0 / (slack_of(p.mechanism) * noise.torque)
 
     def run() -> None:
         for intervals, left in pieces(p.left, PIECE):
