@@ -150,10 +150,15 @@ def models_of(case: Case, folder: Path) -> tuple[Path, Path]:
 
 
 def same_validation(case: Case, folder: Path) -> None:
-    first, _ = models_of(case, folder)
+    first, second = models_of(case, folder)
     said = shell(folder, "validate", first, *case.runs, "--rig", case.rig, "--damaged")
     runs = legid.load(case.runs, case.rig, damaged=True)
     assert python(folder, legid.validate(legid.load_model(first), runs)) == said
+    assert [run["run"] for run in said["set_aside"]] == list(case.aside)
+    said = shell(folder, "validate", first, *case.runs, "--rig", case.rig, "--damaged", "--against", second,
+                 "--horizons", "0.2,0.4")
+    told = legid.validate(legid.load_model(first), runs, against=legid.load_model(second), horizons_s=(0.2, 0.4))
+    assert python(folder, told) == said
     assert [run["run"] for run in said["set_aside"]] == list(case.aside)
 
 
@@ -163,6 +168,8 @@ def same_comparison(case: Case, folder: Path) -> None:
     runs = legid.load(case.runs, case.rig, damaged=True)
     found = legid.compare(legid.load_model(first), legid.load_model(second), runs, names=(first.name, second.name))
     assert python(folder, found) == said
+    with pytest.raises(legid.InputError, match="horizons_s"):
+        legid.compare(legid.load_model(first), legid.load_model(second), runs, horizons_s=(0.0,))
     assert [run["run"] for run in said["set_aside"]] == list(case.aside)
 
 
