@@ -219,6 +219,23 @@ def test_every_verb_on_public_records(name: str, verb: str, folder: Path) -> Non
     VERBS[verb](with_bad_run(case, folder) if case.aside else case, folder)
 
 
+def test_validate_compare_and_python_tell_one_error_of_a_model_on_runs(folder: Path) -> None:
+    """By horizon and sensor, to the last digit; a whole run's is the one of its segment."""
+    case = FIXTURE_CASES["healthy"]
+    first, second = models_of(case, folder)
+    words = [*case.runs, "--rig", case.rig, "--horizons", "0.2,1"]
+    validated = [{row["horizon_s"]: row["rmse"] for row in shell(folder, "validate", model, *words)["horizons"]}
+                 for model in (first, second)]
+    compared = shell(folder, "compare", first, second, *words)["errors"]
+    rows = [row for row in compared if row["column"] != "gyro_radps" and row["horizon_s"] is not None]
+    assert {row["horizon_s"] for row in rows} == {0.2, 1.0}
+    for row in rows:
+        assert [validated[k][row["horizon_s"]][row["column"]] for k in (0, 1)] == [row["a"], row["b"]]
+    (alone,) = legid.validate(legid.load_model(first), legid.load(case.runs[0]))
+    whole = {row["column"]: row["a"] for row in compared if row["horizon_s"] is None}
+    assert whole["q2_rad"] == alone.rmse["q2_rad"] != alone.rmse["q1_rad"] == whole["q1_rad"]
+
+
 @needs_records
 def test_a_change_and_two_sessions(folder: Path) -> None:
     case = records()["arm"]
