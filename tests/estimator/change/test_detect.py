@@ -23,6 +23,9 @@ from tests.evidence.blind.stickslip import MAKERS, Readings
 from tests.support.changed_leg import REFERENCE, leg_runs, loaded
 from tests.support.paths import REAL
 
+SHORT_S = 6.0
+"""Length of the runs where four of them tell the change."""
+
 
 def change_of(files: list[Path], rig_file: Path) -> Change:
     setup = prepare(files, load_rig(rig_file)).setup
@@ -31,7 +34,7 @@ def change_of(files: list[Path], rig_file: Path) -> Change:
 
 
 def test_an_unchanged_leg_has_not_changed_and_says_what_it_would_have_shown(tmp_path: Path) -> None:
-    found = change_of(*leg_runs(tmp_path, lambda c: None))
+    found = change_of(*leg_runs(tmp_path, lambda c: None, seconds=SHORT_S))
     assert found.verdict == "no_change" and not found.causes
     offset = next(d for d in found.detectable if d.effect == "encoder_offset")
     assert 0.0 < offset.size < 0.03
@@ -41,7 +44,7 @@ def test_an_unchanged_leg_has_not_changed_and_says_what_it_would_have_shown(tmp_
     ("encoder_offset", 0.03, "sensors"), ("gyro_scale", 0.03, "sensors"), ("torque_delay", 0.01, "timing"),
     ("sensor_time_skew", 0.005, "timing")])
 def test_a_changed_reading_is_named_with_its_size(name: str, size: float, kind: str, tmp_path: Path) -> None:
-    found = change_of(*leg_runs(tmp_path, MAKERS[name][0](1.0)))
+    found = change_of(*leg_runs(tmp_path, MAKERS[name][0](1.0), seconds=SHORT_S))
     cause = next(c for c in found.causes if c.effect == name)
     assert found.verdict in ("named", "partial", "one_of") and cause.kind == kind
     assert cause.size[0].value == pytest.approx(size, rel=0.25)
@@ -59,7 +62,8 @@ def sessions_of(files: list[Path], rig_file: Path) -> tuple[Change, Change]:
 @pytest.mark.parametrize(("name", "size", "kind"), [("", 0.0, ""), ("sensor_time_skew", 0.005, "timing")])
 def test_two_sessions_exchanged_turn_the_signs_and_nothing_else(name: str, size: float, kind: str, tmp_path: Path
                                                                 ) -> None:
-    found, turned = sessions_of(*leg_runs(tmp_path, MAKERS[name][0](1.0) if name else lambda c: None))
+    found, turned = sessions_of(*leg_runs(tmp_path, MAKERS[name][0](1.0) if name else lambda c: None,
+                                          seconds=SHORT_S))
     assert (found.verdict, found.structure) == (turned.verdict, pytest.approx(turned.structure, rel=1e-4))
     assert [(c.effect, c.joint) for c in found.causes] == [(c.effect, c.joint) for c in turned.causes]
     for one, other in zip(found.causes, turned.causes):
@@ -94,7 +98,8 @@ def test_a_payload_is_named_with_what_is_determined_of_it(link: int, mass: float
                                                           ) -> None:
     """From 2 to 20 % of the link's mass. Of the first link its own mass moves no parameter."""
     inertia = mass * 0.02**2
-    found = change_of(*leg_runs(tmp_path, lambda c: None, lambda leg: loaded(leg, link, mass, distance, inertia)))
+    found = change_of(*leg_runs(tmp_path, lambda c: None, lambda leg: loaded(leg, link, mass, distance, inertia),
+                                seconds=SHORT_S))
     cause = found.causes[0]
     assert (found.verdict, cause.effect, cause.joint, cause.kind) == ("named", "payload", link, "parameters")
     true = {"mass": mass, "first_moment": mass * distance, "inertia": mass * distance**2 + inertia,
@@ -108,7 +113,8 @@ def test_a_payload_is_named_with_what_is_determined_of_it(link: int, mass: float
 
 
 def test_a_body_that_is_taken_away_is_said_to_be(tmp_path: Path) -> None:
-    found = change_of(*leg_runs(tmp_path, lambda c: None, lambda leg: loaded(leg, 2, -0.1, 0.12, -0.1 * 0.02**2)))
+    found = change_of(*leg_runs(tmp_path, lambda c: None, lambda leg: loaded(leg, 2, -0.1, 0.12, -0.1 * 0.02**2),
+                                seconds=SHORT_S))
     assert found.causes[0].sentence == "a body was taken from link 2"
     assert found.causes[0].size[0].value == pytest.approx(-0.1, rel=0.05)
 
