@@ -114,7 +114,7 @@ def _restricted(rows: _Rows, common: float, own: float) -> float:
         table = np.column_stack([np.sqrt(common) * rows.common, rows.free, rows.y]) / deviation[:, None]
         if not np.isfinite(table).all():
             return np.inf
-        r = np.linalg.qr(np.vstack([table, np.eye(rows.common.shape[1], table.shape[1])]), mode="r")
+        r = np.asarray(np.linalg.qr(np.vstack([table, np.eye(rows.common.shape[1], table.shape[1])]), mode="r"))
         pivots = np.abs(np.diag(r)[: table.shape[1] - 1])
         left = r[table.shape[1] - 1 :, -1]
         return float(np.log(deviation).sum() + np.log(np.maximum(pivots, 1e-300)).sum() + 0.5 * left @ left)
