@@ -22,7 +22,7 @@ FINE = 1e-5
 RHO = 0.8
 PIVOT = 0.002
 """What the model may lack at the pivot: MuJoCo's steps, next to nothing."""
-FITS, FEW = 40, 10
+FITS, FEW = 40, 6
 """Of a study of intervals and of gains, and those that show a level: its mean within a hundredth."""
 ROUND = 0.05
 

@@ -65,6 +65,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch, demo_run: Path) -> Callable[..., li
         monkeypatch.setattr(investigate, "diagnose_prepared", diagnosed)
         monkeypatch.setattr(investigate, "Search", lambda margin, tries, steps, seed: Search(margin, "d", 1, 2, seed))
         monkeypatch.setattr(investigate, "SECONDS", 4.0)
+        monkeypatch.setattr("experiments.excite.separation.DRAWS", 1)
         if not drawn:  # a step redraws its pages; what these tests say is not in their pictures
             for module in (figures, diagnosis_figures):
                 monkeypatch.setattr(module, "to_svg", lambda figure: "<svg></svg>")
