@@ -35,10 +35,6 @@ class Instruction(IntEnum):
     SYNC_WRITE = 0x83
 
 
-ERRORS = {1: "result fail", 2: "instruction error", 3: "CRC error", 4: "data range error", 5: "data length error",
-          6: "data limit error", 7: "access error"}
-
-
 class Packet(NamedTuple):
     """One packet; of a status packet the error is apart from the parameters."""
 

@@ -32,6 +32,7 @@ from estimator import FitError, Method
 from estimator import FitResult as PlainFit
 from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
+from estimator.prediction import HORIZONS_S
 from experiments.excite import random_multisine
 from experiments.models import Model, load_model, save_model
 from experiments.reports import (
@@ -131,17 +132,21 @@ def fit(runs: Runs, rig: RigLike | None = None, method: Method = "mle", sensors:
     return dressed(FitResult, found.result, runs=given, rig=found.rig, fitted=found)
 
 
-def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None) -> Validations:
+def validate(model: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
+             against: Model | None = None, horizons_s: Sequence[float] | None = None) -> Validations:
     """Free-run simulation of `model` against runs that it was not fitted to (Table V of the paper).
 
     Each gap-free segment is simulated from its first state under its measured torque alone. A list of one `Validation`
-    a segment: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold effects. Raises
-    `InputError` for a model of another mechanism, `FitError` where a first state cannot be estimated.
+    a segment: `q` and `reference_q` (N, joints) [rad], `rmse` and `sums` by column. `model` may hold effects.
+
+    The result's `document` has the errors over `horizons_s` [s] (default 0.1, 0.5, 1, 5) and over whole segments, next
+    to those of the model `against`. Raises `InputError` for a model of another mechanism, `FitError` where a first
+    state cannot be estimated.
     """
     given, known = _given(runs, rig)
     prepared = prepare(given, known, sensors=sensors, beta=np.array(model.beta))
     files = sources_of(given)
-    return Validations.of(validate_prepared(model, prepared, "the model", files), files)
+    return Validations.of(validate_prepared(model, prepared, "the model", files, against, _lengths(horizons_s)), files)
 
 
 @overload
@@ -186,17 +191,19 @@ def diagnose(runs: Runs, rig: RigLike | None = None, seed: int = 0, reference: M
 
 @overload
 def compare(a: Model, b: Model, runs: Runs, rig: RigLike | None = None, sensors: str | None = None,
-            names: tuple[str, str] = ("A", "B")) -> Comparison: ...
+            names: tuple[str, str] = ("A", "B"), horizons_s: Sequence[float] | None = None) -> Comparison: ...
 @overload
 def compare(a: Runs, b: Runs, *, rig: RigLike | None = None, names: tuple[str, str] = ("A", "B")) -> Change: ...
 def compare(a: Model | Runs, b: Model | Runs, runs: Runs = (), rig: RigLike | None = None,
-            sensors: str | None = None, names: tuple[str, str] = ("A", "B")) -> Comparison | Change:
+            sensors: str | None = None, names: tuple[str, str] = ("A", "B"),
+            horizons_s: Sequence[float] | None = None) -> Comparison | Change:
     """Two models on `runs` that neither was fitted to: parameters, free-run errors over horizons, which is better.
 
     Or the runs of two sessions: whether they differ beyond the scatter of runs within a session, and by what. Sizes are
     those of `b` less those of `a`.
 
-    `names` are what the result calls them. Runs that cannot be used are set aside. Raises `InputError` for models of
+    `names` are what the result calls them. The errors of two models are over `horizons_s` [s], by default 0.1, 0.5, 1
+    and 5, and over whole segments. Runs that cannot be used are set aside. Raises `InputError` for models of
     another mechanism than the rig's and for runs that do not belong together, `FitError` where no motion can be
     estimated.
     """
@@ -208,7 +215,7 @@ def compare(a: Model | Runs, b: Model | Runs, runs: Runs = (), rig: RigLike | No
     if not isinstance(a, Model) or not isinstance(b, Model):
         raise InputError("compare", "was given a model and runs", "give two models and runs, or two sessions' runs")
     given, known = _given(runs, rig)
-    found = compare_models((a, b), names, given, known, sensors)
+    found = compare_models((a, b), names, given, known, sensors, _lengths(horizons_s))
     return Comparison(found, damaged_runs([run for run in given if run.name in found.runs]), sources_of(given))
 
 
@@ -320,6 +327,16 @@ def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequ
 
 def _rig(rig: RigLike) -> Rig:
     return rig if isinstance(rig, Rig) else load_rig(rig)
+
+
+def _lengths(horizons_s: Sequence[float] | None) -> Sequence[float]:
+    """Lengths of free runs [s]. Raises `InputError`."""
+    if horizons_s is None:
+        return HORIZONS_S
+    wrong = [one for one in horizons_s if not 0.0 < one < np.inf]
+    if wrong or not horizons_s:
+        raise InputError("horizons_s", f"{wrong or 'nothing'} is no length of time", "give seconds, such as 0.25")
+    return horizons_s
 
 
 def _stored_rig(paths: Sequence[Path | str]) -> Rig:

@@ -15,9 +15,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfiltfilt
-from scipy.stats import t as student
 
 from daq.dataset import Dataset, FloatArray
 
@@ -54,6 +51,8 @@ def compare_torque_channels(run: Dataset) -> TorqueChannels | None:
     """Second shunt against the drive; None where a channel is missing or the command does not move it."""
     if any(name not in run for name in COLUMNS):
         return None
+    from scipy.signal import butter, sosfiltfilt  # a second that only runs with two channels wait for
+
     drive, second, command = (run[name] for name in COLUMNS)
     whole = np.isfinite(drive) & np.isfinite(second) & np.isfinite(command)
     if whole.sum() < LEAST_SAMPLES or float(np.std(command[whole])) < CLEAR_NM:
@@ -77,6 +76,8 @@ def compare_torque_channels(run: Dataset) -> TorqueChannels | None:
 
 def _at(values: FloatArray, time_s: FloatArray, late_s: float) -> FloatArray:
     """The values so much later; the ends keep the last one."""
+    from scipy.interpolate import CubicSpline
+
     return CubicSpline(time_s, values)(np.minimum(np.maximum(time_s + late_s, time_s[0]), time_s[-1]))
 
 
@@ -98,7 +99,9 @@ def _estimate(drive: FloatArray, second: FloatArray, command: FloatArray, dt_s: 
 
 def _half(leave_one: FloatArray) -> list[float]:
     """Half of the 95 % interval of each column, from estimates (blocks, n) with one block left out."""
+    from scipy.special import stdtrit
+
     n = leave_one.shape[0]
     variance = (n - 1) / n * ((leave_one - leave_one.mean(axis=0)) ** 2).sum(axis=0)
-    half: list[float] = (float(student.ppf(0.975, n - 1)) * np.sqrt(variance)).tolist()
+    half: list[float] = (float(stdtrit(n - 1, 0.975)) * np.sqrt(variance)).tolist()
     return half

@@ -55,7 +55,6 @@ class BenchDrive(ABC):
         self.bus_v, self.degc = settings.bus_v, settings.ambient_degc
         self.stage_gain = 1.0
         """What the power stage makes of a torque: 0 where it is dead, -1 where it is reversed."""
-        self.answered = 0
         self._rng = np.random.default_rng(seed)
         self._advance, self._lock = advance, lock or threading.RLock()
         self._inbox: deque[tuple[int, Any]] = deque()
@@ -105,7 +104,6 @@ class BenchDrive(ABC):
                 self._obey(data, t_ns)
 
     def _send(self, data: Any, t_ns: int) -> None:
-        self.answered += 1
         self._outbox.append((t_ns + TURNAROUND_NS, data))
 
     # -- physics -------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -98,11 +99,12 @@ def read_imu(datasets: Sequence[Dataset], lever_arm: float, gravity: float, hang
     A link that `hangs` from a passive pivot feels gravity along -y most of the time; a driven one may stand.
     """
     unit = _accelerometer_unit(datasets, gravity)
-    as_read = _judge(datasets, np.eye(2), 1.0, lever_arm, gravity, hangs)
+    read = [_as_read(data) for data in datasets]
+    as_read = _judge(read, np.eye(2), 1.0, lever_arm, gravity, hangs)
     factors = [sign * f for f in (1.0, DEGREE, *_gyro_unit(datasets)) for sign in (1.0, -1.0)]
     ways = [(unit * axes, factor) for axes, factor in product(_axes(), dict.fromkeys(factors))]
     ways += [(np.diag(scales), 1.0) for scales in ((G, 1.0), (1.0, G))]  # one axis alone in g
-    found = [_judge(datasets, axes, factor, lever_arm, gravity, hangs) for axes, factor in ways]
+    found = [_judge(read, axes, factor, lever_arm, gravity, hangs) for axes, factor in ways]
     found = [reading for reading in found if reading.left < np.inf]
     least = min((reading.left for reading in found), default=np.inf)
     if unit == 1.0 and as_read.left < CLEAR * least:
@@ -157,20 +159,37 @@ def _axes() -> Iterator[FloatArray]:
             yield np.diag([x, y]) @ order
 
 
-def _judge(datasets: Sequence[Dataset], axes: FloatArray, factor: float, lever_arm: float, gravity: float,
+class _Read(NamedTuple):
+    """What filters make of a run's columns, whatever their signs, units and axes."""
+
+    rate_hz: float
+    accel: FloatArray
+    """(2, n)"""
+    turned: FloatArray
+    """(n,) angle by the gyro without what is slow"""
+    swing: FloatArray
+    """(2, n) band of the gyro's derivative and of minus its square"""
+
+
+def _as_read(data: Dataset) -> _Read:
+    omega = _known(data[GYRO])
+    turned = np.cumsum(omega - omega.mean()) / data.rate_hz
+    swing = np.stack([np.gradient(omega, 1.0 / data.rate_hz), -omega**2])
+    return _Read(data.rate_hz, np.stack([_known(data[ACCEL_X]), _known(data[ACCEL_Y])]),
+                 turned - lowpass(turned, SLOW_HZ, data.rate_hz), _band(swing, data.rate_hz).reshape(-1, 2).T)
+
+
+def _judge(read: Sequence[_Read], axes: FloatArray, factor: float, lever_arm: float, gravity: float,
            hangs: bool) -> ImuReading:
     swings, rests, down = [], [], []
-    for data in datasets:
-        x, y = axes @ np.stack([_known(data[ACCEL_X]), _known(data[ACCEL_Y])])
-        omega = factor * _known(data[GYRO])
+    for one in read:
+        x, y = axes @ one.accel
         down.append(-float(np.median(y)))
-        turned = np.cumsum(omega - omega.mean()) / data.rate_hz
         tilt = np.unwrap(np.arctan2(x, -y))
-        q1 = turned - lowpass(turned, SLOW_HZ, data.rate_hz) + lowpass(tilt, SLOW_HZ, data.rate_hz)
-        swing = np.stack([np.gradient(omega, 1.0 / data.rate_hz), -omega**2])
+        q1 = factor * one.turned + lowpass(tilt, SLOW_HZ, one.rate_hz)
         rest = np.stack([x - gravity * np.sin(q1), y + gravity * np.cos(q1)])
-        swings.append(_band(swing, data.rate_hz))
-        rests.append(_band(rest, data.rate_hz))
+        swings.append((one.swing * [[factor], [factor**2]]).T.ravel())
+        rests.append(_band(rest, one.rate_hz))
     swing, rest = np.concatenate(swings), np.concatenate(rests)
     whole = float(np.sqrt(np.mean(rest**2)))
     lever = max(float(swing @ rest / max(float(swing @ swing), 1e-300)), 0.0)

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from itertools import product
 
 import numpy as np
-from scipy.optimize import minimize
 
 from daq import FloatArray
 from estimator.change.contrast import HIDDEN, Contrast
@@ -64,6 +63,8 @@ def fit_body(own: Contrast) -> tuple[FloatArray, float]:
 
     The Cholesky factor of [[m, h], [h, J]] makes it a body of real mass. Where the runs do not determine all three
     sizes, nothing holds them."""
+    from scipy.optimize import minimize
+
     free = own.size()
     if np.linalg.eigvalsh(own.correlation)[0] < HIDDEN or (free[0] * free[2] >= free[1] ** 2 and free[0] != 0.0):
         return free, own.gain()

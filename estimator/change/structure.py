@@ -17,8 +17,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import minimize
 
 from daq import FloatArray
 from estimator.change.scores import RunScore
@@ -63,14 +61,16 @@ class _Rows(NamedTuple):
     free: FloatArray
     """(k, parameters)"""
     common: FloatArray
-    """(k, k) covariance by a common structure of variance one"""
+    """(k, m) root of the covariance by a common structure of variance one"""
     own: FloatArray
-    """(k, k) by runs' own structures of variance one"""
+    """(k,) variances by runs' own structures of variance one: a run's rows are orthogonal, by its eigenvectors"""
 
 
 def find_structure(sessions: Sequence[Sequence[RunScore]], parameters: int) -> Structure:
     """The likeliest structure of the runs within each of `sessions`, one of several having a theta of its own; the
     first `parameters` columns are the model's parameters."""
+    from scipy.optimize import minimize
+
     information = np.mean([np.diag(run.information) for runs in sessions for run in runs], axis=0)
     unit = 1.0 / np.maximum(information, 1e-300)
     rows = [_rows(runs, np.sqrt(unit), parameters) for runs in sessions]
@@ -83,33 +83,38 @@ def find_structure(sessions: Sequence[Sequence[RunScore]], parameters: int) -> S
 
 
 def _rows(runs: Sequence[RunScore], scale: FloatArray, parameters: int) -> _Rows:
-    parts, y = [], []
+    parts, y, own = [], [], []
     for run in runs:
         values, vectors = np.linalg.eigh(run.information * np.outer(scale, scale))
         kept = values > SMALLEST * values[-1]
         root = np.sqrt(values[kept])
         parts.append((vectors[:, kept] * root).T)
         y.append((vectors[:, kept] / root).T @ (run.score * scale))
+        own.append(values[kept])
     every = np.concatenate(parts)
-    run_of = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    own = (every @ every.T) * (run_of[:, None] == run_of)
-    return _Rows(np.concatenate(y), every[:, :parameters], every[:, parameters:] @ every[:, parameters:].T, own)
+    return _Rows(np.concatenate(y), every[:, :parameters], every[:, parameters:], np.concatenate(own))
 
 
 def _misfit(logs: FloatArray, sessions: Sequence[_Rows]) -> float:
-    """-log restricted likelihood of (common, own), and their prior; inf where a variance is so large that the
-    covariance is singular."""
-    common, own = np.exp(logs)
-    try:
-        return float(sum(_restricted(rows, common, own) for rows in sessions) - 0.5 * np.sum(logs))
-    except np.linalg.LinAlgError:
-        return np.inf
+    """-log restricted likelihood of (common, own), and their prior; inf where a variance is too large for a number."""
+    with np.errstate(over="ignore"):
+        common, own = np.exp(logs)
+    found = sum(_restricted(rows, common, own) for rows in sessions) - 0.5 * np.sum(logs)
+    return float(found) if np.isfinite(found) else np.inf
 
 
 def _restricted(rows: _Rows, common: float, own: float) -> float:
-    factor = cholesky(np.eye(rows.y.size) + common * rows.common + own * rows.own, lower=True, check_finite=False)
-    free, y = np.split(solve_triangular(factor, np.column_stack([rows.free, rows.y]), lower=True), [-1], axis=1)
-    q, r = np.linalg.qr(free)
-    left = y[:, 0] - q @ (q.T @ y[:, 0])
-    volume = np.log(np.diag(factor)).sum() + np.log(np.maximum(np.abs(np.diag(r)), 1e-300)).sum()
-    return float(volume + 0.5 * left @ left)
+    """-log restricted likelihood of one session.
+
+    With V = D + common C C^T, one QR factor of [[D^-1/2 (sqrt(common) C, X, y)], [I, 0, 0]] has log det V - log det D
+    and log det X^T V^-1 X in its diagonal, and in its last row what is left of y.
+    """
+    with np.errstate(all="ignore"):
+        deviation = np.sqrt(1.0 + own * rows.own)
+        table = np.column_stack([np.sqrt(common) * rows.common, rows.free, rows.y]) / deviation[:, None]
+        if not np.isfinite(table).all():
+            return np.inf
+        r = np.asarray(np.linalg.qr(np.vstack([table, np.eye(rows.common.shape[1], table.shape[1])]), mode="r"))
+        pivots = np.abs(np.diag(r)[: table.shape[1] - 1])
+        left = r[table.shape[1] - 1 :, -1]
+        return float(np.log(deviation).sum() + np.log(np.maximum(pivots, 1e-300)).sum() + 0.5 * left @ left)

@@ -8,6 +8,7 @@ nobody knows which leg carries the walker, samples are left out: a step is a seg
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,11 +144,17 @@ def _basis(half: int, at: float) -> FloatArray:
     return np.column_stack([np.ones_like(i), i, i * i, late, late * late])
 
 
+@cache
+def _curves(half: int) -> tuple[FloatArray, FloatArray]:
+    """(81,) instants tried [samples after the middle], and (81, 2 half, 5) orthonormal bases of their curves."""
+    tried = np.linspace(-2.0, 2.0, 81)
+    return tried, np.linalg.qr(np.stack([_basis(half, at) for at in tried]))[0]
+
+
 def _refined(angles: FloatArray, half: int) -> tuple[float, float]:
     """Instant of the jump in whitened angles (n, 2 half), in samples after the middle, and its standard deviation."""
-    tried = np.linspace(-2.0, 2.0, 81)
-    left = np.array([float(np.sum((angles.T - (b := _basis(half, at)) @ np.linalg.lstsq(b, angles.T)[0]) ** 2))
-                     for at in tried])
+    tried, bases = _curves(half)
+    left = np.sum((angles.T - bases @ (bases.swapaxes(1, 2) @ angles.T)) ** 2, axis=(1, 2))
     k = min(max(int(np.argmin(left)), 4), len(tried) - 5)
     curve = np.polynomial.Polynomial.fit(tried[k - 4 : k + 5], left[k - 4 : k + 5], 2).convert().coef
     if curve[2] <= 0.0:

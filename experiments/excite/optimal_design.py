@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.optimize import minimize
 
 from daq import FloatArray, InputError, Limits, Rig, WorkError
 from daq.recording import Plan
@@ -262,6 +261,8 @@ def merit(information: FloatArray, beta: FloatArray, share: float) -> tuple[floa
 def _bettered(bench: Bench, prior: PlanInformation, series: Series, start: FloatArray, search: Search,
               progress: Callable[[int], None]) -> FloatArray | None:
     """Coefficients (2 h,) that the optimiser comes to; None where it cannot begin."""
+    from scipy.optimize import minimize
+
     basis = series.basis(prior.rate_hz)
     torque_most, speed_most, angle_most = bounds(bench.limits, INNER * search.margin, bench.mechanism.n)
     scale = float(np.abs(start @ basis).max())

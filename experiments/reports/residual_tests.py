@@ -48,11 +48,6 @@ class Correlation:
         """Largest size."""
         return float(np.max(np.abs(self.values)))
 
-    @property
-    def strong(self) -> bool:
-        """More lags outside than chance leaves, and one beyond `STRONG`."""
-        return self.outside > 1.0 - SHARE and self.largest > max(STRONG, self.band)
-
 
 def correlate(first: Sequence[FloatArray], second: Sequence[FloatArray], lags: FloatArray) -> FloatArray:
     """(k,) normalised correlation of `first` (t + lag) with `second` (t), summed over segments; NaN takes no part."""

@@ -150,10 +150,15 @@ def models_of(case: Case, folder: Path) -> tuple[Path, Path]:
 
 
 def same_validation(case: Case, folder: Path) -> None:
-    first, _ = models_of(case, folder)
+    first, second = models_of(case, folder)
     said = shell(folder, "validate", first, *case.runs, "--rig", case.rig, "--damaged")
     runs = legid.load(case.runs, case.rig, damaged=True)
     assert python(folder, legid.validate(legid.load_model(first), runs)) == said
+    assert [run["run"] for run in said["set_aside"]] == list(case.aside)
+    said = shell(folder, "validate", first, *case.runs, "--rig", case.rig, "--damaged", "--against", second,
+                 "--horizons", "0.2,0.4")
+    told = legid.validate(legid.load_model(first), runs, against=legid.load_model(second), horizons_s=(0.2, 0.4))
+    assert python(folder, told) == said
     assert [run["run"] for run in said["set_aside"]] == list(case.aside)
 
 
@@ -163,6 +168,8 @@ def same_comparison(case: Case, folder: Path) -> None:
     runs = legid.load(case.runs, case.rig, damaged=True)
     found = legid.compare(legid.load_model(first), legid.load_model(second), runs, names=(first.name, second.name))
     assert python(folder, found) == said
+    with pytest.raises(legid.InputError, match="horizons_s"):
+        legid.compare(legid.load_model(first), legid.load_model(second), runs, horizons_s=(0.0,))
     assert [run["run"] for run in said["set_aside"]] == list(case.aside)
 
 
@@ -210,6 +217,23 @@ def test_every_verb_on_every_fixture(name: str, verb: str, folder: Path) -> None
 def test_every_verb_on_public_records(name: str, verb: str, folder: Path) -> None:
     case = records()[name]
     VERBS[verb](with_bad_run(case, folder) if case.aside else case, folder)
+
+
+def test_validate_compare_and_python_tell_one_error_of_a_model_on_runs(folder: Path) -> None:
+    """By horizon and sensor, to the last digit; a whole run's is the one of its segment."""
+    case = FIXTURE_CASES["healthy"]
+    first, second = models_of(case, folder)
+    words = [*case.runs, "--rig", case.rig, "--horizons", "0.2,1"]
+    validated = [{row["horizon_s"]: row["rmse"] for row in shell(folder, "validate", model, *words)["horizons"]}
+                 for model in (first, second)]
+    compared = shell(folder, "compare", first, second, *words)["errors"]
+    rows = [row for row in compared if row["column"] != "gyro_radps" and row["horizon_s"] is not None]
+    assert {row["horizon_s"] for row in rows} == {0.2, 1.0}
+    for row in rows:
+        assert [validated[k][row["horizon_s"]][row["column"]] for k in (0, 1)] == [row["a"], row["b"]]
+    (alone,) = legid.validate(legid.load_model(first), legid.load(case.runs[0]))
+    whole = {row["column"]: row["a"] for row in compared if row["horizon_s"] is None}
+    assert whole["q2_rad"] == alone.rmse["q2_rad"] != alone.rmse["q1_rad"] == whole["q1_rad"]
 
 
 @needs_records
@@ -275,6 +299,7 @@ def test_watched_runs(folder: Path) -> None:
     from tests.support.changed_leg import REFERENCE, leg_runs
 
     files, rig = leg_runs(folder, MAKERS["gyro_scale"][0](1.0))
+    files = files[: REFERENCE + 2]  # the run that alarms, and the one after, for which the change is searched
     words = [*files[REFERENCE:], "--against", *files[:REFERENCE], "--rig", rig]
     said = shell(folder, "watch", *words, "--false-alarms", 0.2)
     found = legid.watch(legid.load(files[REFERENCE:], rig), legid.load(files[:REFERENCE], rig), false_alarms=0.2)

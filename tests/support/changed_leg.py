@@ -29,15 +29,15 @@ def loaded(leg: Leg, link: int, mass: float, distance: float, inertia: float) ->
 
 
 def leg_runs(out: Path, changes: Callable[[Readings], None], changed: Callable[[Leg], Leg] = lambda leg: leg,
-             seed: int = 11) -> tuple[list[Path], Path]:
-    """Eight runs of one leg, the last four with a change of the readings, or of the leg."""
+             seed: int = 11, seconds: float = 10.0) -> tuple[list[Path], Path]:
+    """Eight runs of `seconds` [s] of one leg, the last four with a change of the readings, or of the leg."""
     rng = np.random.default_rng(seed)
     leg = replace(random_leg(rng), coulomb=(0.01, 0.05))
 
     def logged(run: int) -> Readings:
         after = run >= REFERENCE
         own = changed(leg) if after else leg
-        readings = as_read(move(own, rng, seconds=10.0, closed=run % 2 == 1, high=(3.0, 2.0, 1.2, 2.5)[run % 4]))
+        readings = as_read(move(own, rng, seconds=seconds, closed=run % 2 == 1, high=(3.0, 2.0, 1.2, 2.5)[run % 4]))
         if after:
             changes(readings)
         return {k: v[:: round(0.01 / TICK_S)] for k, v in readings.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,8 @@ FINE = 1e-5
 RHO = 0.8
 PIVOT = 0.002
 """What the model may lack at the pivot: MuJoCo's steps, next to nothing."""
-FITS = 40
+FITS, FEW = 40, 6
+"""Of a study of intervals and of gains, and those that show a level: its mean within a hundredth."""
 ROUND = 0.05
 
 
@@ -60,16 +62,16 @@ def fits(runs: list[Dataset], mechanism: Mechanism, truth: FloatArray, options: 
                 np.array([[f.noise[name] for name in levels] for f in found]))
 
 
-@pytest.fixture(scope="module")
-def legs() -> dict[str, Told]:
-    """The same 40 records of 10 s of a leg by MuJoCo, fitted with one level for both axes, with one each, and with
+@cache
+def legs(count: int = FEW) -> dict[str, Told]:
+    """The same `count` records of 10 s of a leg by MuJoCo, fitted with one level for both axes, with one each, and with
     their correlation."""
     rng = np.random.default_rng(7)
     leg = random_leg(rng)
     clean = record(leg, rng, seconds=10.0, gyro=0.0, accel=0.0, torque=0.0, counts=2**24, friction_velocity=ROUND)
     covariance = np.array([[X * X, RHO * X * Y], [RHO * X * Y, Y * Y]])
     draws = np.random.default_rng(11)
-    runs = [disturbed(clean, covariance, draws) for _ in range(FITS)]
+    runs = [disturbed(clean, covariance, draws) for _ in range(count)]
     mechanism = leg2(lever_arm=leg.lever, velocity_scale=ROUND)
     own = FitOptions(sensors="imu", noise={"passive_nm": PIVOT})
     pooled = replace(own, noise={**own.noise, "accel_mps2": float(np.sqrt((X * X + Y * Y) / 2))})
@@ -78,22 +80,26 @@ def legs() -> dict[str, Told]:
 
 
 @pytest.mark.parametrize("name", ["own", "told"])
-def test_both_axes_levels_are_found(legs: dict[str, Told], name: str) -> None:
+def test_both_axes_levels_are_found(name: str) -> None:
     """1000 samples tell a level to 2.2 % if nothing else is sought; two thirds of those of x go for the motion."""
-    mean, spread = legs[name].levels.mean(axis=0), legs[name].levels.std(axis=0)
+    levels = legs()[name].levels
+    mean, spread = levels.mean(axis=0), levels.std(axis=0)
     assert mean[:2] == pytest.approx([X, Y], rel=0.04)
     assert spread[0] < 0.06 * X and spread[1] < 0.03 * Y
     assert mean[2] == pytest.approx(np.sqrt((X * X + Y * Y) / 2), rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["own", "told"])
-def test_intervals_hold_what_they_say(legs: dict[str, Told], name: str) -> None:
+def test_intervals_hold_what_they_say(name: str) -> None:
     """Nine parameters of a fit share its noise; 40 of them put 95 % within about 2 %."""
-    assert 0.91 < legs[name].covered() < 0.985
+    assert 0.91 < legs(FITS)[name].covered() < 0.985
 
 
-def test_parameters_are_nearer_by_each_thing_that_is_known(legs: dict[str, Told]) -> None:
-    own, told = legs["own"].rms_over(legs["pooled"]), legs["told"].rms_over(legs["pooled"])
+@pytest.mark.slow
+def test_parameters_are_nearer_by_each_thing_that_is_known() -> None:
+    found = legs(FITS)
+    own, told = found["own"].rms_over(found["pooled"]), found["told"].rms_over(found["pooled"])
     assert own < 0.96
     assert told < 0.97 * own
 
@@ -114,14 +120,14 @@ def arm(rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray, F
     return np.stack([q1, q2], axis=1), np.stack([tau1, tau2], axis=1), b
 
 
-@pytest.fixture(scope="module")
-def arms() -> dict[str, Told]:
-    """Forty records of 10 s of one arm, torques' noise 3 : 1 and correlated by 0.8."""
+@cache
+def arms(count: int = FEW) -> dict[str, Told]:
+    """`count` records of 10 s of one arm, torques' noise 3 : 1 and correlated by 0.8."""
     levels, rng = np.array([0.06, 0.02]), np.random.default_rng(5)
     q, tau, beta = arm(rng, 1000)
     covariance = np.outer(levels, levels) * np.array([[1.0, RHO], [RHO, 1.0]])
     runs = []
-    for _ in range(FITS):
+    for _ in range(count):
         shown = tau + rng.multivariate_normal(np.zeros(2), covariance, size=len(tau))
         read = q + FINE * rng.normal(size=q.shape)
         runs.append(Dataset("arm", 100.0, np.arange(len(q)) / 100.0, {
@@ -135,17 +141,21 @@ def arms() -> dict[str, Told]:
                                   ("all told", replace(correlated, noise=own)))}
 
 
-def test_torque_levels_that_correlate_are_found(arms: dict[str, Told]) -> None:
+def test_torque_levels_that_correlate_are_found() -> None:
     """Taken for independent they come out a fifth low: what two torques have in common goes to the motion."""
-    assert arms["told"].levels.mean(axis=0) == pytest.approx([0.06, 0.02, 0.06], rel=0.03)
-    assert np.all(arms["alone"].levels.mean(axis=0) < 0.85 * np.array([0.06, 0.02, 0.06]))
-    assert np.array_equal(arms["all told"].levels, np.tile([0.06, 0.02, 0.06], (FITS, 1)))
+    found = arms()
+    assert found["told"].levels.mean(axis=0) == pytest.approx([0.06, 0.02, 0.06], rel=0.03)
+    assert np.all(found["alone"].levels.mean(axis=0) < 0.85 * np.array([0.06, 0.02, 0.06]))
+    assert np.array_equal(found["all told"].levels, np.tile([0.06, 0.02, 0.06], (FEW, 1)))
+    assert found["told"].rms_over(found["alone"]) < 0.8
 
 
-def test_a_known_correlation_of_torques_brings_parameters_nearer(arms: dict[str, Told]) -> None:
+@pytest.mark.slow
+def test_a_known_correlation_of_torques_brings_parameters_nearer() -> None:
+    found = arms(FITS)
     for name in ("told", "all told"):
-        assert 0.91 < arms[name].covered() < 0.985
-        assert arms[name].rms_over(arms["alone"]) < 0.8
+        assert 0.91 < found[name].covered() < 0.985
+        assert found[name].rms_over(found["alone"]) < 0.8
 
 
 def test_levels_at_a_given_correlation_are_the_likeliest() -> None:

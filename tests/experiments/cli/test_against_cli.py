@@ -42,7 +42,7 @@ def test_an_unchanged_arm_against_a_folder(tmp_path: Path, capsys: pytest.Captur
 
 def test_a_model_is_as_good_a_reference_as_its_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files, rig = leg_runs(tmp_path, MAKERS["gyro_scale"][0](1.0))
-    earlier, runs = ([str(f) for f in some] for some in (files[:REFERENCE], files[REFERENCE:]))
+    earlier, runs = ([str(f) for f in some] for some in (files[:REFERENCE], files[REFERENCE : REFERENCE + 2]))
     prepared = prepare(earlier, load_rig(rig))
     path = write_model(tmp_path / "model.json", [0.1] * prepared.setup.mechanism.p,
                        structs.asdict(prepared.setup.settings))

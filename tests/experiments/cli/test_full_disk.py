@@ -55,7 +55,8 @@ def test_the_rig_file_stays_as_it_was_and_is_written_when_there_is_room(command:
     if command[0] == "tune":
         runs = written([arm_run(k, seconds=4.0, offset=(0.15, 0.0)) for k in range(2)], files)
         command = [part for word in command for part in (runs if word == "RUNS" else [word])]
-        (files / "rig.toml").write_text(f"# our arm\n{ARM_RIG}[noise]\nencoder_rad = 1e-4\n[filter]\ncutoff_hz = 8.0\n")
+        stated = "[noise]\nencoder_rad = 1e-4\n[filter]\ncutoff_hz = 8.0\n[sampling]\nrate_hz = 100.0\n"
+        (files / "rig.toml").write_text(f"# our arm\n{ARM_RIG}{stated}")
     else:
         write_off(files / "still.mcap")
         (files / "rig.toml").write_text(RIG)

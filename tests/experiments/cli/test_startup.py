@@ -13,6 +13,7 @@ from tests.support.paths import ROOT
 
 RIG = '[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = {lever}\n[sampling]\nhold = "linear"\n'
 """The hold is given: to try that of a smooth torque takes SciPy's splines."""
+RECORDER = "import sys, experiments.workflows.record; print([name for name in {slow} if name in sys.modules])"
 SLOW = ("scipy", "numba", "matplotlib", "jinja2", "mcap", "can", "pyarrow", "importlib.metadata")
 """Packages each of which takes as long to import as a fit of thousands of samples."""
 CODE = """
@@ -32,3 +33,10 @@ def test_a_fit_imports_nothing_that_it_does_not_use(tmp_path: Path) -> None:
                           timeout=120, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)})
     assert done.returncode == 0, done.stderr
     assert "converged" in done.stdout and done.stdout.splitlines()[-1] == "[]", done.stdout
+
+
+def test_a_recording_loads_no_mathematics() -> None:
+    slow = ("scipy", "numba", "matplotlib", "jinja2")
+    done = subprocess.run([sys.executable, "-c", RECORDER.format(slow=slow)], capture_output=True, text=True,
+                          timeout=120, cwd=ROOT, check=True)
+    assert done.stdout == "[]\n"

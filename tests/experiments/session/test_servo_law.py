@@ -58,7 +58,7 @@ def test_a_law_with_damping_and_a_limit_stands_for_the_torque(tmp_path: Path, le
 
 def test_a_gain_is_found_by_one_parameter_that_is_given(tmp_path: Path, leg: Leg) -> None:
     rng = np.random.default_rng(53)
-    runs = [follow(leg, rng, gain=GAIN, name=f"run{k}") for k in range(3)]
+    runs = [follow(leg, rng, gain=GAIN, name=f"run{k}") for k in range(2)]
     told = fitted(tmp_path, runs, "", "--fix", f"beta5={leg.beta()[4]}")
     low, high = told["servo_gain"]["ci95"]
     assert told["servo_gain"]["value"] == pytest.approx(GAIN, rel=0.03) and high - low < 0.2 * GAIN

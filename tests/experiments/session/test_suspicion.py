@@ -26,8 +26,8 @@ def scaled(run: Dataset, factor: float) -> Dataset:
 
 
 def turning_run() -> Dataset:
-    """A driven joint that turns on for 19 turns, faster and slower."""
-    rng, t = np.random.default_rng(1), np.arange(2000) / 100.0
+    """A driven joint that turns on for 9 turns, faster and slower."""
+    rng, t = np.random.default_rng(1), np.arange(1000) / 100.0
     q = 6.0 * t + 0.8 * np.sin(3.0 * t) + 0.3 * np.sin(7.0 * t)
     v = 6.0 + 2.4 * np.cos(3.0 * t) + 2.1 * np.cos(7.0 * t)
     a = -7.2 * np.sin(3.0 * t) - 14.7 * np.sin(7.0 * t)
@@ -62,7 +62,7 @@ def test_a_geared_joint_is_told_of_its_rotor_and_of_no_unit(tmp_path: Path, caps
     (True, DEGREES, "deg"), (True, TURNS, "turn"), (False, DEGREES, "deg")])
 def test_a_unit_that_explains_the_torque_is_named(turns_on: bool, factor: float, unit: str, tmp_path: Path,
                                                   capsys: pytest.CaptureFixture[str]) -> None:
-    run = turning_run() if turns_on else swing_run(viscous=0.02, coulomb=0.05)
+    run = turning_run() if turns_on else swing_run(viscous=0.02, coulomb=0.05, seconds=10.0)
     _, said = fit_of([scaled(run, factor)], tmp_path, capsys)
     assert f'name = "q1_rad" and unit = "{unit}" under [columns.q1_rad]' in said
 
@@ -77,7 +77,7 @@ def test_a_joint_that_turned_on_is_not_asked_for_its_unit(tmp_path: Path, capsys
 
 def test_an_angle_that_swings_too_far_in_any_unit_is_to_be_checked(tmp_path: Path,
                                                                    capsys: pytest.CaptureFixture[str]) -> None:
-    run = scaled(swing_run(viscous=0.02), 4096 * TURNS)
+    run = scaled(swing_run(viscous=0.02, seconds=10.0), 4096 * TURNS)
     unexplained = with_torque(run, np.random.default_rng(3).normal(size=len(run)))
     status, said = fit_of([unexplained], tmp_path, capsys)
     assert status == 1 and "q1_rad swings over" in said and "check that it is the angle of this joint" in said

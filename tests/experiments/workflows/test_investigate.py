@@ -20,7 +20,7 @@ from estimator.diagnosis.result import Cause, SizeEstimate
 from experiments import cli
 from experiments.emulation.plant import LegBody
 from experiments.excite import Search
-from experiments.reports import Investigation
+from experiments.reports import Investigation, diagnosis_figures, figures
 from experiments.workflows import Asked, fit_runs, investigate, investigate_rig
 from experiments.workflows.time_budget import Clock, End, Spent
 from tests.support.diagnoses import NAMES, synthetic
@@ -47,7 +47,7 @@ OFFSET = replace(LEG, verdict="one_of", causes=(cause("torque_offset", None, "of
 def made_up(monkeypatch: pytest.MonkeyPatch, demo_run: Path) -> Callable[..., list[str]]:
     """A function that makes recordings copies of one run, and diagnoses the given ones; its list has the run files."""
 
-    def prepared(*answers: Diagnosis | BaseException, files: tuple[Path, ...] = ()) -> list[str]:
+    def prepared(*answers: Diagnosis | BaseException, drawn: bool = False) -> list[str]:
         left, recorded = iter(answers), []
 
         def record(rig: Any, plan: Plan, out: Path, *more: Any) -> None:
@@ -65,6 +65,10 @@ def made_up(monkeypatch: pytest.MonkeyPatch, demo_run: Path) -> Callable[..., li
         monkeypatch.setattr(investigate, "diagnose_prepared", diagnosed)
         monkeypatch.setattr(investigate, "Search", lambda margin, tries, steps, seed: Search(margin, "d", 1, 2, seed))
         monkeypatch.setattr(investigate, "SECONDS", 4.0)
+        monkeypatch.setattr("experiments.excite.separation.DRAWS", 1)
+        if not drawn:  # a step redraws its pages; what these tests say is not in their pictures
+            for module in (figures, diagnosis_figures):
+                monkeypatch.setattr(module, "to_svg", lambda figure: "<svg></svg>")
         return recorded
 
     return prepared
@@ -88,7 +92,7 @@ def check_journal(out: Path, ending: str) -> dict[str, Any]:
 
 def test_rivals_are_separated_and_the_journal_says_what_was_believed(
         tmp_path: Path, made_up: Callable[..., list[str]]) -> None:
-    recorded = made_up(RIVALS, NAMED)
+    recorded = made_up(RIVALS, NAMED, drawn=True)
     asked: list[str] = []
     done = run(tmp_path / "i", Asked(lambda what: not asked.append(what)))
     assert done.ending == "settled" and done.found is NAMED and len(asked) == len(recorded) == len(done.runs)
