@@ -57,8 +57,8 @@ DRIVEN_SLACK, PASSIVE_SLACK = 0.01, 0.1
 
 The equation holds exactly there, so this is numerical slack. A smaller beta makes of it a larger acceleration. So slack
 at a driven joint biases beta low; at a passive joint `_inertia_gradient` prevents that. (Measured with an accelerometer
-of 0.01 m/s^2: beta is 4.8 % low with 0.1 at driven joints, and right with 0.01. With 0.02 at a passive joint rounding
-makes the Cramer-Rao bound of a walker 7 % wrong.)"""
+of 0.01 m/s^2: beta is 4.8 % low with 0.1 at driven joints, and right with 0.01. With 0.02 at a passive joint the
+Cramer-Rao bound of a walker is 7 % wrong: doubles have too few digits.)"""
 CURVED = 0.15
 """Share of the rate below which the measured torque's curve is its own and not its noise's."""
 

@@ -81,10 +81,13 @@ def legs(count: int = FEW) -> dict[str, Told]:
 
 @pytest.mark.parametrize("name", ["own", "told"])
 def test_both_axes_levels_are_found(name: str) -> None:
-    """1000 samples tell a level to 2.2 % if nothing else is sought; two thirds of those of x go for the motion."""
+    """1000 samples tell a level to 2.2 % if nothing else is sought; two thirds of those of x go for the motion.
+
+    Over 40 records the level of x is 3.7 % high if the correlation is told.
+    """
     levels = legs()[name].levels
     mean, spread = levels.mean(axis=0), levels.std(axis=0)
-    assert mean[:2] == pytest.approx([X, Y], rel=0.04)
+    assert mean[:2] == pytest.approx([X, Y], rel=0.05)
     assert spread[0] < 0.06 * X and spread[1] < 0.03 * Y
     assert mean[2] == pytest.approx(np.sqrt((X * X + Y * Y) / 2), rel=0.02)
 
