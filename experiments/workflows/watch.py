@@ -48,8 +48,7 @@ class Watcher:
         except (InputError, FitError) as error:
             name = run.name if isinstance(run, Dataset) else Path(run).name
             return Watched(WatchedRun(name, failed=str(error)))
-        native = not isinstance(run, Dataset) and str(run).lower().endswith(".mcap")
-        recorded = started_at(run) if native else None
+        recorded = None if isinstance(run, Dataset) or Path(run).suffix.lower() != ".mcap" else started_at(run)
         with threadpool_limits(1):
             data = setup.datasets[0]
             found = self.test.test(data)
