@@ -148,9 +148,9 @@ runs: $(STAMP)
 prior: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence prior --fits $(FITS) --out docs/evidence/prior.md
 
-# Faults in the later runs of real records next to the checkout; the earlier runs are the reference.
+# Faults in the later runs of real records next to the checkout; the earlier runs are the reference. Half an hour.
 changed: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence what-changed --out docs/evidence/what-changed.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence what-changed --minutes $(or $(MINUTES),60) --out docs/evidence/what-changed.md
 
 # Hours of an unchanged leg whose friction drifts, and changes of several legs: twenty minutes.
 HOURS ?= 2
