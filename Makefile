@@ -12,7 +12,7 @@ LOCKED := $(BIN)/python -m pip install --quiet --disable-pip-version-check --req
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench blind family port port-faults fuzz tutorial screenshots changed watch separate wheel arm64 \
+	table5 replication seven-links imu-links walker bench blind family port port-faults fuzz tutorial screenshots changed watch separate investigate payloads wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -148,9 +148,9 @@ runs: $(STAMP)
 prior: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence prior --fits $(FITS) --out docs/evidence/prior.md
 
-# Faults in the later runs of real records next to the checkout; the earlier runs are the reference.
+# Faults in the later runs of real records next to the checkout; the earlier runs are the reference. Half an hour.
 changed: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence what-changed --out docs/evidence/what-changed.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence what-changed --minutes $(or $(MINUTES),60) --out docs/evidence/what-changed.md
 
 # Hours of an unchanged leg whose friction drifts, and changes of several legs: twenty minutes.
 HOURS ?= 2
@@ -161,6 +161,15 @@ watch: $(STAMP)
 # Emulated legs whose diagnosis ends one_of, with one more run of the designed torque and of the usual one: half an hour.
 separate: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence separate --minutes $(or $(MINUTES),30) --out docs/evidence/separate.md
+
+# Emulated rigs that nobody has seen, each with an investigation and a fixed session of eight runs: an hour.
+investigate: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence investigate --minutes $(or $(MINUTES),60) \
+		--out docs/evidence/investigate.md
+
+# Emulated legs with a mass added to link 2 at a random place: twenty minutes.
+payloads: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence payloads --minutes $(or $(MINUTES),30) --out docs/evidence/payloads.md
 
 # Real records next to the checkout, with minimal rig files, and records with an error put in: a quarter of an hour.
 untuned: $(STAMP)

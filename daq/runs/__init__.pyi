@@ -20,4 +20,6 @@ from .mcap_run import RunWriter as RunWriter
 from .mcap_run import attached_texts as attached_texts
 from .mcap_run import read_run as read_run
 from .mcap_run import recover as recover
+from .mcap_run import start_of as start_of
+from .mcap_run import started_at as started_at
 from .streams import Note as Note

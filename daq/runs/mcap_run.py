@@ -10,6 +10,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
 from pathlib import Path
@@ -279,6 +280,23 @@ def attached_texts(path: Path | str) -> dict[str, str]:
         if isinstance(record, Attachment):
             files[record.name] = record.data.decode("utf-8", "replace")
     return files
+
+
+def started_at(path: Path | str) -> datetime | None:
+    """When the recording of a native run began [UTC]; None where its file does not say. Raises `InputError` like
+    `read_run`."""
+    for record in Scan(Path(path)):
+        if isinstance(record, Message):
+            break
+        if isinstance(record, Metadata) and record.name == FACTS:
+            return start_of(record.metadata)
+    return None
+
+
+def start_of(facts: Mapping[str, str]) -> datetime | None:
+    """When a recording with these `facts` began [UTC]."""
+    started = facts.get("started_unix_ns", "")
+    return datetime.fromtimestamp(int(started) / 1e9, UTC) if started.isdecimal() else None
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from experiments.live.jobs import Job
 from experiments.live.quality import Quality
 from experiments.live.readings import limit_rows, readings
 from experiments.live.session import Phase
+from experiments.live.watch_chart import Mark, anchor, draw_marks, explain_marks
 from experiments.reports import whole_options
 
 SHOW_EVERY_S = 0.22
@@ -36,6 +37,7 @@ class Page:
         self._checked: dict[Path, bool] = {}
         self._judged = 0
         self._listed: list[tuple[Path, Quality | None]] = []
+        self._marks: tuple[Mark, ...] = ()
         self._touched: set[Path] = set()
         """Runs that somebody has chosen or left out by hand."""
 
@@ -52,6 +54,7 @@ class Page:
                 self._limits()
             with ui.element("div").classes("live-column"):
                 self._plots()
+                self._watch()
                 self._analysis()
         self._client = ui.context.client
         self._client.run_javascript("legid.paint()")
@@ -112,6 +115,13 @@ class Page:
                     _html(f"<h3>{chart.title}</h3>")
                     ui.echart(options(chart))
 
+    def _watch(self) -> None:
+        self._watch_card = _card("Watch over the weeks", "late")
+        with self._watch_card:
+            self._watch_chart = _html("")
+            self._watch_words = ui.label().classes("soft")
+        self._watch_card.set_visibility(False)
+
     def _analysis(self) -> None:
         with _card("Runs and what they say", "late"):
             with ui.element("div").classes("live-runs") as self._runs_box:
@@ -149,7 +159,17 @@ class Page:
             self._judged = len(self._bench.quality)
             self._draw_runs()
             self._enable_analysis()
+        self._bench.look_for_marks()
+        if self._bench.marks != self._marks:
+            self._marks = self._bench.marks
+            self._draw_watch()
         self._draw_jobs()
+
+    def _draw_watch(self) -> None:
+        self._watch_card.set_visibility(bool(self._marks))
+        if self._marks:
+            self._watch_chart.set_content(draw_marks(self._marks))
+            self._watch_words.set_text(explain_marks(self._marks))
 
     def _draw_controls(self) -> None:
         session, why_not = self._session, self._bench.why_not()
@@ -208,7 +228,7 @@ class Page:
                 ui.checkbox(f"{path.name}{note}", value=self._checked[path],
                             on_change=lambda e, p=path: self._check(p, e.value))
                 look, words = _judgement(quality)
-                _html(f'<div class="quality {look}">{html.escape(words)}</div>')
+                _html(f'<div class="quality {look}" id="{html.escape(anchor(path.name))}">{html.escape(words)}</div>')
 
     def _check(self, path: Path, chosen: bool) -> None:
         self._checked[path] = chosen

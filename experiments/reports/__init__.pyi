@@ -113,6 +113,7 @@ from .validation_page import validation_text as validation_text
 from .walk_ahead import walk_document as walk_document
 from .walk_ahead import walk_section as walk_section
 from .walk_ahead import walk_text as walk_text
+from .watch import WATCH_SCHEMA as WATCH_SCHEMA
 from .watch import Watched as Watched
 from .watch import line_text as line_text
 from .watch import watch_document as watch_document

@@ -13,12 +13,12 @@ import numpy as np
 from msgspec import Struct
 
 from daq import InputError
-from daq.runs import RawRun, read_run
+from daq.runs import RawRun, read_run, start_of
 from daq.timing import recorded_rig
 from experiments.console import progress, text_table
 from experiments.reports.diagnosis_json import SCHEMA
 from experiments.reports.run_info import BOUND_S, clock_bound_s, lost_frames
-from experiments.reports.watch import SCHEMA as WATCH
+from experiments.reports.watch import WATCH_SCHEMA as WATCH
 
 RAIL_COUNTS = 32760
 """Of 16 bits: from here on a reading is at its rail."""
@@ -150,9 +150,8 @@ def _line(path: Path, folder: Path) -> RunLine:
         return RunLine(name, ended=f"not readable: {getattr(error, 'what', error)}")
     telemetry, probes = raw.streams["/leg/telemetry"], raw.streams["/leg/clock"]
     seconds = float(telemetry["host_ns"][-1] - telemetry["host_ns"][0]) * 1e-9 if telemetry.size else 0.0
-    started = raw.facts.get("started_unix_ns", "")
     return RunLine(
-        name, datetime.fromtimestamp(int(started) / 1e9, UTC) if started.isdecimal() else None, seconds, _model(raw),
+        name, start_of(raw.facts), seconds, _model(raw),
         clock_bound_s(raw) if probes.size else None, lost_frames(telemetry) if telemetry.size else 0,
         int(raw.streams["/imu"]["gap_before"].sum()), _clipped(raw), _ended(raw))
 

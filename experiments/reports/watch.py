@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
 from estimator.change import Block, Change, WatchedRun
 from experiments.reports.change import change_document
 from experiments.reports.origin import Source
 
-SCHEMA = "legid.watch/1"
+WATCH_SCHEMA = "legid.watch/1"
 MOST_H = 1e6
 """Longer times between false alarms are not told apart."""
 
@@ -22,6 +23,8 @@ class Watched:
     found: WatchedRun
     change: Change | None = None
     """After an alarm, from two runs on: what changed since the run with the alarm."""
+    recorded: datetime | None = None
+    """When its recording began [UTC], of a native run file."""
 
     @property
     def state(self) -> str:
@@ -74,9 +77,11 @@ def watch_summary(lines: Sequence[Watched], false_alarms: float) -> str:
 def watch_document(lines: Sequence[Watched], false_alarms: float, reference: Sequence[str],
                    sources: Sequence[Source] = ()) -> dict[str, Any]:
     """`legid.watch/1`; see docs/formats.md."""
-    return {"schema": SCHEMA, "false_alarms_per_hour": false_alarms,
+    return {"schema": WATCH_SCHEMA, "false_alarms_per_hour": false_alarms,
             "reference": {"runs": list(reference), "sources": [{"file": s.file, "sha256": s.sha256} for s in sources]},
-            "watched": [{"run": one.found.run, "state": one.state, "seconds": one.found.seconds,
+            "watched": [{"run": one.found.run, "state": one.state,
+                         "recorded": None if one.recorded is None else one.recorded.isoformat(),
+                         "seconds": one.found.seconds,
                          "alarm": None if one.found.alarm is None else _block(one.found.alarm),
                          "blocks": [_block(b) for b in one.found.blocks], "failed": one.found.failed or None,
                          "change": None if one.change is None else change_document(one.change)} for one in lines]}

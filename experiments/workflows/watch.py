@@ -11,6 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from daq import Dataset, InputError, Rig
+from daq.runs import started_at
 from estimator import FitError
 from estimator.change import Watch, WatchedRun, detect_change, learn_reference, start_watch
 from experiments.models import Model, known_effects, reference_of
@@ -47,6 +48,7 @@ class Watcher:
         except (InputError, FitError) as error:
             name = run.name if isinstance(run, Dataset) else Path(run).name
             return Watched(WatchedRun(name, failed=str(error)))
+        recorded = None if isinstance(run, Dataset) or Path(run).suffix.lower() != ".mcap" else started_at(run)
         with threadpool_limits(1):
             data = setup.datasets[0]
             found = self.test.test(data)
@@ -55,7 +57,7 @@ class Watcher:
             change = detect_change(self.alarmed, reference) if len(self.alarmed) > 1 else None
         if change is not None and change.verdict == "no_change":
             self.alarmed = []
-        return Watched(found, change)
+        return Watched(found, change, recorded)
 
 
 def watcher_of(against: Runs | Model, where: str, rig: Rig, false_alarms: float, damaged: bool = False) -> Watcher:

@@ -39,6 +39,7 @@ def test_a_changed_gyro_alarms_in_its_first_run_and_is_named_by_the_second(
     assert lines[-1].endswith("2 with an alarm, first r7.csv")
     found = json.loads(out.read_text())
     assert [one["state"] for one in found["watched"]] == ["ok", "ok", "alarm", "alarm"]
+    assert all(one["recorded"] is None for one in found["watched"])  # a CSV file has no date
     last = found["watched"][-1]
     assert last["change"]["verdict"] == "named"
     assert last["change"]["causes"][0]["size"][0]["value"] == pytest.approx(0.03, rel=0.15)
