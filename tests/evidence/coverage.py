@@ -144,7 +144,8 @@ PLANTS = {
 
 EVIDENCE = (
     Evidence("Do the 95 % intervals of a fit hold under set-valued dry friction?",
-             "make coverage PLANT=stickslip FITS=24 SEED=2000 RATES=\"100 250\"", "coverage-stickslip.md", 6, "95 % in every row of mle",
+             "make coverage PLANT=stickslip FITS=24 SEED=2000 RATES=\"100 250\"", "coverage-stickslip.md", 6,
+             "95 % in every row of mle",
              shares(r"mle-\S+ \| \d+/\d+ \| (\d+) %", "% of the intervals of mle hold, by row")),
     Evidence("Do the 95 % intervals of a fit hold on MuJoCo's leg under a position servo?",
              "make coverage PLANT=mujoco FITS=24 SEED=3000", "coverage-mujoco.md", 4, "95 % in every row of mle",
