@@ -12,7 +12,7 @@ LOCKED := $(BIN)/python -m pip install --quiet --disable-pip-version-check --req
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench blind family port port-faults fuzz tutorial screenshots changed watch separate investigate payloads wheel arm64 \
+	table5 replication seven-links imu-links walker bench blind family port port-faults fuzz tutorial screenshots changed watch separate investigate payloads changed-families wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -166,6 +166,11 @@ separate: $(STAMP)
 investigate: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence investigate --minutes $(or $(MINUTES),60) \
 		--out docs/evidence/investigate.md
+
+# A change of one effect on legs with ten small faults, 40 s a case: half an hour.
+changed-families: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence changed-families --minutes $(or $(MINUTES),30) \
+		--out docs/evidence/changed-families.md
 
 # Emulated legs with a mass added to link 2 at a random place: twenty minutes.
 payloads: $(STAMP)
