@@ -34,7 +34,8 @@ def converge_motion(problem: LatentProblem, state: State, limit: int = CONVERGE_
     converged_steps, share, before = 0, 1.0, np.inf
     seeks_rest = problem.stiction(noise) is None
     for iteration in range(limit + 1):
-        if seeks_rest and iteration < REST_STEPS:
+        updates_rest = seeks_rest and iteration < REST_STEPS
+        if updates_rest:
             noise = replace(noise, stiction=find_stiction(problem, x.v, state.beta))
             lowest = before = np.inf  # that was by other weights
         point = problem.motion_equations(x, state.beta, noise)
@@ -50,7 +51,8 @@ def converge_motion(problem: LatentProblem, state: State, limit: int = CONVERGE_
             solved = eliminate(point.chain.first(1))
         except np.linalg.LinAlgError:
             raise FitError("the equations of the motion became singular") from None
-        if not (seeks_rest and iteration < REST_STEPS) and float(solved.product()[0, 0]) < SAME_OBJECTIVE:
+        predicted_fall = float(solved.product()[0, 0])
+        if predicted_fall < SAME_OBJECTIVE and not updates_rest:
             break
         step = -solved.solution(np.ones(1))
         x = x.moved(shortened(step[:, : problem.n], share) * step)

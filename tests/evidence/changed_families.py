@@ -6,9 +6,7 @@ effect is added, or none. Called again it goes on where it stopped.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -20,10 +18,11 @@ import numpy as np
 from daq import load_rig
 from experiments.studies import machine
 from experiments.workflows import find_change
+from tests.evidence.blind.score import Rate
 from tests.evidence.blind.servo import GEAR, MAKERS, record, write_case
 from tests.evidence.blind.several_faults import NAMES, TEN, together
-from tests.evidence.investigate import interval
 from tests.evidence.kept import kept
+from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
 from tests.support.mujoco_leg import random_leg
 
@@ -75,10 +74,8 @@ def outcome(number: int) -> Outcome:
 
 def page(cases: int, minutes: float) -> Iterator[str]:
     """The page, line by line."""
-    began, rows = time.monotonic(), list[Outcome]()
-    for number in range(cases):
-        if time.monotonic() - began > 60.0 * minutes:
-            break
+    rows = list[Outcome]()
+    for number in within(minutes, range(cases)):
         rows.append(outcome(number))
         print(number, rows[-1], flush=True)
     changed, same = ([r for r in rows if (r.effect == "none") == untouched] for untouched in (False, True))
@@ -94,11 +91,11 @@ def page(cases: int, minutes: float) -> Iterator[str]:
         "ordinary strength. `legid diagnose --against` compares them.", "",
         f"{len(rows)} of {cases} cases were measured.", "",
         "| | measured | wanted |", "| --- | --- | --- |",
-        f"| the effect is in the answer | {interval(sum(r.hit for r in changed), len(changed))} | 80 to 95 % by size |",
-        f"| `no_change` with an added effect | {interval(silent[0], len(changed))} | |",
-        f"| together with a second name | {interval(more, len(changed))} | |",
-        f"| only wrong names | {interval(wrong, len(rows))} | at most 3 % |",
-        f"| untouched: `no_change` | {interval(silent[1], len(same))} | 95 % |", "",
+        f"| the effect is in the answer | {Rate(sum(r.hit for r in changed), len(changed))} | 80 to 95 % by size |",
+        f"| `no_change` with an added effect | {Rate(silent[0], len(changed))} | |",
+        f"| together with a second name | {Rate(more, len(changed))} | |",
+        f"| only wrong names | {Rate(wrong, len(rows))} | at most 3 % |",
+        f"| untouched: `no_change` | {Rate(silent[1], len(same))} | 95 % |", "",
         "| added | strength | verdict | causes |", "| --- | ---: | --- | --- |"]
     for r in sorted(rows):
         yield f"| {r.effect} | {r.strength:.2f} | {r.verdict} | {', '.join(r.causes) or '-'} |"
@@ -112,11 +109,5 @@ EVIDENCE = (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--cases", type=int, default=100, help="at most")
-    parser.add_argument("--minutes", type=float, default=30.0, help="after which no other case is begun")
-    words = parser.parse_args(arguments)
-    lines = list(page(words.cases, words.minutes))
-    print("\n".join(lines))
-    words.out.write_text("\n".join(lines), encoding="utf-8")
+    write_page(page, __doc__, arguments, cases=(100, "at most"),
+               minutes=(30.0, "after which no other case is begun"))

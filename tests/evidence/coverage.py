@@ -31,6 +31,7 @@ from tests.support.ornstein_uhlenbeck import disturbed_record
 from tests.support.stick_slip_leg import PEAK_NM, move, sample
 
 FRICTION = (0.02, 0.05, 0.10)
+SEED = 1000
 RATES = (50, 100, 250, 500)
 PIVOT_NM = 0.01
 """Least Coulomb level of the pivot."""
@@ -159,15 +160,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plant", choices=PLANTS, required=True)
     parser.add_argument("--fits", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--rates", type=int, nargs="+", default=list(RATES))
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args(arguments)
     seeds = range(given.seed, given.seed + given.fits)
     rows, told = PLANTS[given.plant]
+    rates = " ".join(map(str, given.rates))
+    command = f"make coverage PLANT={given.plant} FITS={given.fits}"
+    command += f" SEED={given.seed}" if given.seed != SEED else ""
+    command += "" if given.rates == list(RATES) else f' RATES="{rates}"' if " " in rates else f" RATES={rates}"
     text = [
         f"# Do the intervals hold? {given.plant}", "",
-        f"Made by `make coverage PLANT={given.plant} FITS={given.fits}`, seeds {seeds.start} to {seeds.stop - 1}, "
+        f"Made by `{command}`, seeds {seeds.start} to {seeds.stop - 1}, "
         f"{datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
         f"Plant: {told}",
         "Runs of 20 s; the torque hold and the friction smoothing velocity are chosen by the fit, as is the default.",

@@ -8,7 +8,6 @@ goes on where it stopped.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,28 +17,25 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binomtest
 
 import legid
-from daq import Rig, WorkError, load_rig
+from daq import Rig, WorkError
 from daq.runs import read_run
 from estimator import FitError
-from estimator.diagnosis import Diagnosis
 from experiments.emulation import EFFECTS, NOTHING, Hidden, LegBody, record_emulated
 from experiments.emulation.plant import HiddenTorque, Motion
 from experiments.excite import random_multisine
-from experiments.reports import diagnosis_document
 from experiments.session import prepare
 from experiments.studies import machine
 from experiments.workflows import diagnose_prepared
+from tests.evidence.blind.score import Rate
+from tests.evidence.emulated_legs import RATE_HZ, SPREAD, causes_of, label, leg_of, rig_in
 from tests.evidence.kept import kept
+from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
-from tests.support.paths import DEMO_RIG
 
-SEED, RATE_HZ, BUDGET_MIN = 4040, 100.0, 30.0
-"""Of the study, of the grid, and the wall time that an investigation may take on a core that others share."""
-SPREAD = 0.15
-"""Standard deviation of the logarithm of the legs' parameters about the emulated leg's."""
+SEED, BUDGET_MIN = 4040, 30.0
+"""Of the study, and the wall time that an investigation may take on a core that others share."""
 RUNS, SECONDS, PEAK_NM, OVERHEAD_S = 8, 10.0, 0.7, 5.0
 """The fixed session, as `legid demo` records it, and the time to open the devices for one run."""
 RATIOS, CLOSE, TRIES = (1.3, 4.0), 0.05, 5
@@ -104,15 +100,6 @@ def in_leg(body: LegBody, hidden: Hidden) -> Hidden:
     return replace(hidden, body=tuple(own.items()))
 
 
-def leg_of(number: int) -> LegBody:
-    """A leg about the emulated one."""
-    rng, plain = np.random.default_rng([SEED, number]), LegBody()
-    factor = np.exp(SPREAD * rng.standard_normal(8)).tolist()
-    return replace(plain, m1=plain.m1 * factor[0], i1=plain.i1 * factor[1], m2=plain.m2 * factor[2],
-                   i2=plain.i2 * factor[3], viscous=(plain.viscous[0] * factor[4], plain.viscous[1] * factor[5]),
-                   coulomb=(plain.coulomb[0] * factor[6], plain.coulomb[1] * factor[7]))
-
-
 def hidden_of(number: int) -> tuple[Hidden, float]:
     """What rig `number` hides and the ratio wanted; every ten rigs hold each effect once."""
     block, place = divmod(number, len(EFFECTS) + HEALTHY)
@@ -120,11 +107,6 @@ def hidden_of(number: int) -> tuple[Hidden, float]:
     one = [*EFFECTS.values(), *[NOTHING] * HEALTHY][order[place]]
     low, high = np.log(RATIOS)
     return one, float(np.exp(np.random.default_rng([SEED, number, 2]).uniform(low, high)))
-
-
-def label(effect: str, joint: int | None) -> str:
-    """`effect@joint`."""
-    return effect if joint is None else f"{effect}@{joint}"
 
 
 def recorded(folder: Path, rig: Rig, text: str, number: int, hidden: Hidden, which: Sequence[int]) -> list[Path]:
@@ -172,11 +154,6 @@ def size_for(folder: Path, rig: Rig, text: str, number: int, body: LegBody, hidd
     return min(tried, key=lambda one: abs(np.log(one[1] / wanted)))
 
 
-def causes_of(found: Diagnosis) -> tuple[str, ...]:
-    """Labels of the causes."""
-    return tuple(dict.fromkeys(label(c["effect"], c["joint"]) for c in diagnosis_document(found)["causes"]))
-
-
 def tripped(files: Sequence[Path]) -> int:
     """Runs that a limit ended."""
     return sum(any(note.kind.startswith("limit ") for note in read_run(file).events) for file in files)
@@ -185,12 +162,10 @@ def tripped(files: Sequence[Path]) -> int:
 @kept
 def outcome(number: int) -> Outcome:
     """Rig `number`: its size, its investigation, its fixed session."""
-    body, (hidden, wanted) = leg_of(number), hidden_of(number)
+    body, (hidden, wanted) = leg_of(SEED, number), hidden_of(number)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        text = DEMO_RIG.read_text(encoding="utf-8").replace("rate_hz = 250.0", f"rate_hz = {RATE_HZ}")
-        (folder / "rig.toml").write_text(text, encoding="utf-8")
-        rig = load_rig(folder / "rig.toml")
+        rig, text = rig_in(folder)
         factor, reached = (0.0, 1.0) if hidden is NOTHING else size_for(folder, rig, text, number, body, hidden, wanted)
         own = in_leg(body, scaled(hidden, factor))
 
@@ -234,20 +209,10 @@ def wrong(truth: str, answer: Answer) -> bool:
     return answer.verdict in ("named", "partial") and not set(answer.causes) <= {truth}
 
 
-def interval(hits: int, of: int) -> str:
-    """Share with its 95 % interval (Wilson)."""
-    if of == 0:
-        return "-"
-    low, high = binomtest(hits, of).proportion_ci(0.95, "wilson")
-    return f"{hits} of {of} ({100 * hits / of:.0f} %, {100 * low:.0f} to {100 * high:.0f} %)"
-
-
 def page(rigs: int, minutes: float) -> Iterator[str]:
     """The page, line by line."""
-    began, rows = time.monotonic(), list[Outcome]()
-    for number in range(rigs):
-        if time.monotonic() - began > 60.0 * minutes:
-            break
+    rows = list[Outcome]()
+    for number in within(minutes, range(rigs)):
         rows.append(outcome(number))
         print(number, rows[-1], flush=True)
     sick = [one for one in rows if one.truth]
@@ -256,7 +221,7 @@ def page(rigs: int, minutes: float) -> Iterator[str]:
     ways = (("investigation", [one.investigation for one in rows]), ("eight runs", [one.session for one in rows]))
 
     def cells(check: Callable[[str, Answer], bool], of: Sequence[Outcome]) -> str:
-        return " | ".join(interval(sum(check(one.truth, getattr(one, way)) for one in of), len(of))
+        return " | ".join(str(Rate(sum(check(one.truth, getattr(one, way)) for one in of), len(of)))
                           for way in ("investigation", "session"))
 
     trips = [sum(a.trips for a in answers) for _, answers in ways]
@@ -306,11 +271,5 @@ EVIDENCE = (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--rigs", type=int, default=20, help="at most")
-    parser.add_argument("--minutes", type=float, default=60.0, help="after which no other rig is begun")
-    words = parser.parse_args(arguments)
-    lines = list(page(words.rigs, words.minutes))
-    print("\n".join(lines))
-    words.out.write_text("\n".join(lines), encoding="utf-8")
+    write_page(page, __doc__, arguments, rigs=(20, "at most"),
+               minutes=(60.0, "after which no other rig is begun"))

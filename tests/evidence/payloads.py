@@ -6,9 +6,7 @@ place of link 2. The second four are compared with the first. Called again it go
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,17 +14,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq import load_rig
 from experiments.emulation import LegBody, record_emulated
 from experiments.excite import random_multisine
 from experiments.studies import machine
 from experiments.workflows import find_change
-from tests.evidence.investigate import interval, leg_of
+from tests.evidence.blind.score import Rate
+from tests.evidence.emulated_legs import RATE_HZ, leg_of, rig_in
 from tests.evidence.kept import kept
+from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
-from tests.support.paths import DEMO_RIG
 
-SEED, RATE_HZ, RUNS, SECONDS, PEAK_NM = 4041, 100.0, 4, 5.0, 0.7
+SEED, RUNS, SECONDS, PEAK_NM = 4041, 4, 5.0, 0.7
 SHARES, FARTHEST_M = (0.02, 0.2), 0.3
 """Range of the mass as a share of link 2's, and of its distance from the knee."""
 
@@ -50,7 +48,7 @@ class Outcome(NamedTuple):
 
 def loaded(number: int) -> tuple[LegBody, LegBody, float, float]:
     """Leg `number` and the same with its payload, mass [kg] and distance from the knee [m]."""
-    rng, body = np.random.default_rng([SEED, number]), leg_of(number)
+    rng, body = np.random.default_rng([SEED, number]), leg_of(SEED, number)
     share, arm = float(np.exp(rng.uniform(*np.log(SHARES)))), float(rng.uniform(0.0, FARTHEST_M))
     return body, body.carrying(share * body.m2, arm), share * body.m2, arm
 
@@ -61,9 +59,7 @@ def outcome(number: int) -> Outcome:
     bare, heavy, mass, arm = loaded(number)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        text = DEMO_RIG.read_text(encoding="utf-8").replace("rate_hz = 250.0", f"rate_hz = {RATE_HZ}")
-        (folder / "rig.toml").write_text(text, encoding="utf-8")
-        rig = load_rig(folder / "rig.toml")
+        rig, text = rig_in(folder)
         files = [folder / f"run{k}.mcap" for k in range(2 * RUNS)]
         for k, file in enumerate(files):
             seed = 1000 * number + k
@@ -78,10 +74,8 @@ def outcome(number: int) -> Outcome:
 
 def page(legs: int, minutes: float) -> Iterator[str]:
     """The page, line by line."""
-    began, rows = time.monotonic(), list[Outcome]()
-    for number in range(legs):
-        if time.monotonic() - began > 60.0 * minutes:
-            break
+    rows = list[Outcome]()
+    for number in within(minutes, range(legs)):
         rows.append(outcome(number))
         print(number, rows[-1], rows[-1].held, flush=True)
     held = [one.held for one in rows if one.held is not None]
@@ -96,8 +90,8 @@ def page(legs: int, minutes: float) -> Iterator[str]:
         "determines the mass of a payload on link 1, so none is put there.", "",
         f"{len(rows)} of {legs} legs were measured." if len(rows) < legs else f"All {legs} legs were measured.", "",
         "| | measured | wanted |", "| --- | --- | --- |",
-        f"| mass within its 95 % interval | {interval(sum(held), len(held))} | 93 to 97 % |",
-        f"| a payload of link 2 is named alone | {interval(alone, len(rows))} | |", "",
+        f"| mass within its 95 % interval | {Rate(sum(held), len(held))} | 93 to 97 % |",
+        f"| a payload of link 2 is named alone | {Rate(alone, len(rows))} | |", "",
         "| share of link 2 | distance [m] | mass [kg] | verdict | causes | mass found [kg] |",
         "| ---: | ---: | ---: | --- | --- | --- |"]
     for one in rows:
@@ -113,11 +107,5 @@ EVIDENCE = (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--legs", type=int, default=50, help="at most")
-    parser.add_argument("--minutes", type=float, default=30.0, help="after which no other leg is begun")
-    words = parser.parse_args(arguments)
-    lines = list(page(words.legs, words.minutes))
-    print("\n".join(lines))
-    words.out.write_text("\n".join(lines), encoding="utf-8")
+    write_page(page, __doc__, arguments, legs=(50, "at most"),
+               minutes=(30.0, "after which no other leg is begun"))

@@ -7,10 +7,8 @@ goes on where it stopped.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from estimator import FitError, FitOptions, fit
 from estimator.model import leg2
 from experiments.studies import machine
 from tests.evidence.kept import kept
+from tests.evidence.page_file import write_page
 from tests.evidence.registry import Evidence, shares
 from tests.support.mujoco_leg import random_leg, record
 
@@ -83,10 +82,4 @@ EVIDENCE = (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fits", type=int, default=60)
-    parser.add_argument("--out", type=Path, required=True)
-    words = parser.parse_args(arguments)
-    lines = list(page(words.fits))
-    print("\n".join(lines))
-    words.out.write_text("\n".join(lines))
+    write_page(page, __doc__, arguments, fits=(60, "records"))

@@ -8,7 +8,6 @@ leaves its nearest rival almost as likely. Called again it goes on where it stop
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -20,10 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
-from scipy.stats import beta as beta_law
 from scipy.stats import binomtest
 
-from daq import FloatArray, Rig, load_rig
+from daq import FloatArray, Rig
 from estimator.diagnosis import Diagnosis
 from estimator.effects import library
 from experiments.emulation import LegBody, record_emulated
@@ -53,16 +51,18 @@ from experiments.reports import diagnosed_model, diagnosis_document
 from experiments.session import Setup, prepare, setup_of
 from experiments.studies import machine
 from experiments.workflows import diagnose_prepared
+from tests.evidence.blind.score import Rate
+from tests.evidence.emulated_legs import causes_of, label, leg_of, rig_in
 from tests.evidence.kept import kept
+from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
-from tests.support.paths import DEMO_RIG
 
-SEED, SECONDS, RATE_HZ = 5050, 2.5, 100.0
+SEED, SECONDS = 5050, 2.5
 TIES = (3.0, 6.0)
 """Twice the expected log likelihood ratio, over the four runs, of a fault over its nearest rival of the library: a
 diagnosis does not tell apart what differs by less than 8 (`TIE_GAIN`)."""
-SPREAD, PRIOR = 0.15, 0.03
-"""Standard deviation of the legs' parameters about the emulated leg's, and of the prior model's about theirs."""
+PRIOR = 0.03
+"""Standard deviation of the prior model's parameters about the legs'."""
 FEW = 10
 """Below so many the comparison decides nothing."""
 SEARCH = Search(tries=1, steps=40)
@@ -114,15 +114,6 @@ def hidden(effect: str, size: float, rig: Rig) -> tuple[Hidden, Rig]:
     return Hidden(effect, None, ""), structs.replace(rig, calibration=other)
 
 
-def leg_of(number: int) -> LegBody:
-    """A leg about the emulated one."""
-    rng, plain = np.random.default_rng([SEED, number]), LegBody()
-    factor = np.exp(SPREAD * rng.standard_normal(8)).tolist()
-    return replace(plain, m1=plain.m1 * factor[0], i1=plain.i1 * factor[1], m2=plain.m2 * factor[2],
-                   i2=plain.i2 * factor[3], viscous=(plain.viscous[0] * factor[4], plain.viscous[1] * factor[5]),
-                   coulomb=(plain.coulomb[0] * factor[6], plain.coulomb[1] * factor[7]))
-
-
 def prior_of(rig: Rig, body: LegBody, number: int) -> Model:
     """A model a little off the leg, as first runs give it."""
     rng, settings = np.random.default_rng([SEED, number, 1]), mechanism_settings(rig)
@@ -134,16 +125,6 @@ def prior_of(rig: Rig, body: LegBody, number: int) -> Model:
                  covariance=tuple(map(tuple, np.diag((PRIOR * values) ** 2).tolist())),
                  provenance=Provenance(runs=(), method="mle", sensors="imu", date="2026-01-01T00:00:00+00:00",
                                        version="evidence"))
-
-
-def causes_of(found: Diagnosis) -> tuple[str, ...]:
-    """Labels of the causes."""
-    return tuple(dict.fromkeys(label(c["effect"], c["joint"]) for c in diagnosis_document(found)["causes"]))
-
-
-def label(effect: str, joint: int | None) -> str:
-    """`effect@joint`."""
-    return effect if joint is None else f"{effect}@{joint}"
 
 
 def tied_size(bench: Bench, rig: Rig, prior: Model, effect: str, torques: Sequence[FloatArray], tie: float
@@ -166,12 +147,10 @@ def tied_size(bench: Bench, rig: Rig, prior: Model, effect: str, torques: Sequen
 @kept
 def outcome(effect: str, tie: float, number: int) -> Outcome:
     """One leg with the fault of such a size that its nearest rival is `tie` less likely."""
-    began, truth, body = time.perf_counter(), label(effect, FAULTS[effect]), leg_of(number)
+    began, truth, body = time.perf_counter(), label(effect, FAULTS[effect]), leg_of(SEED, number)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        text = DEMO_RIG.read_text(encoding="utf-8").replace("rate_hz = 250.0", f"rate_hz = {RATE_HZ}")
-        (folder / "rig.toml").write_text(text, encoding="utf-8")
-        rig = load_rig(folder / "rig.toml")
+        rig, text = rig_in(folder)
         prior = prior_of(rig, body, number)
         bench, band, search = Bench(prior, rig, "prior"), Band(SECONDS, 0.0, 3.0), replace(SEARCH, seed=number)
         plans = [one.candidate for one in plan_session(bench, band, search, usual_choice(), 4).plans]
@@ -219,15 +198,6 @@ def nearest(contest: Contest, torque: FloatArray, truth: str) -> float:
     return float(ratios[names.index(truth)].min())
 
 
-def interval(hits: int, of: int) -> str:
-    """Share with its 95 % interval (Clopper and Pearson)."""
-    if of == 0:
-        return "-"
-    low = 0.0 if hits == 0 else float(beta_law.ppf(0.025, hits, of - hits + 1))
-    high = 1.0 if hits == of else float(beta_law.ppf(0.975, hits + 1, of - hits))
-    return f"{hits} of {of} ({100 * hits / of:.0f} %, {100 * low:.0f} to {100 * high:.0f} %)"
-
-
 def truth_alone(effect: str, end: tuple[str, tuple[str, ...]]) -> bool:
     """Whether the diagnosis names the fault and nothing else."""
     return end == ("named", (label(effect, FAULTS[effect]),))
@@ -241,11 +211,9 @@ def wrong(effect: str, end: tuple[str, tuple[str, ...]]) -> bool:
 
 def page(legs: int, wanted: int, minutes: float) -> Iterator[str]:
     """The page, line by line."""
-    began = time.monotonic()
     rows: list[tuple[str, float, Outcome]] = []
-    for number, tie, effect in product(range(legs), TIES, FAULTS):
-        if sum(one.designed is not None for _, _, one in rows) >= wanted or (
-                time.monotonic() - began > 60.0 * minutes):
+    for number, tie, effect in within(minutes, product(range(legs), TIES, FAULTS)):
+        if sum(one.designed is not None for _, _, one in rows) >= wanted:
             break
         rows.append((effect, tie, outcome(effect, tie, number)))
         print(effect, tie, number, rows[-1][2], flush=True)
@@ -278,9 +246,9 @@ def page(legs: int, wanted: int, minutes: float) -> Iterator[str]:
         "", f"To each of the {count} one run of {SECONDS:g} s is added, by the designed torque or by a further default "
         "design.", "",
         "| | designed torque | default design |", "| --- | --- | --- |",
-        f"| the fault alone is named | {interval(sum(designed), count)} | {interval(sum(usual), count)} |",
-        f"| something else is named | {interval(sum(wrong(e, o.designed) for e, o in open_ if o.designed), count)} | "
-        f"{interval(sum(wrong(e, o.usual) for e, o in open_ if o.usual), count)} |",
+        f"| the fault alone is named | {Rate(sum(designed), count)} | {Rate(sum(usual), count)} |",
+        f"| something else is named | {Rate(sum(wrong(e, o.designed) for e, o in open_ if o.designed), count)} | "
+        f"{Rate(sum(wrong(e, o.usual) for e, o in open_ if o.usual), count)} |",
         f"| the other run fails, this one names the fault | {only[0]} | {only[1]} |",
         f"| expected log likelihood ratio over the nearest rival, median | {least[0]:.3g} | {least[1]:.3g} |", "",
         f"The chance of so unequal counts without a difference is {chance:.2g} (sign test).", "",
@@ -300,12 +268,5 @@ EVIDENCE = (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--legs", type=int, default=20, help="at most")
-    parser.add_argument("--wanted", type=int, default=30, help="diagnoses that end one_of")
-    parser.add_argument("--minutes", type=float, default=30.0, help="after which no other leg is begun")
-    words = parser.parse_args(arguments)
-    lines = list(page(words.legs, words.wanted, words.minutes))
-    print("\n".join(lines))
-    words.out.write_text("\n".join(lines), encoding="utf-8")
+    write_page(page, __doc__, arguments, legs=(20, "at most"), wanted=(30, "diagnoses that end one_of"),
+               minutes=(30.0, "after which no other leg is begun"))

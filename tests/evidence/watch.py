@@ -7,12 +7,10 @@ error of the reference model by half. Called again it goes on where it stopped.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +23,7 @@ from estimator.prediction import Predictor, predict
 from experiments.studies import machine
 from tests.evidence.blind.stickslip import MAKERS
 from tests.evidence.kept import kept
+from tests.evidence.page_file import write_page
 from tests.evidence.registry import Evidence
 from tests.support.mujoco_leg import random_leg
 from tests.support.stick_slip_leg import PEAK_NM, move, sample
@@ -122,15 +121,15 @@ def spoilt(run: Dataset, change: Callable[[dict[str, np.ndarray]], None]) -> Dat
     return replace(run, columns=columns)
 
 
-def page(hours: int, changes: int) -> Iterator[str]:
+def page(hours: int, legs: int) -> Iterator[str]:
     """The page, line by line."""
-    rows = [(name, k, delay(k, name, 40 * RUNS_AN_HOUR + 23 * k)) for name in CHANGES for k in range(changes)]
+    rows = [(name, k, delay(k, name, 40 * RUNS_AN_HOUR + 23 * k)) for name in CHANGES for k in range(legs)]
     level = np.concatenate([unchanged(k % LEGS, k // LEGS) for k in range(PIECES * hours)])
     known = [row for row in rows if row[2].raised > 1.3]
     soon = sum(row[2].seconds is not None and row[2].seconds <= 20.5 for row in known)
     yield from [
         "# Watching a rig", "",
-        f"Made by `make watch HOURS={hours} LEGS={changes}` (seed {SEED}), {datetime.now(UTC):%Y-%m-%d}, {machine()}.",
+        f"Made by `make watch HOURS={hours} LEGS={legs}` (seed {SEED}), {datetime.now(UTC):%Y-%m-%d}, {machine()}.",
         "", f"Legs of another engine, {REFERENCE} reference runs of {SECONDS:g} s. The knee's friction drifts by "
         f"{100 * DRIFT:g} % with temperature, once up and down an hour, in the reference, too.",
         f"The threshold allows {FALSE_ALARMS:g} false alarms an hour. Each change raises the free-run error over "
@@ -164,11 +163,5 @@ EVIDENCE = (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--hours", type=int, default=2, help="of motion without a change")
-    parser.add_argument("--legs", type=int, default=2, help="on which each change is tried")
-    words = parser.parse_args(arguments)
-    lines = list(page(words.hours, words.legs))
-    print("\n".join(lines))
-    words.out.write_text("\n".join(lines), encoding="utf-8")
+    write_page(page, __doc__, arguments, hours=(2, "of motion without a change"),
+               legs=(2, "on which each change is tried"))

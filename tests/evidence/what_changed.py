@@ -7,14 +7,11 @@ where it stopped.
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from itertools import combinations
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +26,7 @@ from experiments.studies import machine
 from experiments.workflows import find_change
 from tests.evidence.blind.records import FAULTS, RECORDS, RIGS, UNTOUCHED
 from tests.evidence.kept import kept
+from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
 from tests.support.paths import REAL
 
@@ -174,10 +172,8 @@ def cases() -> Iterator[Case]:
 
 def page(minutes: float) -> Iterator[str]:
     """The page, line by line."""
-    began, every = time.monotonic(), list[tuple[Case, Answer]]()
-    for case in cases():
-        if time.monotonic() - began > 60.0 * minutes:
-            break
+    every = list[tuple[Case, Answer]]()
+    for case in within(minutes, cases()):
         every.append((case, one(*case)))
         print(*every[-1], flush=True)
     rows = [row for row in every if row[1].verdict != "out of reach"]
@@ -242,10 +238,4 @@ EVIDENCE = (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--minutes", type=float, default=60.0, help="after which no other comparison is begun")
-    words = parser.parse_args(arguments)
-    lines = list(page(words.minutes))
-    print("\n".join(lines))
-    words.out.write_text("\n".join(lines), encoding="utf-8")
+    write_page(page, __doc__, arguments, minutes=(60.0, "after which no other comparison is begun"))
