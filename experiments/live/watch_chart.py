@@ -137,5 +137,5 @@ def _words(marks: Sequence[Mark]) -> str:
 
 def explain_marks(marks: Sequence[Mark]) -> str:
     """The chart as a sentence, and how to read it."""
-    return (f"{_words(marks)}. The axis has the false alarms per hour of motion by chance. A triangle below the dashed "
-            "threshold is an alarm. An orange circle is a run that differs since an alarm.")
+    return (f"{_words(marks)}. The axis shows how often an hour of unchanged motion gives such a value by chance. A "
+            "triangle below the dashed threshold is an alarm. An orange circle is a run that differs since an alarm.")
