@@ -205,6 +205,7 @@ def _errors(ax: Axes, sensors: Mapping[str, SensorGain]) -> None:
     kinds = (("nominal", BLUE, "before"), ("extended", ORANGE, "after"), ("noise alone", GREY, "floor"))
     for k, (label, colour, which) in enumerate(kinds):
         share = np.array([getattr(sensors[name], which) for name in names]) / floor
+        share[np.isinf(share)] = np.nan  # the simulation diverges: no bar
         ax.barh(np.arange(len(names)) + 0.27 * (k - 1), share, 0.25, color=colour, label=label)
     ax.set_yticks(range(len(names)), names)
     ax.invert_yaxis()

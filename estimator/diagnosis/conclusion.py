@@ -21,7 +21,16 @@ from estimator.effects import GenericReading, GenericTorque, Shape, Size
 from estimator.errors import FitError
 from estimator.fitting import disturbance_levels, imu_levels, torque_levels
 from estimator.parallel import parallel_map
-from estimator.prediction import FloorNoise, PredictedRun, predict_run, white_noise
+from estimator.prediction import (
+    FloorNoise,
+    PredictedRun,
+    Predictor,
+    SmoothedRun,
+    predict_run,
+    smooth_segments,
+    tabulate,
+    white_noise,
+)
 
 NO_GAP = ("free runs over whole runs do not show the gain: noise alone gives about the error of the nominal model. "
           "The evidence for the extension is the likelihood of the held-out runs")
@@ -103,24 +112,26 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
                  ) -> Gain:
     """Before, after and floor on the confirm runs, with the share of the gap closed and its block bootstrap.
 
-    As in `error_table` each squared error is capped at the sensor's variance.
+    The errors are those of `estimator.prediction`, as `legid validate` has them. For the share each squared error is
+    capped at the sensor's variance, as in `error_table`.
     """
     split = extended.split
     seeds = rng.integers(2**63, size=len(split.confirm))
 
     def predicted(k: int) -> tuple[PredictedRun, FloatArray, FloatArray]:
         run = split.confirm[k]
-        fitted = smooth(extended, run)
-        found = predict_run([smooth(nominal, run), fitted], [horizon_s], misfits=False)
+        fitted = as_validated(extended, run)
+        found = predict_run([as_validated(nominal, run), fitted], [horizon_s], misfits=False)
         if not np.isfinite(found.simulated[1]).all():
             raise FitError("the free run diverges")
         return (found, fitted.state.x.q[:, 0],
-                floor_of(extended, run, fitted, seeds[k], [horizon_s], noise)[0])
+                floor_of(extended, run, smooth(extended, run), seeds[k], [horizon_s], noise)[0])
 
     blocks: dict[str, list[tuple[float, float, float]]] = {}
     traces, torque = [], []
     names = sensors_of(extended)
-    for found, pivot, floors in parallel_map(predicted, len(split.confirm), split.workers):
+    simulated = parallel_map(predicted, len(split.confirm), split.workers)
+    for found, pivot, floors in simulated:
         rows = [found.channels.index(name) for name in names]
         measured = np.where(np.isnan(found.measured[rows]), pivot, found.measured[rows])
         torque.append(np.mean(found.residual_torque**2, axis=1))
@@ -128,15 +139,17 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
                          for y in found.simulated[:, 0, rows])
         traces.append(Trace(found.run, found.time_s, *(dict(zip(names, y)) for y in (measured, before, after))))
         size = max(10, int(BLOCK_S * found.rate_hz))
-        for k, y, *errors in zip(names, measured, before - measured, after - measured, floors):
-            parts = [np.array_split(e, max(1, y.size // size)) for e in (errors[0] ** 2, errors[1] ** 2, errors[2])]
+        for k, y, one, other, floor in zip(names, measured, before - measured, after - measured, floors):
+            parts = [np.array_split(e, max(1, y.size // size)) for e in (one**2, other**2, floor)]
             blocks.setdefault(k, []).extend((float(a.mean()), float(b.mean()), float(c.mean()))
                                             for a, b, c in zip(*parts))
     spread = {k: float(np.var(np.concatenate([t.measured[k] for t in traces]))) for k in blocks}
     table = {k: np.minimum(v, spread[k]) for k, v in blocks.items()}  # capped at the sensor's variance
     for v in table.values():  # noise leaves no more than a model of the same runs errs
         v[:, 2] *= min(1.0, float(v[:, :2].mean(axis=0).min()) / max(float(v[:, 2].mean()), 1e-300))
-    sensors = {k: SensorGain(*(float(np.sqrt(m)) for m in v.mean(axis=0))) for k, v in table.items()}
+    errors = tabulate([found for found, _, _ in simulated], smoother=1)
+    sensors = {k: SensorGain(errors.rms(0, k, horizon_s), errors.rms(1, k, horizon_s), float(np.sqrt(v[:, 2].mean())))
+               for k, v in table.items()}
     closed = _closed(table, np.arange(len(next(iter(table.values())))))
     count = len(next(iter(table.values())))
     draws = [_closed(table, rng.integers(0, count, count)) for _ in range(DRAWS)]
@@ -146,6 +159,16 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
     rms = np.sqrt(np.mean(np.array(torque), axis=0))
     return Gain(sensors, closed if known else None, (float(low), float(high)) if known else None,
                 (tuple(map(float, rms[0])), tuple(map(float, rms[1]))), tuple(traces))
+
+
+def as_validated(model: Model, run: int) -> SmoothedRun:
+    """Motion of the confirm run `run` by the smoother of `legid validate`; `smooth` holds the noise of the fit, so that
+    all explanations have the same weights."""
+    split, problem = model.split, model.problem
+    predictor = Predictor(split.mechanism, split.options.hold, model.state.beta[: model.width], model.named,
+                          angle_range=problem.stage.angle_range, gear_ratio=split.gear_ratio)
+    return smooth_segments(predictor, split.names[run], split.runs[run], replace(split.options, noise=split.known),
+                           split.starts_s[run])
 
 
 def in_pieces(nominal: Model, extended: Model, noise: FloorNoise) -> ShortRuns | None:

@@ -109,9 +109,8 @@ WIDEST = 0.1
 
 # Errors of free runs, on the held-out runs
 
-HORIZONS_S = (0.1, 1.0, np.inf)
-"""Lengths of the pieces [s]: what a controller looks ahead, a swing, and the whole run. Long free runs of a leg that
-sticks are chaotic, and tell nothing of friction near rest; short ones do not add up what is slow."""
+DECIDING_S = (0.1, 1.0, np.inf)
+"""Those of `estimator.prediction.HORIZONS_S` that decide [s]: what a controller looks ahead, a swing, the whole run."""
 BLOCK_S = 2.0
 """Length of a block that is resampled [s]: a few periods of the slowest motion."""
 DRAWS = 400

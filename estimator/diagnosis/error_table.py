@@ -1,9 +1,12 @@
 """Free-run errors of several models on held-out runs.
 
-A free run starts from the fitted motion and is driven by the measured torque alone, over pieces of `HORIZONS_S`. Its
+A free run starts from the fitted motion and is driven by the measured torque alone, over pieces of `DECIDING_S`. Its
 squared errors, in units of what noise alone leaves in a replicate of the same piece, are comparable over channels and
 horizons; their mean over all of them is the error of a model. Where no encoder measures the pivot's angle, it is what
 the model reads out of the sensors under which these runs are likeliest.
+
+The smoother holds the noise of the nominal fit, so that all explanations have the same weights. Errors of a sensor that
+a user reads are those of `estimator.prediction` (see `conclusion.measure_gain`).
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.decision_rule import BLOCK_S, DRAWS, HORIZONS_S
+from estimator.diagnosis.decision_rule import BLOCK_S, DECIDING_S, DRAWS
 from estimator.diagnosis.refit import Model, smooth
 from estimator.parallel import parallel_map
 from estimator.prediction import FloorNoise, SmoothedRun, channel_names, floor_errors, predict_run, white_noise
@@ -119,7 +122,7 @@ def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.
         run = split.confirm[k]
         fitted = [smooth(model, run) for model in every]
         pivots = np.stack([fitted[r].state.x.q[:, 0] for r in could])
-        floor = floor_of(reference, run, fitted[best], seeds[k], HORIZONS_S, drawn).mean(axis=-1).ravel()
+        floor = floor_of(reference, run, fitted[best], seeds[k], DECIDING_S, drawn).mean(axis=-1).ravel()
         squares, moments = _squares(sensors_of(reference), fitted[: len(models)], pivots)
         return Measured(squares, floor, moments,
                         _misfits(fitted, reference)[: len(models)], pivots)
@@ -167,7 +170,7 @@ def with_floor(table: ErrorTable, noise: FloorNoise, seeds: NDArray[np.int64]) -
     def measured(k: int) -> FloatArray:
         run = split.confirm[k]
         fitted = smooth(unit.reference, run)
-        return floor_of(unit.reference, run, fitted, seeds[k], HORIZONS_S, noise).mean(axis=-1).ravel()
+        return floor_of(unit.reference, run, fitted, seeds[k], DECIDING_S, noise).mean(axis=-1).ravel()
 
     parts = parallel_map(measured, len(split.confirm), split.workers)
     lengths = np.bincount(table.runs, minlength=len(parts))
@@ -208,7 +211,7 @@ def choose_rows(table: ErrorTable, rows: Sequence[int]) -> ErrorTable:
 
 def _columns_of(model: Model) -> tuple[tuple[str, float], ...]:
     """Sensors, alphabetically, at each horizon."""
-    return tuple((c, horizon) for horizon in HORIZONS_S for c in sensors_of(model))
+    return tuple((c, horizon) for horizon in DECIDING_S for c in sensors_of(model))
 
 
 def _squares(sensors: Sequence[str], fitted: Sequence[SmoothedRun], pivots: FloatArray
@@ -217,7 +220,7 @@ def _squares(sensors: Sequence[str], fitted: Sequence[SmoothedRun], pivots: Floa
 
     `fitted` are the smoothed runs of the models. An angle without an encoder is each of `pivots` (P, N).
     """
-    found = predict_run(fitted, HORIZONS_S, misfits=False)
+    found = predict_run(fitted, DECIDING_S, misfits=False)
     rows = [found.channels.index(c) for c in sensors]
     size = max(10, int(BLOCK_S * found.rate_hz))
     measured = np.stack([np.where(np.isnan(found.measured[rows]), pivot, found.measured[rows]) for pivot in pivots])
@@ -226,7 +229,7 @@ def _squares(sensors: Sequence[str], fitted: Sequence[SmoothedRun], pivots: Floa
     parts = np.array_split(squares, max(1, squares.shape[-1] // size), axis=-1)
     means = np.stack([part.mean(axis=-1) for part in parts], axis=2)  # (P, M, B, H, C)
     moments = np.stack([measured[0].mean(axis=-1), np.mean(measured[0] ** 2, axis=-1)])
-    return means.reshape(*means.shape[:3], -1), np.tile(moments, len(HORIZONS_S))
+    return means.reshape(*means.shape[:3], -1), np.tile(moments, len(DECIDING_S))
 
 
 def _bounded(squares: Sequence[FloatArray], floor: FloatArray, bound: FloatArray) -> FloatArray:

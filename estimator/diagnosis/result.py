@@ -58,9 +58,10 @@ class CandidateScore:
 
 @dataclass(frozen=True)
 class SensorGain:
-    """Free-run error of one sensor on the confirm runs."""
+    """Free-run rms error of one sensor on the confirm runs, as `legid validate` gives it."""
 
     before: float
+    """Infinite where the nominal simulation diverges"""
     after: float
     floor: float
     """What noise alone would leave: replicates of the extended model."""

@@ -19,7 +19,14 @@ from estimator.prediction.free_runs import HORIZONS_S, SHORT_S, PredictedRun, ch
 from estimator.prediction.predict import predict, predict_filtered
 from estimator.prediction.predictor import Predictor
 from estimator.prediction.replicate import draw_disturbance, draw_replicate, simulate_run
-from estimator.prediction.smoothing import SmoothedRun, filtered_motion, per_value, smooth, smooth_under
+from estimator.prediction.smoothing import (
+    SmoothedRun,
+    filtered_motion,
+    per_value,
+    smooth,
+    smooth_segments,
+    smooth_under,
+)
 from estimator.prediction.structure import repeated_share, state_columns, taken
 from estimator.prediction.table import BLOCK_S, PredictionTable, Ratio, tabulate
 from estimator.prediction.validation import Validation, validations_of
@@ -51,6 +58,7 @@ __all__ = [
     "repeated_share",
     "simulate_run",
     "smooth",
+    "smooth_segments",
     "smooth_under",
     "state_columns",
     "tabulate",

@@ -57,16 +57,22 @@ def smooth(model: Predictor, data: Dataset, options: FitOptions, session_s: floa
 
     Raises `FitError` where the equations cannot be solved.
     """
+    signals = split_signals([data], model.mechanism, replace(options, hold=model.hold))
+    return smooth_segments(model, data.name, signals, options, session_s)
+
+
+def smooth_segments(model: Predictor, run: str, signals: Sequence[SignalSet], options: FitOptions, session_s: float
+                    ) -> SmoothedRun:
+    """Motion like that of `smooth`, of the gap-free segments `signals` of the run named `run`."""
     mechanism, options = model.mechanism, replace(options, hold=model.hold)
-    signals = split_signals([data], mechanism, options)
     problem = model.problem(signals, session_s)
-    begin = start_state(problem, signals, mechanism, options, np.zeros(mechanism.p, dtype=bool), model.beta)
+    begin = start_state(problem, list(signals), mechanism, options, np.zeros(mechanism.p, dtype=bool), model.beta)
     state = _state(begin.x, model.parameters, begin.noise)
     held = np.zeros(state.beta.size, dtype=bool)
     state = iterate(problem, state, held, options, noise_floors(problem, mechanism, model.beta))
     if not state.converged:  # levels that still creep, such as that of a passive joint whose model is exact
         state = converge_motion(problem, state)
-    return SmoothedRun(data.name, tuple(signals), problem, state)
+    return SmoothedRun(run, tuple(signals), problem, state)
 
 
 def filtered(model: Predictor, data: Dataset, options: FitOptions) -> SmoothedRun:

@@ -55,8 +55,10 @@ def error_bars(sensors: Mapping[str, SensorGain]) -> str:
         rows = np.arange(len(names), dtype=float)
         for k, (label, colour, values) in enumerate(kinds):
             share = np.array(values) / floor
+            share[np.isinf(share)] = np.nan  # the simulation diverges: no bar
             bars = axes.barh(rows + 0.27 * (k - 1), share, 0.25, color=colour, label=label, zorder=2)
-            axes.bar_label(bars, [f"{value:.2g}" for value in values], padding=3, fontsize=9.0)
+            labels = ["diverged" if np.isinf(value) else f"{value:.2g}" for value in values]
+            axes.bar_label(bars, labels, padding=3, fontsize=9.0)
         axes.set_yticks(rows, names)
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")

@@ -68,9 +68,9 @@ def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = ()) -> dict
     }
 
 
-def rmse(sensors: Mapping[str, SensorGain]) -> dict[str, dict[str, float]]:
+def rmse(sensors: Mapping[str, SensorGain]) -> dict[str, dict[str, float | None]]:
     """Free-run errors as docs/formats.md has them."""
-    return {column: {"before": gain.before, "after": gain.after, "floor": gain.floor}
+    return {column: {"before": _finite(gain.before), "after": gain.after, "floor": gain.floor}
             for column, gain in sensors.items()}
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isinf
+from math import isfinite, isinf
 
 from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, ShortRuns
 from experiments.console import text_table
@@ -65,7 +65,8 @@ ERROR_HEADER = ["sensor", "nominal", "extended", "noise alone"]
 
 def error_rows(sensors: Mapping[str, SensorGain]) -> list[list[str]]:
     """One row of ERROR_HEADER a sensor."""
-    return [[column, f"{g.before:.4g}", f"{g.after:.4g}", f"{g.floor:.4g}"] for column, g in sensors.items()]
+    return [[column, f"{g.before:.4g}" if isfinite(g.before) else "diverged", f"{g.after:.4g}", f"{g.floor:.4g}"]
+            for column, g in sensors.items()]
 
 
 def gap_text(found: Diagnosis) -> str:
@@ -81,6 +82,9 @@ def share_text(sensors: Mapping[str, SensorGain], closed: float | None, ci95: tu
     before = _over_noise(sensors)
     if closed is None or not before > 1.0:
         return ""
+    if isinf(before):
+        return (f"The nominal simulation diverges. With errors of at most the sensor's spread the extension closes "
+                f"{100 * closed:.0f} % of the gap in mean square to noise alone.")
     after = _left(closed, before)
     interval = ""
     if ci95 is not None:

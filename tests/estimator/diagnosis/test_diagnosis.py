@@ -136,24 +136,6 @@ def test_a_slide_has_its_own_units_and_shapes() -> None:
     assert stribeck.clipped(np.array([1.0, 0.01, 2.0]))[1] == 0.01
 
 
-def test_a_stiff_pivot_is_named_with_its_size(runs: tuple[Leg, list[Dataset]]) -> None:
-    leg, data = runs
-    stiffness = 0.8
-    hidden = []
-    for k, run in enumerate(data):
-        rng = np.random.default_rng(700 + k)
-        hidden.append(record(leg, rng, seconds=10.0, name=run.name, spring=(stiffness, 0.2)))
-    found = diagnose(hidden, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"), seed=1)
-    assert found.verdict in ("named", "one_of"), found.sentence
-    causes = {(c.effect, c.joint): c for c in found.causes}
-    assert ("joint_stiffness", 1) in causes, found.sentence
-    size = causes[("joint_stiffness", 1)].size[0]
-    assert size.value == pytest.approx(stiffness, rel=0.25)
-    assert found.gap_closed is not None and found.gap_closed > 0.8
-    knee = np.concatenate([run["q2_rad"] for run in hidden if run.name not in found.confirm_runs])
-    assert found.angle_range[1] == pytest.approx((knee.min(), knee.max()), abs=3e-3)
-
-
 def test_the_order_of_files_changes_nothing(runs: tuple[Leg, list[Dataset]]) -> None:
     leg, data = runs
     fits = []

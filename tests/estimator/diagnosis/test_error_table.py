@@ -30,7 +30,7 @@ def test_the_model_under_which_the_runs_are_likeliest_reads_the_pivots_angle(mon
                                simulated=np.stack([[[SWING + TILTED[f.model.name] + 1e-4]] for f in fitted]))
 
     split = SimpleNamespace(confirm=(0,), workers=1, stiction={})
-    monkeypatch.setattr(error_table, "HORIZONS_S", (np.inf,))
+    monkeypatch.setattr(error_table, "DECIDING_S", (np.inf,))
     monkeypatch.setattr(error_table, "smooth", smooth)
     monkeypatch.setattr(error_table, "predict_run", predict_run)
     monkeypatch.setattr(error_table, "sensors_of", lambda model: (PIVOT,))

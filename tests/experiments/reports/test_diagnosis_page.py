@@ -5,6 +5,7 @@ from dataclasses import replace
 from xml.etree import ElementTree
 
 import msgspec
+import numpy as np
 import pytest
 
 from estimator import Verdict
@@ -127,6 +128,17 @@ def test_text_begins_with_the_verdict_and_ends_with_what_next() -> None:
     assert [text.index(words) for words in order] == sorted(text.index(words) for words in order)
     runners = text[text.index("Next best effects"):text.index("Cannot")]
     assert "stribeck" not in runners and "presliding_friction, joint 2" in runners
+
+
+def test_a_nominal_simulation_that_diverges_has_no_number() -> None:
+    whole = synthetic()
+    found = replace(whole, sensors={**whole.sensors, "q2_rad": SensorGain(np.inf, 0.02, 0.015)})
+    assert diagnosis_document(found)["gain"]["free_run_rmse"]["q2_rad"] == {"before": None, "after": 0.02,
+                                                                           "floor": 0.015}
+    text = diagnosis_text(found)
+    assert "diverged" in text and "extension closes 90 % of the gap in mean square" in text
+    page = render_page("t", "", diagnosis_sections(found))
+    assert "diverged" in page and "inf" not in re.findall(r"<td[^>]*>([^<]*)</td>", page)
 
 
 @pytest.mark.parametrize("verdict", ["none", "one_of", "unexplained", "fit_failed"])

@@ -1,0 +1,73 @@
+"""Commands give equal figures about the same thing: the free-run errors of a model on a run."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import legid
+from daq.runs.csv_run import write_csv
+from estimator.prediction import HORIZONS_S
+from experiments.reports import diagnosed_model
+from tests.support.mujoco_leg import Leg, record
+
+STIFFNESS = 0.8
+SAME = 1e-9
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[legid.Dataset]:
+    """Of a leg with a spring at its pivot, whose angle no encoder reads."""
+    folder = tmp_path_factory.mktemp("stiff")
+    rig = folder / "rig.toml"
+    rig.write_text('[mechanism]\nmodel = "leg2"\nactuated = [2]\n[imu]\nlever_arm_m = 0.2\n'
+                   '[sampling]\nhold = "linear"\n[noise]\ngyro_radps = 0.005\n')
+    for k in range(4):
+        run = record(Leg(), np.random.default_rng(700 + k), seconds=10.0, name=f"r{k}.csv", spring=(STIFFNESS, 0.2))
+        columns = {name: values for name, values in run.columns.items() if name != "q1_rad"}
+        write_csv(replace(run, columns=columns), folder / run.name)
+    return [legid.load(folder / f"r{k}.csv", rig) for k in range(4)]
+
+
+@pytest.fixture(scope="module")
+def found(runs: list[legid.Dataset]) -> legid.Diagnosis:
+    return legid.diagnose(runs, seed=1)
+
+
+def test_a_stiff_pivot_is_named_with_its_size(found: legid.Diagnosis, runs: list[legid.Dataset]) -> None:
+    assert found.verdict in ("named", "one_of"), found.sentence
+    causes = {(c.effect, c.joint): c for c in found.causes}
+    assert ("joint_stiffness", 1) in causes, found.sentence
+    assert causes[("joint_stiffness", 1)].size[0].value == pytest.approx(STIFFNESS, rel=0.25)
+    assert found.gap_closed is not None and found.gap_closed > 0.8
+    knee = np.concatenate([run["q2_rad"] for run in runs if run.name not in found.confirm_runs])
+    assert found.angle_range[1] == pytest.approx((knee.min(), knee.max()), abs=3e-3)
+
+
+def test_diagnose_validate_and_compare_give_equal_errors(found: legid.Diagnosis, runs: list[legid.Dataset],
+                                                         tmp_path: Path) -> None:
+    assert found.prepared is not None
+    models = []
+    for name, one in (("nominal", replace(found, effects=())), ("extended", found)):
+        legid.save_model(diagnosed_model(one, found.prepared.setup, 1.0), tmp_path / f"{name}.json")
+        models.append(legid.load_model(tmp_path / f"{name}.json"))
+    nominal, extended = models
+    tests = [run for run in runs if run.name in found.confirm_runs]
+    errors = legid.compare(nominal, extended, tests).found.errors
+    both, alone = legid.validate(extended, tests, against=nominal), legid.validate(nominal, tests)
+    knee = [(e.a, e.b) for e in errors if e.column == "q2_rad"]
+    rows = list(zip(alone.document["horizons"], both.document["horizons"], strict=True))
+    assert len(rows) == len(HORIZONS_S)
+    for (before, after), (first, row) in zip(knee, rows, strict=True):
+        assert (first["rmse"]["q2_rad"], row["rmse"]["q2_rad"]) == pytest.approx((before, after), rel=SAME)
+        assert row["against"]["rmse"]["q2_rad"] == pytest.approx(before, rel=SAME)
+    whole = {e.column: (e.a, e.b) for e in errors if np.isinf(e.horizon_s)}
+    assert {"q2_rad", "gyro_radps"} == set(whole) and whole["q2_rad"][0] > 2.0 * whole["q2_rad"][1]
+    told = found.document["gain"]["free_run_rmse"]
+    for column, (before, after) in whole.items():
+        assert (told[column]["before"], told[column]["after"]) == pytest.approx((before, after), rel=SAME), column
+    # no sensor reads the pivot: both simulations are compared with the motion of the extended model
+    pivot = (row["against"]["rmse"]["q1_rad"], row["rmse"]["q1_rad"])
+    assert (told["q1_rad"]["before"], told["q1_rad"]["after"]) == pytest.approx(pivot, rel=SAME)
+    assert both[0].rmse["q2_rad"] == pytest.approx(told["q2_rad"]["after"], rel=SAME)
