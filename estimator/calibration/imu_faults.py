@@ -104,7 +104,8 @@ def read_imu(datasets: Sequence[Dataset], lever_arm: float, gravity: float, hang
     factors = [sign * f for f in (1.0, DEGREE, *_gyro_unit(datasets)) for sign in (1.0, -1.0)]
     ways = [(unit * axes, factor) for axes, factor in product(_axes(), dict.fromkeys(factors))]
     ways += [(np.diag(scales), 1.0) for scales in ((G, 1.0), (1.0, G))]  # one axis alone in g
-    found = [_judge(read, axes, factor, lever_arm, gravity, hangs) for axes, factor in ways]
+    found = [_judge(read, axes, factor, lever_arm, gravity, hangs) for axes, factor in ways
+             if not hangs or _gravity_down(read, axes) > 0.0]
     found = [reading for reading in found if reading.left < np.inf]
     least = min((reading.left for reading in found), default=np.inf)
     if unit == 1.0 and as_read.left < CLEAR * least:
@@ -181,10 +182,9 @@ def _as_read(data: Dataset) -> _Read:
 
 def _judge(read: Sequence[_Read], axes: FloatArray, factor: float, lever_arm: float, gravity: float,
            hangs: bool) -> ImuReading:
-    swings, rests, down = [], [], []
+    swings, rests = [], []
     for one in read:
         x, y = axes @ one.accel
-        down.append(-float(np.median(y)))
         tilt = np.unwrap(np.arctan2(x, -y))
         q1 = factor * one.turned + lowpass(tilt, SLOW_HZ, one.rate_hz)
         rest = np.stack([x - gravity * np.sin(q1), y + gravity * np.cos(q1)])
@@ -194,9 +194,14 @@ def _judge(read: Sequence[_Read], axes: FloatArray, factor: float, lever_arm: fl
     whole = float(np.sqrt(np.mean(rest**2)))
     lever = max(float(swing @ rest / max(float(swing @ swing), 1e-300)), 0.0)
     left, declared = (float(np.sqrt(np.mean((rest - arm * swing) ** 2))) for arm in (lever, lever_arm))
-    if (hangs and float(np.median(down)) <= 0.0) or not np.isfinite(whole):
+    if (hangs and _gravity_down(read, axes) <= 0.0) or not np.isfinite(whole):
         left = np.inf
     return ImuReading(axes, factor, left, lever, declared)
+
+
+def _gravity_down(read: Sequence[_Read], axes: FloatArray) -> float:
+    """Median of the axis along the link, towards the pivot [m/s2]: above zero for a link that hangs."""
+    return float(np.median([-np.median(axes[1] @ one.accel) for one in read]))
 
 
 def _known(x: FloatArray) -> FloatArray:

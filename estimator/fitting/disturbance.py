@@ -85,7 +85,7 @@ class MarginalLikelihood:
         begin = replace(noise, disturbance=noise.torque, time_constant=np.full(problem.n, 10.0 * problem.dt))
         point = problem.motion_equations(x, beta, begin)
         self.residual, self.e = point.residuals["torque"], point.residuals["e"]
-        self.base = point.chain.first(1)
+        self.base = point.chain
         self.others = point.objective + self._add(self.base, begin, -1.0)
 
     def _add(self, chain: BlockTridiagonal, noise: Noise, sign: float) -> float:

@@ -48,7 +48,7 @@ def converge_motion(problem: LatentProblem, state: State, limit: int = CONVERGE_
         if iteration >= FREE_STEPS:
             share = max(0.1, 0.5 * share) if fall < 0.0 else min(1.0, 1.2 * share)
         try:
-            solved = eliminate(point.chain.first(1))
+            solved = eliminate(point.chain)
         except np.linalg.LinAlgError:
             raise FitError("the equations of the motion became singular") from None
         predicted_fall = float(solved.product()[0, 0])

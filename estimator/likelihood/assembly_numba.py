@@ -40,6 +40,7 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
         if extra.slopes is not None:
             own += extra.slopes[..., intervals].transpose(0, 3, 1, 2, 4)
     chain, u = accumulators.chain, np.ascontiguousarray(x.u)
+    z = z[: chain.width - 1]  # none in a search of the motion alone
     fixed = _constant(chain.edge)
     if fixed == 0:  # of so many columns a library's matrix product is ten times as fast
         right = np.concatenate([(torque - c.torque(x.u, left))[None], z]) * weight[:, None]
@@ -74,6 +75,7 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
             own[:, 0] += extra.sample_slopes[..., here]
             inverse = invert(own[:, 0])
     chain, motion = accumulators.chain, (q[:, 0], v[:, 0], qdd[:, 0])
+    z = z[: chain.width - 1]
     for k, place in enumerate(m.imus[: len(measured)]):
         turned = transposed[0][place.link, 0], transposed[1][place.link, 0]
         left, by_angle, by_rate, by_acceleration = accelerometer_slopes(m, place, *motion, turned=turned)

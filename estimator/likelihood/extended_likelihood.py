@@ -230,6 +230,8 @@ class ExtendedProblem(LatentProblem):
 
     def motor_torque(self, x: Latents, parameters: FloatArray) -> FloatArray:
         """(N, n) torque of the motors along a fitted motion: the latent torque, and what gears lose before it."""
+        if not self.effects:
+            return x.u.copy()
         beta, sizes = self.split(parameters)
         view = replace(self.view(x, beta), measured=self._measured)
         out = x.u.copy()
@@ -240,6 +242,8 @@ class ExtendedProblem(LatentProblem):
 
     def torque_readings(self, x: Latents, parameters: FloatArray) -> FloatArray:
         """(N, n) what effects add to the torques' readings along a motion: measured less this is what acted."""
+        if not self.effects:
+            return np.zeros((self.total, self.n))
         beta, sizes = self.split(parameters)
         readings = added(list(zip(self.effects, sizes)), self.view(x, beta))[2]
         nothing = np.zeros(self.total)
@@ -261,11 +265,11 @@ class ExtendedProblem(LatentProblem):
                 out[j, RATE, j] += found["sign"] * np.maximum(1.0 - at.sign[j] ** 2, 0.0) ** 1.5 / scale[j]
         return at_gauss, at_samples
 
-    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None,
-                  predicted_misfit: FloatArray | None = None) -> Linearised:
+    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, predicted_misfit: FloatArray | None = None
+                  ) -> Linearised:
         """`beta` is the whole parameter vector here; what is believed of sizes beforehand is in."""
         extra = self.extra(x, beta) if self.effects or self.candidates else None
-        point = super().linearise(x, beta[: self.mechanism.p], noise, extra, predicted_misfit)
+        point = self._assembled(x, beta[: self.mechanism.p], noise, extra, predicted_misfit)
         p, own = self.mechanism.p, self._precision.size
         sizes = beta[p : p + own]
         point.corner[range(p, p + own), range(p, p + own)] += self._precision
@@ -273,9 +277,9 @@ class ExtendedProblem(LatentProblem):
         return replace(point, objective=point.objective + self._disbelief(beta))
 
     def motion_equations(self, x: Latents, parameters: FloatArray, noise: Noise) -> Linearised:
-        """`linearise` for a search of the motion alone: its corner and border are of no use."""
+        """`linearise` for a search of the motion alone: without border, corner and gradient."""
         extra = self.extra(x, parameters, columns=False) if self.effects else None
-        point = super().linearise(x, parameters[: self.mechanism.p], noise, extra)
+        point = self._assembled(x, parameters[: self.mechanism.p], noise, extra, motion_alone=True)
         return replace(point, objective=point.objective + self._disbelief(parameters))
 
     def _disbelief(self, parameters: FloatArray) -> float:

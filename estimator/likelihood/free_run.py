@@ -81,11 +81,15 @@ def read_motion(problem: ExtendedProblem, state: State) -> dict[Channel, FloatAr
 
 
 def _readings(plant: _Plant, q: FloatArray, v: FloatArray, taken: FloatArray) -> dict[Channel, FloatArray]:
-    n, view = plant.problem.n, plant.view(q, v, taken)
-    s = view.samples
+    problem, n = plant.problem, plant.problem.n
     readings = {torque_of(j): plant.u[:, j].copy() for j in range(n)}
     readings |= {encoder_of(j): q[:, j].copy() for j in range(n)}
-    readings |= imu_readings(plant.problem.mechanism, s.q, s.v, s.a)
+    if not plant.pairs:
+        qdd, _ = problem.collocation.fast.forward_dynamics(q, v, plant.u, plant.beta)
+        return readings | imu_readings(problem.mechanism, q.T, v.T, qdd)
+    view = plant.view(q, v, taken)
+    s = view.samples
+    readings |= imu_readings(problem.mechanism, s.q, s.v, s.a)
     for channel, value in added(plant.pairs, view)[2].items():
         readings[channel] = readings[channel] + value
     return readings
@@ -116,18 +120,20 @@ class _Plant:
         self.lost = 0
         self.alone: set[int] = set()
         """First samples of the segments whose parts do not converge together."""
-        view = self.view(state.x.q, state.x.v)
         self.mechanism, self.all_beta = problem.mechanism, self.beta
         """Those of the simulation: with what effects add as bodies; motions (N, n) have their columns, too."""
         for effect, size in self.pairs:
             if isinstance(effect, BodyEffect):
                 self.mechanism, self.all_beta = effect.body(self.mechanism, self.all_beta, size)
-                q, v = effect.body_motion(view, size)
+                q, v = effect.body_motion(self.view(state.x.q, state.x.v), size)
                 self.start = Latents(np.column_stack([self.start.q, q]), np.column_stack([self.start.v, v]),
                                      np.column_stack([self.start.u, np.zeros_like(q)]))
                 self.u = np.column_stack([self.u, np.zeros_like(q)])
         instant = [p for p in self.pairs if not _remembers(p[0]) and p[0].instant]
-        self.laws = Laws(instant, replace(view, mechanism=self.mechanism, beta=self.all_beta)) if instant else None
+        self.laws = None
+        if instant:
+            view = self.view(state.x.q, state.x.v)
+            self.laws = Laws(instant, replace(view, mechanism=self.mechanism, beta=self.all_beta))
 
     def view(self, q: FloatArray, v: FloatArray, samples: FloatArray | None = None) -> View:
         """At the motion q, v (N, n), where effects take `samples` (n, N)."""

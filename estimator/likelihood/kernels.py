@@ -46,10 +46,10 @@ def _use(mechanism: Mechanism, disturbed: bool) -> None:
     problem = LatentProblem([signals], mechanism, "linear", disturbed)
     beta = np.array([3.0 if p.term == "inertia" and p.at[0] == p.at[1] else 0.1 for p in mechanism.parameters])
     ones = np.ones(mechanism.n)
-    point = problem.linearise(Latents(*rng.normal(size=(3 + disturbed, *shape))), beta,
-                              Noise(ones, ones, np.ones(problem.imu_count), np.ones((problem.imu_count, 2)),
-                                    disturbance=ones, time_constant=ones))
-    eliminate(point.chain.first(1)).product()
-    solved = eliminate(point.chain)
+    x = Latents(*rng.normal(size=(3 + disturbed, *shape)))
+    noise = Noise(ones, ones, np.ones(problem.imu_count), np.ones((problem.imu_count, 2)), disturbance=ones,
+                  time_constant=ones)
+    eliminate(problem.motion_equations(x, beta, noise).chain).product()
+    solved = eliminate(problem.linearise(x, beta, noise).chain)
     solved.solution(np.zeros(1 + mechanism.p))
     solved.inverse_diagonal()

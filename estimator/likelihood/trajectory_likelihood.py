@@ -147,16 +147,22 @@ class LatentProblem:
             levels += [*noise.gyro, *noise.accel.ravel()]
         return self.total * float(np.sum(np.log(levels)))
 
-    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None = None,
-                  predicted_misfit: FloatArray | None = None) -> Linearised:
-        """Residuals, Gauss-Newton blocks and border at (x, beta); columns of `extra` follow those of beta.
+    def linearise(self, x: Latents, beta: FloatArray, noise: Noise, predicted_misfit: FloatArray | None = None
+                  ) -> Linearised:
+        """Residuals, Gauss-Newton blocks and border at (x, beta), for `_inertia_gradient` with the `predicted_misfit`
+        (n,) of each joint's torque after the last step of a search."""
+        return self._assembled(x, beta, noise, None, predicted_misfit)
 
-        `predicted_misfit` (n,) of each joint's torque is what the last step of a search predicted; see
-        `_inertia_gradient`.
-        """
-        b, n, width = self.block, self.n, 1 + self.mechanism.p
-        if extra is not None:
-            width += extra.sample_columns.shape[0]
+    def motion_equations(self, x: Latents, parameters: FloatArray, noise: Noise) -> Linearised:
+        """`linearise` for a search of the motion alone: without border, corner and gradient."""
+        return self._assembled(x, parameters, noise, None, motion_alone=True)
+
+    def _assembled(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None,
+                   predicted_misfit: FloatArray | None = None, motion_alone: bool = False) -> Linearised:
+        """`linearise` with columns of `extra` after those of beta, or `motion_equations`."""
+        b, n, width = self.block, self.n, 1
+        if not motion_alone:
+            width += self.mechanism.p + (0 if extra is None else extra.sample_columns.shape[0])
         chain = BlockTridiagonal.zeros(self.total, b, width)  # right sides: residual, then parameters
         accumulators = Accumulators(chain, np.zeros((width, width)), np.zeros(n))
         weight = self.motion_weight(noise)
@@ -176,7 +182,7 @@ class LatentProblem:
         objective, gradient_beta, corner = float(square[0, 0]), square[1:, 0], square[1:, 1:]
         variances = self.torque_variance(noise)
         objective += self._node_rows(x, variances, noise, chain.diagonal, gradient, residuals, extra)
-        if extra is not None:
+        if extra is not None and not motion_alone:
             self._node_columns(extra, variances, noise, residuals, border, corner, gradient_beta)
         if self.disturbed:
             assert x.e is not None
@@ -186,6 +192,8 @@ class LatentProblem:
             misfit += squares
             objective += float(squares.sum())
             residuals["e"] = x.e
+        if motion_alone:
+            return Linearised(objective, chain, corner, gradient_beta, accel, residuals, extra)
         misfit += np.einsum("kj,kj->j", residuals["torque"] ** 2, 1.0 / variances)
         gradient_beta[: self.mechanism.p] -= self._inertia_gradient(beta, misfit, predicted_misfit)
         if self.disturbed:
@@ -193,10 +201,6 @@ class LatentProblem:
             freedom[list(self.mechanism.passive)] = 0.0  # see _inertia_gradient
             gradient_beta[: self.mechanism.p] -= expected_score(self.mechanism, x.q, beta, freedom)
         return Linearised(objective, chain, corner, gradient_beta, accel, residuals, extra)
-
-    def motion_equations(self, x: Latents, parameters: FloatArray, noise: Noise) -> Linearised:
-        """`linearise` for a search of the motion alone: its corner is of no use."""
-        return self.linearise(x, parameters, noise)
 
     def _inertia_gradient(self, beta: FloatArray, misfit: FloatArray, predicted: FloatArray | None) -> FloatArray:
         """(p,) gradient by which a passive joint's misfit counts as acceleration, not as torque: -r^2 a / m^3.
@@ -366,8 +370,7 @@ class LatentProblem:
 
     def residuals_after(self, point: Linearised, step: FloatArray, step_beta: FloatArray,
                         index: NDArray[np.intp]) -> dict[str, FloatArray]:
-        """Sensor residuals `step` (N, b) and `step_beta` (on columns `index`) away from `point`, to first order.
-        """
+        """Sensor residuals `step` (N, b) and `step_beta` (on columns `index`) away from `point`, to first order."""
         n, p = self.n, self.mechanism.p
         out = {"torque": point.residuals["torque"] + step[:, 2 * n : 3 * n],
                "encoder": point.residuals["encoder"] + step[:, :n]}

@@ -99,7 +99,7 @@ class _Equation:
 
     def torque(self, where: slice) -> FloatArray:
         """(n, 2, K) on the intervals `where`, without what the law takes."""
-        torque = self.collocation.torque(self.tau, np.arange(where.start, where.stop))
+        torque = self.collocation.torque(self.tau, where)
         if self.between is not None:
             torque = torque + self.between[:, :, where]
         return torque if self.taken is None else torque - self.taken[:, :, where]
@@ -115,7 +115,7 @@ class _Equation:
     def defect(self, where: slice, path: _Path, torque: FloatArray) -> tuple[FloatArray, _Terms]:
         """(2 n + S, K) what is left of the equations of motion and of the states along a path."""
         c, (q, v, states) = self.collocation, path
-        motion = c.motion(q, v, np.arange(len(q) - 1))
+        motion = c.motion(q, v, slice(0, len(q) - 1))
         z, slopes = c.fast(*motion, self.beta)
         left = (self.beta @ z.reshape(len(self.beta), -1)).reshape(torque.shape) - torque
         if self.law is not None:

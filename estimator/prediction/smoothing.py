@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class SmoothedRun:
     problem: ExtendedProblem
     state: State
 
-    @property
+    @cached_property
     def drive(self) -> FloatArray:
         """(N, n) measured torque, less what the model's effects add to its reading [N m]."""
         return self.problem.torque - self.problem.torque_readings(self.state.x, self.state.beta)

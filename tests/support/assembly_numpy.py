@@ -31,7 +31,7 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
     b, n = accumulators.chain.block, c.mechanism.n
     rows = motion_rows(c, x, beta, weight, intervals, left, extra, between)
     own = 3 * n  # a disturbance has no part in the equation of motion
-    rows = np.insert(rows, np.repeat([own, 2 * own], b - own), 0.0, axis=1)
+    rows = np.insert(rows, np.repeat([own, 2 * own], b - own), 0.0, axis=1)[:, : 2 * b + accumulators.chain.width]
     columns = rows[:, 2 * b :]
     accumulators.square[:] += np.sum(columns @ columns.swapaxes(1, 2), axis=0)
     accumulators.misfit[:] += np.sum(columns[:, 0] ** 2, axis=-1).reshape(n, 2).sum(axis=1)
@@ -55,6 +55,7 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
     for k, levels in enumerate(noise.accel):
         rows = accelerometer_rows(c, x, beta, measured[k], here, extra, imu=k)
         rows = np.insert(rows, np.repeat([3 * c.mechanism.n], b - 3 * c.mechanism.n), 0.0, axis=1)
+        rows = rows[:, : b + accumulators.chain.width]
         transposed = accel[k, here] = _transposed(rows)
         precision = np.linalg.inv(np.outer(levels, levels) * correlation)
         own, columns = transposed[:, :, :b], transposed[:, :, b:]

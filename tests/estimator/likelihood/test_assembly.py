@@ -55,6 +55,16 @@ def both(problem: LatentProblem, x: Latents, beta: np.ndarray, monkeypatch: pyte
         return [problem.linearise(x, beta, noise), fast]
 
 
+def assert_motion_alone(problem: LatentProblem, x: Latents, beta: np.ndarray) -> None:
+    """A search of the motion alone has the same chain and objective, with the first right side only."""
+    noise = noise_of(problem.mechanism)
+    whole, alone = problem.linearise(x, beta, noise), problem.motion_equations(x, beta, noise)
+    assert alone.chain.width == 1 and alone.objective == pytest.approx(whole.objective, rel=1e-12)
+    known = whole.chain.first(1).rows
+    np.testing.assert_allclose(alone.chain.rows, known, rtol=0.0, atol=1e-12 * np.abs(known).max())
+    assert np.array_equal(alone.accel, whole.accel[..., : problem.block + 1])
+
+
 def assert_alike(plain: Linearised, fast: Linearised) -> None:
     assert fast.objective == pytest.approx(plain.objective, rel=1e-10)
     for name, known in normal(plain).items():
@@ -74,7 +84,9 @@ def test_every_mechanism(mechanism: Mechanism, imu: bool, monkeypatch: pytest.Mo
     problem = LatentProblem(segments(mechanism, imu, rng), mechanism, "linear")
     beta = np.abs(rng.normal(size=mechanism.p)) + np.array([2.0 * (p.term == "inertia" and p.at[0] == p.at[1])
                                                             for p in mechanism.parameters])
-    assert_alike(*both(problem, latents(mechanism, rng), beta, monkeypatch))
+    x = latents(mechanism, rng)
+    assert_alike(*both(problem, x, beta, monkeypatch))
+    assert_motion_alone(problem, x, beta)
 
 
 @pytest.mark.parametrize("imu", [False, True], ids=["encoder", "imu"])
@@ -99,6 +111,7 @@ def test_every_effect(effect: Effect, monkeypatch: pytest.MonkeyPatch) -> None:
     size = [s.scale for s in effect.sizes] + [s.grid[-1] for s in effect.shapes]
     x = latents(problem.mechanism, rng)
     assert_alike(*both(problem, x, np.append(BETA, size), monkeypatch))
+    assert_motion_alone(problem, x, np.append(BETA, size))
 
 
 @pytest.mark.parametrize("correlation", [-0.9, 0.8])
