@@ -4,6 +4,7 @@ from . import lsm9ds1_registers as lsm9ds1_registers
 from .as5600 import As5600 as As5600
 from .as5600 import PivotReading as PivotReading
 from .as5600 import magnet_problem as magnet_problem
+from .closing import Closing as Closing
 from .current_shunt import CHIPS as CHIPS
 from .current_shunt import CurrentShunt as CurrentShunt
 from .current_shunt import ShuntReading as ShuntReading

@@ -10,11 +10,11 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from typing import Any, Self
+from typing import Any
 
+from drivers.closing import LinkHolder
 from drivers.drive import Capabilities, LinkStats, Received
-from drivers.errors import DeviceAbsent, DeviceFault, DriverError, LinkLost, ProtocolMismatch
+from drivers.errors import DeviceAbsent, DeviceFault, DriverError, ProtocolMismatch
 from drivers.fault_remedy import fault_remedy
 from drivers.link import Codec, Link
 from drivers.protocol import (
@@ -32,7 +32,6 @@ from drivers.protocol import (
     HelloRequest,
     LimitsRequest,
     Ping,
-    State,
     Stop,
     Telemetry,
     TimedCommand,
@@ -43,7 +42,7 @@ from drivers.protocol import (
 HELLO_EVERY_NS = 100_000_000
 
 
-class LegController:
+class LegController(LinkHolder):
     """One leg controller: the `Drive` of our own firmware.
 
     `codec` fits the link: the serial framing unless another is given.
@@ -65,7 +64,6 @@ class LegController:
         self._write_lock = threading.Lock()
         self._bytes_in = self._bytes_out = self._reboots = 0
         self._command_seq = self._ping_id = 0
-        self._closed = False
 
     def open(self, timeout_s: float = 2.0) -> Hello:
         """Stop the motor, shake hands. Raises `DeviceAbsent` (no answer) or `ProtocolMismatch`; both close."""
@@ -170,27 +168,6 @@ class LegController:
         self._send(ClearFaults())
         self.telemetry = None  # its faults are out of date from here on
 
-    def close(self) -> None:
-        """Stop the motor, then let go of the link; may be called twice."""
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            with suppress(LinkLost):  # nothing hears a Stop any more: the firmware's watchdog has the motor
-                self.stop()
-        finally:
-            self._link.close()
-
-    @property
-    def armed(self) -> bool:
-        """The newest telemetry says ARMED."""
-        return self.telemetry is not None and self.telemetry.state == State.ARMED
-
-    @property
-    def link_facts(self) -> dict[str, str | int | None]:
-        """Facts about the link: its kind, port, latency timer; empty for an emulated one."""
-        return dict(getattr(self._link, "facts", {}))
-
     @property
     def stats(self) -> LinkStats:
         """Counts so far."""
@@ -205,9 +182,3 @@ class LegController:
     def _write(self, data: Any) -> None:
         self._link.write(data)
         self._bytes_out += len(data)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()

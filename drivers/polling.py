@@ -11,14 +11,14 @@ import math
 import random
 import threading
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Generic, NamedTuple, Self, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
+from drivers.closing import LinkHolder
 from drivers.drive import Capabilities, LinkStats, Received, Wiring
-from drivers.errors import DeviceFault, DriverError, LinkLost
+from drivers.errors import DeviceFault, DriverError
 from drivers.fault_remedy import fault_remedy
 from drivers.link import Link
 from drivers.protocol import (
@@ -63,7 +63,7 @@ class Reading(NamedTuple):
     """Host time at which angle and current were there, where more was asked for with them [ns]."""
 
 
-class PolledDrive(ABC, Generic[Chunk]):
+class PolledDrive(LinkHolder, Generic[Chunk]):
     """A `Drive`; what differs from one to the next is below "the drive's own"."""
 
     capabilities = Capabilities(polled=True, clock="none", current="instant", knee_twice=False, hip=False)
@@ -77,7 +77,7 @@ class PolledDrive(ABC, Generic[Chunk]):
         self.wiring = wiring
         self._link, self._now_ns, self._sleep = link, now_ns, sleep
         self._lock = threading.RLock()
-        self._enabled = self._closed = self._unsure = False
+        self._enabled = self._unsure = False
         self._latched = 0
         self._bad = self._unknown = self._lost = self._reboots = self._bytes_in = self._bytes_out = 0
         self._period_ns = round(1e9 / wiring.rate_hz)
@@ -253,24 +253,6 @@ class PolledDrive(ABC, Generic[Chunk]):
             self._latched, self.words, self._cleared_ns = 0, "", self._now_ns()
         self.telemetry = None
 
-    def close(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            with suppress(LinkLost):  # nothing hears a stop any more: the drive's watchdog has the motor
-                self.stop()
-        finally:
-            self._link.close()
-
-    @property
-    def armed(self) -> bool:
-        return self.telemetry is not None and self.telemetry.state == State.ARMED
-
-    @property
-    def link_facts(self) -> dict[str, str | int | None]:
-        return dict(getattr(self._link, "facts", {}))
-
     @property
     def stats(self) -> LinkStats:
         return LinkStats(self._bad, 0, self._unknown, self._lost, self._bytes_in, self._bytes_out, self._reboots)
@@ -280,7 +262,7 @@ class PolledDrive(ABC, Generic[Chunk]):
 
     def _read(self) -> Chunk:
         chunk = self._link.read()
-        self._bytes_in += len(chunk)  # type: ignore[arg-type]  # bytes or a tuple of frames
+        self._bytes_in += len(chunk)  # bytes or a tuple of frames
         return chunk
 
     def _write(self, chunk: Chunk) -> None:
@@ -299,9 +281,3 @@ class PolledDrive(ABC, Generic[Chunk]):
             if found is not None:
                 return found
         return None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()

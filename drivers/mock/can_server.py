@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import threading
-from types import TracebackType
-from typing import Self
 
 import can
 
 from drivers.can_frame import CanFrame
+from drivers.closing import Closing
 from drivers.mock.clock import Clock, RealClock
 from drivers.mock.link import SerialDevice
 from drivers.mock.pty_server import SEND_AHEAD_NS
@@ -16,7 +15,7 @@ from drivers.mock.pty_server import SEND_AHEAD_NS
 WAKE_S = 0.001
 
 
-class CanServer:
+class CanServer(Closing):
     """Serves a device whose chunks are CAN frames from a thread of its own until `close`, which also ends the bus."""
 
     def __init__(self, device: SerialDevice, bus: can.BusABC, clock: Clock | None = None) -> None:
@@ -60,10 +59,3 @@ class CanServer:
             for frame in frames:
                 self._bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data,
                                            is_extended_id=frame.extended, is_fd=frame.fd, bitrate_switch=frame.fd))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.close()

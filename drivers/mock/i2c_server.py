@@ -7,16 +7,15 @@ import socket
 import threading
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from smbus2 import i2c_msg
 
+from drivers.closing import Closing
 from drivers.i2c_bus import I2CBus
 from drivers.i2c_socket import PACKET_BYTES, REPLY, unpack
 
 
-class I2cServer:
+class I2cServer(Closing):
     """Serves a bus at `path`, each client from a thread of its own, until `close`, which is how one unplugs it."""
 
     def __init__(self, bus: I2CBus, path: Path | str) -> None:
@@ -73,10 +72,3 @@ class I2cServer:
         except OSError as error:
             return REPLY.pack(error.errno or errno.EIO)
         return REPLY.pack(0) + b"".join(bytes(message) for message in messages if message.flags & 1)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.close()

@@ -7,9 +7,8 @@ import select
 import threading
 import time
 import tty
-from types import TracebackType
-from typing import Self
 
+from drivers.closing import Closing
 from drivers.mock.clock import Clock, RealClock
 from drivers.mock.link import SerialDevice
 
@@ -20,7 +19,7 @@ LAST_WORD_S = 0.02
 """How long the kernel may take over what was written just before the plug was pulled."""
 
 
-class PtyServer:
+class PtyServer(Closing):
     """Serves a device in real time from a thread of its own until `close`, which is also how one unplugs it."""
 
     def __init__(self, device: SerialDevice, clock: Clock | None = None) -> None:
@@ -73,10 +72,3 @@ class PtyServer:
                 data = data[os.write(self._master, data):]
         except BlockingIOError:
             return  # nobody reads the port: the bytes are lost, as on a real UART
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.close()

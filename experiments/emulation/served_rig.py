@@ -7,11 +7,10 @@ import tempfile
 import threading
 from importlib.resources import files
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from daq import parse_rig
 from daq.recording import write_plan
+from drivers import Closing
 from drivers.mock import STEP_NS, CanServer, I2cServer, PtyServer, RealClock, drive_facts, on_serial
 from experiments.console import make_directory, write_text
 from experiments.emulation.drive_rig import local_can, rig_with_drive, toml_of
@@ -24,7 +23,7 @@ PLANS, PLAN_SECONDS, PLAN_PEAK_NM = 8, 10.0, 0.7
 REMEMBER_S = 60.0
 
 
-class ServedRig:
+class ServedRig(Closing):
     """Serves until `close`; `rig_path` is the rig file to give to any command.
 
     The port is a link in a folder of its own under the system's temporary one: a socket's path must be short.
@@ -85,13 +84,6 @@ class ServedRig:
         while not self._ending.wait(REMEMBER_S / 4):
             with self.mock.lock:
                 self.mock.drive.motor.forget(round(REMEMBER_S * 1e9 / STEP_NS))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.close()
 
 
 def write_plans(folder: Path, count: int = PLANS, seconds: float = PLAN_SECONDS, seed: int = 1) -> list[Path]:
