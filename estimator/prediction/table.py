@@ -56,8 +56,6 @@ class PredictionTable:
     """(C,) mean squared error of a constant prediction at the sensor's mean, over all runs"""
     smoother: int
     """The model whose smoothed motion stands in for what no sensor reads"""
-    floor: FloatArray | None = None
-    """(C, H) mean squared error that noise alone leaves; None where it was not asked for"""
 
     @property
     def judged(self) -> tuple[str, ...]:
@@ -122,20 +120,6 @@ class PredictionTable:
         spread = float(np.nanstd(one.measured[self.channels.index(channel)]))
         return 100.0 * (1.0 - self.rms(model, channel, horizon_s, run) / spread) if spread else np.nan
 
-    def in_noise(self, floor: FloatArray | None = None) -> FloatArray:
-        """(M, B, C, H) squared errors, each capped at the sensor's variance, in units of the noise floor (C, H).
-
-        The floor is by default the table's own; a simulation that diverges says no more than the sensor's mean.
-        """
-        floor = self.floor if floor is None else floor
-        assert floor is not None
-        bound = self.variance[:, None]
-        return np.asarray(np.minimum(self.squares, bound) / np.minimum(floor, bound))
-
-    def by_run(self, squares: FloatArray) -> FloatArray:
-        """(..., R) means over the blocks of each run of `squares` (..., B)."""
-        return np.stack([squares[..., self.run == k].mean(axis=-1) for k in range(len(self.runs))], axis=-1)
-
     def compared(self, model: int, than: int, channel: str, horizon_s: float) -> Ratio:
         """Rms error of `model` over that of `than`, with its 95 % interval; see `paired_ratio`."""
         c, h = self.channels.index(channel), self.horizons_s.index(horizon_s)
@@ -182,8 +166,7 @@ def paired_ratio(a: FloatArray, b: FloatArray, run: NDArray[np.intp]) -> Ratio:
     return Ratio(value, (float(value * np.exp(-half)), float(value * np.exp(half))))
 
 
-def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None, floor: FloatArray | None = None
-             ) -> PredictionTable:
+def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None) -> PredictionTable:
     """The table of `runs`. The `smoother` is by default the model under which they are likeliest.
 
     Horizons that no segment exceeds are left out: they are as the whole.
@@ -213,8 +196,7 @@ def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None, floor: F
     every = np.concatenate(compared, axis=1)
     return PredictionTable(
         tuple(runs), np.repeat(np.arange(len(runs)), [len(e) - 1 for e in edges]), first.channels, read, horizons,
-        samples.T, np.moveaxis(squares, 1, -1), np.moveaxis(kept, 1, -1), residual, np.nanvar(every, axis=1), smoother,
-        floor if floor is None else floor[:, which])
+        samples.T, np.moveaxis(squares, 1, -1), np.moveaxis(kept, 1, -1), residual, np.nanvar(every, axis=1), smoother)
 
 
 def _edges(run: PredictedRun) -> NDArray[np.intp]:

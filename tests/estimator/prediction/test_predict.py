@@ -78,12 +78,12 @@ def test_a_pendulum_without_error_errs_by_the_noise_floor() -> None:
     parts = [predict_run([one], HORIZONS_S, run) for one, run in zip(smoothed, runs)]
     rng = np.random.default_rng(1)
     floors = [floor_errors(one, rng, HORIZONS_S, pendulum().problem) for one in smoothed for _ in range(3)]
-    table = tabulate(parts, floor=np.mean([f.mean(axis=-1) for f in floors], axis=0).T)
-    error = np.sqrt(table.in_noise()[0, :, 0].mean(axis=0))
+    floor = np.mean([f[:, 0].mean(axis=-1) for f in floors], axis=0)
+    error = np.sqrt(tabulate(parts).squares[0, :, 0].mean(axis=0) / floor)
     assert error == pytest.approx(np.ones(len(HORIZONS_S)), rel=0.2)
     heavy = pendulum(PENDULUM * np.array([1.03, 1, 1, 1]))
     wrong = tabulate([predict_run([smooth(heavy, run, OPTIONS)], HORIZONS_S, run) for run in runs])
-    assert (np.sqrt(wrong.in_noise(table.floor)[0, :, 0].mean(axis=0))[1:] > 2.0).all()
+    assert (np.sqrt(wrong.squares[0, :, 0].mean(axis=0) / floor)[1:] > 2.0).all()
 
 
 def test_misfits_prefer_the_truth_by_run() -> None:
