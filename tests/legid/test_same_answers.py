@@ -294,23 +294,3 @@ def test_a_plan(folder: Path) -> None:
         legid.write_plan(found.plan, written)
         assert written.read_bytes() == shown.read_bytes()
         assert len(found.to_frame()) == (9 if words else 600) and len(found.plot().axes) == 1
-
-
-def test_watched_runs(folder: Path) -> None:
-    from tests.evidence.blind.stickslip import MAKERS
-    from tests.support.changed_leg import REFERENCE, leg_runs
-
-    files, rig = leg_runs(folder, MAKERS["gyro_scale"][0](1.0))
-    files = files[: REFERENCE + 2]  # the run that alarms, and the one after, for which the change is searched
-    words = [*files[REFERENCE:], "--against", *files[:REFERENCE], "--rig", rig]
-    said = shell(folder, "watch", *words, "--false-alarms", 0.2)
-    found = legid.watch(legid.load(files[REFERENCE:], rig), legid.load(files[:REFERENCE], rig), false_alarms=0.2)
-    told = python(folder, found)
-    for document in (told, said):
-        for one in document["watched"]:
-            (one["change"] or {}).pop("wall_s", None)
-    assert told == said and found.alarms[0] == "r5.csv" and told["watched"][1]["change"]["verdict"] == "named"
-    assert list(found.to_frame()["state"]) == [one["state"] for one in said["watched"]]
-    assert len(found.plot().axes) == 1 and "ALARM" in found._repr_html_()
-    with pytest.raises(legid.InputError, match="at most 60 an hour"):
-        legid.watch(legid.load(files[:1], rig), legid.load(files[1:3], rig), false_alarms=0.0)
