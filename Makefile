@@ -8,6 +8,8 @@ THEIRS := $(VENV)/.counterparts
 OUT    ?= demo-out
 # What is not what a lock file has the hash of is refused. No build has an environment of its own, which no lock knows.
 LOCKED := $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-build-isolation -r
+# Tests start a hundred commands, which find their modules compiled even where the environment says otherwise.
+KEEP   := PYTHONDONTWRITEBYTECODE=
 # Makes lock files and the bill of materials; apart, so that neither lists its own tools.
 TOOLS  := build/tools
 
@@ -40,12 +42,12 @@ $(THEIRS): $(STAMP) requirements-counterparts.lock
 	touch $@
 
 test: $(STAMP) $(THEIRS) lint
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" tests
+	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" tests
 
 # The demo, the tutorial, the example and the site, from their first command to their last page; public records, kills
 # of studies and recordings, clusters, the blind bench itself, and the drivers on a real kernel.
 test-slow: $(STAMP) $(THEIRS)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m slow tests
+	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m slow tests
 
 test-kernel: $(STAMP)
 	$(BIN)/python -m tests.kernel
