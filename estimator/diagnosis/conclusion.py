@@ -11,8 +11,8 @@ from scipy.special import stdtrit
 
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
-from estimator.diagnosis.decision_rule import ALPHA, BLOCK_S, CHANGED, CONFUSABLE, DRAWS, FEW_RUNS, SHORT_S
-from estimator.diagnosis.error_table import floor_of, sensors_of
+from estimator.diagnosis.decision_rule import ALPHA, BLOCK_S, CHANGED, CONFUSABLE, DRAWS, EDGE, FEW_RUNS, SHORT_S
+from estimator.diagnosis.error_table import about_zero, floor_of, sensors_of
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.refit import Model, smooth
 from estimator.diagnosis.residual_signature import signature
@@ -113,9 +113,10 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
     """Before, after and floor on the confirm runs, with the share of the gap closed and its block bootstrap.
 
     The errors are those of `estimator.prediction`, as `legid validate` has them. For the share each squared error is
-    capped at the sensor's variance, as in `error_table`.
+    capped at the sensor's variance, and the error of a pivot's angle without an encoder is about its mean, as in
+    `error_table`.
     """
-    split = extended.split
+    split, names = extended.split, sensors_of(extended)
     seeds = rng.integers(2**63, size=len(split.confirm))
 
     def predicted(k: int) -> tuple[PredictedRun, FloatArray, FloatArray]:
@@ -129,7 +130,6 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
 
     blocks: dict[str, list[tuple[float, float, float]]] = {}
     traces, torque = [], []
-    names = sensors_of(extended)
     simulated = parallel_map(predicted, len(split.confirm), split.workers)
     for found, pivot, floors in simulated:
         rows = [found.channels.index(name) for name in names]
@@ -139,7 +139,8 @@ def measure_gain(nominal: Model, extended: Model, rng: np.random.Generator, nois
                          for y in found.simulated[:, 0, rows])
         traces.append(Trace(found.run, found.time_s, *(dict(zip(names, y)) for y in (measured, before, after))))
         size = max(10, int(BLOCK_S * found.rate_hz))
-        for k, y, one, other, floor in zip(names, measured, before - measured, after - measured, floors):
+        nominals, extendeds = (about_zero(extended, y - measured) for y in (before, after))
+        for k, y, one, other, floor in zip(names, measured, nominals, extendeds, floors):
             parts = [np.array_split(e, max(1, y.size // size)) for e in (one**2, other**2, floor)]
             blocks.setdefault(k, []).extend((float(a.mean()), float(b.mean()), float(c.mean()))
                                             for a, b, c in zip(*parts))
@@ -217,15 +218,19 @@ def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
     immaterial = () if small is None else tuple(causes_of(small, 1.0, found))
     if immaterial:
         told = " with ".join(label(c.effect, c.joint) for c in immaterial)
-        sentence = (f"No material error beyond noise. {told[:1].upper()}{told[1:]} is present, but does not surely "
-                    f"reduce the free-run rms error by {100 * found.material:.0f} %")
+        verb = "is present, but does not" if len(immaterial) == 1 else "are present, but no one of them does"
+        sentence = (f"No material error beyond noise. {told[:1].upper()}{told[1:]} {verb} surely reduce the free-run "
+                    f"rms error by {100 * found.material:.0f} %")
     called = "None is needed"
     if found.error is not None and found.error[0] > 1.0 / (1.0 - found.material):
         before, after = found.error
         lower = bool(immaterial) and after < before * (1.0 - found.material)
         why = ("No tried effect reduces it: the cause is a correlated disturbance, or resembles none of the terms tried"
                if not lower else
-               f"It is {after:.1f} times with the effects that are present but not material; that may be chance")
+               f"It is {after:.1f} times with the effects that are present but not material")
+        if found.remainder is not None:
+            why = (f"Generic terms reduce it{_where(found)}. Up to {EDGE:g} times that is no "
+                   "verdict")
         found = replace(found, warnings=(*found.warnings, (
             f"the free-run error is {before:.1f} times that of noise alone. {why}")))
         called = "None is needed if that error is acceptable"

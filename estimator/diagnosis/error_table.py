@@ -3,7 +3,8 @@
 A free run starts from the fitted motion and is driven by the measured torque alone, over pieces of `DECIDING_S`. Its
 squared errors, in units of what noise alone leaves in a replicate of the same piece, are comparable over channels and
 horizons; their mean over all of them is the error of a model. Where no encoder measures the pivot's angle, it is what
-the model reads out of the sensors under which these runs are likeliest.
+the model reads out of the sensors under which these runs are likeliest. Its zero is no reading: two models read the
+IMU's some milliradians apart, and nothing moves by that. So the run's mean error of that angle does not count.
 
 The smoother holds the noise of the nominal fit, so that all explanations have the same weights. Errors of a sensor that
 a user reads are those of `estimator.prediction` (see `conclusion.measure_gain`).
@@ -123,7 +124,7 @@ def measure_errors(models: Sequence[Model], reference: Model, seeds: NDArray[np.
         fitted = [smooth(model, run) for model in every]
         pivots = np.stack([fitted[r].state.x.q[:, 0] for r in could])
         floor = floor_of(reference, run, fitted[best], seeds[k], DECIDING_S, drawn).mean(axis=-1).ravel()
-        squares, moments = _squares(sensors_of(reference), fitted[: len(models)], pivots)
+        squares, moments = _squares(reference, fitted[: len(models)], pivots)
         return Measured(squares, floor, moments,
                         _misfits(fitted, reference)[: len(models)], pivots)
 
@@ -148,8 +149,8 @@ def extend_errors(table: ErrorTable, more: Sequence[Model]) -> ErrorTable:
 
     def measured(k: int) -> tuple[FloatArray, FloatArray]:
         fitted = [smooth(model, split.confirm[k]) for model in more]
-        names, pivot = sensors_of(table.unit.reference), table.unit.pivots[k][None]
-        return (_squares(names, fitted, pivot)[0][0], table.unit.misfits[k] - _misfits(fitted, table.unit.reference))
+        reference, pivot = table.unit.reference, table.unit.pivots[k][None]
+        return _squares(reference, fitted, pivot)[0][0], table.unit.misfits[k] - _misfits(fitted, reference)
 
     if not more:
         return table
@@ -194,13 +195,21 @@ def sensors_of(model: Model) -> tuple[str, ...]:
     return tuple(sorted([*(c for c, own in zip(names, read) if own), *names[2 * problem.n :]]))
 
 
+def about_zero(model: Model, errors: FloatArray) -> FloatArray:
+    """(..., C, N) `errors` in `sensors_of`, that of a pivot's angle without an encoder about its mean over the run."""
+    if model.split.has_imu and not model.problem.has_encoder[0]:
+        pivot = sensors_of(model).index(channel_names(model.problem)[0])
+        errors[..., pivot, :] -= errors[..., pivot, :].mean(axis=-1, keepdims=True)
+    return errors
+
+
 def floor_of(model: Model, run: int, fitted: SmoothedRun, seed: int | np.int64, horizons_s: Sequence[float],
              noise: FloorNoise) -> FloatArray:
     """(H, C, N) squared errors of a replicate with this `noise` alone, of the run as `fitted`, in `sensors_of`."""
     split = model.split
     found = floor_errors(fitted, np.random.default_rng(seed), horizons_s, lambda signals: split.problem(
         [run], model.problem.stage.angle_range, model.effects, signals=signals), noise)
-    return found[:, [channel_names(fitted.problem).index(c) for c in sensors_of(model)]]
+    return about_zero(model, found[:, [channel_names(fitted.problem).index(c) for c in sensors_of(model)]]) ** 2
 
 
 def choose_rows(table: ErrorTable, rows: Sequence[int]) -> ErrorTable:
@@ -214,18 +223,17 @@ def _columns_of(model: Model) -> tuple[tuple[str, float], ...]:
     return tuple((c, horizon) for horizon in DECIDING_S for c in sensors_of(model))
 
 
-def _squares(sensors: Sequence[str], fitted: Sequence[SmoothedRun], pivots: FloatArray
-             ) -> tuple[FloatArray, FloatArray]:
+def _squares(reference: Model, fitted: Sequence[SmoothedRun], pivots: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(P, M, B, C) mean squared errors over blocks of a run, and (2, C) mean and mean square of each column.
 
     `fitted` are the smoothed runs of the models. An angle without an encoder is each of `pivots` (P, N).
     """
     found = predict_run(fitted, DECIDING_S, misfits=False)
-    rows = [found.channels.index(c) for c in sensors]
+    rows = [found.channels.index(c) for c in sensors_of(reference)]
     size = max(10, int(BLOCK_S * found.rate_hz))
     measured = np.stack([np.where(np.isnan(found.measured[rows]), pivot, found.measured[rows]) for pivot in pivots])
-    simulated = np.where(np.isnan(found.simulated), np.inf, found.simulated)[:, :, rows]
-    squares = (simulated - measured[:, None, None]) ** 2
+    errors = about_zero(reference, found.simulated[:, :, rows] - measured[:, None, None])
+    squares = np.where(np.isnan(errors), np.inf, errors**2)
     parts = np.array_split(squares, max(1, squares.shape[-1] // size), axis=-1)
     means = np.stack([part.mean(axis=-1) for part in parts], axis=2)  # (P, M, B, H, C)
     moments = np.stack([measured[0].mean(axis=-1), np.mean(measured[0] ** 2, axis=-1)])

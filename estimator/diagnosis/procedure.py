@@ -324,7 +324,7 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: ScoreTests, opti
                    error=(decision.table.error(NOMINAL), decision.table.error(decision.row)),
                    compared=decision.compared,
                    rotations=account(split, decision.turns, decision.table, decision.row, material))
-    if decision.verdict in ("partial", "unexplained") and decision.terms is not None:
+    if decision.verdict != "named" and decision.terms is not None:
         base = replace(base, remainder=conclusion.remainder_of(decision.terms))
     best = decision.best[0] if decision.best else None
     base = conclusion.with_noise(base, best.model if best else context.nominal, decision.table.unit.noise)

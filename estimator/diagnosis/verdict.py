@@ -25,6 +25,7 @@ from estimator.verdicts import Verdict
 NOMINAL = 0
 """Row of the nominal model in the table of errors."""
 
+GENERIC_ALONE = "generic terms reduce the error, but it does not"
 UNCHANGED = "it does not reduce the free-run error of the held-out runs"
 UNSURE = ("it reduces the free-run error of the held-out runs, but not significantly, or not on every run, or without "
           "a larger likelihood")
@@ -48,6 +49,7 @@ class Decision:
     own: int
     """Row of the nominal model with generic terms; NOMINAL where there are none"""
     terms: Model | None
+    """The model with generic terms whose first one tells where the residual is"""
     draws: NDArray[np.intp]
     why: str = ""
     """Why the closest explanation is not accepted."""
@@ -85,12 +87,11 @@ def decide(context: DiagnosisContext, tests: ScoreTests, options: Sequence[Expla
     own = len(models) - 1 if generic is not None else NOMINAL
     if not possible:
         table = over_floor(table, generic or context.nominal, rng)
-        whole = table.error(NOMINAL)
-        nameless = whole > 1.0 + material and own != NOMINAL and is_material(table, own, NOMINAL, material, draws)
-        closest = tuple(shortlist[:1]) if nameless else ()
-        return Decision("unexplained" if nameless or whole > EDGE else "none", closest, table,
-                        1 if closest else NOMINAL, (), NOMINAL, own, generic, draws,
-                        "a defining size is not significant, or has an impossible sign")
+        wrong = table.error(NOMINAL) > EDGE
+        closest = tuple(shortlist[:1]) if wrong and own != NOMINAL and is_material(
+            table, own, NOMINAL, material, draws) else ()
+        return Decision("unexplained" if wrong else "none", closest, table, 1 if closest else NOMINAL, (), NOMINAL, own,
+                        generic, draws, "a defining size is not significant, or has an impossible sign")
     begin = Decision("named", (), table, NOMINAL, (), NOMINAL, own, generic, draws)
     asked = ask(context, begin, choose(possible, table, material, draws), possible, rng)
     found = judge(asked, generic, material)
@@ -179,22 +180,32 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
     table, row, more, own, draws = asked.table, asked.row, asked.with_generic, asked.own, asked.draws
     whole = table.error(NOMINAL)
     if not is_material(table, row, NOMINAL, material, draws):
-        if whole > 1.0 + material and generic is not None and is_material(table, own, NOMINAL, material, draws):
-            return replace(asked, verdict="unexplained", terms=generic,
-                           why="generic terms reduce the error, but it does not")
+        structure = generic is not None and is_material(table, own, NOMINAL, material, draws)
+        asked = replace(asked, terms=generic if structure else None) if structure or whole <= EDGE else asked
         if whole > EDGE:
-            return replace(asked, verdict="unexplained", why=shortfall(table, row, material))
+            return replace(asked, verdict="unexplained", why=GENERIC_ALONE if structure else
+                           shortfall(table, row, material))
         small = table.lowers(row, NOMINAL, 0.0, draws, NOMINAL) >= SURE and bool(np.all(table.agreement[row] > 0.0))
-        return replace(asked, verdict="none", best=asked.best if small else ())
+        return replace(asked, verdict="none") if small else nothing_of(asked)
     left = table.error(row) - min(table.error(more), table.error(own) if own else np.inf)
+    why = ""
     if (whole - table.error(row)) < SUFFICES * (whole - table.error(row) + max(left, 0.0)):
-        return replace(asked, verdict="unexplained", why="generic terms reduce the error more than it does")
-    if table.error(row) > 1.0 + material and table.excess(row) > SUFFICES * table.excess(NOMINAL):
-        return replace(asked, verdict="unexplained", why="it explains less than half of the error")
+        why = "generic terms reduce the error more than it does"
+    elif table.error(row) > 1.0 + material and table.excess(row) > SUFFICES * table.excess(NOMINAL):
+        why = "it explains less than half of the error"
+    if why:
+        return replace(asked, verdict="unexplained", why=why) if whole > EDGE else nothing_of(asked)
+    if whole <= EDGE and not all(is_material(table, row, k, material, draws) for k in asked.without):
+        return replace(asked, verdict="none")  # several faults, none of which is material alone
     beyond = table.error(row) > max(EDGE, 1.0 + material * whole)
     if beyond or is_material(table, more, row, material, draws, NOMINAL):  # of the whole
         return replace(asked, verdict="partial")
     return asked
+
+
+def nothing_of(asked: Decision) -> Decision:
+    """`asked` with the verdict `none` and no explanation."""
+    return replace(asked, verdict="none", best=(), row=NOMINAL, without=())
 
 
 def is_open(table: ErrorTable, model: int, than: int, material: float, draws: NDArray[np.intp]) -> bool:
@@ -207,7 +218,7 @@ def is_open(table: ErrorTable, model: int, than: int, material: float, draws: ND
 
 
 def measure_together(context: DiagnosisContext, models: Sequence[Model], smoothers: Sequence[int],
-                    rng: np.random.Generator, known: Sequence[ErrorTable] = ()) -> ErrorTable:
+                     rng: np.random.Generator, known: Sequence[ErrorTable] = ()) -> ErrorTable:
     """Errors of `models`, the nominal one first, in units of the noise of the likeliest that can be simulated.
 
     The smoother of one of `smoothers` supplies the pivot angle. Errors in `known` tables are reused. Raises `FitError`

@@ -39,7 +39,7 @@ def white_noise(noise: Noise) -> FloorNoise:
 def floor_errors(one: SmoothedRun, rng: np.random.Generator, horizons_s: Sequence[float],
                  problem_of: Callable[[Sequence[SignalSet]], ExtendedProblem], noise: FloorNoise | None = None
                  ) -> FloatArray:
-    """(H, C, N) squared free-run errors of a parametric-bootstrap replicate of the run.
+    """(H, C, N) free-run errors of a parametric-bootstrap replicate of the run.
 
     The replicate has the model's motion and quantisers, and this `noise`, by default the levels of the run;
     `problem_of` gives the likelihood of its signals. Pieces start from the motion that would be fitted to it, whole
@@ -56,7 +56,7 @@ def floor_errors(one: SmoothedRun, rng: np.random.Generator, horizons_s: Sequenc
         drive = again.torque - problem.torque_readings(state.x, state.beta)
         found = [free_run(again, state if np.isinf(h) else begin, drive, h) for h in horizons_s]
         measured = _measured(again, truth.q, truth.v)
-        errors = [(rows_of(problem, f.v, f.readings) - measured) ** 2 for f in found if f is not None]
+        errors = [rows_of(problem, f.v, f.readings) - measured for f in found if f is not None]
         if len(errors) == len(found):
             return np.stack(errors)
     raise FitError("the replicates diverge")

@@ -27,7 +27,7 @@ def nominal(wanders: bool, options: FitOptions | None = None) -> Model:
     rng, leg = np.random.default_rng(8), Leg()
     time = np.arange(2000) / 100.0
     runs = [disturbed_record(leg, rng, 0.03, 0.2, f"run{k}") if wanders else
-            record(leg, rng, tau=multisine(rng, time, 1.2), name=f"run{k}", spring=(0.3, 0.2)) for k in range(RUNS)]
+            record(leg, rng, tau=multisine(rng, time, 1.2), name=f"run{k}", spring=(0.5, 0.2)) for k in range(RUNS)]
     return fit_nominal(split_runs(runs, leg2(lever_arm=leg.lever), options or FitOptions()))
 
 

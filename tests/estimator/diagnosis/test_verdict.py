@@ -195,7 +195,7 @@ def test_where_one_explanation_cannot_be_simulated_the_noise_of_another_is_the_u
     monkeypatch.setattr(verdict, "measure_errors", measured)
     context = cast(Any, SimpleNamespace(split=SimpleNamespace(confirm=(1, 6))))
     found = verdict.measure_together(context, cast(Any, ["nominal", "first", "second"]), [0, 1],
-                                    np.random.default_rng(0))
+                                     np.random.default_rng(0))
     assert found == "in units of nominal" and tried == ["first", "second", "nominal"]
 
 
@@ -211,7 +211,7 @@ def test_errors_that_are_known_are_not_measured_again(monkeypatch: pytest.Monkey
     monkeypatch.setattr(verdict, "extend_errors", extended)
     context = cast(Any, SimpleNamespace(split=None))
     found = verdict.measure_together(context, cast(Any, [nominal, first, third]), [0, 1],
-                                    np.random.default_rng(0), [known])
+                                     np.random.default_rng(0), [known])
     assert asked == [third] and [found.error(k) for k in range(3)] == pytest.approx([5.0, 2.0, 3.0])
 
 
@@ -309,9 +309,10 @@ def test_a_leg_that_no_model_simulates_is_unexplained_and_not_undiagnosed(monkey
     assert found.verdict == "unexplained" and "the free run diverges" in found.sentence and not found.causes
 
 
-@pytest.mark.parametrize(("before", "expected"), [(1.05, "none"), (1.3, "unexplained"), (1.9, "unexplained")])
+@pytest.mark.parametrize(("before", "expected"), [(1.05, "none"), (1.3, "none"), (1.9, "unexplained")])
 def test_within_the_noise_floor_nothing_is_unexplained(before: float, expected: str) -> None:
-    """Terms without a name take a fifth of the error away; it counts only where the error is above the floor."""
+    """Terms without a name take a fifth of the error away; it counts only where the error is beyond what is put down to
+    noise. A healthy geared leg erred by 1.24 floors, of which a wave over the angle took a tenth."""
     table = table_of(before, before, 0.8 * before)
     best = explained(900.0, "drag")
     asked = Decision("named", (best,), table, 1, (), 1, 2, best.model, table.draws(np.random.default_rng(1)))
@@ -333,3 +334,16 @@ def test_a_name_that_leaves_more_than_it_takes_away_is_refused(after: float, exp
     best = explained(900.0, "spring")
     asked = Decision("named", (best,), table, 1, (), 1, 0, best.model, table.draws(np.random.default_rng(1)))
     assert judge(asked, None, MATERIAL).verdict == expected
+
+
+@pytest.mark.parametrize(("before", "one", "other", "expected"), [
+    (1.32, 1.16, 1.18, "none"), (1.45, 1.28, 1.3, "named"), (1.9, 1.16, 1.18, "named")])
+def test_small_faults_that_are_material_only_together_are_no_cause(
+        before: float, one: float, other: float, expected: str) -> None:
+    """A healthy geared leg had a bias of its gyro, a zero of its encoder and a cogging gear. Together they made 1.31
+    floors of 1.11."""
+    table = table_of(before, 1.1, one, other, agreement=[[0, 0], [90, 90], [40, 40], [50, 50]])
+    best = explained(900.0, "bias", "zero")
+    asked = Decision("named", (best,), table, 1, (2, 3), 1, 0, best.model, table.draws(np.random.default_rng(1)))
+    found = judge(asked, None, MATERIAL)
+    assert found.verdict == expected and found.best == (best,)

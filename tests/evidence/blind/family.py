@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.evidence.blind import geared, records, servo, several_faults, stickslip
+from tests.evidence.blind import geared, outside, records, servo, several_faults, stickslip
 from tests.evidence.blind.page import describe_machine
 from tests.evidence.blind.run import diagnose, parse_seeds
 from tests.evidence.blind.score import PRESENT, Outcome, Rate, load
@@ -29,6 +29,7 @@ FAMILIES: dict[str, tuple[Maker, Sequence[str]]] = {
     "servo": (servo.make_case, tuple(servo.MAKERS)), "stickslip": (stickslip.make_case, tuple(stickslip.MAKERS)),
     "geared": (geared.make_case, tuple(geared.MAKERS)),
     "small_faults": (several_faults.make_case, several_faults.NAMES),
+    "outside": (outside.make_case, tuple(outside.MAKERS)),
     "pairs": (several_faults.make_pair, several_faults.PAIRS), "records": (records.make_case, records.NAMES)}
 
 

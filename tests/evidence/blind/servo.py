@@ -10,7 +10,7 @@ jump, so what is logged there is the mean of both sides.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -208,12 +208,13 @@ def record(leg: Leg, plant: Plant, dry: float, rng: np.random.Generator, run: in
     return out
 
 
-def make_case(name: str, seed: int, out: Path, strength: float = 1.0) -> None:
+def make_case(name: str, seed: int, out: Path, strength: float = 1.0,
+              makers: Mapping[str, Callable[[float], Plant]] = MAKERS) -> None:
     """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it; nothing where they are."""
     if is_made(name, seed, out):
         return
     rng = np.random.default_rng([sum(map(ord, name)), seed])
-    plant = MAKERS[name](strength * rng.uniform(0.85, 1.15))
+    plant = makers[name](strength * rng.uniform(0.85, 1.15))
     leg = replace(random_leg(rng), coulomb=(0.0, 0.0))
     dry = rng.uniform(0.02, 0.08)
     runs = (record(leg, plant, dry, rng, run, session_s=25.0 * run) for run in range(RUNS))

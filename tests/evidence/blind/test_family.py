@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.evidence.blind import geared, records, servo, several_faults, stickslip
+from tests.evidence.blind import geared, outside, records, servo, several_faults, stickslip
 from tests.evidence.blind.family import FamilyCase, page
 from tests.evidence.blind.run import diagnose
 from tests.evidence.blind.score import Outcome
@@ -144,3 +144,17 @@ def test_a_geared_leg_logs_its_faults_and_nothing_else() -> None:
     plain, biased = (geared.as_logged(fine, time, {**none, **more}) for more in ({}, {"gyro_bias": 0.03}))
     assert np.allclose(biased["gyro_radps"] - plain["gyro_radps"], 0.03)
     assert all(np.array_equal(plain[name], biased[name]) for name in plain if name != "gyro_radps")
+
+
+@pytest.mark.parametrize("name", outside.MAKERS)
+def test_a_cause_outside_the_library_acts_and_has_no_name(name: str) -> None:
+    """At some state its torque is another than none, or its readings are others than a healthy leg's."""
+    plant = outside.MAKERS[name](1.0)
+    states = [(np.array([0.3, q]), np.array([0.5, v]), 1.0, t) for q in (0.4, -0.4) for v in (1.0, -1.0)
+              for t in (3.01, 50.0)]
+    columns = {"q2_rad": np.linspace(-1.0, 1.0, 5), "gyro_radps": np.zeros(5), "accel_x_mps2": np.ones(5),
+               "accel_y_mps2": np.full(5, -10.0)}
+    before = {k: v.copy() for k, v in columns.items()}
+    plant.logged(columns)
+    reads = any(not np.array_equal(columns[k], before[k]) for k in columns)
+    assert reads != any(np.any(plant.law(*state)) for state in states) and not plant.truth
