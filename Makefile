@@ -158,9 +158,9 @@ LEGS  ?= 2
 watch: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence watch --hours $(HOURS) --legs $(LEGS) --out docs/evidence/watch.md
 
-# Emulated legs whose diagnosis ends one_of, with one more run of the designed torque and of the usual one: half an hour.
+# Emulated legs whose diagnosis ends one_of, with one more run of the designed torque and of the usual one: twenty minutes.
 separate: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence separate --minutes $(or $(MINUTES),30) --out docs/evidence/separate.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence separate --minutes $(or $(MINUTES),20) --out docs/evidence/separate.md
 
 # Emulated rigs that nobody has seen, each with an investigation and a fixed session of eight runs: an hour.
 investigate: $(STAMP)
