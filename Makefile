@@ -160,18 +160,18 @@ LEGS  ?= 2
 watch: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence watch --hours $(HOURS) --legs $(LEGS) --out docs/evidence/watch.md
 
-# Emulated legs whose diagnosis ends one_of, with one more run of the designed torque and of the usual one: half an hour.
+# Emulated legs whose diagnosis ends one_of, with one more run of the designed torque and of the usual one: twenty minutes.
 separate: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence separate --minutes $(or $(MINUTES),30) --out docs/evidence/separate.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence separate --minutes $(or $(MINUTES),20) --out docs/evidence/separate.md
 
 # Emulated rigs that nobody has seen, each with an investigation and a fixed session of eight runs: an hour.
 investigate: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence investigate --minutes $(or $(MINUTES),60) \
 		--out docs/evidence/investigate.md
 
-# A change of one effect on legs with ten small faults, 40 s a case: half an hour.
+# A change of one effect on five families of legs with small faults, 40 s a case: 45 minutes.
 changed-families: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence changed-families --minutes $(or $(MINUTES),30) \
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence changed-families --minutes $(or $(MINUTES),45) \
 		--out docs/evidence/changed-families.md
 
 # Emulated legs with a mass added to link 2 at a random place: twenty minutes.

@@ -18,6 +18,10 @@ class InputError(Exception):
         line = f"{where}: {what}" if where else what
         super().__init__(f"{line}; {remedy}" if remedy else line)
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        """Its parts: a worker process hands it back by pickle."""
+        return type(self), (self.where, self.what, self.remedy)
+
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """"; did you mean ...?" for the known word that is spelt most like `word`; empty where none is."""

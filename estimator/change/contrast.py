@@ -58,7 +58,9 @@ class Contrast:
 
     def covariance(self) -> FloatArray:
         """(m, m) of the sizes."""
-        return np.asarray(np.linalg.pinv(self.correlation, HIDDEN, hermitian=True) / np.outer(self.scale, self.scale))
+        scale = self.scale
+        square = np.outer(scale, scale)
+        return np.asarray(np.linalg.pinv(self.information / square, HIDDEN, hermitian=True) / square)
 
 
 def seen(runs: Sequence[RunScore], structure: Structure) -> list[Contrast]:

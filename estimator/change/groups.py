@@ -43,7 +43,11 @@ class Group:
     def fit(self, whole: Contrast) -> tuple[FloatArray, float]:
         """(k,) likeliest sizes, and the fall of -2 log likelihood."""
         own = whole.along(self.basis)
-        size, gain = fit_body(own) if self.body else (own.size(), own.gain())
+        if self.body:
+            size, gain = fit_body(own)
+        else:
+            size = own.size()
+            gain = float(size @ own.score)
         return size, max(gain, 0.0)
 
     def covariance(self, whole: Contrast, size: FloatArray) -> FloatArray:

@@ -111,9 +111,7 @@ class Watch:
             if blocks > len(self.recent):
                 break
             own = _together([score for _, score in self.recent[-blocks:]])
-            p = self._p_values(self._contrast(own, self.reference.known), w)
-            k = int(np.argmin(p))
-            best = min(best, (float(p[k]), k, blocks))
+            best = min(best, (*self._likeliest(self._contrast(own, self.reference.known), w), blocks))
         p_value, k, blocks = best
         tried = len(self.groups) * len(WINDOWS)
         group = self.groups[k]
@@ -124,10 +122,18 @@ class Watch:
         structure = self.reference.structure
         return contrast(seen([own], structure)[0], known, structure)
 
-    def _p_values(self, one: Contrast, window: int) -> FloatArray:
-        """(groups,) of single changes"""
-        statistic = self._gains(one) / self.width / self.scale[window]
-        return np.asarray(fdtrc(self.width, self.reference.structure.freedom, statistic))
+    def _likeliest(self, one: Contrast, window: int) -> tuple[float, int]:
+        """p-value and index of the likeliest single change. A body is fitted only where free sizes, which fit no worse,
+        are the likeliest."""
+        gains = self._gains(one, free=True)
+        bodies = {k for k, g in enumerate(self.groups) if g.body}
+        while True:
+            p = fdtrc(self.width, self.reference.structure.freedom, gains / self.width / self.scale[window])
+            k = int(np.argmin(p))
+            if k not in bodies:
+                return float(p[k]), k
+            bodies.remove(k)
+            gains[k] = self.groups[k].fit(one)[1]
 
     @cached_property
     def width(self) -> FloatArray:
@@ -139,11 +145,12 @@ class Watch:
         """(m, groups) change of all columns by groups of one size; zero for others."""
         return np.stack([g.basis[:, 0] * (len(g.names) == 1) for g in self.groups], axis=-1)
 
-    def _gains(self, one: Contrast) -> FloatArray:
-        """(groups,) fall of -2 log likelihood, as `Group.fit` gives it."""
+    def _gains(self, one: Contrast, free: bool = False) -> FloatArray:
+        """(groups,) fall of -2 log likelihood, as `Group.fit` gives it; `free`: of bodies whose sizes may be any."""
         known = np.einsum("mk,mk->k", self._single, one.information @ self._single)
         alone = (self._single.T @ one.score) ** 2 / np.where(known > 0.0, known, np.inf)
-        return np.array([gain if len(g.names) == 1 else g.fit(one)[1] for g, gain in zip(self.groups, alone)])
+        return np.array([gain if len(g.names) == 1 else max(one.along(g.basis).gain(), 0.0) if free and g.body
+                         else g.fit(one)[1] for g, gain in zip(self.groups, alone)])
 
     def calibrate(self, runs: Sequence[Dataset]) -> None:
         """Set `scale` by the reference `runs`, each against the others. Raises `FitError`."""

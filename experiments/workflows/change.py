@@ -25,6 +25,7 @@ from experiments.session import (
     require_sound,
 )
 from experiments.workflows.diagnose import require_alike, without_benchmark
+from experiments.workflows.executor import Executor
 
 SUFFIXES = (".mcap", ".csv", ".csv.gz")
 ZEROED = "the rig file declares that this encoder's zero differs from run to run, so it is taken off every run"
@@ -68,6 +69,33 @@ def find_difference(a: Runs, b: Runs, names: tuple[str, str], rig: Rig, damaged:
                                 pairs=pairs)
 
     return _found(compare, (a, b), names, rig, damaged)
+
+
+@dataclass(frozen=True)
+class SessionPair:
+    """Two sessions to compare; what a worker is handed."""
+
+    a: Sequence[Dataset]
+    b: Sequence[Dataset]
+    names: tuple[str, str]
+    rig: Rig
+    damaged: bool
+    pairs: int
+    """Number of comparisons that are made."""
+
+
+def _difference(pair: SessionPair) -> ChangeFound:
+    return find_difference(pair.a, pair.b, pair.names, pair.rig, pair.damaged, pair.pairs)
+
+
+def find_differences(pairs: Sequence[SessionPair], executor: Executor, done: Callable[[int, str], None]
+                     ) -> list[ChangeFound]:
+    """`find_difference` of each pair, in their order; `done(1, name)` is called for each as it finishes."""
+    found: dict[int, ChangeFound] = {}
+    for index, one in executor.run(_difference, pairs):
+        found[index] = one
+        done(1, pairs[index].names[1])
+    return [found[index] for index in range(len(pairs))]
 
 
 def _found(compare: Callable[[Sequence[Dataset], Sequence[Dataset], Setup], Change], sides: tuple[Runs, Runs],

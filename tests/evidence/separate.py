@@ -1,9 +1,10 @@
 """`make separate`: does the torque that `legid excite --separate` designs name the truth more often than the usual one?
 
-Emulated legs with a small fault and four short runs of the default design. Where their diagnosis ends `one_of` with the
-fault among its causes, one more run is recorded twice: by the designed torque, and by a further default design of the
-same length. Each is diagnosed with the same four runs. A fault has the size at which the information of the four plans
-leaves its nearest rival almost as likely. Called again it goes on where it stopped.
+Emulated legs with a fault and four runs by the gentle multisine that `legid excite` writes without a model. Where their
+diagnosis ends `one_of` with the fault among its causes, one more run is recorded twice: by the designed torque, and by
+the default design of the same length. Each is diagnosed with the same four runs. A fault has the size at which the
+information of the four plans leaves its nearest rival almost as likely, while it is far above noise. Called again it
+goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ import numpy as np
 from msgspec import structs
 from scipy.stats import binomtest
 
-from daq import FloatArray, Rig
+from daq import FloatArray, InputError, Rig
+from daq.recording import Plan
 from estimator.diagnosis import Diagnosis
 from estimator.effects import library
 from experiments.emulation import LegBody, record_emulated
-from experiments.emulation.hidden_effects import Hidden
 from experiments.excite import (
     Band,
     Bench,
@@ -35,10 +36,9 @@ from experiments.excite import (
     Search,
     contest_of,
     design,
-    plan_session,
     question_in,
+    random_multisine,
     separate,
-    usual_choice,
 )
 from experiments.models import (
     Model,
@@ -57,35 +57,34 @@ from tests.evidence.kept import kept
 from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
 
-SEED, SECONDS = 5050, 2.5
-TIES = (3.0, 6.0)
-"""Twice the expected log likelihood ratio, over the four runs, of a fault over its nearest rival of the library: a
-diagnosis does not tell apart what differs by less than 8 (`TIE_GAIN`)."""
+SEED, RUNS, SECONDS, MORE_S = 5050, 4, 5.0, 2.5
+"""... runs that go before, their length, and that of the run that is added [s]."""
+GENTLE_NM, LIMIT_NM, LOW_HZ, HIGH_HZ = 0.2, 0.3, 0.2, 2.5
+"""Peak of the first runs, the rig's limit, and the frequencies of the first runs."""
+TIES = (10.0, 20.0)
+"""Twice the expected log likelihood ratio, over the first runs, of a fault over its nearest rival of the library: a
+diagnosis does not tell apart what differs by less than 8 (`TIE_GAIN`) and 0.5 % of the gain (`TIE`)."""
 PRIOR = 0.03
 """Standard deviation of the prior model's parameters about the legs'."""
-FEW = 10
-"""Below so many the comparison decides nothing."""
 SEARCH = Search(tries=1, steps=40)
 
 
-FAULTS: dict[str, int | None] = {
-    "imu_misalignment": None, "rotor_inertia": None, "joint_stiffness": 2, "quadratic_drag": 1,
-    "accelerometer_bias": None}
-"""Fault -> its joint, from 1: those whose information the likeliest rival takes up most (82 to 94 %) over four plans
-of one leg."""
+FAULTS: dict[str, int | None] = {"imu_misalignment": None, "accelerometer_bias": None, "encoder_offset": 2}
+"""Fault -> its joint, from 1: those that the first runs show by far, at sizes that a leg can have, while a rival is
+almost as likely. A torque offset and asymmetric friction are left out: no run tells them apart."""
 
 
 class Outcome(NamedTuple):
     """One leg with one fault."""
 
     verdict: str
-    """After the four runs."""
+    """After the first runs"""
     rivals: tuple[str, ...]
     size: float
     score: float
-    """Standard deviations by which the four runs show it"""
+    """Standard deviations by which the first runs show it"""
     designed: tuple[str, tuple[str, ...]] | None
-    """Verdict and causes with the designed run; None where the four runs do not end `one_of` with the fault."""
+    """Verdict and causes with the designed run; None where the first runs do not end `one_of` with the fault."""
     usual: tuple[str, tuple[str, ...]] | None
     ratios: tuple[float, float] = (0.0, 0.0)
     """Expected log likelihood ratio of the fault over its nearest rival by the designed and by the usual run"""
@@ -93,25 +92,18 @@ class Outcome(NamedTuple):
     """Time that this took"""
 
 
-def hidden(effect: str, size: float, rig: Rig) -> tuple[Hidden, Rig]:
-    """The fault in an emulated leg, and the rig as it is, of which the rig file knows nothing."""
-    if effect == "stribeck_friction":
-        return Hidden(effect, 1, "", (("stribeck", (size, 0.0)), ("stribeck_radps", 0.25))), rig
-    if effect == "rotor_inertia":
-        return Hidden(effect, None, "", (("rotor", size),)), rig
-    if effect == "joint_stiffness":
-        return Hidden(effect, 2, "", torques=(lambda t, motion, torque: (0.0, -size * motion[1]),)), rig
-    if effect == "quadratic_drag":
-        return Hidden(effect, 1, "", torques=(lambda t, motion, torque: (-size * motion[2] * abs(motion[2]), 0.0),)
-                      ), rig
+def faulty(effect: str, size: float, rig: Rig) -> Rig:
+    """The rig as it is, of whose fault the rig file knows nothing."""
     c = rig.calibration
-    if effect == "accelerometer_bias":
-        x, y, z = c.accel_bias_mps2
-        other = structs.replace(c, accel_bias_mps2=(x + size, y, z))
+    if effect == "encoder_offset":
+        other = structs.replace(c, knee_zero_rad=c.knee_zero_rad + size)
+    elif effect == "accelerometer_bias":
+        moved = np.array(c.accel_bias_mps2) + size * np.array(c.imu_mount[0])  # along link 1's motion
+        other = structs.replace(c, accel_bias_mps2=tuple(moved.tolist()))
     else:
         turn = np.array([[np.cos(size), -np.sin(size), 0.0], [np.sin(size), np.cos(size), 0.0], [0.0, 0.0, 1.0]])
         other = structs.replace(c, imu_mount=tuple(map(tuple, (turn @ np.array(c.imu_mount)).tolist())))
-    return Hidden(effect, None, ""), structs.replace(rig, calibration=other)
+    return structs.replace(rig, calibration=other)
 
 
 def prior_of(rig: Rig, body: LegBody, number: int) -> Model:
@@ -151,33 +143,35 @@ def outcome(effect: str, tie: float, number: int) -> Outcome:
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         rig, text = rig_in(folder)
+        rig = structs.replace(rig, limits=structs.replace(rig.limits, torque_nm=LIMIT_NM))
         prior = prior_of(rig, body, number)
-        bench, band, search = Bench(prior, rig, "prior"), Band(SECONDS, 0.0, 3.0), replace(SEARCH, seed=number)
-        plans = [one.candidate for one in plan_session(bench, band, search, usual_choice(), 4).plans]
+        band, search = Band(MORE_S, 0.0, 3.0), replace(SEARCH, seed=number)
+        plans = [random_multisine(100 * number + k, SECONDS, GENTLE_NM, low_hz=LOW_HZ, high_hz=HIGH_HZ)
+                 for k in range(RUNS)]
         options = setup_of([], rig, "imu").options
-        size, score = tied_size(bench, rig, prior, effect, [p.torque_nm for p in plans], tie)
-        leg, own = hidden(effect, size, rig)
+        size, score = tied_size(Bench(prior, rig, "prior"), rig, prior, effect, [p.torque_nm for p in plans], tie)
+        own = faulty(effect, size, rig)
 
-        def recorded(name: str, torque: FloatArray, k: int) -> Path:
-            plan = replace(plans[0], torque_nm=torque).plan
-            record_emulated(folder / name, own, text, plan, 100 * number + k, body, leg)
+        def recorded(name: str, plan: Plan, k: int) -> Path:
+            record_emulated(folder / name, own, text, plan, 100 * number + k, body)
             return folder / name
 
-        files = [recorded(f"run{k}.mcap", one.torque_nm, k) for k, one in enumerate(plans)]
+        files = [recorded(f"run{k}.mcap", plan, k) for k, plan in enumerate(plans)]
         first, setup = diagnosed(files, rig)
         found = causes_of(first)
         if first.verdict != "one_of" or truth not in found:
             return Outcome(first.verdict, found, size, score, None, None, seconds=time.perf_counter() - began)
         model = diagnosed_model(first, setup, rig.motor.gear_ratio)
-        bench = Bench(model, rig, "the diagnosis")
+        try:
+            bench = Bench(model, rig, "the diagnosis")
+        except InputError:  # of a model with a parameter that is not positive
+            return Outcome(first.verdict, found, size, score, None, None, seconds=time.perf_counter() - began)
         contest = contest_of(bench, question_in(diagnosis_document(first), "the diagnosis"), model, options)
-        torques = (separate(contest, band, search).best.torque_nm,
-                   design(bench, band, replace(search, seed=number + 1000)).best.torque_nm)
         ends, ratios = [], []
-        for k, torque in enumerate(torques):
-            last = diagnosed([*files, recorded(f"more{k}.mcap", torque, 50)], rig)[0]
+        for k, one in enumerate((separate(contest, band, search).best, design(bench, band, search).best)):
+            last = diagnosed([*files, recorded(f"more{k}.mcap", one.plan, 50)], rig)[0]
             ends.append((last.verdict, causes_of(last)))
-            ratios.append(nearest(contest, torque, truth))
+            ratios.append(nearest(contest, one.torque_nm, truth))
     return Outcome(first.verdict, found, size, score, ends[0], ends[1], (ratios[0], ratios[1]),
                    time.perf_counter() - began)
 
@@ -229,29 +223,34 @@ def page(legs: int, wanted: int, minutes: float) -> Iterator[str]:
         "# The torque that tells rivals apart", "",
         f"Made by `make separate MINUTES={minutes:g}` (seed {SEED}), {datetime.now(UTC):%Y-%m-%d}, {machine()}, "
         f"{spent:.0f} minutes of one core that other work shared.", "",
-        f"Emulated legs with one fault each, four runs of {SECONDS:g} s of the default design, a diagnosis. The "
-        "information of the four plans gives the size of a fault. Twice its log likelihood ratio over its nearest "
-        "rival of the library is expected to be 3 or 6. A diagnosis does not tell apart what differs by less than 8.",
-        "",
+        f"Emulated legs with one fault each, {RUNS} runs of {SECONDS:g} s, a diagnosis. The runs are the gentle "
+        f"multisine of {GENTLE_NM:g} N m that `legid excite` writes without a model. The information of these plans "
+        "gives the size of a fault. Twice its log likelihood ratio over its nearest rival of the library is expected "
+        f"to be {TIES[0]:g} or {TIES[1]:g}. A diagnosis does not tell apart what differs by less than 8 and 0.5 % of "
+        "the fault's own ratio.", "",
         f"{count} of {len(rows)} diagnoses end `one_of` with the fault among the causes; {wanted} of these "
-        "were asked for." + (" So the comparison below is open." if 0 < count < FEW else ""), "",
-        "| fault | standard deviations | verdict after the four runs | causes |", "| --- | ---: | --- | --- |"]
+        "were asked for.", "",
+        "| fault | standard deviations | verdict after the first runs | causes |", "| --- | ---: | --- | --- |"]
     for effect, _, one in rows:
         yield (f"| {label(effect, FAULTS[effect])} | {one.score:.1f} | {one.verdict} | {', '.join(one.rivals)} |")
     if not open_:
         yield from ["", "So no designed run could be compared with a usual one. Faults of these sizes are not "
-                    "material, or the four runs name them.", ""]
+                    "material, or the first runs name them.", ""]
         return
     yield from [
-        "", f"To each of the {count} one run of {SECONDS:g} s is added, by the designed torque or by a further default "
-        "design.", "",
+        "", f"To each of the {count} one run of {MORE_S:g} s is added, by the designed torque or by the default "
+        f"design. Both may use {LIMIT_NM:g} N m.", "",
         "| | designed torque | default design |", "| --- | --- | --- |",
         f"| the fault alone is named | {Rate(sum(designed), count)} | {Rate(sum(usual), count)} |",
         f"| something else is named | {Rate(sum(wrong(e, o.designed) for e, o in open_ if o.designed), count)} | "
         f"{Rate(sum(wrong(e, o.usual) for e, o in open_ if o.usual), count)} |",
         f"| the other run fails, this one names the fault | {only[0]} | {only[1]} |",
         f"| expected log likelihood ratio over the nearest rival, median | {least[0]:.3g} | {least[1]:.3g} |", "",
-        f"The chance of so unequal counts without a difference is {chance:.2g} (sign test).", "",
+        f"The chance of so unequal counts without a difference is {chance:.2g} (sign test).",
+        *(["The designed run names the fault less than twice as often. Its expected ratio is "
+           f"{least[0] / least[1]:.2g} times that of the default design, since both designs move the leg as far as the "
+           "limits allow."]
+          * (sum(designed) < 2 * sum(usual))), "",
         "| fault | designed torque | default design | ratio, designed | ratio, default |",
         "| --- | --- | --- | ---: | ---: |"]
     for effect, one in open_:
@@ -263,10 +262,11 @@ def page(legs: int, wanted: int, minutes: float) -> Iterator[str]:
 
 EVIDENCE = (
     Evidence("The torque that tells rivals apart: does one run of it name the fault?", "make separate",
-             "separate.md", 30, "named more often than by the default design, nothing wrong",
-             (r"(\d+ of \d+ diagnoses end `one_of`)",)),)
+             "separate.md", 25, "named twice as often as by the default design, nothing wrong",
+             (r"(\d+ of \d+ diagnoses end `one_of`)", r"the fault alone is (named) \| ([^|]*\))",
+              r"(default design) \|\n.*\n\| the fault alone is named \|[^|]*\| ([^|]*\))")),)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     write_page(page, __doc__, arguments, legs=(20, "at most"), wanted=(30, "diagnoses that end one_of"),
-               minutes=(30.0, "after which no other leg is begun"))
+               minutes=(20.0, "after which no other leg is begun"))

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import argparse
 
-from experiments.cli.arguments import add_force, add_horizons, add_output, add_rig, chosen_rig
+from experiments.cli.arguments import (
+    MOST_WORKERS,
+    add_force,
+    add_horizons,
+    add_output,
+    add_rig,
+    chosen_rig,
+    whole_number,
+)
 
 MODEL = ".json"
 
@@ -30,6 +38,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--sensors", choices=("imu", "encoder"),
                         help="of models: what gives the pivot's angle; default: imu where all runs have its columns")
     add_horizons(parser)
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=whole_number(1, MOST_WORKERS), metavar="N",
+                       help="of three and more sessions: local processes; default: one a core")
+    where.add_argument("--cluster", metavar="ADDRESS", help="of sessions: an existing Dask scheduler")
     add_output(parser, "--json", lambda args: "legid.comparison/1" if _of_models(args) else "legid.sessions/1",
                help="write the result as JSON (schema legid.comparison/1, or legid.sessions/1)")
     add_output(parser, "--html", "page", help="write a report page")
@@ -51,11 +63,11 @@ def _compare_sessions(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from daq import InputError, WorkError
-    from experiments.console import command_line, write_json
+    from experiments.console import command_line, work_bar, write_json
     from experiments.provenance import origin_of
     from experiments.reports import sessions_document, sessions_text, with_origin, write_change
     from experiments.session import as_datasets
-    from experiments.workflows import find_difference, runs_in, session_names
+    from experiments.workflows import SessionPair, choose_executor, find_differences, runs_in, session_names
 
     for option, given in (("--sensors", args.sensors), ("--horizons", args.horizons)):
         if given:
@@ -72,8 +84,12 @@ def _compare_sessions(args: argparse.Namespace) -> int:
     chosen = chosen_rig(args, every)
     origin = origin_of(every, chosen.source, command=command_line())
     sessions = [as_datasets(own, chosen.rig, args.damaged) for own in files]
-    found = [find_difference(sessions[0], other, (names[0], name), chosen.rig, args.damaged, len(names) - 1)
-             for name, other in zip(names[1:], sessions[1:])]
+    count = len(names) - 1
+    jobs = [SessionPair(sessions[0], other, (names[0], name), chosen.rig, args.damaged, count)
+            for name, other in zip(names[1:], sessions[1:])]
+    executor = choose_executor(1 if count == 1 else args.workers, args.cluster)
+    with work_bar("comparing", count, "session") as done:
+        found = find_differences(jobs, executor, done)
     pairs = [((names[0], name), one.change) for name, one in zip(names[1:], found)]
     if any(one.change.verdict != "fit_failed" for one in found):
         print(sessions_text(pairs), flush=True)
@@ -100,6 +116,9 @@ def _compare_models(args: argparse.Namespace) -> int:
     from experiments.session import load_runs
     from experiments.workflows import compare_models
 
+    for option, given in (("--workers", args.workers), ("--cluster", args.cluster)):
+        if given:
+            raise InputError(option, "belongs to a comparison of sessions", "leave it out")
     if len(args.places) < 3 or not args.places[1].lower().endswith(MODEL) or args.others:
         raise InputError(args.places[0], "is a model and needs a second model and runs after it",
                          "give A.json B.json RUN...")

@@ -11,7 +11,7 @@ IEEE TAC 40(3), 1995; Bouc-Wen after Wen, J. Eng. Mech. 102(2), 1976.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,10 @@ import numpy as np
 from numba import njit
 
 from tests.evidence.blind.servo import GEAR, RATE_HZ, RUNS, SECONDS, effect, is_made, reference, write_case
-from tests.support.mujoco_leg import GRAVITY, random_leg
+from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 
 TICK_S, INNER = 1e-3, 40
+RIG = f"[motor]\ngear_ratio = {GEAR}\n"
 SHUNT_NM = 16.0 / 4096
 """Resolution of the shunt [N m]."""
 LAWS = ("spring", "drag", "asymmetry", "ripple", "stribeck", "load", "saturation", "cubic", "patchy", "magnet",
@@ -151,23 +152,28 @@ def make_case(name: str, seed: int, out: Path) -> None:
         return
     rng = np.random.default_rng([sum(map(ord, name)), seed, 11])
     hidden = MAKERS[name](rng.uniform(0.85, 1.15))
+    leg, dry, runs = record([hidden] * RUNS, rng)
+    write_case(name, seed, out, runs, rng, leg, RIG, hidden.truth, dry)
+
+
+def record(hidden: Sequence[Hidden], rng: np.random.Generator) -> tuple[Leg, float, Iterator[dict[str, np.ndarray]]]:
+    """A random leg, its dry friction [N m], and its runs as logged, without noise: one with each of `hidden`."""
     leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
-    law = np.array([hidden.laws.get(k, 0.0) for k in LAWS])
     drive = np.array([*leg.viscous, dry, leg.lever, rng.uniform(900.0, 1800.0), 1e-4, 3e-4,
                       rng.uniform(0.003, 0.008), rng.uniform(0.01, 0.02)])
-    fault = {k: sigma * rng.normal() for k, sigma in SMALL.items()}
-    fault = {k: fault.get(k, 0.0) + hidden.faults.get(k, 0.0) for k in {*fault, *hidden.faults}}
+    small = {k: sigma * rng.normal() for k, sigma in SMALL.items()}
     phases = rng.uniform(0.0, 2.0 * np.pi, 2)
     time = np.arange(round(SECONDS / TICK_S)) * TICK_S
 
-    def logged(run: int) -> dict[str, np.ndarray]:
+    def logged(run: int, one: Hidden) -> dict[str, np.ndarray]:
         wanted, rate = reference(rng, time, run)
+        law = np.array([one.laws.get(k, 0.0) for k in LAWS])
         rows = _move(wanted, rate, leg.beta()[:5], drive, law, phases, rng.normal(size=time.size))
+        fault = {k: small.get(k, 0.0) + one.faults.get(k, 0.0) for k in {*small, *one.faults}}
         return as_logged(dict(zip(("q1_rad", "q2_rad", "gyro_radps", "accel_x_mps2", "accel_y_mps2", "tau2_nm"),
                                   rows.T)), time, fault)
 
-    write_case(name, seed, out, map(logged, range(RUNS)), rng, leg, f"[motor]\ngear_ratio = {GEAR}\n", hidden.truth,
-               dry)
+    return leg, dry, (logged(run, one) for run, one in enumerate(hidden))
 
 
 def as_logged(fine: dict[str, np.ndarray], time: np.ndarray, fault: dict[str, float]) -> dict[str, np.ndarray]:

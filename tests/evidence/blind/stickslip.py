@@ -9,14 +9,14 @@ logged, none by the library's formula where another is plausible; so it can be e
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from tests.evidence.blind.servo import effect, is_made, write_case
-from tests.support.mujoco_leg import GRAVITY, random_leg
+from tests.support.mujoco_leg import GRAVITY, Leg, random_leg
 from tests.support.stick_slip_leg import PEAK_NM, TICK_S, Motion, move
 
 RATE_HZ, SECONDS, RUNS = 100.0, 20.0, 8
@@ -76,16 +76,23 @@ def make_case(name: str, seed: int, out: Path, strength: float = 1.0) -> None:
     rng = np.random.default_rng([sum(map(ord, name)), seed, 3])
     maker, joint = MAKERS[name]
     change = maker(strength * rng.uniform(0.85, 1.15))
+    leg, dry, runs = record([change] * RUNS, rng)
+    hidden = [] if name == "none" or name.startswith("outside") else effect(name, joint)
+    write_case(name, seed, out, runs, rng, leg, "", hidden, dry)
+
+
+def record(changes: Sequence[Callable[[Readings], None]], rng: np.random.Generator
+           ) -> tuple[Leg, float, Iterator[Readings]]:
+    """A random leg, its dry friction [N m], and its runs as logged, without noise: one with each of `changes`."""
     dry = rng.uniform(0.02, 0.10) * PEAK_NM
     leg = replace(random_leg(rng), coulomb=(0.005 + 0.1 * dry, dry))
 
-    def logged(run: int) -> Readings:
+    def logged(run: int, change: Callable[[Readings], None]) -> Readings:
         readings = as_read(move(leg, rng, seconds=SECONDS, closed=run % 2 == 1, high=(3.0, 2.0, 1.2, 2.5)[run // 2]))
         change(readings)
         return {k: v[:: round(1.0 / (RATE_HZ * TICK_S))] for k, v in readings.items()}
 
-    hidden = [] if name == "none" or name.startswith("outside") else effect(name, joint)
-    write_case(name, seed, out, map(logged, range(RUNS)), rng, leg, "", hidden, dry)
+    return leg, dry, (logged(run, change) for run, change in enumerate(changes))
 
 
 def as_read(motion: Motion) -> Readings:

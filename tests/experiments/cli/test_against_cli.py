@@ -133,6 +133,7 @@ def test_what_is_neither_two_models_nor_two_sessions_is_refused(tmp_path: Path, 
     for words, said in ((["a.csv", "b.csv"], "is neither a model nor a folder"),
                         ([str(tmp_path)], "is the only session"),
                         (["a.json", "b.json"], "needs a second model and runs after it"),
+                        (["a.json", "b.json", "r.csv", "--workers", "2"], "belongs to a comparison of sessions"),
                         ([str(tmp_path), str(tmp_path), "--horizons", "1"], "belongs to a comparison of models")):
         assert cli.main(["compare", *words, "--rig", RIG]) == 2
         error = capsys.readouterr().err

@@ -1,5 +1,6 @@
 """Executors: local processes, and a real Dask scheduler whose worker is killed half way."""
 
+import json
 import os
 import signal
 import subprocess
@@ -17,6 +18,8 @@ from experiments.cli import main
 from experiments.studies.biped3.store import load_block
 from experiments.studies.biped3.study import CASES, FLOOR, blocks, run_block
 from experiments.workflows.executor import ClusterExecutor, LocalExecutor, SerialExecutor, choose_executor
+from tests.evidence.blind.stickslip import MAKERS
+from tests.support.changed_leg import leg_runs
 from tests.support.paths import ROOT
 from tests.support.processes import REAL_CLOCK
 
@@ -36,6 +39,10 @@ def threads(_: int) -> str:
     return os.environ.get("OMP_NUM_THREADS", "")
 
 
+def refuse(x: int) -> int:
+    raise InputError(f"run {x}", "is empty", "record it again")
+
+
 def die(x: int) -> int:
     if x == 2:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -51,6 +58,11 @@ def test_local_workers_use_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     assert dict(LocalExecutor(2).run(threads, [0, 1])) == {0: "1", 1: "1"}
     assert "OMP_NUM_THREADS" not in os.environ
+
+
+def test_a_refusal_by_a_local_worker_is_said_as_it_is() -> None:
+    with pytest.raises(InputError, match=r"^run 1: is empty; record it again$"):
+        list(LocalExecutor(2).run(refuse, [1]))
 
 
 def test_a_dead_local_worker_is_said_in_one_line() -> None:
@@ -135,6 +147,23 @@ def test_a_study_on_a_cluster_survives_a_killed_worker(cluster: tuple[str, list[
         found, alone = load_block(kept, block), run_block(block)
         np.testing.assert_allclose(found.beta, alone.beta, rtol=1e-9)
         np.testing.assert_allclose(found.error, alone.error, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_sessions_are_compared_on_a_cluster_as_in_one_process(cluster: tuple[str, list[subprocess.Popen]],
+                                                              tmp_path: Path) -> None:
+    """Three sessions; the torque of the last one is late."""
+    files, rig = leg_runs(tmp_path, MAKERS["torque_delay"][0](1.0))
+    first, same, other = ([str(f) for f in files[k: k + 2]] for k in (0, 2, 4))
+    found = []
+    for where in (["--cluster", cluster[0]], ["--workers", "1"]):
+        out = tmp_path / f"{where[0]}.json"
+        assert main(["compare", *first, "--with", *same, "--with", *other, "--rig", str(rig), *where, "--json",
+                     str(out)]) == 0
+        found.append(json.loads(out.read_text())["pairs"])
+    assert found[0] == found[1]
+    assert [pair["b"]["name"] for pair in found[0]] == ["B", "C"]
+    assert "torque_delay" in {cause["effect"] for cause in found[0][1]["causes"]}
 
 
 def test_a_scheduler_that_does_not_answer_is_said_in_one_line() -> None:
