@@ -154,11 +154,10 @@ prior: $(STAMP)
 changed: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence what-changed --minutes $(or $(MINUTES),60) --out docs/evidence/what-changed.md
 
-# Hours of an unchanged leg whose friction drifts, and changes of several legs: twenty minutes.
-HOURS ?= 2
+# Hours of unchanged legs whose friction drifts, and changes of several legs: 25 minutes.
 LEGS  ?= 2
 watch: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence watch --hours $(HOURS) --legs $(LEGS) --out docs/evidence/watch.md
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence watch --minutes $(or $(MINUTES),20) --legs $(LEGS) --out docs/evidence/watch.md
 
 # Emulated legs whose diagnosis ends one_of, with one more run of the designed torque and of the usual one: twenty minutes.
 separate: $(STAMP)
