@@ -98,7 +98,8 @@ def test_a_full_disk_leaves_what_is_there_whole_and_no_half_a_file(command: str,
     write_off(tmp_path / "still.mcap")
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     done = subprocess.run([sys.executable, "-m", "experiments.cli", *command.split()], cwd=tmp_path, text=True,
-                          check=False, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True,
+                          check=False, capture_output=True,
+                          env=os.environ | {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
                           preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)))
     said = done.stderr.splitlines()[-1]
     assert done.returncode == status and "too large" in said and "internal error" not in said

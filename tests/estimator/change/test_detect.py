@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from daq import Dataset, load_rig
-from estimator.change import Change, compare_sessions, detect_change, learn_reference
+from estimator.change import Change, Reference, compare_sessions, detect_change, learn_reference
 from estimator.change.contrast import Contrast, contrast, seen, total
 from estimator.change.scores import RunScore
 from estimator.change.structure import Structure, find_structure
@@ -27,10 +27,16 @@ SHORT_S = 6.0
 """Length of the runs where four of them tell the change."""
 
 
+LEARNT: dict[str, Reference] = {}
+"""What was learnt of reference runs, by the runs and how they are read: most tests have the same ones."""
+
+
 def change_of(files: list[Path], rig_file: Path) -> Change:
     setup = prepare(files, load_rig(rig_file)).setup
-    return detect_change(setup.datasets[REFERENCE:],
-                         learn_reference(setup.datasets[:REFERENCE], setup.mechanism, setup.options))
+    key = repr((setup.mechanism, setup.options, [file.read_bytes() for file in files[:REFERENCE]]))
+    if key not in LEARNT:
+        LEARNT[key] = learn_reference(setup.datasets[:REFERENCE], setup.mechanism, setup.options)
+    return detect_change(setup.datasets[REFERENCE:], LEARNT[key])
 
 
 def test_an_unchanged_leg_has_not_changed_and_says_what_it_would_have_shown(tmp_path: Path) -> None:
