@@ -1,4 +1,4 @@
-"""Block-tridiagonal and bidiagonal systems at linear cost, kernels compiled by Numba, pseudo-inverses, Student's t."""
+"""Block-tridiagonal and bidiagonal systems at linear cost, kernels compiled by Numba, pseudo-inverses."""
 
 from estimator.numerics import jit
 from estimator.numerics.block_bidiagonal_numba import propagate, solve_bidiagonal
@@ -6,7 +6,6 @@ from estimator.numerics.block_cholesky_numba import Swept, eliminate
 from estimator.numerics.block_tridiagonal import BlockTridiagonal, padded
 from estimator.numerics.jit import Kernel, at
 from estimator.numerics.pseudo_inverse import inverse_root, pseudo_inverse
-from estimator.numerics.student import student_half_width
 
 __all__ = ["BlockTridiagonal", "Kernel", "Swept", "at", "eliminate", "inverse_root", "jit", "padded", "propagate",
-           "pseudo_inverse", "solve_bidiagonal", "student_half_width"]
+           "pseudo_inverse", "solve_bidiagonal"]

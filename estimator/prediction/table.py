@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.numerics import student_half_width
 from estimator.prediction.free_runs import PredictedRun
 
 BLOCK_S = 2.0
@@ -149,6 +148,8 @@ def paired_ratio(a: FloatArray, b: FloatArray, run: NDArray[np.intp]) -> Ratio:
     The interval is that of the log ratio by the jackknife over runs, or over blocks where there are fewer than
     `LEAST_UNITS` runs, with Student's t (Efron 1982).
     """
+    from scipy.special import stdtrit
+
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         return Ratio(float(np.sqrt(a.sum() / b.sum())) if np.isfinite(b).all() else np.nan, None)
     if b.sum() <= 0.0:
@@ -162,7 +163,7 @@ def paired_ratio(a: FloatArray, b: FloatArray, run: NDArray[np.intp]) -> Ratio:
     left_a, left_b = (np.maximum(x.sum() - np.array([x[u].sum() for u in units]), 1e-300) for x in (a, b))
     logs, count = 0.5 * np.log(left_a / left_b), len(units)
     std = np.sqrt((count - 1) / count * np.sum((logs - logs.mean()) ** 2))
-    half = student_half_width(CONFIDENCE, count - 1) * std
+    half = float(stdtrit(count - 1, 0.5 + 0.5 * CONFIDENCE)) * std
     return Ratio(value, (float(value * np.exp(-half)), float(value * np.exp(half))))
 
 
