@@ -229,8 +229,8 @@ def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
                if not lower else
                f"It is {after:.1f} times with the effects that are present but not material")
         if found.remainder is not None:
-            why = (f"Generic terms reduce it{_where(found)}. Up to {EDGE:g} times that is no "
-                   "verdict")
+            why = (f"Generic terms reduce it{_where(found)}. Up to {EDGE:g} times noise an error is not called "
+                   "unexplained")
         found = replace(found, warnings=(*found.warnings, (
             f"the free-run error is {before:.1f} times that of noise alone. {why}")))
         called = "None is needed if that error is acceptable"

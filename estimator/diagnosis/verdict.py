@@ -87,11 +87,12 @@ def decide(context: DiagnosisContext, tests: ScoreTests, options: Sequence[Expla
     own = len(models) - 1 if generic is not None else NOMINAL
     if not possible:
         table = over_floor(table, generic or context.nominal, rng)
-        wrong = table.error(NOMINAL) > EDGE
-        closest = tuple(shortlist[:1]) if wrong and own != NOMINAL and is_material(
-            table, own, NOMINAL, material, draws) else ()
-        return Decision("unexplained" if wrong else "none", closest, table, 1 if closest else NOMINAL, (), NOMINAL, own,
-                        generic, draws, "a defining size is not significant, or has an impossible sign")
+        structure = is_material(table, own, NOMINAL, material, draws)
+        why = "a defining size is not significant, or has an impossible sign"
+        if table.error(NOMINAL) <= EDGE:
+            return Decision("none", (), table, NOMINAL, (), NOMINAL, own, generic if structure else None, draws)
+        return Decision("unexplained", tuple(shortlist[:1]) if structure else (), table, int(structure), (), NOMINAL,
+                        own, generic, draws, why)
     begin = Decision("named", (), table, NOMINAL, (), NOMINAL, own, generic, draws)
     asked = ask(context, begin, choose(possible, table, material, draws), possible, rng)
     found = judge(asked, generic, material)
@@ -179,14 +180,14 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
     """
     table, row, more, own, draws = asked.table, asked.row, asked.with_generic, asked.own, asked.draws
     whole = table.error(NOMINAL)
+    structure = is_material(table, own, NOMINAL, material, draws)
+    nothing = replace(asked, verdict="none", terms=generic if structure else None)
     if not is_material(table, row, NOMINAL, material, draws):
-        structure = generic is not None and is_material(table, own, NOMINAL, material, draws)
-        asked = replace(asked, terms=generic if structure else None) if structure or whole <= EDGE else asked
         if whole > EDGE:
-            return replace(asked, verdict="unexplained", why=GENERIC_ALONE if structure else
-                           shortfall(table, row, material))
+            return (replace(asked, verdict="unexplained", terms=generic, why=GENERIC_ALONE) if structure else
+                    replace(asked, verdict="unexplained", why=shortfall(table, row, material)))
         small = table.lowers(row, NOMINAL, 0.0, draws, NOMINAL) >= SURE and bool(np.all(table.agreement[row] > 0.0))
-        return replace(asked, verdict="none") if small else nothing_of(asked)
+        return nothing if small else without_cause(nothing)
     left = table.error(row) - min(table.error(more), table.error(own) if own else np.inf)
     why = ""
     if (whole - table.error(row)) < SUFFICES * (whole - table.error(row) + max(left, 0.0)):
@@ -194,18 +195,18 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
     elif table.error(row) > 1.0 + material and table.excess(row) > SUFFICES * table.excess(NOMINAL):
         why = "it explains less than half of the error"
     if why:
-        return replace(asked, verdict="unexplained", why=why) if whole > EDGE else nothing_of(asked)
+        return replace(asked, verdict="unexplained", why=why) if whole > EDGE else without_cause(nothing)
     if whole <= EDGE and not all(is_material(table, row, k, material, draws) for k in asked.without):
-        return replace(asked, verdict="none")  # several faults, none of which is material alone
+        return nothing  # several faults, none of which is material alone
     beyond = table.error(row) > max(EDGE, 1.0 + material * whole)
     if beyond or is_material(table, more, row, material, draws, NOMINAL):  # of the whole
         return replace(asked, verdict="partial")
     return asked
 
 
-def nothing_of(asked: Decision) -> Decision:
-    """`asked` with the verdict `none` and no explanation."""
-    return replace(asked, verdict="none", best=(), row=NOMINAL, without=())
+def without_cause(asked: Decision) -> Decision:
+    """`asked` without an explanation."""
+    return replace(asked, best=(), row=NOMINAL, without=())
 
 
 def is_open(table: ErrorTable, model: int, than: int, material: float, draws: NDArray[np.intp]) -> bool:

@@ -347,3 +347,13 @@ def test_small_faults_that_are_material_only_together_are_no_cause(
     asked = Decision("named", (best,), table, 1, (2, 3), 1, 0, best.model, table.draws(np.random.default_rng(1)))
     found = judge(asked, None, MATERIAL)
     assert found.verdict == expected and found.best == (best,)
+
+
+@pytest.mark.parametrize(("generic", "told"), [(1.0, True), (1.28, False)])
+def test_structure_within_the_noise_floor_is_told_only_if_it_is_material(generic: float, told: bool) -> None:
+    """Every model with generic terms said where a residual is, also one whose terms change no simulation."""
+    table = table_of(1.3, 1.3, generic)
+    best = explained(900.0, "drag")
+    asked = Decision("named", (best,), table, 1, (), 1, 2, best.model, table.draws(np.random.default_rng(1)))
+    found = judge(asked, best.model, MATERIAL)
+    assert found.verdict == "none" and (found.terms is best.model) is told

@@ -48,5 +48,5 @@ MAKERS: dict[str, Callable[[float], Plant]] = {
 
 
 def make_case(name: str, seed: int, out: Path) -> None:
-    """r1.csv to r8.csv and rig.toml in OUT/NAME-SEED, its truth beside it; nothing where they are."""
+    """Write r1.csv to r8.csv and rig.toml to OUT/NAME-SEED, and the truth to a file of that name; skip a whole case."""
     servo.make_case(name, seed, out, makers=MAKERS)
