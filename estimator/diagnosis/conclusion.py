@@ -217,10 +217,11 @@ def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
                     "free-run error of the held-out runs")
     immaterial = () if small is None else tuple(causes_of(small, 1.0, found))
     if immaterial:
-        told = " with ".join(label(c.effect, c.joint) for c in immaterial)
-        verb = "is present, but does not" if len(immaterial) == 1 else "are present, but no one of them does"
-        sentence = (f"No material error beyond noise. {told[:1].upper()}{told[1:]} {verb} surely reduce the free-run "
-                    f"rms error by {100 * found.material:.0f} %")
+        told = " and ".join(label(c.effect, c.joint) for c in immaterial)
+        verb = ("is present, but does not surely reduce" if len(immaterial) == 1 else
+                "are present, but not each of them surely reduces")
+        sentence = (f"No material error beyond noise. {told[:1].upper()}{told[1:]} {verb} the free-run rms error by "
+                    f"{100 * found.material:.0f} %")
     called = "None is needed"
     if found.error is not None and found.error[0] > 1.0 / (1.0 - found.material):
         before, after = found.error

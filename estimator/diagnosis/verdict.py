@@ -197,7 +197,7 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
     if why:
         return replace(asked, verdict="unexplained", why=why) if whole > EDGE else without_cause(nothing)
     if whole <= EDGE and not all(is_material(table, row, k, material, draws) for k in asked.without):
-        return nothing  # several faults, none of which is material alone
+        return nothing  # several faults, not each of which is material alone
     beyond = table.error(row) > max(EDGE, 1.0 + material * whole)
     if beyond or is_material(table, more, row, material, draws, NOMINAL):  # of the whole
         return replace(asked, verdict="partial")
