@@ -80,7 +80,7 @@ def groups_of(fit: ReferenceFit, known: Contrast) -> tuple[Group, ...]:
 
 def kind_of(effect: type[Effect]) -> Kind:
     """Kind of change that an effect is."""
-    if effect.delay_s is not Effect.delay_s:
+    if effect.sizes[0].unit == "s":
         return "timing"
     return KINDS.get(effect.__module__.rpartition(".")[2], "mechanics")
 

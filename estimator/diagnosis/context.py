@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import ALPHA, LEAST_GAIN, LEAST_GAIN_CLEAR
-from estimator.diagnosis.noise_check import Ratios, excess_noise, noise_dominated, ratios
-from estimator.diagnosis.refit import Model, begin_afresh, deviance
+from estimator.diagnosis.noise_check import noise_dominated
+from estimator.diagnosis.refit import Model, begin_afresh, deviance, short_errors
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests
 from estimator.likelihood import Candidate
+
+NO_TESTS = ScoreTests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -24,23 +26,18 @@ class Explanation:
 
     model: Model
     gain: float
-    left: ScoreTests
-    best_left: int
-    """Candidate with the largest remaining gain."""
-    adequate: bool
-    """Whether its residual gain is small compared with its own gain."""
-    no_residual_effect: bool = False
-    """It leaves nothing detectable."""
+    """Twice the log likelihood over the nominal model's."""
+    left: ScoreTests = NO_TESTS
+    has_residual: bool = True
+    """Whether its residual has a detectable effect or generic term."""
     by_run: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(R,) misfit of each discover run, under the noise levels of those that it was weighed with"""
     error: float = 1.0
     """rms error of its free runs over a second on the discover runs, over the nominal model's"""
-    bias: tuple[RunScore, ...] = ()
-    """What its scores are on average when it is right, one a discover run, its own sizes left out."""
     inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(m,) how much more variance than white noise gives them its parameters have; see `scores.own_inflation`"""
     parent: frozenset[str] = frozenset()
-    """Effects of the explanation that it was grown from, by one more, and ..."""
+    """Effects of the likeliest explanation with one effect less, and ..."""
     gain_over_parent: float = 0.0
     """... its gain over that one"""
 
@@ -78,8 +75,6 @@ class DiagnosisContext:
     bias: list[RunScore]
     nominal: Model
     rng: np.random.Generator
-    given_up: set[frozenset[str]] = field(default_factory=set)
-    """Sets of effects whose fits were much less likely than others."""
 
     @property
     def split(self) -> RunSplit:
@@ -97,13 +92,9 @@ class DiagnosisContext:
         return deviance(self.nominal)
 
     @cached_property
-    def levels(self) -> Ratios:
-        """Noise levels of the nominal fit; see `estimator.diagnosis.noise_check`."""
-        return ratios(self.nominal)
-
-    def excess_noise(self, model: Model) -> str:
-        """Channel whose noise level `model` inflates, in words; empty without one."""
-        return excess_noise(model, None if model is self.nominal else self.levels)
+    def short_errors(self) -> FloatArray:
+        """(C,) of the nominal model, see `refit.short_errors`."""
+        return short_errors(self.nominal)
 
     @cached_property
     def noise_dominated(self) -> str:
@@ -136,6 +127,18 @@ def detected(context: DiagnosisContext, tests: ScoreTests) -> bool:
     """Whether anything at all is there, named or not."""
     return any(context.gain(tests, i) > least_gain(context, i) and p_of(context, tests, i) < ALPHA
                for i in range(context.trials))
+
+
+def detected_in_residual(context: DiagnosisContext, left: ScoreTests, own: frozenset[str]) -> bool:
+    """Whether the residual `left` of a model has anything but its `own` effects."""
+    least = context.material(context.split.discover)
+    return any(context.gain(left, i) > least and p_of(context, left, i) < ALPHA
+               for i, c in enumerate(context.candidates) if c.effect.key not in own)
+
+
+def keys_of(explanation: Explanation) -> frozenset[str]:
+    """Its effects."""
+    return frozenset(e.key for e in explanation.model.effects)
 
 
 def p_of(context: DiagnosisContext, tests: ScoreTests, i: int) -> float:

@@ -5,7 +5,7 @@ free-run error of the held-out runs by more than a stated share. Present causes 
 change the simulation. Generic terms show a material error that no listed effect explains.
 
 Gains are twice the log likelihood (no unit), over the scatter between runs. Limits on the steps of a fit are in `refit`
-and `candidate_fit`. docs/decisions.md says how the thresholds were chosen.
+and `search`. docs/decisions.md says how the thresholds were chosen.
 """
 
 from __future__ import annotations
@@ -47,52 +47,22 @@ LENT_BIAS = 3.0
 
 # Noise levels: what a model lacks can hide there
 
-NOISY_SENSOR, NOISY_UNDECLARED, NOISY_TORQUE = 1.3, 2.0, 1.6
-"""How many times its level a channel's noise may have: of a declared sensor, of one that is judged by its neighbouring
-samples, and of torque, for a room and a motor add some to the shunt's noise."""
-STILL_NOISY = 0.2
-"""... or this share of what the nominal fit had beyond its level, in variance: functional forms differ."""
+NOISY_SENSOR, NOISY_UNDECLARED = 1.3, 2.0
+"""How many times its level a sensor's noise may be: of a declared sensor, of one that is judged by its neighbouring
+samples."""
 
 # Which models are tried
 
-WORTH_TRYING = 0.5
-"""p-value, over all candidates tried, from which an effect is not re-fitted."""
-FIRST_SINGLES = 2
-"""Number of best effects with which the friction smoothing velocity is estimated first."""
-SINGLES = 5
-"""Number of best effects that are re-fitted individually, in addition to ..."""
-SCATTERED = 2
-"""... this many of the others with the largest gains that are not divided by their own scatter between runs: a large
-effect raises its own scatter."""
-HOPELESS = 0.1
-"""Share of the log likelihood that the best gains, each under its own noise, below which a fit is given up: what leads
-to the truth gains nearly all that can be gained."""
-COMPARED = 6
-"""Most fits that are compared under the noise of the best: the likeliest under their own."""
-MOST_ASSESSED = 4
-"""Number of them, the likeliest, whose residuals are scored."""
-PARENTS = 2
-"""Best singles that are extended to pairs where no single explains the error."""
-PAIRS, TRIPLES = 3, 2
-"""Second effects that are tried together with these, and third ones with the best pair."""
-MOST_GROWN = 3
-"""Number of them, the likeliest, whose residuals are scored."""
-COLLINEAR = 0.9
-"""Cosine above which one effect is tried in another's place."""
-
-# Which of them explain the error: their residual is no other cause
-
-RESIDUAL_SHARE = 0.03
-"""Largest gain of another effect on a cause's residual, as a share of the cause's gain. Functional forms differ."""
-LEFT_AT_REST = 0.15
-"""... and this share for another friction effect near rest at its joint."""
-STILL_LEFT = 0.1
-"""Largest residual gain of a pair, as a share of that of its single. By the same share of its gain another model may be
-likelier, under its own noise, than a single that explains the error."""
+MOST_EFFECTS = 3
+"""Most effects of an explanation."""
+PARENTS, GROWN = 3, 8
+"""Sets of effects that are scored and extended by one, and number of effects by which each is."""
+FINALISTS = 3
+"""Sets of each number of effects that are fitted to the end, by each of two rankings."""
 ZERO_WITHIN = 4.0
 """Standard deviations within which a size is not significant: friction smoothing alone moves sizes by two."""
-RIVAL = 0.5
-"""Least gain of a rival explanation, as a share of the best one's gain."""
+COLLINEAR = 0.9
+"""Cosine above which one effect is tried in another's place."""
 
 # Which of them these runs cannot tell apart
 
@@ -132,10 +102,6 @@ EDGE = 1.5
 """Error of a free run, in units of what the rig's noise leaves, up to which it is put down to that noise (see
 `noise_floor`). Beyond it explanations are sought even where no term is detected. A nominal model that errs more and is
 not explained is `unexplained`; a cause that leaves more is `partial`."""
-
-FAR_WRONG = 3.0
-"""Error of the nominal free run beyond which its fit may have hidden the one cause that there is. Then all other
-effects are fitted, too, where none of the best closes."""
 
 # What is reported in addition to a verdict
 

@@ -14,10 +14,10 @@ from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext, p_of
 from estimator.diagnosis.decision_rule import ALPHA, GENERIC_TERMS
 from estimator.diagnosis.error_table import ErrorTable
-from estimator.diagnosis.model_search import start_size
 from estimator.diagnosis.refit import Model, refit
 from estimator.diagnosis.result import BudgetRow
 from estimator.diagnosis.score_statistics import ScoreTests
+from estimator.diagnosis.search import start_size
 from estimator.errors import FitError
 
 GENERIC_STEPS = 12

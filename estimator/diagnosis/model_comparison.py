@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.decision_rule import AGREE, TIE, TIE_ALIKE, TIE_GAIN, WIDEST
-from estimator.diagnosis.model_search import significant
+from estimator.diagnosis.search import significant
 
 
 def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
@@ -18,9 +18,9 @@ def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
     """
     most, *others = sorted(adequate, key=lambda o: -o.gain)
     near = [most, *(o for o in others if is_close(o, most))]
-    best = next((o for o in near if o.no_residual_effect), most)
+    best = next((o for o in near if not o.has_residual), most)
     return distinguishable([best, *(o for o in near if o is not best and
-                             (o.no_residual_effect or not best.no_residual_effect or equivalent(o, best)))])
+                             (not o.has_residual or best.has_residual or equivalent(o, best)))])
 
 
 def is_close(other: Explanation, most: Explanation) -> bool:

@@ -1,4 +1,4 @@
-"""`excess_noise`: channels whose noise a fit finds larger than the rig declares, or than neighbouring samples show.
+"""`noisy_sensors`: sensors whose noise a fit finds larger than the rig declares, or than neighbouring samples show.
 
 An error unlike every listed term can end up in the noise levels. Then all scores are small, but a gyro with 5 mrad/s
 of noise has a residual of 95.
@@ -6,44 +6,30 @@ of noise has a residual of 95.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from estimator.diagnosis.decision_rule import NOISY_SENSOR, NOISY_TORQUE, NOISY_UNDECLARED, STILL_NOISY
+from estimator.diagnosis.decision_rule import NOISY_SENSOR, NOISY_UNDECLARED
 from estimator.diagnosis.refit import Model, refit
 from estimator.fitting import TORQUE_SHARE, mistaken_torques
-from estimator.options import accel_level, encoder_level, gyro_level, torque_level
-from estimator.signals import Channel, encoder_of, imu_channels, torque_of, white_noise_level
+from estimator.options import accel_level, encoder_level, gyro_level
+from estimator.signals import Channel, encoder_of, imu_channels, white_noise_level
 
 Ratios = Mapping[Channel, tuple[float, float]]
 """Channel to (noise found over its level, most it may be)."""
 
-def ratios(model: Model) -> Ratios:
-    """Noise ratios of all channels but undeclared torques and encoders."""
-    known, noise, mechanism = model.split.known, model.state.noise, model.split.mechanism
-    out: dict[Channel, tuple[float, float]] = {}
-    driven = [torque_level(known, j, True) for j in mechanism.actuated]
-    for j, level in enumerate(noise.torque):
-        declared = torque_level(known, j, j in mechanism.actuated)
-        if declared is None and j in mechanism.passive:  # it lacks no more than motors' sensors err by
-            declared = max((d for d in driven if d is not None), default=None)
-        if declared is not None:
-            out[torque_of(j)] = float(level) / declared, NOISY_TORQUE
-    return {**out, **motion_ratios(model)}
 
-
-def motion_ratios(model: Model, undeclared: bool = False) -> Ratios:
-    """`ratios` of encoders and IMU; `undeclared` encoders by what their neighbouring samples show."""
+def noise_ratios(model: Model) -> Ratios:
+    """Noise ratios of encoders and IMU: of an undeclared sensor by what its neighbouring samples show."""
     known, problem, noise = model.split.known, model.problem, model.state.noise
     out: dict[Channel, tuple[float, float]] = {}
     for j in map(int, np.flatnonzero(problem.has_encoder)):
         level, declared = float(noise.encoder[j]), encoder_level(known, j)
         if declared:
             out[encoder_of(j)] = level / declared, NOISY_SENSOR
-        elif undeclared:
+        else:
             out[encoder_of(j)] = level / max(1e-12, float(problem.shown.encoder[j])), NOISY_UNDECLARED
     for k in range(problem.imu_count):
         levels = (noise.gyro[k], *noise.accel[k])
@@ -57,18 +43,6 @@ def motion_ratios(model: Model, undeclared: bool = False) -> Ratios:
     return out
 
 
-def excess_noise(model: Model, before: Ratios | None = None) -> str:
-    """The noisiest channel in words; empty where none exceeds its limit, or its ratio `before` if given."""
-    worst, text = 1.0, ""
-    for channel, (ratio, limit) in ratios(model).items():
-        allowed = (limit * math.prod(e.rough.get(channel.kind, 1.0) for e in model.effects)) ** 2
-        if before is not None:
-            allowed = max(allowed, 1.0 + STILL_NOISY * (before[channel][0] ** 2 - 1.0))
-        if ratio**2 > worst * allowed:
-            worst, text = ratio**2 / allowed, in_words(channel, ratio)
-    return text
-
-
 def in_words(channel: Channel, ratio: float) -> str:
     """Residual of a channel in units of its noise, in words."""
     joint = (channel.joint or 0) + 1
@@ -80,7 +54,7 @@ def in_words(channel: Channel, ratio: float) -> str:
 def noisy_sensors(model: Model) -> dict[Channel, float]:
     """Sensors of motion whose fitted noise exceeds its limit: channel to the ratio of that noise to what the rig
     declares, or neighbouring samples show."""
-    found = motion_ratios(model, undeclared=True)
+    found = noise_ratios(model)
     return {channel: ratio for channel, (ratio, limit) in found.items() if ratio > limit}
 
 

@@ -1,15 +1,15 @@
 """`diagnose`: what the simulation gets wrong, the cause, and what extending the model gains.
 
-1. Hold and friction smoothing velocity; nominal fit; detection by generic terms.
-2. Scores of the library, with the nominal parameters projected out.
-3. Full re-fits of the best singles, of all others if none explains the error, then pairs, then one triple.
+1. Hold; nominal fit; scores of the library and of generic terms, with the nominal parameters projected out.
+2. Friction smoothing velocity, with the likeliest single effect or generic terms; then 1 again.
+3. Search of sets of effects, from singles to triples.
 4. Free runs of the confirm runs, once. A cause is named only if it reduces their error by a material amount.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -19,21 +19,19 @@ from threadpoolctl import threadpool_limits
 
 from daq import Dataset, FloatArray
 from estimator.diagnosis import conclusion
-from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, detected, least_gain, p_of, seated
-from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.decision_rule import ALPHA, EDGE, FAR_WRONG, MATERIAL, MOST_ASSESSED, SUFFICES, SURE
-from estimator.diagnosis.error_budget import budget
-from estimator.diagnosis.error_table import ErrorTable, measure_errors
-from estimator.diagnosis.model_search import (
-    Progress,
-    assess_residuals,
-    closing,
-    explain,
-    fit_first,
-    fit_others,
-    fit_singles,
+from estimator.diagnosis.context import (
+    DiagnosisContext,
+    Explanation,
+    best_shapes,
+    detected,
     keys_of,
+    least_gain,
+    p_of,
 )
+from estimator.diagnosis.data_split import RunSplit, split_runs
+from estimator.diagnosis.decision_rule import ALPHA, EDGE, FINALISTS, MATERIAL, SUFFICES, SURE
+from estimator.diagnosis.error_budget import budget, generic_extension
+from estimator.diagnosis.error_table import ErrorTable, measure_errors
 from estimator.diagnosis.noise_check import in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.refit import (
@@ -49,7 +47,8 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
-from estimator.diagnosis.verdict import NOMINAL, Decision, by_likelihood, decide, first_of_each
+from estimator.diagnosis.search import Progress, Promise, fit_sets, grown, search
+from estimator.diagnosis.verdict import NOMINAL, by_likelihood, decide, first_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, describe_smoothing_velocity
@@ -86,7 +85,6 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
             split = replace(split, mechanism=mechanism, options=replace(
                 split.options, hold=hold, smoothing_velocity="given"))
             found = _diagnose(split, seed, say, reference, material, stated if seeks else None)
-            assert found is not None
             mechanism = found.mechanism or mechanism
     except FitError as error:
         found = Diagnosis("fit_failed", f"No diagnosis: {error}.")
@@ -96,128 +94,75 @@ def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
 
 
 def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str, tuple[float, float]] | None,
-              material: float, stated: Mechanism | None, bias: Sequence[RunScore] | None = None,
-              ordinary: Model | None = None) -> Diagnosis | None:
-    """The diagnosis; None if its smoothing velocity does not outperform that of the `ordinary` model.
-
-    The friction smoothing velocity is estimated again together with the best explanation, from `stated`. If it differs,
-    the diagnosis is repeated with it, with the same `bias` of the scores. `ordinary` has the smoothing velocity
-    estimated without effects.
-    """
+              material: float, stated: Mechanism | None) -> Diagnosis:
+    """The diagnosis of runs that are split; friction's smoothing velocity is estimated from `stated`, if given."""
     say("fitting the nominal model", 0.02)
     rng = np.random.default_rng(seed)
     jit.expect()
-    nominal = fit_nominal(split)
     effects, refused = library(split.mechanism, split.has_imu, split.encoders)
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     named = len(candidates)
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu, split.encoders)]
-    say("scoring the library", 0.15)
-    scores = score_discover(nominal, candidates)
-    say("simulating bootstrap replicates", 0.2)
-    if bias is None:
-        try:
-            bias = bootstrap_scores(nominal, candidates, scores, rng)
-        except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
-            bias = [RunScore(np.zeros_like(s.score), s.information) for s in scores]
-    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng)
-    tests = tests_of(nominal, scores, bias)
-    ranked = rank(context, tests)
+    context, tests = scored(split, candidates, named, rng, say)
+    if stated is not None and detected(context, tests):
+        other = smoothing_velocity_with(context, tests, stated)
+        if other is not None:
+            with suppress(FitError):
+                context, tests = scored(replace(split, mechanism=other, stiction={}), candidates, named, rng, say,
+                                        context.bias)
+    nominal = context.nominal
     base = conclusion.base(nominal, refused, reference)
-    base = replace(base, candidates=ranked, separability=separability(context, tests))
+    base = replace(base, candidates=rank(context, tests), separability=separability(context, tests))
     if not detected(context, tests):
         if context.noise_dominated:
             raise FitError(context.noise_dominated)
-        if ordinary is not None:
-            return None
         floor = noise_floor(nominal)
         error = nominal_error(context, floor, rng)
         hidden = hidden_motion(nominal, material, rng)
         if (error is None or error <= EDGE) and not hidden:
             base = conclusion.with_noise(base, nominal, floor)
-            return conclusion.nothing(replace(base, error=None if error is None else (error, error)))
+            base = replace(base, error=None if error is None else (error, error))
+            return replace(conclusion.nothing(base), mechanism=nominal.split.mechanism)
     known: list[ErrorTable] = []
-
-    def promising(found: Sequence[Explanation]) -> bool:
-        return promise(context, found, material, rng, known)
-
-    def far_wrong() -> bool:
-        return not known or known[-1].error(NOMINAL) > FAR_WRONG
-
-    searched = search(context, tests, say, stated, promising, far_wrong)
-    found, other = next(searched)
-    while other is not None:
-        with suppress(FitError):
-            again = _diagnose(replace(split, mechanism=other, stiction={}), seed, say, reference, material, None, bias,
-                              nominal)
-            if again is not None:
-                return again
-        found, other = next(searched)
+    found = search(context, tests, say, lambda found: promise(context, found, material, rng, known))
     say("simulating the held-out runs", 0.85)
-    concluded = conclude(context, base, tests, found, rng, material, known, ordinary)
-    return None if concluded is None else replace(concluded, mechanism=split.mechanism)
+    return replace(conclude(context, base, tests, found, rng, material, known), mechanism=nominal.split.mechanism)
 
 
-def search(context: DiagnosisContext, tests: ScoreTests, say: Progress, stated: Mechanism | None,
-           promise: Callable[[Sequence[Explanation]], bool], far_wrong: Callable[[], bool]
-           ) -> Iterator[tuple[list[Explanation], Mechanism | None]]:
-    """Fitted explanations, at the end with None.
+def scored(split: RunSplit, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,
+           bias: Sequence[RunScore] = ()) -> tuple[DiagnosisContext, ScoreTests]:
+    """The nominal fit and the scores of `candidates` at it, less their `bias`, which is simulated if it is not given.
 
-    Before that, once at most and as soon as the likeliest has another smoothing velocity, those found so far with a
-    mechanism that has it: asked for the next, the search goes on with the velocity that it began with.
+    Raises `FitError`."""
+    nominal = fit_nominal(split)
+    say("scoring the library", 0.15)
+    scores = score_discover(nominal, candidates)
+    if not bias:
+        say("simulating bootstrap replicates", 0.2)
+        try:
+            bias = bootstrap_scores(nominal, candidates, scores, rng)
+        except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
+            bias = [RunScore(np.zeros_like(s.score), s.information) for s in scores]
+    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng)
+    return context, tests_of(nominal, scores, bias)
+
+
+def smoothing_velocity_with(context: DiagnosisContext, tests: ScoreTests, stated: Mechanism) -> Mechanism | None:
+    """The mechanism with its smoothing velocity estimated from `stated` together with the likeliest of the effects of
+    the largest scores and of generic terms; None if it stays.
+
+    Without what the nominal model lacks, a larger smoothing velocity absorbs part of it.
     """
-    def another(model: Model | None) -> Mechanism | None:
-        nonlocal stated
-        found = smoothing_velocity_with(model, stated)
-        stated = stated if found is None else None
-        return found
-
-    say("re-fitting the best explanations", 0.4)
-    first = fit_first(context, tests)
-    other = another(likeliest_of(first))
-    if other is not None:
-        yield [], other
-    options = fit_singles(context, tests, first)
-    best = likeliest_of([e.model for e in options])
-    other = None if any(best is m for m in first) else another(best)
-    if other is not None:
-        yield options, other
-    say("scoring their residuals", 0.6)
-    options = assess_residuals(context, seated(options, MOST_ASSESSED))
-    if options and not promise(options):
-        yield options, None
-        return
-    if far_wrong() and not any(e.adequate for e in closing(context, options)):
-        say("re-fitting all others", 0.65)
-        every = fit_others(context, tests, options)
-        found = likeliest_of([e.model for e in every])
-        if found is not None and not any(found is e.model for e in options):
-            other = another(found)
-            if other is not None:
-                yield options, other
-            options = assess_residuals(context, seated(every, MOST_ASSESSED))
-    options = explain(context, tests, options, say, promise)
-    more = max((e for e in options if len(e.model.effects) > 1), key=lambda e: (e.adequate, e.gain), default=None)
-    other = None if more is None else another(more.model)
-    if other is not None:
-        yield options, other
-    yield options, None
-
-
-def likeliest_of(models: Sequence[Model]) -> Model | None:
-    """The likeliest under its own noise."""
-    return min(models, key=deviance, default=None)
-
-
-def smoothing_velocity_with(model: Model | None, stated: Mechanism | None) -> Mechanism | None:
-    """The mechanism with the smoothing velocity estimated together with `model`, from `stated`; None if unchanged."""
-    if stated is None or model is None:
+    generic = generic_extension(context, context.nominal, tests)
+    singles = fit_sets(context, grown(context, [Explanation(context.nominal, 0.0, tests)])[:FINALISTS])
+    models = [*(e.model for e in singles), *([] if generic is None else [generic])]
+    if not models:
         return None
     try:
-        found = likeliest_smoothing_velocity(model, stated)
+        found = likeliest_smoothing_velocity(min(models, key=deviance), stated)
     except FitError:
         return None
-    return None if np.array_equal(found.velocity_scales, model.split.mechanism.velocity_scales) else found
+    return None if np.array_equal(found.velocity_scales, context.split.mechanism.velocity_scales) else found
 
 
 def rank(context: DiagnosisContext, tests: ScoreTests) -> tuple[CandidateScore, ...]:
@@ -275,41 +220,38 @@ def nominal_error(context: DiagnosisContext, floor: FloorNoise, rng: np.random.G
 
 
 def promise(context: DiagnosisContext, found: Sequence[Explanation], material: float, rng: np.random.Generator,
-            known: list[ErrorTable]) -> bool:
-    """Whether more effects than those `found` have could be material.
+            known: list[ErrorTable]) -> Promise:
+    """Whether other sets of effects, and larger ones, than those `found` can be materially better.
 
-    The error of fewer effects must be large enough, and the last effect must reduce it by a good part of the material
-    amount, unless the error is larger than a disturbance explains. Measured errors are appended to `known`.
+    The least error must leave room for that above noise. For larger ones the last effect must have reduced it by a good
+    part of the material amount; a second effect is tried without that, too, where the error is larger than a
+    disturbance explains. Measured errors are appended to `known`.
     """
-    counts = sorted({len(e.model.effects) for e in found})
     best = by_likelihood(first_of_each(found))
     models = [context.nominal, *(e.model for e in best)]
     try:
         table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)),
                                noise=noise_floor(models[1]))
     except FitError:
-        return True
+        return Promise(True, True)
     known.append(table)
-    errors = {n: min(table.error(k) for k, m in enumerate(models) if len(m.effects) == n) for n in (0, *counts)}
-    last, before = errors[counts[-1]], min(error for n, error in errors.items() if n < counts[-1])
-    return before * (1.0 - material) > 1.0 and (before > EDGE or last < before * (1.0 - SUFFICES * material))
+    count = max(len(m.effects) for m in models)
+    last, before = (min(table.error(k) for k, m in enumerate(models) if (len(m.effects) == count) is own)
+                    for own in (True, False))
+    least = min(last, before)
+    better = least * (1.0 - material) > 1.0
+    return Promise(better, better and ((count == 1 and least > EDGE) or last < before * (1.0 - SUFFICES * material)))
 
 
 def conclude(context: DiagnosisContext, base: Diagnosis, tests: ScoreTests, options: Sequence[Explanation],
-             rng: np.random.Generator, material: float = MATERIAL, known: Sequence[ErrorTable] = (),
-             ordinary: Model | None = None) -> Diagnosis | None:
-    """Verdict, gain and budget by the confirm runs, and what a report draws; errors that are `known` already. None
-    where nothing is established that betters the `ordinary` model."""
+             rng: np.random.Generator, material: float = MATERIAL, known: Sequence[ErrorTable] = ()) -> Diagnosis:
+    """Verdict, gain and budget by the confirm runs, and what a report draws; errors that are `known` already."""
     split = context.split
     try:
         decision = decide(context, tests, options, material, rng, known)
     except FitError as error:  # something was detected, or nothing would be decided here
-        if ordinary is not None:
-            return None
         why = f"every simulation of the held-out runs diverges ({error})"
         return conclusion.unexplained(base, context.nominal, None, why)
-    if ordinary is not None and not outdoes(decision, ordinary, material, rng):
-        return None
     if decision is None:
         nominal = context.nominal
         floor = noise_floor(nominal)
@@ -340,18 +282,6 @@ def conclude(context: DiagnosisContext, base: Diagnosis, tests: ScoreTests, opti
     indistinguishable = [with_clock(context, best), *decision.best[1:]]
     return conclusion.finding(base, context.nominal, indistinguishable, p, rng, decision.verdict == "partial",
                               decision.table.unit.noise)
-
-
-def outdoes(decision: Decision | None, ordinary: Model, material: float, rng: np.random.Generator) -> bool:
-    """True if a named cause reduces the test error by a material amount compared with the ordinary model."""
-    if decision is None or decision.verdict not in ("named", "partial"):
-        return False
-    best = decision.best[0].model
-    try:
-        table = measure_errors([ordinary, best], best, rng.integers(2**63, size=len(best.split.confirm)))
-    except FitError:
-        return False
-    return table.error(1) < (1.0 - material) * table.error(0)
 
 
 def minor_causes(context: DiagnosisContext, found: Diagnosis, more: Explanation, best: Explanation

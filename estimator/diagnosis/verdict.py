@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnosis.context import DiagnosisContext, Explanation, seated
+from estimator.diagnosis.context import DiagnosisContext, Explanation, keys_of, seated
 from estimator.diagnosis.decision_rule import EDGE, SHORTLIST, SHORTLIST_EACH, SUFFICES, SURE
 from estimator.diagnosis.error_budget import generic_extension
 from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors, with_floor
 from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.model_search import keys_of, presence
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.refit import Model, deviance, refit
 from estimator.diagnosis.rotation import Turn, rotate
 from estimator.diagnosis.score_statistics import ScoreTests
+from estimator.diagnosis.search import assess, presence
 from estimator.effects import GenericReading, GenericTorque
 from estimator.errors import FitError
 from estimator.verdicts import Verdict
@@ -94,10 +94,12 @@ def decide(context: DiagnosisContext, tests: ScoreTests, options: Sequence[Expla
         return Decision("unexplained", tuple(shortlist[:1]) if structure else (), table, int(structure), (), NOMINAL,
                         own, generic, draws, why)
     begin = Decision("named", (), table, NOMINAL, (), NOMINAL, own, generic, draws)
-    asked = ask(context, begin, choose(possible, table, material, draws), possible, rng)
+    asked = pruned(context, ask(context, begin, choose(possible, table, material, draws), possible, rng), possible,
+                   material, rng)
     found = judge(asked, generic, material)
     # a large residual must show on all runs, not on the held-out ones only
-    if found.verdict == "partial" or (found.verdict != "named" and is_open(table, asked.row, NOMINAL, material, draws)):
+    if found.verdict == "partial" or (found.verdict != "named"
+                                      and is_open(asked.table, asked.row, NOMINAL, material, draws)):
         turned = turn_runs(context, asked, rng)
         found = found if turned is None else judge(turned[0], generic, material)
     if found.verdict != "named":
@@ -131,6 +133,27 @@ def ask(context: DiagnosisContext, begin: Decision, what: tuple[Sequence[Explana
     return replace(begin, best=tuple(best), table=table, row=row, without=tuple(range(first, first + len(pieces))),
                    with_generic=first + len(pieces) if extended is not None else row, terms=extended or best[0].model,
                    more=with_minor(possible, best[0], row, table, begin.draws))
+
+
+def pruned(context: DiagnosisContext, asked: Decision, possible: Sequence[tuple[Explanation, int]], material: float,
+           rng: np.random.Generator) -> Decision:
+    """`asked` without effects whose removal does not raise the error by a material amount, the least of them first.
+
+    What explains an error within the noise floor stays whole: there a set says that there are several small faults.
+    """
+    while asked.without and asked.table.error(NOMINAL) > EDGE:
+        table, best = asked.table, asked.best[0]
+        row = min(asked.without, key=table.error)
+        if table.error(row) - table.error(asked.row) > material * table.error(row):
+            break
+        model = table.models[row]
+        loss = (deviance(model) - deviance(best.model)) / best.left.scatter
+        smaller = assess(context, [Explanation(model, best.gain - loss, by_run=best.by_run)])[0]
+        same = [(o, k) for o, k in possible if len(o.model.effects) == len(model.effects)
+                and keys_of(o) != keys_of(smaller)]
+        what = likeliest([(smaller, row), *same], table, material * table.error(NOMINAL))
+        asked = ask(context, asked, what, possible, rng)
+    return asked
 
 
 def over_floor(table: ErrorTable, model: Model, rng: np.random.Generator) -> ErrorTable:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.errors import FitError
 from estimator.model import Mechanism
-from estimator.signals import Channel, Kind
+from estimator.signals import Channel
 
 WHEEL_M = 0.05
 """A slide's shapes are those of a joint that drives it by a wheel of this radius: grids of rad times this, in m."""
@@ -183,24 +183,18 @@ class Effect(ABC):
     """Effects of one such group cannot be told apart by small differences: these stem from what no model has right."""
     instant: ClassVar[bool] = False
     """The torque that it adds in a simulation is `law` alone."""
-    family: ClassVar[str] = ""
-    """Laws of one such group at one joint may differ by form alone: what one leaves to another is no second cause."""
     distinguishing_size: ClassVar[int | None] = None
     """Which size sets an effect apart from its group: without it, it is the same function of the motion."""
     positive: ClassVar[int] = 0
     """Its first so many sizes are not below zero where the effect is present: friction that drives is none."""
     defining: ClassVar[int | None] = None
     """One of the first so many sizes is not zero where the effect is present; by default, of all."""
-    lag_s: ClassVar[float] = 0.0
-    """Delay of its action against its law [s]: a smaller delay found together with it is no second cause."""
     near_rest: ClassVar[bool] = False
     """True if it acts where a joint reverses: the smoothed sign is inexact there, so every leg shows a little."""
     strict: ClassVar[bool] = False
     """True if a shape parameter at a limit of its range makes it another effect than its name says."""
-    rough: ClassVar[Mapping[Kind, float]] = {}
-    """Kind of channel -> allowed factor on its noise level with this effect, whose law is not exact there."""
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()
-    """Sizes from which a re-fit begins, too, where the nominal fit is bad: its slopes say little of large ones."""
+    """Sizes from which a fit begins, too: slopes at zero say little of large ones."""
 
     def __init__(self, joint: int | None = None, slide: bool = False) -> None:
         self.joint = joint
@@ -284,10 +278,6 @@ class Effect(ABC):
 
     def open_size(self, clock_bound_s: float) -> float:
         """Below which the recorder's clocks, known to `clock_bound_s`, leave its first size open anyway."""
-        return 0.0
-
-    def delay_s(self, size: FloatArray) -> float:
-        """Delay of a reading [s]; zero where it has no delay."""
         return 0.0
 
     def by_torque(self, view: View, size: FloatArray) -> Mapping[Channel, FloatArray]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from daq import FloatArray
 from estimator.effects.base import CONSTANT, Points, SensorEffect, Shape, Size, TorqueEffect, View
 from estimator.effects.timing import shifted
 from estimator.model import Mechanism
-from estimator.signals import Channel, Kind, torque_of
+from estimator.signals import Channel, torque_of
 
 LEAST_MARGIN = 0.1
 """A saturated motor's current grows without bound; beyond this its slope, 32 then, stays."""
@@ -28,8 +27,6 @@ class TorqueRipple(TorqueEffect):
     experiment = "slow constant speed over several turns of the motor"
     depends_on = "turn"
     plans = ("steady",)
-    rough: ClassVar[Mapping[Kind, float]] = {"accel_x": 1.6, "accel_y": 1.6}
-    """Its harmonics are not in the law, and many fall between samples."""
 
     def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
         phase = size[2] * view.gear_ratio * at.q[self.joint or 0]
@@ -132,6 +129,3 @@ class TorqueDelay(TorqueSensorEffect):
                 slow = view.measured.slow[torque_of(j)]
                 found[torque_of(j)] = slow - shifted(slow, -size[0], view)
         return found
-
-    def delay_s(self, size: FloatArray) -> float:
-        return float(size[0])

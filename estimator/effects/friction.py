@@ -13,7 +13,6 @@ class StribeckFriction(TorqueEffect):
     """F exp(-|v/vs|^n) sign(v), n = 2 (Gaussian) for most lubricated contacts, 0.5 to 1 for slower decays."""
 
     name = "stribeck_friction"
-    family = "friction"
     near_rest = True
     strict = True
     positive = 1
@@ -39,7 +38,6 @@ class AsymmetricFriction(TorqueEffect):
     """Extra Coulomb and viscous friction while v > 0: F max(s, 0) + B max(v, 0)."""
 
     name = "asymmetric_friction"
-    family = "friction"
     equivalence_class = CONSTANT
     distinguishing_size = 1
     sizes = (Size("coulomb_difference", "N m", 0.01), Size("viscous_difference", "N m s/rad", 0.01))
@@ -63,7 +61,6 @@ class LoadDependentFriction(TorqueEffect):
     """
 
     name = "load_dependent_friction"
-    family = "friction"
     near_rest = True
     strict = True
     positive = 1
@@ -94,7 +91,6 @@ class QuadraticDrag(TorqueEffect):
     """c v |v|."""
 
     name = "quadratic_drag"
-    family = "friction"
     positive = 1
     sizes = (Size("drag", "N m s^2/rad^2", 0.001),)
     sentence = "drag grows with the square of the speed"
@@ -112,7 +108,6 @@ class FrictionDrift(TorqueEffect):
     """(C (1 - exp(-t / tau)) + D t_run) sign(v): the Coulomb level changes over the session and within each run."""
 
     name = "friction_drift"
-    family = "friction"
     sizes = (Size("change", "N m", 0.005), Size("change_per_minute_within_runs", "N m", 0.01))
     shapes = (Shape("time_constant", "s", (30.0, 100.0, 300.0)),)
     sentence = "the friction level drifts with time (warming up, running in)"
@@ -135,7 +130,6 @@ class PreslidingFriction(StateEffect):
     """
 
     name = "presliding_friction"
-    family = "friction"
     near_rest = True
     strict = True
     positive = 2  # bristles that drove would give back more than they took: a hysteresis that fades does

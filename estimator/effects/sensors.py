@@ -112,7 +112,6 @@ class ImuLeverArm(ImuEffect):
 class EncoderEffect(SensorEffect):
     """Base: the joint's own encoder reads wrong."""
 
-    family = "encoder"
     per_joint = True
 
     def error(self, q: FloatArray, size: FloatArray) -> FloatArray:

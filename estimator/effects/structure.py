@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from estimator.effects.base import (
     View,
 )
 from estimator.model import Mechanism, smooth_sign
-from estimator.signals import Channel, Kind, encoder_of, torque_of
+from estimator.signals import Channel, encoder_of, torque_of
 
 
 class JointStiffness(TorqueEffect):
@@ -101,10 +100,7 @@ class GearEffect(Effect):
 
     per_joint = True
     instant = True
-    family = "encoder"
     defining = 1
-    lag_s = 0.005
-    """A gear damps, and its twist lags."""
 
     @abstractmethod
     def twist(self, through: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -184,8 +180,6 @@ class Backlash(GearEffect):
     experiment = "slow torque reversals across zero with the link held by gravity"
     depends_on = "u"
     plans = ("slow", "ramps")
-    rough: ClassVar[Mapping[Kind, float]] = {"gyro": 1.6, "accel_x": 2.0, "accel_y": 2.0, "torque": 1.3}
-    """Flanks meet with an impact, shorter than a sample."""
 
     def relaxed(self, size: FloatArray, slack: float) -> FloatArray:
         contact = abs(size[-1])

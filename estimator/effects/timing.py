@@ -49,8 +49,5 @@ class SensorTimeSkew(SensorEffect):
     def open_size(self, clock_bound_s: float) -> float:
         return clock_bound_s
 
-    def delay_s(self, size: FloatArray) -> float:
-        return float(size[0])
-
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         return "" if has_imu else "no IMU on this path"

@@ -12,7 +12,7 @@ import pytest
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.model_search import presence
+from estimator.diagnosis.search import presence
 from estimator.effects import Effect
 from estimator.effects.drive import TorqueOffset
 from estimator.effects.friction import AsymmetricFriction, QuadraticDrag, StribeckFriction
@@ -21,14 +21,14 @@ from estimator.effects.structure import JointElasticity, JointStiffness, RotorIn
 
 
 def explanation(effect: Effect, gain: float, by_run: list[float], sizes: list[float] | None = None,
-              no_residual_effect: bool = True, inflation: float = 1.0) -> Explanation:
+              has_residual: bool = False, inflation: float = 1.0) -> Explanation:
     """One effect with sizes in units of their standard deviations."""
     size = np.array(sizes or [20.0] * effect.count)
     model: Any = SimpleNamespace(effects=(effect,), named=(effect,), sizes=lambda: [size],
                                  std=lambda: np.ones(5 + effect.count), places=lambda: [slice(5, 5 + effect.count)],
                                  problem=SimpleNamespace(mechanism=SimpleNamespace(p=5)))
     left: Any = SimpleNamespace(scatter=1.0)
-    return Explanation(model, gain, left, 0, True, no_residual_effect, np.array(by_run),
+    return Explanation(model, gain, left, has_residual, np.array(by_run),
                      inflation=np.full(5 + effect.count, inflation))
 
 
@@ -81,8 +81,8 @@ def test_second_causes_are_compared_by_what_they_were_sought_for(parent: frozens
 def constants(stiffness: float, viscous: float) -> list[Explanation]:
     """A constant torque told in three ways, with these sizes, in standard deviations, that set two of them apart."""
     return [explanation(JointStiffness(1), 1001.0, [0.0] * 6, [stiffness, 50.0]),
-            explanation(TorqueOffset(), 1000.0, [1.0] * 6, no_residual_effect=False),
-            explanation(AsymmetricFriction(1), 999.0, [2.0] * 6, [50.0, viscous], no_residual_effect=False)]
+            explanation(TorqueOffset(), 1000.0, [1.0] * 6, has_residual=True),
+            explanation(AsymmetricFriction(1), 999.0, [2.0] * 6, [50.0, viscous], has_residual=True)]
 
 
 def test_a_spring_without_stiffness_is_an_offset() -> None:
@@ -106,7 +106,7 @@ def test_a_preload_at_a_joint_without_motor_may_be_a_spring() -> None:
 
 
 def test_what_leaves_nothing_stands_before_what_is_likelier() -> None:
-    likely = explanation(EncoderScale(1), 1500.0, [0.0] * 6, no_residual_effect=False)
+    likely = explanation(EncoderScale(1), 1500.0, [0.0] * 6, has_residual=True)
     assert names(indistinguishable_set([likely, explanation(RotorInertia(1), 1498.0, [0.5] * 6)])) == ["rotor_inertia"]
 
 

@@ -1,0 +1,385 @@
+"""`search`: sets of effects that may explain the error, by forward selection with deletion and exchange.
+
+A set of n effects is one of the best sets of n - 1 with one more. Scores at the fit of the smaller set, its motion and
+parameters projected out, give the shape and the first size of every further effect. The sets of the largest
+predicted gains are fitted to the end, and of the others those that are the likeliest after a few steps: one ranking
+fails where the smaller model is far off, the other where a fit begins with a wrong step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import FloatArray
+from estimator.diagnosis.context import (
+    NO_TESTS,
+    DiagnosisContext,
+    Explanation,
+    best_shapes,
+    detected_in_residual,
+    keys_of,
+    seated,
+)
+from estimator.diagnosis.decision_rule import COLLINEAR, FINALISTS, GROWN, MOST_EFFECTS, PARENTS, ZERO_WITHIN
+from estimator.diagnosis.refit import (
+    Model,
+    bootstrap_scores,
+    deviance,
+    misfit,
+    misfit_by_run,
+    refit,
+    score_discover,
+    short_errors,
+    tests_of,
+)
+from estimator.diagnosis.score_statistics import RunScore, ScoreTests, own_inflation
+from estimator.effects import Effect
+from estimator.errors import FitError
+from estimator.likelihood import State
+from estimator.parallel import parallel_map
+
+Progress = Callable[[str, float], None]
+Start = list[tuple[Effect, FloatArray]]
+"""Effects with the sizes at which a fit begins."""
+FIRST_STEPS, HELD_STEPS = 2, 12
+"""Most steps of a fit with shapes held: of those that are tried, and of those that are fitted to the end."""
+FREE_STEPS = 24
+"""Most steps of a fit with all shapes free."""
+COMPARE_STEPS = 25
+"""... and of one under the noise levels of the best explanation."""
+
+
+class Promise(NamedTuple):
+    """Whether further sets of effects can be better, by the errors of free runs."""
+
+    better: bool
+    """Another set can be materially better: the least error leaves room for it above noise."""
+    larger: bool
+    """A set of more effects can be."""
+
+
+def search(context: DiagnosisContext, tests: ScoreTests, say: Progress,
+           promise: Callable[[Sequence[Explanation]], Promise]) -> list[Explanation]:
+    """Explanations, the likeliest first, each set of effects once, weighed under the noise levels of the best.
+
+    More sets of a size are tried while the errors `promise` that another can be materially better, and larger ones while
+    the likeliest leaves something detectable, too.
+    """
+    found: list[Explanation] = []
+    parents = [Explanation(context.nominal, 0.0, tests)]
+    for count in range(1, MOST_EFFECTS + 1):
+        say(f"fitting sets of {count}", 0.3 + 0.15 * count)
+        starts = grown(context, parents)
+        best = assess(context, fit_sets(context, starts[:FINALISTS]))
+        if not best or promise([*found, *best]).better:  # noise levels can hide what a wrong effect leaves
+            more = fit_sets(context, tried(context, starts[FINALISTS:]))
+            best = assess(context, seated(sorted([*best, *more], key=lambda e: -e.gain), PARENTS))
+        if not best:
+            break
+        found += [*best, *reduced(context, best)]
+        if not best[0].has_residual or not promise(found).larger:
+            break
+        parents = best
+    say("comparing the best sets", 0.8)
+    return weigh(context, found + exchanged(context, tests, found))
+
+
+def grown(context: DiagnosisContext, parents: Sequence[Explanation]) -> list[tuple[Model, Start]]:
+    """Each of `parents` with one more effect in its best shape, by falling gain as the scores predict it, each set of
+    effects once: all effects for the nominal model, for others those of the largest gains. Then the nominal model with
+    the further sizes from which an effect's fit may begin."""
+    scored: list[tuple[float, Model, Start]] = []
+    more: list[tuple[Model, Start]] = []
+    for parent in parents:
+        begin = pairs_of(parent.model)
+        order = best_shapes(context, parent.left, [e.key for e in parent.model.effects])
+        for i in order[: GROWN if begin else None]:
+            effect, scatter = context.candidates[i].effect, parent.left.scatter
+            gain = parent.gain + scatter * context.gain(parent.left, i)
+            scored.append((gain, parent.model, [*begin, (effect, start_size(context, parent.left, i))]))
+            if not begin:
+                more += [(parent.model, [(effect, np.array(size))]) for size in effect.starts]
+    scored.sort(key=lambda one: -one[0])
+    first: dict[frozenset[str], tuple[Model, Start]] = {}
+    for _, model, start in scored:
+        first.setdefault(frozenset(e.key for e, _ in start), (model, start))
+    return [*first.values(), *more]
+
+
+def tried(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[tuple[Model, Start]]:
+    """The sets of `starts` that are the likeliest after a few steps, up to FINALISTS, from there."""
+    begun = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], FIRST_STEPS))
+    return [(m, pairs_of(m)) for m in unlike(sorted(begun, key=deviance))[:FINALISTS]]
+
+
+def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[Explanation]:
+    """The sets of `starts`, from a model and sizes each, fitted to the end, the likeliest first."""
+    fitted = _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
+    errors = parallel_map(lambda k: short_errors(fitted[k]), len(fitted), context.split.workers)
+    found = [Explanation(m, context.deviance - deviance(m), error=relative(e, context.short_errors))
+             for m, e in zip(fitted, errors)]
+    return sorted(found, key=lambda e: -e.gain)
+
+
+def unlike(models: Iterable[Model]) -> list[Model]:
+    """The first model of each set of effects."""
+    first: dict[frozenset[str], Model] = {}
+    for model in models:
+        first.setdefault(frozenset(e.key for e in model.effects), model)
+    return list(first.values())
+
+
+def pairs_of(model: Model) -> Start:
+    """Its effects with their sizes."""
+    return list(zip(model.effects, model.sizes()))
+
+
+def _each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[[int], Model | None]) -> list[Model]:
+    """The models that `fit` makes of the `starts`, on as many processes as the diagnosis has."""
+    split, angle_range = context.split, context.nominal.problem.stage.angle_range
+
+    def fitted(k: int) -> State | None:
+        model = fit(k)
+        return None if model is None else model.state
+
+    models = []
+    for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers)):
+        if state is not None:
+            effects = tuple(e for e, _ in start)
+            models.append(Model(split, effects, state, split.problem(split.discover, angle_range, effects)))
+    return models
+
+
+def fit_held(context: DiagnosisContext, begin: Model, start: Start, steps: int) -> Model | None:
+    """The model after so many `steps` of a fit from the motion of `begin`, shapes held; None where it fails.
+
+    A large effect spoils the motion of a model without it: where a fit fails from there, it starts again from filtered
+    motion.
+    """
+    for model in (begin, context.afresh):
+        try:
+            return refit(model, start, steps, hold_shapes=True, converge=steps > FIRST_STEPS)
+        except (FitError, np.linalg.LinAlgError):
+            continue
+    return None
+
+
+def fit_whole(context: DiagnosisContext, begin: Model, start: Start) -> Model | None:
+    """A fit with shapes held, then free; None where it fails."""
+    held = fit_held(context, begin, start, HELD_STEPS)
+    return None if held is None else fit_free(held)
+
+
+def fit_free(held: Model) -> Model:
+    """`held` with its shapes free, as far as it has any or has not come to its end; discrete ones the likeliest."""
+    held = climb_discrete(held)
+    if held.state.converged and not any(not s.discrete for e in held.effects for s in e.shapes):
+        return held
+    try:
+        found = refit(held, pairs_of(held), FREE_STEPS, hold_limits=False)
+        if any(np.any(e.at_limits(s)) for e, s in zip(found.effects, found.sizes())):
+            if not found.state.converged:
+                found = refit(found, pairs_of(found), FREE_STEPS)
+            return min(found, held, key=deviance)  # a shape can diverge
+        return found
+    except (FitError, np.linalg.LinAlgError):
+        return held
+
+
+def climb_discrete(model: Model) -> Model:
+    """`model`, or one likelier whose discrete shapes are neighbours of its own in their grids, as far as that goes on.
+
+    The score that chose them is that of a motion that lacks the effect.
+    """
+    tried: set[tuple[int, int, float]] = set()
+    while True:
+        pairs, likeliest = pairs_of(model), model
+        for k, (effect, size) in enumerate(pairs):
+            for i, shape in enumerate(effect.shapes, len(effect.sizes)):
+                if not shape.discrete:
+                    continue
+                grid = effect.tried(shape)
+                at = int(np.argmin(np.abs(np.array(grid) - size[i])))
+                tried.add((k, i, grid[at]))
+                for near in sorted({*grid[max(0, at - 1) : at + 2]} - {v for n, m, v in tried if (n, m) == (k, i)}):
+                    tried.add((k, i, near))
+                    moved = np.where(np.arange(size.size) < len(effect.sizes), 0.0, size)
+                    moved[i] = near
+                    try:
+                        found = refit(model, [*pairs[:k], (effect, moved), *pairs[k + 1 :]], HELD_STEPS,
+                                      hold_shapes=True)
+                    except (FitError, np.linalg.LinAlgError):
+                        continue
+                    likeliest = min(likeliest, found, key=deviance)
+        if likeliest is model:
+            return model
+        model = likeliest
+
+
+def reduced(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
+    """Sets with an effect that is not significant, fitted without it, from the motion of the set.
+
+    The nominal model's motion can be too far off for a fit of the only cause.
+    """
+    starts = []
+    for e in explanations:
+        there = presence(e.model, float(np.sqrt(e.left.scatter)))
+        rest = [pair for pair, real in zip(pairs_of(e.model), there) if real]
+        if rest and not all(there):
+            starts.append((e.model, rest))
+    return assess(context, fit_sets(context, starts)) if starts else []
+
+
+def exchanged(context: DiagnosisContext, tests: ScoreTests, found: Sequence[Explanation]) -> list[Explanation]:
+    """The likeliest set of each number of effects with one effect after the other changed for each that it resembles,
+    as far as that is not among those `found`."""
+    known = {keys_of(e) for e in found}
+    shapes, starts = best_shapes(context, tests), []
+    for count in sorted({len(k) for k in known}):
+        best = max((e for e in found if len(e.model.effects) == count), key=lambda e: e.gain)
+        pairs = pairs_of(best.model)
+        for k, effect in enumerate(best.model.effects):
+            own = next(i for i in shapes if context.candidates[i].effect.key == effect.key)
+            for i in shapes:
+                other = context.candidates[i].effect
+                keys = keys_of(best) - {effect.key} | {other.key}
+                if len(keys) == count and keys not in known and resemble(context, tests, own, i):
+                    known.add(keys)
+                    changed = [*pairs[:k], (other, start_size(context, tests, i)), *pairs[k + 1 :]]
+                    starts.append((context.nominal, changed))
+    return assess(context, fit_sets(context, starts)) if starts else []
+
+
+def resemble(context: DiagnosisContext, tests: ScoreTests, i: int, k: int) -> bool:
+    """Whether the effects of two candidates are of one `Effect.equivalence_class` at one joint, or nearly collinear."""
+    one, other = context.candidates[i].effect, context.candidates[k].effect
+    if one.equivalence_class and one.equivalence_class == other.equivalence_class:
+        return None in (one.joint, other.joint) or one.joint == other.joint
+    a, b = context.columns[i][0], context.columns[k][0]
+    information = tests.information
+    return bool(information[a, b] ** 2 > COLLINEAR**2 * information[a, a] * information[b, b] > 0.0)
+
+
+def start_size(context: DiagnosisContext, tests: ScoreTests, i: int) -> FloatArray:
+    """One-step sizes of candidate i, with its shape; zero for sizes that do not define it."""
+    effect, shape = context.candidates[i].effect, context.candidates[i].shape
+    size = np.zeros(len(effect.sizes))
+    size[: effect.defining] = tests.size(context.columns[i][: effect.defining])
+    if effect.positive:  # a bad nominal fit can mislead even the sign
+        size[0] = abs(size[0])
+    return np.concatenate([size, shape])
+
+
+def assess(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
+    """Each with the scores of what it leaves on the discover runs, less their bias; as it is where it has them.
+
+    The bias is simulated for the first that has none.
+    """
+    new = [e.model for e in explanations if e.left is NO_TESTS]
+    if not new:
+        return list(explanations)
+    scores = [score_discover(m, context.candidates) for m in new]
+    try:
+        bias = [drop_size_entries(r, new[0])
+                for r in bootstrap_scores(new[0], context.candidates, scores[0], context.rng)]
+    except FitError:  # it cannot be simulated
+        bias = context.bias
+    own = iter(scores)
+    return [assessed(context, e, next(own), bias) if e.left is NO_TESTS else e for e in explanations]
+
+
+def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequence[RunScore], bias: Sequence[RunScore]
+             ) -> Explanation:
+    """Explanation with its `scores` on the discover runs."""
+    model = explanation.model
+    left = tests_of(model, scores, [insert_size_entries(b, model) for b in bias])
+    inflation = own_inflation(scores, np.diag(model.state.covariance) > 0.0, left.scatter)
+    return replace(explanation, left=left, has_residual=detected_in_residual(context, left, keys_of(explanation)),
+                   inflation=inflation)
+
+
+def drop_size_entries(score: RunScore, model: Model) -> RunScore:
+    """Without the entries of the model's own sizes; `insert_size_entries` puts them back, as zeros."""
+    own = np.arange(model.problem.mechanism.p, model.problem.parameter_count)
+    return RunScore(np.delete(score.score, own), np.delete(np.delete(score.information, own, 0), own, 1))
+
+
+def insert_size_entries(score: RunScore, model: Model) -> RunScore:
+    """The bias of a run of the nominal model as one of `model`, which has more parameters."""
+    p = model.problem.mechanism.p
+    return RunScore(np.insert(score.score, [p] * (model.problem.parameter_count - p), 0.0), score.information)
+
+
+def presence(model: Model, spread: float) -> list[bool]:
+    """For each effect, whether a defining size is significant, no size has an impossible sign, and shapes are in range.
+
+    A gear of zero compliance with friction and inertia of its motor is no elastic gear.
+    """
+    out = []
+    for k, (effect, size) in enumerate(zip(model.named, model.sizes())):
+        counts = significant(model, k, spread)
+        below = size[: effect.positive] < 0.0
+        wrong = (below & counts[: effect.positive]).any() or (effect.strict and effect.at_limits(size).any())
+        out.append(bool(counts[: effect.defining].any() and not wrong))
+    return out
+
+
+def significant(model: Model, which: int, spread: float | FloatArray) -> NDArray[np.bool_]:
+    """For each size of one effect of `model`, whether it differs from zero by its standard deviation times `spread`.
+
+    `spread` is one value, or one for each parameter.
+    """
+    std = (spread * model.std())[model.places()[which]]
+    return np.asarray(np.abs(model.sizes()[which]) > ZERO_WITHIN * std)[: len(model.effects[which].sizes)]
+
+
+def weigh(context: DiagnosisContext, found: Sequence[Explanation]) -> list[Explanation]:
+    """The likeliest fit of each set of effects, with its gain over the nominal model under the noise of the best, over
+    the scatter between runs; the most likely first."""
+    first: dict[frozenset[str], Explanation] = {}
+    for e in sorted(found, key=lambda e: -e.gain):
+        first.setdefault(keys_of(e), e)
+    best = list(first.values())
+    if not best:
+        return []
+    models = [context.nominal, *(e.model for e in best)]
+    noise = min((m.state.noise for m in models[1:]), key=context.nominal.problem.log_volume)
+
+    def weighed(k: int) -> tuple[float, FloatArray] | None:
+        m = models[k]
+        try:
+            again = refit(m, pairs_of(m), COMPARE_STEPS, noise)
+        except FitError:
+            if k > 0:  # under the noise of the best one it has no fit at all
+                return None
+            # the nominal model may not converge under so little noise; its last step is used
+            again = replace(m, state=replace(m.state, noise=noise))
+        return misfit(again), misfit_by_run(again)
+
+    plain, *others = parallel_map(weighed, len(models), context.split.workers)
+    assert plain is not None
+    scatter = best[0].left.scatter
+    out = [replace(e, gain=(plain[0] - own[0]) / scatter, by_run=own[1])
+           for e, own in zip(best, others) if own is not None]
+    out.sort(key=lambda e: -e.gain)
+    return [with_parent(e, out) for e in out]
+
+
+def with_parent(explanation: Explanation, found: Sequence[Explanation]) -> Explanation:
+    """`explanation` with the likeliest of `found` that has one effect less, and the gain over that."""
+    keys = keys_of(explanation)
+    smaller = [e for e in found if keys_of(e) < keys and len(e.model.effects) == len(keys) - 1]
+    parent = max(smaller, key=lambda e: e.gain, default=None)
+    if parent is None:
+        return replace(explanation, gain_over_parent=explanation.gain)
+    return replace(explanation, parent=keys_of(parent), gain_over_parent=explanation.gain - parent.gain)
+
+
+def relative(squares: FloatArray, nominal: FloatArray) -> float:
+    """rms of errors over the nominal model's, sensors alike; inf where both diverge."""
+    return float(np.sqrt(np.mean(np.nan_to_num(squares / nominal, nan=np.inf, posinf=np.inf))))

@@ -1,0 +1,198 @@
+"""Which sets of effects are fitted, and when more effects at once are tried."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from estimator.diagnosis import procedure, search
+from estimator.diagnosis.context import NO_TESTS, Explanation, keys_of, seated
+from estimator.diagnosis.decision_rule import FINALISTS, GROWN, MATERIAL
+from estimator.errors import FitError
+
+
+@dataclass(frozen=True)
+class Named:
+    key: str
+    strict: bool = True
+    equivalence_class: str = ""
+    joint: int | None = None
+    starts: tuple[tuple[float, ...], ...] = ()
+
+    def at_limits(self, size: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return size > 0.0
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """As much of a model as a search looks at."""
+
+    effects: tuple[Named, ...]
+    deviance: float
+    at_limit: bool = False
+
+    def sizes(self) -> list[Any]:
+        return [np.array([float(self.at_limit)]) for _ in self.effects]
+
+
+@dataclass
+class Context:
+    """As much of a context: `gains` of each candidate, as the scores of any model foresee it."""
+
+    gains: dict[str, float] = field(default_factory=dict)
+    starts: dict[str, tuple[tuple[float, ...], ...]] = field(default_factory=dict)
+    deviance: float = 0.0
+    short_errors: Any = None
+    nominal: Fitted = field(default_factory=lambda: Fitted((), 0.0))
+    split: Any = field(default_factory=lambda: SimpleNamespace(confirm=(1, 6), workers=1))
+
+    @property
+    def candidates(self) -> list[Any]:
+        return [SimpleNamespace(effect=Named(key, starts=self.starts.get(key, ()))) for key in self.gains]
+
+    def gain(self, tests: object, i: int) -> float:
+        return list(self.gains.values())[i]
+
+
+def fitted(gain: float, *effects: str) -> Any:
+    return Fitted(tuple(map(Named, effects)), -gain)
+
+
+def explained(gain: float, *effects: str) -> Explanation:
+    return Explanation(fitted(gain, *effects), gain, replace(NO_TESTS, inflation=np.ones(1)))
+
+
+@pytest.fixture(autouse=True)
+def no_likelihood(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Deviances and shapes are stated."""
+    def shapes(context: Any, _: object, skip: Any = ()) -> list[int]:
+        every = range(len(context.candidates))
+        return sorted((i for i in every if context.candidates[i].effect.key not in skip),
+                      key=lambda i: -context.gain(None, i))
+
+    monkeypatch.setattr(search, "deviance", lambda model: model.deviance)
+    monkeypatch.setattr(search, "best_shapes", shapes)
+    monkeypatch.setattr(search, "start_size", lambda *_: np.zeros(1))
+    monkeypatch.setattr(search, "short_errors", lambda _: np.ones(1))
+    monkeypatch.setattr(search, "relative", lambda *_: 1.0)
+    monkeypatch.setattr(search, "assess", lambda _, explanations: list(explanations))
+
+
+def test_the_last_place_is_for_what_simulates_best() -> None:
+    """A geared leg's IMU, 3 mrad askew: gain 5,482, and friction that moves the leg: gain 972."""
+    every = (5482.0, "askew", 0.993), (5400.0, "biased", 0.993), (4000.0, "stiff", 1.002), (972.0, "stribeck", 0.927)
+    found = [replace(explained(gain, name), error=error) for gain, name, error in every]
+    bristles = replace(explained(1469.0, "bristles"), error=0.5,
+                       model=cast(Any, Fitted((Named("bristles"),), -1469.0, at_limit=True)))
+    askew, biased, _, stribeck = found
+    assert seated([*found, bristles], 2) == [askew, stribeck]
+    assert seated([askew, stribeck, biased], 2) == [askew, stribeck] and seated(found, 4) == found
+    assert seated([bristles], 2) == [bristles] and seated([], 2) == []
+
+
+def test_sets_that_gain_are_fitted_to_the_end_and_those_that_prove_likely_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An IMU 4 ms late hid behind the nominal fit: six effects had larger scores, and none came near it in two steps.
+    A rotor's inertia had the largest score, and two steps led nowhere."""
+    context = Context({f"other{k}": 100.0 - k for k in range(6)} | {"skew": 5.0, "drag": 1.0, "play": 0.5})
+    starts = search.grown(cast(Any, context), [explained(0.0)])
+    assert [e.key for _, [(e, _)] in starts][:FINALISTS] == [f"other{k}" for k in range(FINALISTS)]
+    tried, whole = [], []
+
+    def held(_: object, begin: object, start: Any, steps: int) -> Any:
+        tried.append(start[0][0].key)
+        return fitted(9000.0 if tried[-1] == "skew" else 10.0, tried[-1])
+
+    def fit(_: object, begin: object, start: Any) -> Any:
+        whole.append(start[0][0].key)
+        return fitted(10_000.0 if whole[-1] == "skew" else 500.0, whole[-1])
+
+    monkeypatch.setattr(search, "_each", lambda _, starts, work: [work(k) for k in range(len(starts))])
+    monkeypatch.setattr(search, "fit_held", held)
+    monkeypatch.setattr(search, "fit_whole", fit)
+    monkeypatch.setattr(search, "weigh", lambda _, found: found)
+    monkeypatch.setattr(search, "exchanged", lambda *_: [])
+    monkeypatch.setattr(search, "reduced", lambda *_: [])
+    left = explained(0.0).left
+    found = search.search(cast(Any, context), left, lambda *_: None, lambda _: search.Promise(True, False))
+    assert len(tried) == len(starts) - FINALISTS and len(whole) == 2 * FINALISTS
+    assert keys_of(found[0]) == {"skew"} and found[0].gain == 10_000.0
+    tried.clear()
+    search.search(cast(Any, context), left, lambda *_: None, lambda _: search.Promise(False, False))
+    assert not tried  # nothing can be better
+
+
+def test_sets_grow_by_what_each_leaves_and_each_set_once() -> None:
+    context = Context({f"e{k:02}": 100.0 - k for k in range(GROWN + 4)})
+    parents = [explained(50.0, "e00"), explained(10.0, "e01")]
+    starts = search.grown(cast(Any, context), parents)
+    sets = [frozenset(e.key for e, _ in start) for _, start in starts]
+    assert len(sets) == len(set(sets)) == 2 * GROWN - 1 and sets[0] == {"e00", "e01"}  # which both lead to
+    assert starts[0][0] is parents[0].model  # the likelier
+
+
+def test_other_first_sizes_of_an_effect_are_tried_too() -> None:
+    context = Context({"skew": 2.0, "drag": 1.0}, {"skew": ((0.02,), (-0.02,))})
+    starts = search.grown(cast(Any, context), [explained(0.0)])
+    assert [float(size[0]) for _, [(_, size)] in starts] == [0.0, 0.0, 0.02, -0.02]
+
+
+def test_what_is_not_significant_in_a_set_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tilted IMU was found only with a bias that was zero."""
+    monkeypatch.setattr(search, "presence", lambda model, _: [e.key == "tilt" for e in model.effects])
+    monkeypatch.setattr(search, "fit_sets", lambda _, starts: [
+        Explanation(fitted(1.0, *(e.key for e, _ in start)), 1.0) for _, start in starts])
+    both, alone = explained(900.0, "tilt", "bias"), explained(900.0, "tilt")
+    assert [keys_of(e) for e in search.reduced(cast(Any, Context()), [both, alone])] == [{"tilt"}]
+
+
+def test_an_effect_is_exchanged_for_one_that_it_resembles(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+    context = Context({"spring": 3.0, "offset": 2.0, "friction": 1.0, "skew": 0.5})
+    monkeypatch.setattr(search, "resemble", lambda context, tests, i, k: i < 3 and k < 3)
+    monkeypatch.setattr(search, "fit_sets", lambda _, starts: asked.extend(starts) or [])
+    found = [explained(9.0, "spring"), explained(8.0, "offset")]
+    assert search.exchanged(cast(Any, context), NO_TESTS, found) == []
+    assert [[e.key for e, _ in start] for _, start in asked] == [["friction"]]
+
+
+def test_gains_are_those_over_the_likeliest_smaller_set() -> None:
+    spring, offset, both = explained(9.0, "spring"), explained(7.0, "offset"), explained(12.0, "offset", "spring")
+    pair = search.with_parent(both, [both, spring, offset])
+    assert pair.parent == {"spring"} and pair.gain_over_parent == 3.0
+    assert search.with_parent(spring, [both, spring, offset]).gain_over_parent == 9.0
+
+
+@pytest.mark.parametrize("errors, promising", [
+    ({0: 1.9, 1: 1.35}, True), ({0: 1.9, 1: 1.05}, False),  # room above noise for a second effect, and none
+    ({0: 1.9, 1: 1.35, 2: 1.32}, False),  # a late torque; friction near rest beside it lowers next to nothing
+    ({0: 9.0, 1: 2.5, 2: 1.4}, True),
+    ({0: 9.0, 1: 9.0}, True), ({0: 9.0, 1: 4.5, 2: 4.5}, False),  # one effect may hide another
+    ({0: 9.0, 1: 1.05, 2: 0.9}, False)])  # no room beside the first
+def test_more_effects_are_tried_where_the_last_lowers_the_error(
+        errors: dict[int, float], promising: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    def measured(models: list[Fitted], *_: object, **__: object) -> Any:
+        return SimpleNamespace(error=lambda k: errors[len(models[k].effects)])
+
+    monkeypatch.setattr(procedure, "measure_errors", measured)
+    monkeypatch.setattr(procedure, "noise_floor", lambda _: None)
+    monkeypatch.setattr(procedure, "by_likelihood", list)
+    found = [e for e in (explained(1.0, "delay", "play"), explained(1.0, "delay")) if len(e.model.effects) in errors]
+    known: list[Any] = []
+    rng = np.random.default_rng(0)
+    assert procedure.promise(cast(Any, Context()), found, MATERIAL, rng, known).larger is promising and len(known) == 1
+
+
+def test_where_nothing_can_be_simulated_more_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    def diverged(*_: object, **__: object) -> None:
+        raise FitError("the free run diverges")
+
+    monkeypatch.setattr(procedure, "measure_errors", diverged)
+    monkeypatch.setattr(procedure, "noise_floor", lambda _: None)
+    monkeypatch.setattr(procedure, "by_likelihood", list)
+    found = [explained(1.0, "delay")]
+    assert procedure.promise(cast(Any, Context()), found, MATERIAL, np.random.default_rng(0), []) == (True, True)
