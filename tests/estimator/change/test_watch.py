@@ -52,12 +52,15 @@ def score_run(fit: Any, data: Dataset) -> RunScore:
 
 
 def started(monkeypatch: pytest.MonkeyPatch, drift: float, false_alarms: float, seed: int = 3,
-            calibrated: bool = True) -> tuple[Watch, np.random.Generator]:
-    """A test whose reference runs differ in column 5 by as much as `drift`; columns 0 and 1 are parameters."""
+            calibrated: bool = True, covered: bool = True) -> tuple[Watch, np.random.Generator]:
+    """A test whose reference runs differ in column 5 by as much as `drift`; columns 0 and 1 are parameters. Not
+    `covered`: the structure knows nothing of it."""
     rng = np.random.default_rng(seed)
     runs = [run(rng, {5: drift * np.cos(2 * np.pi * k / 8)}) for k in range(8)]
     scores = [score_run(None, one) for one in runs]
     structure = find_structure([scores], 2)
+    if not covered:
+        structure = replace(structure, own=1e-3, drift=np.zeros(COLUMNS))
     groups = tuple(Group(f"effect{k}", "sensors", None, "", np.eye(COLUMNS)[:, [k]], ("size",), ("1",))
                    for k in range(COLUMNS))
     monkeypatch.setattr(watch, "score_run", score_run)
@@ -90,10 +93,12 @@ def test_a_drift_that_the_reference_holds_is_no_alarm_however_long(monkeypatch: 
     assert test.test(run(rng, {6: 0.5})).alarm is not None
 
 
-def test_left_out_reference_runs_widen_what_drifts_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_left_out_reference_runs_widen_what_the_structure_does_not_cover(monkeypatch: pytest.MonkeyPatch) -> None:
     test, _ = started(monkeypatch, 0.2, 1.0)
+    assert test.reference.structure.drift[5] > 0.0 and test.scale.max() < 1.5
+    test, _ = started(monkeypatch, 0.2, 1.0, covered=False)
     assert (test.scale[:, 5] > 1.5).all() and np.delete(test.scale, 5, axis=1).max() < 1.5
-    assert (started(monkeypatch, 0.2, 1.0, calibrated=False)[0].scale == 1.0).all()
+    assert (started(monkeypatch, 0.2, 1.0, calibrated=False, covered=False)[0].scale == 1.0).all()
 
 
 def test_a_run_that_cannot_be_followed_is_said_to_be_untested(monkeypatch: pytest.MonkeyPatch) -> None:
