@@ -68,8 +68,8 @@ class Structure:
     def seen(self, run: RunScore) -> tuple[FloatArray, FloatArray]:
         """The run's score (m,) and information (m, m), its own structure integrated out."""
         spread = np.eye(self.unit.size) + run.information * self.scatter
-        information = np.linalg.solve(spread, run.information)
-        return np.asarray(np.linalg.solve(spread, run.score)), 0.5 * np.asarray(information + information.T)
+        table = np.linalg.solve(spread, np.column_stack([run.score, run.information]))
+        return np.asarray(table[:, 0]), 0.5 * np.asarray(table[:, 1:] + table[:, 1:].T)
 
 
 class _Run(NamedTuple):

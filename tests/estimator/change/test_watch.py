@@ -15,6 +15,8 @@ from estimator.change.groups import Group
 from estimator.change.scores import RunScore
 from estimator.change.structure import find_structure
 from estimator.errors import FitError
+from tests.evidence import watch as study
+from tests.evidence.blind.stickslip import MAKERS
 
 COLUMNS, BLOCKS = 8, 4
 
@@ -91,6 +93,31 @@ def test_a_drift_that_the_reference_holds_is_no_alarm_however_long(monkeypatch: 
     assert all(test.test(run(rng, {5: 0.2})).alarm is None for _ in range(90))  # half an hour at its edge
     assert test.test(run(rng, {5: 2.0})).alarm is not None
     assert test.test(run(rng, {6: 0.5})).alarm is not None
+
+
+def test_a_far_drift_of_one_column_covers_no_small_change_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One variance for all columns did: the change of column 6 is smaller than it."""
+    test, rng = started(monkeypatch, 0.5, 0.01)
+    assert all(test.test(run(rng, {5: 0.5 * np.sin(k)})).alarm is None for k in range(40))
+    alarm = test.test(run(rng, {5: 0.5, 6: 0.3})).alarm
+    assert alarm is not None and alarm.effect == "effect6"
+
+
+def test_shapes_of_one_effect_share_its_false_alarms(monkeypatch: pytest.MonkeyPatch) -> None:
+    test, rng = started(monkeypatch, 0.0, 1.0)
+    assert set(test._tried) == {COLUMNS}
+    shapes = tuple(replace(g, effect="one") if k < 4 else g for k, g in enumerate(test.groups))
+    shared = replace(test, groups=shapes)
+    assert shared._tried == pytest.approx([20.0] * 4 + [5.0] * 4) and np.sum(1.0 / shared._tried) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("run", "fault", "size"), [(45, "none", 0.0), (135, "none", 0.0), (300, "torque_delay", 0.5),
+                                                    (300, "torque_offset", 0.5)])
+def test_a_leg_whose_friction_drifts_alarms_at_a_change_only(run: int, fault: str, size: float) -> None:
+    """By another engine: at both ends of the drift, and with 5 ms of delay or 0.03 N m of offset."""
+    test = replace(study.reference_of(0)[1], recent=[])
+    alarm = test.test(study.spoilt(study.without_pivot(study.record(0, run)), MAKERS[fault][0](size))).alarm
+    assert (alarm is None) == (fault == "none")
 
 
 def test_left_out_reference_runs_widen_what_the_structure_does_not_cover(monkeypatch: pytest.MonkeyPatch) -> None:
