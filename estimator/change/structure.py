@@ -7,10 +7,10 @@ temperature, is a few columns: each of these has a further variance in u_r, its 
 has the score (1 + I_r U)^-1 s_r and the information (1 + I_r U)^-1 I_r, where U is the covariance of u_r.
 
 All variances maximise the restricted likelihood of the runs (Patterson and Thompson, Biometrika 58, 1971). Drifting
-columns are selected forward, the one of the largest approximate gain first (as Tipping and Faul, AISTATS 2003), while a
-likelihood ratio test of the variance is significant over all columns. With few runs the maximum is often at zero, as if
-runs did not differ. A gamma prior of shape 2 on the standard deviations `common` and `own` keeps these above zero (Chung
-et al., Psychometrika 78, 2013).
+columns are selected forward, the one of the largest approximate gain first (as Tipping and Faul, AISTATS 2003), while
+a likelihood ratio test of the variance is significant over all columns. With few runs the maximum is often at zero, as
+if runs did not differ. A gamma prior of shape 2 on the standard deviations `common` and `own` keeps these above zero
+(Chung et al., Psychometrika 78, 2013).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SMALLEST = 1e-9
 """Eigenvalues of a run's information below this share of the largest one are dropped."""
 DRIFT_ALPHA, MOST_DRIFTS = 0.01, 8
 """p-value over all columns below which one drifts, and how many may."""
-RANGE = (np.log(1e-9), np.log(1e9))
+RANGE = (-20.0, 20.0)
 """Of log variances"""
 STEP = 3.0
 """Largest change of a log variance in one search"""
@@ -165,8 +165,8 @@ def _fit(sessions: Sequence[Sequence[_Run]], parameters: int, begin: _Variances)
 
     logs = np.clip(np.log([begin.common, begin.own, *begin.drift]), *RANGE)
     while True:  # not far at once: where all variances are immense, the likelihood has another maximum
-        near = np.clip([logs - STEP, logs + STEP], *RANGE)
-        found = minimize(misfit, logs, method="L-BFGS-B", jac=True, bounds=near.T, options={"ftol": 1e-9, "gtol": 3e-3})
+        near = [(max(x - STEP, RANGE[0]), min(x + STEP, RANGE[1])) for x in map(float, logs)]
+        found = minimize(misfit, logs, method="L-BFGS-B", jac=True, bounds=near, options={"ftol": 1e-9, "gtol": 3e-3})
         done = np.abs(found.x - logs).max() < 0.99 * STEP
         logs = found.x
         if done:
@@ -187,8 +187,8 @@ def _restricted(runs: Sequence[_Run], parameters: int, at: _Variances) -> _Slope
     """-log restricted likelihood of one session.
 
     V is the covariance of y by noise and runs' own structure. W V W^T = 1. One QR factor of
-    [[W (sqrt(common) C, X, y)], [1, 0, 0]] has the log determinants in its diagonal, and in its last row and column what
-    is left of y. With Q its upper rows without the last column, P = W^T (1 - Q Q^T) W.
+    [[W (sqrt(common) C, X, y)], [1, 0, 0]] has the log determinants in its diagonal, and in its last row and column
+    what is left of y. With Q its upper rows without the last column, P = W^T (1 - Q Q^T) W.
     """
     where, m = list(at.where), runs[0].columns.shape[1]
     blocks, determinant = [], 0.0

@@ -10,8 +10,8 @@ reference runs drift as far. Left-out reference runs widen this further, change 
 change's size is inverse chi-square a priori, so a ratio has Fisher's distribution.
 
 The threshold is a weighted union bound: over all windows and changes a block alarms with at most the share of false
-alarms that its length has of an hour. It needs no independence of blocks. Every effect has the same share of it, however
-many shapes it is tried at (Genovese et al., Biometrika 93, 2006).
+alarms that its length has of an hour. It needs no independence of blocks. Every effect has the same share of it,
+however many shapes it is tried at (Genovese et al., Biometrika 93, 2006).
 """
 
 from __future__ import annotations

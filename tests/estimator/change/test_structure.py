@@ -41,7 +41,8 @@ def test_slopes_are_those_of_the_misfit() -> None:
     def slope(more: _Variances, less: _Variances) -> float:
         return (_restricted(runs, 2, more).misfit - _restricted(runs, 2, less).misfit) / (2.0 * step)
 
-    assert found.common == pytest.approx(slope(at._replace(common=0.5 + step), at._replace(common=0.5 - step)), rel=1e-5)
+    common = slope(at._replace(common=0.5 + step), at._replace(common=0.5 - step))
+    assert found.common == pytest.approx(common, rel=1e-5)
     own = slope(at._replace(own=0.3 + step), at._replace(own=0.3 - step))
     assert found.columns.sum() == pytest.approx(own, rel=1e-5)
     for k, column in enumerate(at.where):
