@@ -29,8 +29,8 @@ PRIOR_RUNS = 8
 """Degrees of freedom that the variance shared by all columns adds; the true variance differs from column to column."""
 SMALLEST = 1e-9
 """Eigenvalues of a run's information below this share of the largest one are dropped."""
-DRIFT_ALPHA, MOST_DRIFTS = 0.01, 8
-"""p-value over all columns below which one drifts, and how many may."""
+DRIFT_ALPHA, RUNS_A_DRIFT = 0.01, 2
+"""p-value over all columns below which one drifts, and the runs that each drift needs: few do not determine many."""
 RANGE = (-20.0, 20.0)
 """Of log variances"""
 STEP = 3.0
@@ -120,7 +120,7 @@ def find_structure(sessions: Sequence[Sequence[RunScore]], parameters: int) -> S
     # a variance at its bound of zero: half of its likelihood ratios are zero
     enough = 0.5 * float(chi2.isf(2.0 * DRIFT_ALPHA / unit.size, 1))
     misfit, found = _fit(rows, parameters, _Variances(1.0, 0.1, np.zeros(0), ()))
-    while len(found.where) < MOST_DRIFTS:
+    while RUNS_A_DRIFT * (len(found.where) + 1) <= sum(map(len, rows)):
         k, variance, gain = _likeliest_drift([_restricted(runs, parameters, found) for runs in rows])
         if k in found.where or not gain > enough:
             break
