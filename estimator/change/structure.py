@@ -175,10 +175,15 @@ def _fit(sessions: Sequence[Sequence[_Run]], parameters: int, begin: _Variances)
 
 def _likeliest_drift(slopes: Sequence[_Slope]) -> tuple[int, float, float]:
     """Column whose further variance raises the log likelihood most, this variance, and by how much; runs as if
-    independent."""
-    known = np.concatenate([one.known for one in slopes])[:, :, None]
-    score = np.concatenate([one.score for one in slopes])[:, :, None]
-    gain = 0.5 * (score**2 * GRID / (1.0 + GRID * known) - np.log1p(GRID * known)).sum(axis=0)
+    independent. What all runs of a session have alike is no drift: a column gains no more than with a free mean."""
+    gain = np.zeros((slopes[0].known.shape[1], GRID.size))
+    for one in slopes:
+        known, score = one.known[:, :, None], one.score[:, :, None]
+        weight = known / (1.0 + GRID * known)
+        gain += 0.5 * (score**2 * GRID / (1.0 + GRID * known) - np.log1p(GRID * known)).sum(axis=0)
+        mean, before = ((score / (1.0 + v * known)).sum(axis=0) for v in (GRID, 0.0))
+        told, first = (np.maximum(x.sum(axis=0), 1e-300) for x in (weight, known))
+        gain += np.minimum(0.5 * (mean**2 / told - before**2 / first - np.log(told / first)), 0.0)
     k, at = np.unravel_index(int(np.argmax(gain)), gain.shape)
     return int(k), float(GRID[at]), float(gain[k, at])
 
