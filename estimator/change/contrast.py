@@ -23,6 +23,8 @@ from estimator.change.structure import Structure
 
 HIDDEN = 1e-6
 """Share of a column's information below which nothing is left of it."""
+SINGULAR = 1e-9
+"""Square of a pivot of Cholesky's factor below which a matrix of unit diagonal is inverted by its eigenvalues."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,19 @@ def difference(a: Contrast, b: Contrast, structure: Structure) -> Contrast:
 def _without_common(own: Contrast, mixed: FloatArray, common: Contrast, structure: Structure) -> Contrast:
     """`own` with the common theta integrated out; `mixed` (m, m) is the information between the two."""
     whole = common.information + np.diag(structure.precision)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    inverse = np.linalg.pinv(whole * np.outer(scale, scale), 1e-12, hermitian=True) * np.outer(scale, scale)
-    carry = mixed @ inverse
+    carry = mixed @ _inverse(whole)
     information = own.information - carry @ mixed.T
     return Contrast(own.score - carry @ common.score, 0.5 * (information + information.T))
+
+
+def _inverse(whole: FloatArray) -> FloatArray:
+    """(m, m) inverse of a covariance's like; of a singular one that of its regular part."""
+    from scipy.linalg.lapack import dpotrf, dpotri
+
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    square = np.outer(scale, scale)
+    factor, failed = dpotrf(whole * square, lower=1, clean=1)
+    if failed or np.diag(factor).min() ** 2 < SINGULAR:
+        return np.asarray(np.linalg.pinv(whole * square, 1e-12, hermitian=True) * square)
+    half = np.tril(dpotri(factor, lower=1)[0])
+    return np.asarray((half + np.tril(half, -1).T) * square)

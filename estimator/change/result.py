@@ -84,8 +84,8 @@ class Change:
     noise: tuple[NoiseChange, ...] = ()
     """Of every column whose samples show their noise."""
     structure: tuple[float, float] = (0.0, 0.0)
-    """Standard deviations of unexplained structure: common to a session's runs, and of each run. Their unit is the
-    standard deviation of an effect's size estimated from one run."""
+    """Standard deviations of unexplained structure: common to a session's runs, and of each run, drifts aside. Their
+    unit is the standard deviation of an effect's size estimated from one run."""
     p_any: float = 1.0
     """Probability of the strongest candidate under no change, over all candidates tried."""
     not_testable: tuple[tuple[str, str], ...] = ()

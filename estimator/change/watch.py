@@ -6,10 +6,12 @@ blocks. At the end of each block the generalised likelihood ratio compares "no c
 (`groups`) that began 1, 2, 4 or 8 blocks ago.
 
 A window counts as one run: its own structure is integrated out once, so a drift that lasts for hours is no change while
-reference runs drift as far. Left-out reference runs widen this further, change by change (`scale`).
+reference runs drift as far. Left-out reference runs widen this further, change by change (`scale`): the variance of a
+change's size is inverse chi-square a priori, so a ratio has Fisher's distribution.
 
-The threshold is a union bound: over all windows and changes a block alarms with at most the share of false alarms that
-its length has of an hour. It needs no independence of blocks.
+The threshold is a weighted union bound: over all windows and changes a block alarms with at most the share of false
+alarms that its length has of an hour. It needs no independence of blocks. Every effect has the same share of it,
+however many shapes it is tried at (Genovese et al., Biometrika 93, 2006).
 """
 
 from __future__ import annotations
@@ -20,10 +22,11 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from daq import Dataset, FloatArray
-from estimator.change.contrast import Contrast, contrast, seen, total
+from estimator.change.contrast import HIDDEN, Contrast, contrast, seen, total
 from estimator.change.groups import Group, groups_of
 from estimator.change.reference import Reference
 from estimator.change.scores import RunScore, score_run
@@ -113,22 +116,22 @@ class Watch:
             own = _together([score for _, score in self.recent[-blocks:]])
             best = min(best, (*self._likeliest(self._contrast(own, self.reference.known), w), blocks))
         p_value, k, blocks = best
-        tried = len(self.groups) * len(WINDOWS)
         group = self.groups[k]
-        return Block(end_s, float(lengths[-1]), min(1.0, tried * p_value) * HOUR_S / float(lengths[-1]), group.effect,
-                     group.joint, float(lengths[-blocks:].sum()))
+        return Block(end_s, float(lengths[-1]), min(1.0, p_value * len(WINDOWS)) * HOUR_S / float(lengths[-1]),
+                     group.effect, group.joint, float(lengths[-blocks:].sum()))
 
     def _contrast(self, own: RunScore, known: Contrast) -> Contrast:
         structure = self.reference.structure
         return contrast(seen([own], structure)[0], known, structure)
 
     def _likeliest(self, one: Contrast, window: int) -> tuple[float, int]:
-        """p-value and index of the likeliest single change. A body is fitted only where free sizes, which fit no worse,
-        are the likeliest."""
+        """p-value over all changes, and index of the likeliest single change. A body is fitted only where free sizes,
+        which fit no worse, are the likeliest."""
         gains = self._gains(one, free=True)
         bodies = {k for k, g in enumerate(self.groups) if g.body}
         while True:
-            p = fdtrc(self.width, self.reference.structure.freedom, gains / self.width / self.scale[window])
+            p = self._tried * fdtrc(self.width, self.reference.structure.freedom,
+                                    gains / self.width / self.scale[window])
             k = int(np.argmin(p))
             if k not in bodies:
                 return float(p[k]), k
@@ -141,16 +144,37 @@ class Watch:
         return np.array([float(len(g.names)) for g in self.groups])
 
     @cached_property
-    def _single(self) -> FloatArray:
-        """(m, groups) change of all columns by groups of one size; zero for others."""
-        return np.stack([g.basis[:, 0] * (len(g.names) == 1) for g in self.groups], axis=-1)
+    def _tried(self) -> FloatArray:
+        """(groups,) inverse of each one's share of the false alarms: every effect of every joint has the same, and its
+        shapes have equal parts of that."""
+        keys = [(*g.key, g.names if g.effect == "parameter" else ()) for g in self.groups]
+        return np.array([float(len(set(keys)) * keys.count(key)) for key in keys])
+
+    @cached_property
+    def _bases(self) -> FloatArray:
+        """(m, sizes) change of all columns by every size of every group."""
+        return np.concatenate([g.basis for g in self.groups], axis=1)
+
+    @cached_property
+    def _alike(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Groups of each number k of sizes: (n,) their indices, (n, k) those of their sizes in `_bases`."""
+        first = np.cumsum(self.width) - self.width
+        members = [(np.flatnonzero(self.width == k), int(k)) for k in np.unique(self.width)]
+        return [(which, first[which, None].astype(int) + np.arange(k)) for which, k in members]
 
     def _gains(self, one: Contrast, free: bool = False) -> FloatArray:
         """(groups,) fall of -2 log likelihood, as `Group.fit` gives it; `free`: of bodies whose sizes may be any."""
-        known = np.einsum("mk,mk->k", self._single, one.information @ self._single)
-        alone = (self._single.T @ one.score) ** 2 / np.where(known > 0.0, known, np.inf)
-        return np.array([gain if len(g.names) == 1 else max(one.along(g.basis).gain(), 0.0) if free and g.body
-                         else g.fit(one)[1] for g, gain in zip(self.groups, alone)])
+        every, found = one.along(self._bases), np.zeros(len(self.groups))
+        for which, sizes in self._alike:
+            information, score = every.information[sizes[:, :, None], sizes[:, None, :]], every.score[sizes]
+            scale = np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300))
+            square = scale[:, :, None] * scale[:, None, :]
+            covariance = np.linalg.pinv(information / square, HIDDEN, hermitian=True) / square
+            found[which] = np.einsum("nk,nkl,nl->n", score, covariance, score)
+        for k, group in enumerate(self.groups):
+            if group.body and not free:
+                found[k] = group.fit(one)[1]
+        return np.maximum(found, 0.0)
 
     def calibrate(self, runs: Sequence[Dataset]) -> None:
         """Set `scale` by the reference `runs`, each against the others. Raises `FitError`."""

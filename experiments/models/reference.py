@@ -32,6 +32,7 @@ def reference_values_of(found: Reference) -> ReferenceValues:
         beta=tuple(map(float, fit.beta)), reach=tuple((float(a), float(b)) for a, b in fit.angle_range),
         noise={kind: tuple(float(x) if np.isfinite(x) else None for x in levels) for kind, levels in noise.items()},
         common=structure.common, own=structure.own, freedom=structure.freedom, unit=tuple(map(float, structure.unit)),
+        drift=tuple(map(float, structure.drift)) if structure.drift.any() else (),
         columns=fit.columns, score=tuple(map(float, found.known.score)),
         information=found.known.information[upper].astype("<f8").tobytes(), levels=dict(found.noise.levels))
 
@@ -57,9 +58,10 @@ def reference_of(model: Model, where: str, settings: MechanismSettings, options:
         information = _symmetric(np.frombuffer(held.information, "<f8"), m)
     except (KeyError, ValueError):
         raise InputError(where, "has a damaged block `reference`", REMEDY) from None
-    if fit.columns != held.columns or not len(held.score) == len(held.unit) == m:
+    drift = held.drift or (0.0,) * m
+    if fit.columns != held.columns or not len(held.score) == len(held.unit) == len(drift) == m:
         raise InputError(where, "was written with another library of effects", REMEDY)
-    structure = Structure(held.common, held.own, np.array(held.unit), mechanism.p, held.freedom)
+    structure = Structure(held.common, held.own, np.array(held.unit), mechanism.p, held.freedom, np.array(drift))
     return Reference(fit, structure, Contrast(np.array(held.score), information),
                      NoiseLevels(len(held.runs), held.levels), held.runs)
 

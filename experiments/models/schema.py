@@ -94,6 +94,8 @@ class ReferenceValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     freedom: float
     unit: tuple[float, ...]
     """Variance of each column's size by one run"""
+    drift: tuple[float, ...] = ()
+    """Further variance of each column from run to run, in units of that; empty where no column drifts."""
     columns: tuple[str, ...]
     """Parameters, then every size that is tried."""
     score: tuple[float, ...]

@@ -58,7 +58,7 @@ def held_out_text(held: HeldOut) -> str:
 def structure_text(found: Change) -> str:
     """Sentence on the part of the runs that no law explains."""
     return ("Unexplained structure within a session, in standard deviations of a size estimated from one run: {:.2g} "
-            "common to its runs, {:.2g} different in each run.".format(*found.structure))
+            "common to its runs, {:.2g} different in each run, drifts aside.".format(*found.structure))
 
 
 def change_document(found: Change, set_aside: Sequence[SetAside] = (), sources: Sequence[Source] = ()

@@ -72,12 +72,13 @@ def record(leg_number: int, run: int) -> Dataset:
 def reference_of(leg_number: int) -> tuple[Reference, Watch]:
     """A leg's reference and its test."""
     rng = np.random.default_rng([SEED, leg_number])
-    runs = [_without_pivot(record(leg_number, k)) for k in range(-REFERENCE, 0)]
+    runs = [without_pivot(record(leg_number, k)) for k in range(-REFERENCE, 0)]
     found = learn_reference(runs, leg2(lever_arm=random_leg(rng).lever), FitOptions(sensors="imu"))
     return found, start_watch(found, FALSE_ALARMS, runs)
 
 
-def _without_pivot(run: Dataset) -> Dataset:
+def without_pivot(run: Dataset) -> Dataset:
+    """The run as a leg without an encoder at its pivot reads it."""
     return replace(run, columns={k: v for k, v in run.columns.items() if k != "q1_rad"})
 
 
@@ -85,7 +86,7 @@ def _without_pivot(run: Dataset) -> Dataset:
 def unchanged(leg_number: int, piece: int) -> list[float]:
     """False alarms per hour that each run's strongest block reaches, over a third of an hour without a change."""
     test, count = replace(reference_of(leg_number)[1], recent=[]), RUNS_AN_HOUR // PIECES
-    found = [test.test(_without_pivot(record(leg_number, piece * count + k))) for k in range(count)]
+    found = [test.test(without_pivot(record(leg_number, piece * count + k))) for k in range(count)]
     return [one.worst.per_hour if one.worst else 0.0 for one in found]
 
 
@@ -94,7 +95,7 @@ def delay(leg_number: int, name: str, first: int) -> Delay:
     """How long a change of the readings from run `first` on is there before its alarm."""
     found, test = reference_of(leg_number)
     test = replace(test, recent=[])
-    plain = [_without_pivot(record(leg_number, first + k)) for k in range(MOST_RUNS)]
+    plain = [without_pivot(record(leg_number, first + k)) for k in range(MOST_RUNS)]
     maker = MAKERS[name][0]
 
     def error(strength: float) -> float:

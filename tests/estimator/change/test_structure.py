@@ -6,27 +6,74 @@ import numpy as np
 import pytest
 
 from estimator.change.scores import RunScore
-from estimator.change.structure import _misfit, _rows
+from estimator.change.structure import _restricted, _rows, _Run, _Variances, find_structure
 
 
-def test_a_variance_far_beyond_the_others_is_less_likely_and_one_beyond_all_numbers_least() -> None:
-    """A search that came there ended in a traceback: the covariance is singular."""
-    rng = np.random.default_rng(0)
-    draws = [rng.normal(size=(6, 6)) for _ in range(4)]
-    rows = _rows([RunScore(rng.normal(size=6), draw @ draw.T) for draw in draws], np.ones(6), 2)
-    assert _misfit(np.zeros(2), [rows]) < _misfit(np.array([90.0, -90.0]), [rows]) < np.inf
-    assert _misfit(np.array([800.0, 0.0]), [rows]) == np.inf
-
-
-def test_the_misfit_is_that_of_the_whole_covariance() -> None:
+def known_runs() -> list[_Run]:
     rng = np.random.default_rng(1)
     draws = [rng.normal(size=(6, 6)) for _ in range(4)]
-    rows = _rows([RunScore(rng.normal(size=6), draw @ draw.T) for draw in draws], np.ones(6), 2)
-    for logs in np.array([[0.0, 0.0], [1.0, -2.0], [-3.0, 2.0]]):
-        common, own = np.exp(logs)
-        covariance = np.eye(rows.y.size) + common * rows.common @ rows.common.T + own * np.diag(rows.own)
-        inverse = np.linalg.inv(covariance)
-        told = rows.free.T @ inverse @ rows.free
-        left = rows.y - rows.free @ np.linalg.solve(told, rows.free.T @ inverse @ rows.y)
-        whole = 0.5 * (np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(told)[1] + left @ inverse @ left)
-        assert _misfit(logs, [rows]) == pytest.approx(whole - 0.5 * logs.sum(), rel=1e-9)
+    return _rows([RunScore(rng.normal(size=6), draw @ draw.T) for draw in draws], np.ones(6))
+
+
+@pytest.mark.parametrize("at", [_Variances(1.0, 1.0, np.zeros(0), ()), _Variances(2.7, 0.1, np.array([3.0]), (4,)),
+                                _Variances(0.05, 7.0, np.array([5.0, 0.2]), (0, 3))])
+def test_the_misfit_is_that_of_the_whole_covariance(at: _Variances) -> None:
+    runs = known_runs()
+    columns, y = np.concatenate([run.columns for run in runs]), np.concatenate([run.y for run in runs])
+    spread = np.full(6, at.own)
+    spread[list(at.where)] += at.drift
+    covariance = np.eye(y.size) + at.common * columns[:, 2:] @ columns[:, 2:].T
+    edges = np.cumsum([0, *(len(run.y) for run in runs)])
+    for run, begin, end in zip(runs, edges, edges[1:]):
+        covariance[begin:end, begin:end] += run.columns * spread @ run.columns.T
+    inverse, free = np.linalg.inv(covariance), columns[:, :2]
+    told = free.T @ inverse @ free
+    left = y - free @ np.linalg.solve(told, free.T @ inverse @ y)
+    whole = 0.5 * (np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(told)[1] + left @ inverse @ left)
+    assert _restricted(runs, 2, at).misfit == pytest.approx(whole, rel=1e-9)
+
+
+def test_slopes_are_those_of_the_misfit() -> None:
+    runs, step = known_runs(), 1e-5
+    at = _Variances(0.5, 0.3, np.array([2.0, 0.7]), (0, 4))
+    found = _restricted(runs, 2, at)
+
+    def slope(more: _Variances, less: _Variances) -> float:
+        return (_restricted(runs, 2, more).misfit - _restricted(runs, 2, less).misfit) / (2.0 * step)
+
+    common = slope(at._replace(common=0.5 + step), at._replace(common=0.5 - step))
+    assert found.common == pytest.approx(common, rel=1e-5)
+    own = slope(at._replace(own=0.3 + step), at._replace(own=0.3 - step))
+    assert found.columns.sum() == pytest.approx(own, rel=1e-5)
+    for k, column in enumerate(at.where):
+        moved = [at._replace(drift=at.drift + sign * step * np.eye(2)[k]) for sign in (1.0, -1.0)]
+        assert found.columns[column] == pytest.approx(slope(*moved), rel=1e-5)
+
+
+def session(rng: np.random.Generator, spread: np.ndarray, runs: int = 8) -> list[RunScore]:
+    """Runs of 400 rows of a regression whose coefficients differ from run to run by `spread`."""
+    found = []
+    for _ in range(runs):
+        rows = rng.normal(size=(400, spread.size)) + 0.5 * rng.normal(size=(400, 1))
+        theta = spread * rng.normal(size=spread.size)
+        found.append(RunScore(rows.T @ (rows @ theta + rng.normal(size=400)), rows.T @ rows))
+    return found
+
+
+def test_a_column_that_drifts_takes_its_variance_and_leaves_the_others_theirs() -> None:
+    """True standard deviations: 0.5 of column 6, none of the others; a run tells 0.045 of a column."""
+    rng, hits = np.random.default_rng(3), 0
+    spread = np.zeros(30)
+    spread[6] = 0.5
+    for _ in range(10):
+        found = find_structure([session(rng, spread)], 3)
+        assert found.own < 0.5  # one variance for all columns is 4
+        hits += set(np.flatnonzero(found.drift)) == {6}
+        assert 0.2 < (found.scatter[6] ** 0.5) < 1.0
+    assert hits >= 9
+
+
+def test_no_column_drifts_where_none_differs_from_the_others() -> None:
+    rng = np.random.default_rng(4)
+    found = [find_structure([session(rng, np.full(30, spread))], 3) for spread in (0.0, 0.1) for _ in range(10)]
+    assert sum(one.drift.any() for one in found) <= 1

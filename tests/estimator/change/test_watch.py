@@ -15,6 +15,8 @@ from estimator.change.groups import Group
 from estimator.change.scores import RunScore
 from estimator.change.structure import find_structure
 from estimator.errors import FitError
+from tests.evidence import watch as study
+from tests.evidence.blind.stickslip import MAKERS
 
 COLUMNS, BLOCKS = 8, 4
 
@@ -52,12 +54,15 @@ def score_run(fit: Any, data: Dataset) -> RunScore:
 
 
 def started(monkeypatch: pytest.MonkeyPatch, drift: float, false_alarms: float, seed: int = 3,
-            calibrated: bool = True) -> tuple[Watch, np.random.Generator]:
-    """A test whose reference runs differ in column 5 by as much as `drift`; columns 0 and 1 are parameters."""
+            calibrated: bool = True, covered: bool = True) -> tuple[Watch, np.random.Generator]:
+    """A test whose reference runs differ in column 5 by as much as `drift`; columns 0 and 1 are parameters. Not
+    `covered`: the structure knows nothing of it."""
     rng = np.random.default_rng(seed)
     runs = [run(rng, {5: drift * np.cos(2 * np.pi * k / 8)}) for k in range(8)]
     scores = [score_run(None, one) for one in runs]
     structure = find_structure([scores], 2)
+    if not covered:
+        structure = replace(structure, own=1e-3, drift=np.zeros(COLUMNS))
     groups = tuple(Group(f"effect{k}", "sensors", None, "", np.eye(COLUMNS)[:, [k]], ("size",), ("1",))
                    for k in range(COLUMNS))
     monkeypatch.setattr(watch, "score_run", score_run)
@@ -90,10 +95,37 @@ def test_a_drift_that_the_reference_holds_is_no_alarm_however_long(monkeypatch: 
     assert test.test(run(rng, {6: 0.5})).alarm is not None
 
 
-def test_left_out_reference_runs_widen_what_drifts_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_far_drift_of_one_column_covers_no_small_change_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One variance for all columns did: the change of column 6 is smaller than it."""
+    test, rng = started(monkeypatch, 0.5, 0.01)
+    assert all(test.test(run(rng, {5: 0.5 * np.sin(k)})).alarm is None for k in range(40))
+    alarm = test.test(run(rng, {5: 0.5, 6: 0.3})).alarm
+    assert alarm is not None and alarm.effect == "effect6"
+
+
+def test_shapes_of_one_effect_share_its_false_alarms(monkeypatch: pytest.MonkeyPatch) -> None:
+    test, _ = started(monkeypatch, 0.0, 1.0)
+    assert set(test._tried) == {COLUMNS}
+    shapes = tuple(replace(g, effect="one") if k < 4 else g for k, g in enumerate(test.groups))
+    shared = replace(test, groups=shapes)
+    assert shared._tried == pytest.approx([20.0] * 4 + [5.0] * 4) and np.sum(1.0 / shared._tried) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("run", "fault", "size"), [(45, "none", 0.0), (135, "none", 0.0), (300, "torque_delay", 0.5),
+                                                    (300, "torque_offset", 0.25)])
+def test_a_leg_whose_friction_drifts_alarms_at_a_change_only(run: int, fault: str, size: float) -> None:
+    """By another engine: at both ends of the drift, and with 5 ms of delay or 0.015 N m of offset."""
+    test = replace(study.reference_of(9)[1], recent=[])
+    alarm = test.test(study.spoilt(study.without_pivot(study.record(9, run)), MAKERS[fault][0](size))).alarm
+    assert (alarm is None) == (fault == "none")
+
+
+def test_left_out_reference_runs_widen_what_the_structure_does_not_cover(monkeypatch: pytest.MonkeyPatch) -> None:
     test, _ = started(monkeypatch, 0.2, 1.0)
+    assert test.reference.structure.drift[5] > 0.0 and test.scale.max() < 1.5
+    test, _ = started(monkeypatch, 0.2, 1.0, covered=False)
     assert (test.scale[:, 5] > 1.5).all() and np.delete(test.scale, 5, axis=1).max() < 1.5
-    assert (started(monkeypatch, 0.2, 1.0, calibrated=False)[0].scale == 1.0).all()
+    assert (started(monkeypatch, 0.2, 1.0, calibrated=False, covered=False)[0].scale == 1.0).all()
 
 
 def test_a_run_that_cannot_be_followed_is_said_to_be_untested(monkeypatch: pytest.MonkeyPatch) -> None:
