@@ -49,6 +49,7 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
+from estimator.diagnosis.structure import with_structure
 from estimator.diagnosis.verdict import NOMINAL, Decision, by_likelihood, decide, first_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
@@ -155,7 +156,7 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
         found, other = next(searched)
     say("simulating the held-out runs", 0.85)
     concluded = conclude(context, base, tests, found, rng, material, known, ordinary)
-    return None if concluded is None else replace(concluded, mechanism=split.mechanism)
+    return None if concluded is None else replace(with_structure(concluded, nominal), mechanism=split.mechanism)
 
 
 def search(context: DiagnosisContext, tests: ScoreTests, say: Progress, stated: Mechanism | None,

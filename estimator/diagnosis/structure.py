@@ -1,0 +1,34 @@
+"""`with_structure`: the structure of what a diagnosis leaves unexplained, offered where it holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.diagnosis.refit import Model
+from estimator.diagnosis.result import Diagnosis
+from estimator.errors import FitError
+from estimator.prediction import Predictor, RunSignals, find_structure
+
+
+def with_structure(found: Diagnosis, nominal: Model) -> Diagnosis:
+    """`found` with the structure of the residual of its model, if its verdict leaves a material residual.
+
+    The model is the one that a model file has: the named causes, or the nominal model where none is. The structure is
+    offered only if it removes a material share of the free-run error on left-out runs, and surely some.
+    """
+    if found.verdict not in ("unexplained", "partial"):
+        return found
+    split = nominal.split
+    p = split.mechanism.p
+    parameters = found.extended_beta if found.effects else nominal.state.beta[:p]
+    model = Predictor(split.mechanism, split.options.hold, parameters, tuple(effect for effect, _ in found.effects),
+                      angle_range=nominal.problem.stage.angle_range, gear_ratio=split.gear_ratio)
+    runs = [RunSignals(name, tuple(signals), start)
+            for name, signals, start in zip(split.names, split.runs, split.starts_s)]
+    try:
+        structure = find_structure(model, runs, replace(split.options, noise=dict(split.known)), split.workers)
+    except (FitError, np.linalg.LinAlgError):
+        return found
+    return found if structure is None or not structure.holds(found.material) else replace(found, structure=structure)
