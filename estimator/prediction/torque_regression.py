@@ -248,7 +248,7 @@ def maximise_evidence(gram: FloatArray, right: FloatArray, square: float, count:
         precision[0, 0] = FLAT / (square / count)
         for level, form, place in zip(levels, forms, places):
             precision[place, place] = level * form
-        covariance: FloatArray = np.linalg.inv(gram / noise + precision)
+        covariance = np.asarray(np.linalg.inv(gram / noise + precision), dtype=np.float64)
         mean = covariance @ right / noise
         free = 1.0
         for k, (form, place) in enumerate(zip(forms, places)):
@@ -260,7 +260,7 @@ def maximise_evidence(gram: FloatArray, right: FloatArray, square: float, count:
         noise = max(left, 1e-9 * square) / max(count - free, 1.0)
         if np.all(np.abs(np.log(levels) - before) < CONVERGED):
             break
-    return mean, np.asarray(covariance), noise
+    return mean, covariance, noise
 
 
 def correlation_time(residual: FloatArray, run: NDArray[np.intp]) -> float:

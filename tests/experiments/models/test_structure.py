@@ -17,8 +17,9 @@ from experiments.models.schema import JointTorque, Model, StructureValues, Table
 from experiments.models.structure import laws_of, structure_values
 from experiments.reports.structure import structure_document, structure_section, structure_words
 from legid import api
-from tests.experiments.models.test_with_effects import RIG, model_with, plant_motion, run_of
+from tests.experiments.models.test_with_effects import model_with, plant_motion, run_of
 from tests.support.learnt import hidden_magnet
+from tests.support.paths import DEMO_RIG as RIG
 
 SPRING = TorqueTable(inputs=(TableInput(variable="angle", joint=2),), knots=((-2.0, 2.0),), std=(0.001, 0.001),
                      values=(SPRING_NM * (-2.0 - REST_RAD), SPRING_NM * (2.0 - REST_RAD)))
