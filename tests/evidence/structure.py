@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
@@ -18,7 +19,7 @@ from typing import Any
 from experiments.studies import machine
 from tests.evidence.blind import servo
 from tests.evidence.blind.run import COMMAND, parse_seeds
-from tests.evidence.registry import Evidence
+from tests.evidence.registry import Evidence, found
 from tests.support.paths import ROOT
 
 CAUSES = ("outside_magnet", "outside_cubic_spring", "outside_patchy_friction")
@@ -36,20 +37,20 @@ def answer(name: str, rig: Path, runs: Sequence[Path], out: Path) -> dict[str, A
         subprocess.run([*COMMAND, "diagnose", *map(str, runs), "--rig", str(rig), "--json", str(part), "--model-out",
                         str(out / f"{name}.model.json"), "--force"], check=False, stdout=subprocess.DEVNULL, cwd=ROOT)
         part.rename(document)
-    found: dict[str, Any] = json.loads(document.read_text(encoding="utf-8"))
-    return found
+    told: dict[str, Any] = json.loads(document.read_text(encoding="utf-8"))
+    return told
 
 
-def row(name: str, hidden: str, found: Mapping[str, Any]) -> str:
+def row(name: str, hidden: str, diagnosis: Mapping[str, Any]) -> str:
     """One line of the table."""
-    told = found.get("structure")
+    told = diagnosis.get("structure")
     if told is None:
-        return f"| {name} | {hidden} | {found['verdict']} | none is offered | | |"
+        return f"| {name} | {hidden} | {diagnosis['verdict']} | none is offered | | |"
     low, high = told["removed_ci95"]
     where = "; ".join(f"joint {w['joint']}, {w['depends_on']} ({w['rms_nm']:.2g} N m)" for w in told["where"][:3])
     errors = "; ".join(f"{e['channel']} {_text(e['before'])}, {_text(e['after'])}" for e in told["error"]
                        if e["horizon_s"] is None)
-    return (f"| {name} | {hidden} | {found['verdict']} | {100 * told['removed']:.0f} % [{100 * low:.0f}, "
+    return (f"| {name} | {hidden} | {diagnosis['verdict']} | {100 * told['removed']:.0f} % [{100 * low:.0f}, "
             f"{100 * high:.0f}] | {where} | {errors} |")
 
 
@@ -65,14 +66,13 @@ def page(seeds: Sequence[int], records: Sequence[Path], out: Path) -> Iterator[s
         for cause in CAUSES:
             servo.make_case(cause, seed, out / "cases")
             folder = out / "cases" / f"{cause}-{seed}"
-            found = answer(folder.name, folder / "rig.toml", sorted(folder.glob("r*.csv")), out / "diagnoses")
-            offered += found.get("structure") is not None
-            rows.append(row(folder.name.removeprefix("outside_"), HIDDEN[cause], found))
+            told = answer(folder.name, folder / "rig.toml", sorted(folder.glob("r*.csv")), out / "diagnoses")
+            offered += told.get("structure") is not None
+            rows.append(row(folder.name.removeprefix("outside_"), HIDDEN[cause], told))
             print(rows[-1], flush=True)
     for folder in records:
         runs = sorted(p for p in folder.glob("*.csv.gz") if "passive" not in p.name)
-        found = answer(folder.name, folder / "rig.toml", runs, out / "diagnoses")
-        rows.append(row(folder.name, "not known", found))
+        rows.append(row(folder.name, "not known", answer(folder.name, folder / "rig.toml", runs, out / "diagnoses")))
         print(rows[-1], flush=True)
     count = len(seeds) * len(CAUSES)
     yield from [
@@ -89,12 +89,18 @@ def page(seeds: Sequence[int], records: Sequence[Path], out: Path) -> Iterator[s
         "Angles are in rad, gyro and rates in rad/s.", ""]
 
 
+def removed(text: str) -> str:
+    """The index's sentence: how many are offered, and what each removes."""
+    offered = found(r"A structure is (offered for \d+ of \d+ hidden causes)", text)
+    each = re.findall(r"^\| (\w+?)-\d+ \|[^|]*\|[^|]*\| ([^|]*%[^|]*) \|", text, re.MULTILINE)
+    if offered is None:
+        raise ValueError("the page does not say how many structures are offered")
+    return "; ".join([offered, *(f"{name} {share}" for name, share in each)])
+
+
 EVIDENCE = (
     Evidence("Structure without a listed cause: what does it remove of the error on left-out runs?", "make structure",
-             "structure.md", 15, "offered for each hidden cause, more than half of the error removed",
-             (r"A structure is (offered for \d+ of \d+ hidden causes)", r"\| magnet-\d+ \|[^|]*\|[^|]*\| ([^|]*) \|",
-              r"\| cubic_spring-\d+ \|[^|]*\|[^|]*\| ([^|]*) \|", r"\| patchy_friction-\d+ \|[^|]*\|[^|]*\| ([^|]*) \|"),
-             ),)
+             "structure.md", 15, "offered for each hidden cause, more than half of the error removed", removed),)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
