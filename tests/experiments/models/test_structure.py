@@ -17,7 +17,7 @@ from experiments.models.schema import JointTorque, Model, StructureValues, Table
 from experiments.models.structure import laws_of, structure_values
 from experiments.reports.structure import structure_document, structure_section, structure_words
 from legid import api
-from tests.experiments.models.test_with_effects import model_with, plant_motion, run_of
+from tests.support.extended_models import model_with, plant_motion, run_of
 from tests.support.learnt import hidden_magnet
 from tests.support.paths import DEMO_RIG as RIG
 
