@@ -16,6 +16,7 @@ import numpy as np
 
 from estimator.effects import Points, StateTorque, Table
 from estimator.errors import FitError
+from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.parallel import parallel_map
 from estimator.prediction.free_runs import SHORT_S, PredictedRun, predict_run
@@ -49,6 +50,7 @@ class Structure:
     """One a joint, learnt from all runs"""
     samples: Samples
     """The residuals that they were learnt from"""
+    mechanism: Mechanism
     table: PredictionTable
     """Free-run errors of the model, then of the model with torques learnt without the run"""
     remaining: Ratio
@@ -105,7 +107,7 @@ def find_structure(model: Predictor, runs: Sequence[RunSignals], options: FitOpt
     if not torques:
         return None
     table = tabulate(predicted, smoother=0)
-    return Structure(tuple(torques), samples, table, paired_error(table))
+    return Structure(tuple(torques), samples, model.mechanism, table, paired_error(table))
 
 
 def with_torques(model: Predictor, laws: Sequence[StateTorque]) -> Predictor:

@@ -34,7 +34,8 @@ def structure_words(found: Structure) -> str:
 def structure_rows(found: Structure) -> list[list[str]]:
     """One row of HEADER a table of the structure, the largest torque first."""
     noise = {(one.law.joint or 0) + 1: one.noise_nm for one in found.torques}
-    return [[str(joint), inputs, f"{rms:.3g} N m", f"{noise[joint]:.3g} N m"]
+    unit = found.mechanism.unit("N m")
+    return [[str(joint), inputs, f"{rms:.3g} {unit}", f"{noise[joint]:.3g} {unit}"]
             for (joint, inputs), rms in where_of(found).items()]
 
 
@@ -88,8 +89,9 @@ def _curve(one: LearntTorque, table: TorqueTable, found: Structure) -> str:
                           label="95 % band", zorder=2)
         axes.plot(knots, table.values, color=ORANGE, linewidth=1.6, label="structure", zorder=4)
         sense = " in the direction of motion" if table.directed else ""
-        finish(axes, 3, f"{variable.kind} of joint {variable.joint + 1} [{UNITS[variable.kind]}]",
-               f"torque{sense} [N m]")
+        unit = found.mechanism.unit
+        finish(axes, 3, f"{variable.kind} of joint {variable.joint + 1} [{unit(UNITS[variable.kind])}]",
+               f"torque{sense} [{unit('N m')}]")
 
     return draw(f"structure {joint} {words_of(table, joint)}", HEIGHT_IN + 0.4, paint)
 
