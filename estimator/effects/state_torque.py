@@ -15,6 +15,8 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import Points, TorqueEffect, View
 
+MARGIN = 0.02
+"""Share of a variable's range by which a motion may leave it: another run of the same plan does."""
 VariableKind = Literal["angle", "rate", "motor torque"]
 
 
@@ -66,9 +68,10 @@ class Table:
         return rows
 
     def outside(self, at: Points) -> FloatArray:
-        """(V,) share of the points outside the knots of each variable."""
-        x = [variable.of(at) for variable in self.variables]
-        return np.array([np.mean((one < knots[0]) | (one > knots[-1])) for one, knots in zip(x, self.knots)])
+        """(V,) share of the points outside the knots of each variable by more than `MARGIN`."""
+        ends = [(knots[0], knots[-1], MARGIN * (knots[-1] - knots[0])) for knots in self.knots]
+        return np.array([np.mean((x < low - slack) | (x > high + slack))
+                         for x, (low, high, slack) in zip([v.of(at) for v in self.variables], ends)])
 
 
 def _cell(x: FloatArray, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
