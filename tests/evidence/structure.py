@@ -80,9 +80,9 @@ def page(seeds: Sequence[int], records: Sequence[Path], out: Path) -> Iterator[s
         f"Made by `make structure` (seeds {', '.join(map(str, seeds))}), {datetime.now(UTC):%Y-%m-%d}, {machine()}.",
         "", "`legid diagnose` answers legs of MuJoCo under a position servo that hide a cause outside the library, and "
         "public records. If it ends `unexplained` or `partial`, it learns the torque that the model leaves as a "
-        "function of the state. Each run is left out once; a group of left-out runs does not teach the structure that "
-        "simulates it. Removed is the share of the rms error of free runs over 0.1 s, 1 s and the whole run, over all "
-        "sensors, with its 95 % interval over the runs.", "",
+        "function of the state. Each run is left out once, and does not teach the structure that simulates it. "
+        "Removed is the share of the rms error of free runs, with its 95 % interval over the runs. The error is that "
+        "of all sensors, over 0.1 s, 1 s and the whole run.", "",
         f"A structure is offered for {offered} of {count} hidden causes.", "",
         "| runs | hidden | verdict | removed [%] | place | whole runs, rms error before, after |",
         "| --- | --- | --- | --- | --- | --- |", *rows, "",
