@@ -16,7 +16,8 @@ def with_structure(found: Diagnosis, nominal: Model) -> Diagnosis:
     """`found` with the structure of the residual of its model, if its verdict leaves a material residual.
 
     The model is the one that a model file has: the named causes, or the nominal model where none is. The structure is
-    offered only if it removes a material share of the free-run error on left-out runs, and surely some.
+    offered only if it removes a material share of the free-run error on left-out runs, and surely some. Else a warning
+    gives that share.
     """
     if found.verdict not in ("unexplained", "partial"):
         return found
@@ -31,4 +32,11 @@ def with_structure(found: Diagnosis, nominal: Model) -> Diagnosis:
         structure = find_structure(model, runs, replace(split.options, noise=dict(split.known)), split.workers)
     except (FitError, np.linalg.LinAlgError):
         return found
-    return found if structure is None or not structure.holds(found.material) else replace(found, structure=structure)
+    if structure is None:
+        return found
+    if structure.holds(found.material):
+        return replace(found, structure=structure)
+    interval = "" if structure.removed_ci95 is None else f" [{', '.join(f'{c:.0%}' for c in structure.removed_ci95)}]"
+    return replace(found, warnings=(*found.warnings, (
+        f"torques learnt as functions of the state remove {structure.removed:.0%}{interval} of the free-run error on "
+        "left-out runs: they are not offered")))

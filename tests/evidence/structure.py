@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from daq import load_rig
 from experiments.studies import machine
 from tests.evidence.blind import servo
 from tests.evidence.blind.run import COMMAND, parse_seeds
@@ -45,7 +46,9 @@ def row(name: str, hidden: str, diagnosis: Mapping[str, Any]) -> str:
     """One line of the table."""
     told = diagnosis.get("structure")
     if told is None:
-        return f"| {name} | {hidden} | {diagnosis['verdict']} | none is offered | | |"
+        share = re.search(r"learnt as functions of the state remove (.*?\])", " ".join(diagnosis["warnings"]))
+        what = f"{share[1].replace('%', ' %')}, not offered" if share else "nothing is learnt"
+        return f"| {name} | {hidden} | {diagnosis['verdict']} | {what} | | |"
     low, high = told["removed_ci95"]
     where = "; ".join(f"joint {w['joint']}, {w['depends_on']} ({w['rms_nm']:.2g} N m)" for w in told["where"][:3])
     errors = "; ".join(f"{e['channel']} {_text(e['before'])}, {_text(e['after'])}" for e in told["error"]
@@ -72,7 +75,9 @@ def page(seeds: Sequence[int], records: Sequence[Path], out: Path) -> Iterator[s
             print(rows[-1], flush=True)
     for folder in records:
         runs = sorted(p for p in folder.glob("*.csv.gz") if "passive" not in p.name)
-        rows.append(row(folder.name, "not known", answer(folder.name, folder / "rig.toml", runs, out / "diagnoses")))
+        rig = folder / "rig.toml"
+        name = f"{folder.name}, {load_rig(rig).sampling.rate_hz:g} Hz"
+        rows.append(row(name, "not known", answer(folder.name, rig, runs, out / "diagnoses")))
         print(rows[-1], flush=True)
     count = len(seeds) * len(CAUSES)
     yield from [

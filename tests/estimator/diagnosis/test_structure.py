@@ -66,7 +66,9 @@ def test_it_is_learnt_on_top_of_the_model_that_is_saved(nominal: Any, asked: lis
 
 
 def test_it_is_offered_only_if_it_is_material(nominal: Any, asked: list[Predictor]) -> None:
-    assert with_structure(Diagnosis("unexplained", "", material=0.95), nominal).structure is None
+    found = with_structure(Diagnosis("unexplained", "", material=0.95), nominal)
+    (told,) = found.warnings
+    assert found.structure is None and f"remove {hidden_magnet().removed:.0%} [" in told and "not offered" in told
 
 
 def test_runs_that_teach_nothing_leave_the_diagnosis(nominal: Any, monkeypatch: pytest.MonkeyPatch) -> None:
