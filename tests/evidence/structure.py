@@ -28,6 +28,11 @@ HIDDEN = {"outside_magnet": "a magnet near the pivot's middle: joint 1, angle",
           "outside_cubic_spring": "a cubic spring: joint 2, angle",
           "outside_patchy_friction": "friction that varies with the angle: joint 2, angle and direction"}
 
+SOURCES = {"bam_xl330": "[Rhoban/bam](https://github.com/Rhoban/bam), a servo with a pendulum, commit `af22604622`",
+           "dfki_c0": "[dfki-ric-underactuated-lab/double_pendulum](https://github.com/dfki-ric-underactuated-lab/"
+                      "double_pendulum), design C.0"}
+"""Of public records, which are no part of the project."""
+
 
 def answer(name: str, rig: Path, runs: Sequence[Path], out: Path) -> dict[str, Any]:
     """The diagnosis JSON of some runs, kept in OUT with its MODEL.json."""
@@ -91,7 +96,8 @@ def page(seeds: Sequence[int], records: Sequence[Path], out: Path) -> Iterator[s
         f"A structure is offered for {offered} of {count} hidden causes.", "",
         "| runs | hidden | verdict | removed [%] | place | whole runs, rms error before, after |",
         "| --- | --- | --- | --- | --- | --- |", *rows, "",
-        "Angles are in rad, gyro and rates in rad/s.", ""]
+        "Angles are in rad, gyro and rates in rad/s.", "",
+        *(f"- `{folder.name}`: {SOURCES[folder.name]}." for folder in records if folder.name in SOURCES), ""]
 
 
 def removed(text: str) -> str:
