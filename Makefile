@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench blind family port port-faults fuzz tutorial screenshots changed watch separate investigate payloads changed-families wheel arm64 \
+	table5 replication seven-links imu-links walker bench blind family port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -162,6 +162,11 @@ watch: $(STAMP)
 # Emulated legs whose diagnosis ends one_of, with one more run of the designed torque and of the usual one: twenty minutes.
 separate: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence separate --minutes $(or $(MINUTES),20) --out docs/evidence/separate.md
+
+# Legs with causes outside the library, and real records next to the checkout (RECORDS="FOLDER..."): a quarter of an hour.
+structure: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence structure --folder build/evidence/structure $(if $(RECORDS),--records $(RECORDS)) \
+		--out docs/evidence/structure.md
 
 # Emulated rigs that nobody has seen, each with an investigation and a fixed session of eight runs: an hour.
 investigate: $(STAMP)

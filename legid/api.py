@@ -15,6 +15,7 @@ done on this data or device raises `WorkError`, `FitError` or a `DriverError`.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +35,7 @@ from estimator.diagnosis import MATERIAL
 from estimator.diagnosis import Diagnosis as PlainDiagnosis
 from estimator.prediction import HORIZONS_S
 from experiments.excite import random_multisine
-from experiments.models import Model, load_model, save_model
+from experiments.models import Model, load_model, range_note_of, save_model
 from experiments.reports import (
     REFERENCE_NAMES,
     check_sound,
@@ -320,9 +321,14 @@ def simulate(model: Model, plan: Plan, rate_hz: float | None = None, start: Sequ
     """The run that `model` would give under `plan`, from rest at the angles `start` (joints,) [rad], default zero.
 
     Columns (n,) as a recorded run has them, at `rate_hz` (default: the plan's). `noise_seed` adds the model's own
-    noise levels. Raises `InputError` where the plan does not fit, `WorkError` where the motion diverges.
+    noise levels. A `UserWarning` says where the motion leaves the range of the model's structure. Raises `InputError`
+    where the plan does not fit, `WorkError` where the motion diverges.
     """
-    return dressed(Dataset, simulate_run(model, plan, "the model", rate_hz, start, noise_seed))
+    found = simulate_run(model, plan, "the model", rate_hz, start, noise_seed)
+    note = range_note_of(model, found)
+    if note:
+        warnings.warn(note, stacklevel=2)
+    return dressed(Dataset, found)
 
 
 def _rig(rig: RigLike) -> Rig:

@@ -48,6 +48,7 @@ from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
 from estimator.diagnosis.search import Progress, Promise, fit_sets, grown, search
+from estimator.diagnosis.structure import with_structure
 from estimator.diagnosis.verdict import NOMINAL, by_likelihood, decide, first_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
@@ -126,7 +127,8 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     known: list[ErrorTable] = []
     found = search(context, tests, say, lambda found: promise(context, found, material, rng, known))
     say("simulating the held-out runs", 0.85)
-    return replace(conclude(context, base, tests, found, rng, material, known), mechanism=nominal.split.mechanism)
+    concluded = conclude(context, base, tests, found, rng, material, known)
+    return replace(with_structure(concluded, nominal), mechanism=nominal.split.mechanism)
 
 
 def scored(split: RunSplit, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,

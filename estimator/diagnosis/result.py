@@ -11,6 +11,7 @@ from daq import FloatArray
 from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.effects import Effect
 from estimator.model import Mechanism
+from estimator.prediction import Structure
 from estimator.verdicts import Verdict
 
 
@@ -192,6 +193,8 @@ class Diagnosis:
     immaterial: tuple[Cause, ...] = ()
     """Present, but the simulation's error hardly falls by them."""
     remainder: Remainder | None = None
+    structure: Structure | None = None
+    """Torques without a listed cause that repeat in all runs; only of `unexplained` and `partial`, where they hold."""
     rotations: tuple[Rotation, ...] = ()
     """Only if the held-out runs were inconclusive; the first rotation is theirs. Then budget and error are of all runs,
     each held out of the fit that it tests."""

@@ -67,8 +67,8 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress,
            promise: Callable[[Sequence[Explanation]], Promise]) -> list[Explanation]:
     """Explanations, the likeliest first, each set of effects once, weighed under the noise levels of the best.
 
-    More sets of a size are tried while the errors `promise` that another can be materially better, and larger ones while
-    the likeliest leaves something detectable, too.
+    More sets of a size are tried while the errors `promise` that another can be materially better, and larger ones
+    while the likeliest leaves something detectable, too.
     """
     found: list[Explanation] = []
     parents = [Explanation(context.nominal, 0.0, tests)]

@@ -18,6 +18,7 @@ from estimator.effects.base import (
 from estimator.effects.derivatives import Laws, by_motion
 from estimator.effects.generic_terms import GenericReading, GenericTorque, battery
 from estimator.effects.registry import ENTRY_POINT, UNTESTABLE, classes, library, placed
+from estimator.effects.state_torque import StateTorque, Table, Variable
 from estimator.effects.timing import SensorTimeSkew
 
 __all__ = [
@@ -38,7 +39,10 @@ __all__ = [
     "Shape",
     "Size",
     "StateEffect",
+    "StateTorque",
+    "Table",
     "TorqueEffect",
+    "Variable",
     "View",
     "battery",
     "by_motion",

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from estimator.effects import (
     Perturbation,
     Points,
     Record,
+    StateTorque,
     TorqueEffect,
     View,
     by_motion,
@@ -258,11 +260,12 @@ class ExtendedProblem(LatentProblem):
         at_gauss, at_samples = np.zeros((n, 5, n, 2, self.left.size)), np.zeros((n, 5, n, self.total))
         for law, size in laws:
             j = law.joint or 0
-            for at, out in ((view.gauss, at_gauss), (view.samples, at_samples)):
-                found = by_motion(law, at, size, view)
+            joints = law.felt(n) if isinstance(law, StateTorque) else (j,)  # generic terms take their own joint's only
+            for k, (at, out) in product(joints, ((view.gauss, at_gauss), (view.samples, at_samples))):
+                found = by_motion(law, at, size, view, k)
                 for name, feature in (("q", ANGLE), ("v", RATE), ("a", ACCEL)):
-                    out[j, feature, j] += found[name]
-                out[j, RATE, j] += found["sign"] * np.maximum(1.0 - at.sign[j] ** 2, 0.0) ** 1.5 / scale[j]
+                    out[j, feature, k] += found[name]
+                out[j, RATE, k] += found["sign"] * np.maximum(1.0 - at.sign[k] ** 2, 0.0) ** 1.5 / scale[k]
         return at_gauss, at_samples
 
     def linearise(self, x: Latents, beta: FloatArray, noise: Noise, predicted_misfit: FloatArray | None = None

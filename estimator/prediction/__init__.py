@@ -16,6 +16,15 @@ Definitions, once for all:
 
 from estimator.prediction.floor import FloorNoise, floor_errors, white_noise
 from estimator.prediction.free_runs import HORIZONS_S, SHORT_S, PredictedRun, channel_names, predict_run
+from estimator.prediction.learnt_structure import (
+    RunSignals,
+    Structure,
+    find_structure,
+    outside_range,
+    where_of,
+    with_torques,
+    words_of,
+)
 from estimator.prediction.predict import predict, predict_filtered
 from estimator.prediction.predictor import Predictor
 from estimator.prediction.replicate import draw_disturbance, draw_replicate, simulate_run
@@ -29,6 +38,7 @@ from estimator.prediction.smoothing import (
 )
 from estimator.prediction.structure import repeated_share, state_columns, taken
 from estimator.prediction.table import BLOCK_S, PredictionTable, Ratio, tabulate
+from estimator.prediction.torque_regression import LearntTorque
 from estimator.prediction.validation import Validation, validations_of
 from estimator.prediction.walking import StepsAhead, WalkAhead, Whole, walk_ahead
 
@@ -37,12 +47,15 @@ __all__ = [
     "HORIZONS_S",
     "SHORT_S",
     "FloorNoise",
+    "LearntTorque",
     "PredictedRun",
     "PredictionTable",
     "Predictor",
     "Ratio",
+    "RunSignals",
     "SmoothedRun",
     "StepsAhead",
+    "Structure",
     "Validation",
     "WalkAhead",
     "Whole",
@@ -50,7 +63,9 @@ __all__ = [
     "draw_disturbance",
     "draw_replicate",
     "filtered_motion",
+    "find_structure",
     "floor_errors",
+    "outside_range",
     "per_value",
     "predict",
     "predict_filtered",
@@ -65,5 +80,8 @@ __all__ = [
     "taken",
     "validations_of",
     "walk_ahead",
+    "where_of",
     "white_noise",
+    "with_torques",
+    "words_of",
 ]

@@ -21,6 +21,9 @@ from .schema import MechanismSettings as MechanismSettings
 from .schema import Model as Model
 from .schema import ParameterValue as ParameterValue
 from .schema import Provenance as Provenance
+from .structure import range_note as range_note
+from .structure import range_note_of as range_note_of
+from .structure import structure_values as structure_values
 from .with_effects import effect_value as effect_value
 from .with_effects import predictor_of as predictor_of
 from .with_effects import simulate_extended as simulate_extended

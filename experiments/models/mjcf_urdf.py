@@ -75,6 +75,7 @@ def export_model(model: Model, kind: str, where: str) -> tuple[str, list[str]]:
     """(XML text, what of the model it does not hold or holds otherwise). Raises `InputError`."""
     bodies = bodies_of(model, where)
     extras = held_effects(model) if kind == "mjcf" else Extras(left_out=[effect.name for effect in model.effects])
+    extras.left_out += ["structure"] if model.structure else []
     notes = _notes(model, bodies, kind, extras)
     bodies = [_extended(_passive(body), j, extras) for j, body in enumerate(bodies, 1)]
     root = _mjcf(model, bodies, extras) if kind == "mjcf" else _urdf(bodies)

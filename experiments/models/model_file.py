@@ -76,6 +76,7 @@ def _with_covariance(document: Any) -> Any:
 
 def _fault(model: Model) -> str:
     """What the types cannot say; empty when all is well."""
+    from experiments.models.structure import structure_fault
     from experiments.models.with_effects import effects_fault
 
     try:
@@ -88,7 +89,7 @@ def _fault(model: Model) -> str:
     for parameter in model.parameters:
         if not math.isfinite(parameter.value):
             return f"`parameters` gives {parameter.name} no finite value"
-    fault = effects_fault(model)
+    fault = effects_fault(model) or structure_fault(model)
     if fault:
         return fault
     count = len(names) + sum(len(e.sizes) + len(e.shapes) for e in model.effects)

@@ -75,6 +75,46 @@ class EffectValue(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Shape -> value, likewise."""
 
 
+class TableInput(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One quantity that a table depends on."""
+
+    variable: Literal["angle", "rate", "motor torque"]
+    joint: Joint
+
+
+class TorqueTable(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Torque at knots of one or two inputs, linear between them; beyond them it keeps its edge value."""
+
+    inputs: tuple[TableInput, ...]
+    directed: bool = False
+    """Whether the smoothed sign of the joint's rate multiplies it."""
+    knots: tuple[tuple[float, ...], ...]
+    """One increasing list an input [rad, rad/s or N m]"""
+    values: tuple[float, ...]
+    """[N m], those of one knot of the first input after those of the one before"""
+    std: tuple[NonNegative, ...]
+    """Standard deviations of the values; they hold for the model's parameters as they are."""
+
+
+class JointTorque(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Torque that a joint takes in addition: a constant and the sum of its tables."""
+
+    joint: Joint
+    constant: float
+    tables: tuple[TorqueTable, ...]
+    noise_nm: NonNegative
+    """Noise level of the residual torque that it was learnt from."""
+
+
+class StructureValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Torques without a listed cause that repeat in all runs as functions of the state."""
+
+    torques: tuple[JointTorque, ...]
+    removed: float
+    """Share of the free-run rms error on left-out runs that they remove."""
+    removed_ci95: tuple[float, float]
+
+
 class ReferenceValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Statistics that `legid diagnose --against MODEL.json` needs of the runs of a model, instead of the runs."""
 
@@ -139,6 +179,8 @@ class Model(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     hold: Literal["zero", "linear", "average", "smooth"]
     """How a torque sample acts until the next."""
     effects: tuple[EffectValue, ...] = ()
+    structure: StructureValues | None = None
+    """Only where a diagnosis offered it; None in models of earlier versions."""
     gear_ratio: Positive = 1.0
     """Of the motor; effects may depend on it."""
     reach: tuple[tuple[float, float], ...] = ()

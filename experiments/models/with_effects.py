@@ -21,6 +21,7 @@ from estimator.signals import SignalSet, imu_columns
 from experiments.models.effect_library import known_effects
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import EffectValue, Model
+from experiments.models.structure import laws_of
 
 
 def effects_fault(model: Model) -> str:
@@ -104,7 +105,7 @@ def predictor_of(model: Model) -> Predictor:
     pairs = effects_of(model)
     covariance = np.array([[np.nan if c is None else c for c in row] for row in model.covariance])
     return Predictor(mechanism, model.hold, np.concatenate([np.array(model.beta), *[size for _, size in pairs]]),
-                     tuple(effect for effect, _ in pairs), wide[:, None] * wide * covariance,
+                     (*(effect for effect, _ in pairs), *laws_of(model)), wide[:, None] * wide * covariance,
                      np.array(model.reach, dtype=float) if pairs else None, model.gear_ratio)
 
 

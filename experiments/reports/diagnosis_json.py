@@ -18,9 +18,11 @@ from experiments.models import (
     build_mechanism,
     effect_value,
     fitted_settings,
+    structure_values,
 )
 from experiments.provenance import program_version
 from experiments.reports.next_step import next_step
+from experiments.reports.structure import structure_document
 from experiments.session import SetAside, Setup
 
 SCHEMA = "legid.diagnosis/1"
@@ -51,6 +53,7 @@ def diagnosis_document(found: Diagnosis, aside: Sequence[SetAside] = ()) -> dict
         "remainder": None if found.remainder is None else {
             "joint": found.remainder.joint, "channel": found.remainder.channel,
             "depends_on": found.remainder.depends_on},
+        "structure": None if found.structure is None else structure_document(found.structure),
         "stability": found.stability,
         "rotations": [{"confirm_runs": list(r.runs), "sizes": dict(r.sizes), "falls": r.falls}
                       for r in found.rotations],
@@ -132,13 +135,20 @@ def diagnosed_model(found: Diagnosis, setup: Setup, gear_ratio: float, date: dat
         covariance=tuple(tuple(float(c) if np.isfinite(c) else None for c in row) for row in covariance),
         noise={name: float(level) for name, level in found.noise.items()},
         hold=found.hold or setup.options.hold,  # type: ignore[arg-type]
-        effects=tuple(effect_value(effect, size) for effect, size in found.effects), gear_ratio=gear_ratio,
+        effects=tuple(effect_value(effect, size) for effect, size in found.effects),
+        structure=None if found.structure is None else structure_values(found.structure), gear_ratio=gear_ratio,
         reach=tuple((float(low), float(high)) for low, high in (found.angle_range if found.effects else ())),
-        provenance=Provenance(runs=_whole_runs((*found.runs.get("fit", ()), *found.runs.get("screen", ())), setup),
+        provenance=Provenance(runs=_whole_runs(_fitted(found), setup),
                               method="mle",
                               sensors=setup.options.sensors,  # type: ignore[arg-type]
                               date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
                               version=program_version()))
+
+
+def _fitted(found: Diagnosis) -> Iterable[str]:
+    """Runs that the model was fitted to: a structure is learnt from the held-out ones, too."""
+    groups = ("fit", "screen", *(("confirm",) if found.structure is not None else ()))
+    return [name for group in groups for name in found.runs.get(group, ())]
 
 
 def _whole_runs(names: Iterable[str], setup: Setup) -> tuple[str, ...]:

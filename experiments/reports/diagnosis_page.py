@@ -52,6 +52,7 @@ from experiments.reports.next_step import next_step
 from experiments.reports.numbers import normal, number
 from experiments.reports.origin import origin_section
 from experiments.reports.sketch import sketch_pictures
+from experiments.reports.structure import structure_section
 
 ALPHA = 0.01
 """p above which a candidate counts as ruled out at its smallest detectable size."""
@@ -103,8 +104,8 @@ def verdict_words(verdict: Verdict) -> str:
 def diagnosis_sections(found: Diagnosis, mechanism: Mechanism | None = None) -> list[Section]:
     """All sections, folded, in the order of the questions; those that have nothing to show are left out. `mechanism`
     says what the numbers mean; warnings are `verdict_box`'s. One figure leads the page."""
-    return fold([_verdict(found), _sketch(found, mechanism), _budget(found), _errors(found), _candidates(found),
-                _signatures(found), _traces(found),
+    return fold([_verdict(found), _sketch(found, mechanism), _budget(found), structure_section(found.structure),
+                _errors(found), _candidates(found), _signatures(found), _traces(found),
                 _separability(found), _parameters(found, mechanism), _next(found), _ruled_out(found),
                 _untestable(found), _runs(found)])
 

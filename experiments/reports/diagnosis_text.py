@@ -9,6 +9,8 @@ from estimator.diagnosis import CandidateScore, Cause, Diagnosis, SensorGain, Sh
 from experiments.console import text_table
 from experiments.reports.diagnosis_json import contract_joint, split_key, untestable
 from experiments.reports.next_step import next_step
+from experiments.reports.structure import HEADER as STRUCTURE_HEADER
+from experiments.reports.structure import USE, structure_rows, structure_words
 
 RUNNERS_UP = 5
 CANDIDATE_HEADER = ["effect", "score", "p", "size", "smallest detectable", "unit"]
@@ -157,6 +159,9 @@ def causes_title(found: Diagnosis) -> str:
 def diagnosis_text(found: Diagnosis) -> str:
     """Text after `legid diagnose`: the verdict first."""
     blocks = [found.sentence]
+    if found.structure is not None:
+        blocks.append("\n".join([structure_words(found.structure), text_table(
+            STRUCTURE_HEADER, structure_rows(found.structure), {2, 3}), USE]))
     if found.budget:
         blocks.append(f"{budget_words(found)}\n" + text_table(BUDGET_HEADER, budget_rows(found), {1, 2}))
         if found.rotations:

@@ -48,7 +48,7 @@ def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = N
     command = plan.torque_nm[np.searchsorted(plan.time_s - plan.time_s[0], time_s + 1e-9, side="right") - 1]
     tau = np.zeros((time_s.size, mechanism.n))
     tau[:, mechanism.actuated[0]] = command
-    if model.effects:
+    if model.effects or model.structure:
         columns = _extended_columns(model, mechanism, time_s, tau, q0)
     else:
         columns = _nominal_columns(model, mechanism, tau, q0, rate)

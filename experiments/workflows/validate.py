@@ -21,7 +21,7 @@ from estimator.prediction import (
     walk_ahead,
 )
 from experiments.console import progress
-from experiments.models import Model, build_mechanism, predictor_of
+from experiments.models import Model, build_mechanism, predictor_of, range_note
 from experiments.provenance import Source
 from experiments.reports import (
     Trust,
@@ -64,8 +64,8 @@ def validate_prepared(model: Model, prepared: Prepared, where: str, files: Seque
                       ) -> ValidationReport:
     """Report like that of `validate_model`, on the runs of `prepared`, which were read from `files`, with its trust."""
     setup, seen = prepared.setup, seen_in_fit(model, files)
-    table, steps = validate_model(model, setup, where, against, horizons_s, bands)
-    against_rig = [*contradictions(prepared.flags), *model_contradictions(model.mechanism, setup.settings)]
+    table, steps, notes = validate_model(model, setup, where, against, horizons_s, bands)
+    against_rig = [*contradictions(prepared.flags), *model_contradictions(model.mechanism, setup.settings), *notes]
     return ValidationReport(prepared, table, steps, seen, validation_trust(table, seen, against_rig))
 
 
@@ -76,6 +76,8 @@ class Validated(NamedTuple):
     """Of the model, then of the other one it is held against"""
     steps: WalkAhead | None
     """Of a walker"""
+    notes: tuple[str, ...] = ()
+    """Runs that leave the range of the model's structure"""
 
 
 def validate_model(model: Model, setup: Setup, where: str, against: Model | None = None,
@@ -90,7 +92,9 @@ def validate_model(model: Model, setup: Setup, where: str, against: Model | None
     models = [predictor_of(m) for m in (model, against) if m is not None]
     walked: list[tuple[Dataset, SmoothedRun]] = []
     table = predict_setup(models, setup, horizons_s, bands, walked)
-    return Validated(table, walk_ahead(walked) if models[0].mechanism.exchanged and not models[0].effects else None)
+    steps = walk_ahead(walked) if models[0].mechanism.exchanged and not models[0].effects else None
+    notes = [(data.name, range_note(model, one.state.x.q, one.state.x.v, one.drive)) for data, one in walked]
+    return Validated(table, steps, tuple(f"{run}: {note}" for run, note in notes if note))
 
 
 def predict_setup(models: Sequence[Predictor], setup: Setup, horizons_s: Sequence[float] = HORIZONS_S,

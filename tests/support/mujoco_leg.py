@@ -6,6 +6,7 @@ The physical parameters are seeded; `record` returns a `Dataset` with the noise 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -82,10 +83,12 @@ def record(leg: Leg, rng: np.random.Generator, *, seconds: float = 20.0, rate_hz
            amplitude: float = 1.2, gyro: float = 0.005, accel: float = 0.05, torque: float = 0.02,
            counts: int = 8192, hold: str = "linear", step: float = 5e-4, high: float = 3.0,
            friction_velocity: float = 3e-3, tau: np.ndarray | None = None, name: str = "run",
-           spring: tuple[float, float] = (0.0, 0.0)) -> Dataset:
+           spring: tuple[float, float] = (0.0, 0.0),
+           law: Callable[[float, float, float, float], tuple[float, float]] | None = None) -> Dataset:
     """Simulate, sample and disturb one run; `hold` says how the true torque moves between samples.
 
-    `spring` is (stiffness [N m/rad], rest angle [rad]) of a spring on the pivot.
+    `spring` is (stiffness [N m/rad], rest angle [rad]) of a spring on the pivot; `law` gives torques that act on pivot
+    and knee in addition, by both angles and both rates.
     """
     model = leg.model(step)
     data = mujoco.MjData(model)
@@ -104,15 +107,18 @@ def record(leg: Leg, rng: np.random.Generator, *, seconds: float = 20.0, rate_hz
             v1, v2 = qvel.tolist()
             applied[:] = (-dry1 * math.tanh(v1 / friction_velocity) - stiffness * (qpos[0] - rest),
                           -dry2 * math.tanh(v2 / friction_velocity) + now + slope * (i + 0.5))
+            if law is not None:
+                q1, q2 = qpos.tolist()
+                applied[:] += law(q1, q2, v1, v2)
             if i == 0:
                 mujoco.mj_forward(model, data)
                 # MuJoCo: x forward, z up along the link towards the pivot, rotation about -y
                 rows[k] = qpos[0], qpos[1], -sensed[4], sensed[0], -sensed[2], now
             mujoco.mj_step(model, data)
-    q1, q2, w, ax, ay, u = rows.T
+    angle1, angle2, w, ax, ay, u = rows.T
     grid = 2 * np.pi / counts
     columns = {
-        "q1_rad": np.round(q1 / grid) * grid, "q2_rad": np.round(q2 / grid) * grid,
+        "q1_rad": np.round(angle1 / grid) * grid, "q2_rad": np.round(angle2 / grid) * grid,
         "tau2_nm": u + torque * rng.normal(size=n), "gyro_radps": w + gyro * rng.normal(size=n),
         "accel_x_mps2": ax + accel * rng.normal(size=n), "accel_y_mps2": ay + accel * rng.normal(size=n)}
     return Dataset(name, rate_hz, time, {k: np.ascontiguousarray(v) for k, v in columns.items()})

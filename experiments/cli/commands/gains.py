@@ -36,8 +36,9 @@ def run(args: argparse.Namespace) -> int:
     model, wanted = load_model(args.model), Tolerances(args.angle, args.speed, args.torque, args.delay)
     found = gains_of(model, args.model, wanted)
     print(gains_text(found))
-    if model.effects:
-        print("note: the model's effects take no part: " + ", ".join(e.name for e in model.effects), file=sys.stderr)
+    left_out = [*(e.name for e in model.effects), *(["structure"] if model.structure else [])]
+    if left_out:
+        print("note: the model's effects take no part: " + ", ".join(left_out), file=sys.stderr)
     if args.json:
         write_json(args.json, {**gains_document(found, wanted),
                                "provenance": origin_of(model=args.model, command=command_line())})

@@ -51,13 +51,16 @@ def run(args: argparse.Namespace) -> int:
     """Simulate and write the run."""
     from daq.recording import read_plan
     from daq.runs import write_csv
-    from experiments.console import busy
-    from experiments.models import load_model
+    from experiments.console import busy, warn
+    from experiments.models import load_model, range_note_of
     from experiments.workflows import simulate_run
 
     model, plan = load_model(args.model), read_plan(args.plan)
     with busy("simulating"):
         data = simulate_run(model, plan, args.model, args.rate, args.start, args.noise_seed)
     rows = write_csv(data, args.out)
+    note = range_note_of(model, data)
+    if note:
+        warn(note)
     print(f"{args.out}: {rows} samples, {len(data) / data.rate_hz:.1f} s at {data.rate_hz:g} Hz")
     return 0

@@ -29,7 +29,7 @@ def test_document_is_the_contract() -> None:
     found = msgspec.json.decode(msgspec.json.encode(diagnosis_document(synthetic())))
     assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
             "sentence", "next_experiment", "next_step", "warnings", "material", "budget", "immaterial", "remainder",
-            "error", "compared", "stability", "rotations", "set_aside"} == set(found)
+            "error", "compared", "structure", "stability", "rotations", "set_aside"} == set(found)
     assert [row["what"] for row in found["budget"]] == ["nominal", "cause", "remainder", "noise"]
     assert found["budget"][1] == {"what": "cause", "effect": "stribeck_friction", "joint": 2, "share": 0.9,
                                   "ci95": [0.8, 0.97]}

@@ -1,0 +1,42 @@
+"""`with_structure`: the structure of what a diagnosis leaves unexplained, offered where it holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.diagnosis.refit import Model
+from estimator.diagnosis.result import Diagnosis
+from estimator.errors import FitError
+from estimator.prediction import Predictor, RunSignals, find_structure
+
+
+def with_structure(found: Diagnosis, nominal: Model) -> Diagnosis:
+    """`found` with the structure of the residual of its model, if its verdict leaves a material residual.
+
+    The model is the one that a model file has: the named causes, or the nominal model where none is. The structure is
+    offered only if it removes a material share of the free-run error on left-out runs, and surely some. Else a warning
+    gives that share.
+    """
+    if found.verdict not in ("unexplained", "partial"):
+        return found
+    split = nominal.split
+    p = split.mechanism.p
+    parameters = found.extended_beta if found.effects else nominal.state.beta[:p]
+    model = Predictor(split.mechanism, split.options.hold, parameters, tuple(effect for effect, _ in found.effects),
+                      angle_range=nominal.problem.stage.angle_range, gear_ratio=split.gear_ratio)
+    runs = [RunSignals(name, tuple(signals), start)
+            for name, signals, start in zip(split.names, split.runs, split.starts_s)]
+    try:
+        structure = find_structure(model, runs, replace(split.options, noise=dict(split.known)), split.workers)
+    except (FitError, np.linalg.LinAlgError):
+        return found
+    if structure is None:
+        return found
+    if structure.holds(found.material):
+        return replace(found, structure=structure)
+    interval = "" if structure.removed_ci95 is None else f" [{', '.join(f'{c:.0%}' for c in structure.removed_ci95)}]"
+    return replace(found, warnings=(*found.warnings, (
+        f"torques learnt as functions of the state remove {structure.removed:.0%}{interval} of the free-run error on "
+        "left-out runs: they are not offered")))

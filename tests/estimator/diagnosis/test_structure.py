@@ -1,0 +1,80 @@
+"""A diagnosis offers a structure only where its verdict leaves something, and on top of the model that it saves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimator import Verdict
+from estimator.diagnosis import structure
+from estimator.diagnosis.data_split import split_runs
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.structure import with_structure
+from estimator.effects.structure import JointStiffness
+from estimator.errors import FitError
+from estimator.model import leg2
+from estimator.options import FitOptions
+from estimator.prediction import Predictor, RunSignals, Structure
+from tests.support.learnt import hidden_magnet
+from tests.support.mujoco_leg import Leg, record
+
+BETA = Leg().beta()
+
+
+@pytest.fixture(scope="module")
+def nominal() -> Any:
+    """As much of a fitted model as a structure needs."""
+    data = [record(Leg(), np.random.default_rng(k), seconds=3.0, name=f"r{k}") for k in range(4)]
+    split = split_runs(data, leg2(lever_arm=0.2), FitOptions(sensors="imu", hold="linear"), 50.0, 1)
+    stage = SimpleNamespace(angle_range=np.array([[-1.0, 1.0], [-2.0, 2.0]]))
+    return SimpleNamespace(split=split, state=SimpleNamespace(beta=BETA), problem=SimpleNamespace(stage=stage))
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Predictor]:
+    """Models whose residual was learnt from; the answer is that of a leg with a magnet."""
+    models: list[Predictor] = []
+
+    def learn(model: Predictor, runs: Sequence[RunSignals], options: FitOptions, workers: int) -> Structure:
+        models.append(model)
+        assert len(runs) == 4
+        return hidden_magnet()
+
+    monkeypatch.setattr(structure, "find_structure", learn)
+    return models
+
+
+@pytest.mark.parametrize("verdict", ["none", "named", "one_of", "fit_failed"])
+def test_verdicts_that_leave_nothing_have_none(verdict: Verdict, nominal: Any, asked: list[Predictor]) -> None:
+    found = Diagnosis(verdict, "")
+    assert with_structure(found, nominal) is found and not asked
+
+
+def test_it_is_learnt_on_top_of_the_model_that_is_saved(nominal: Any, asked: list[Predictor]) -> None:
+    assert with_structure(Diagnosis("unexplained", ""), nominal).structure is hidden_magnet()
+    spring = JointStiffness(1)
+    extended = np.append(1.1 * BETA, [0.3, 0.0])
+    partial = Diagnosis("partial", "", effects=((spring, extended[9:]),), extended_beta=extended)
+    assert with_structure(partial, nominal).structure is hidden_magnet()
+    plain, with_spring = asked
+    assert plain.effects == () and np.array_equal(plain.parameters, BETA)
+    assert with_spring.effects == (spring,) and np.array_equal(with_spring.parameters, extended)
+
+
+def test_it_is_offered_only_if_it_is_material(nominal: Any, asked: list[Predictor]) -> None:
+    found = with_structure(Diagnosis("unexplained", "", material=0.95), nominal)
+    (told,) = found.warnings
+    assert found.structure is None and f"remove {hidden_magnet().removed:.0%} [" in told and "not offered" in told
+
+
+def test_runs_that_teach_nothing_leave_the_diagnosis(nominal: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> Structure:
+        raise FitError("no")
+
+    monkeypatch.setattr(structure, "find_structure", fails)
+    found = Diagnosis("unexplained", "")
+    assert with_structure(found, nominal) is found

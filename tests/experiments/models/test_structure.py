@@ -1,0 +1,109 @@
+"""A model with a structure is a model: saved, read, simulated and validated; an independent plant judges it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from daq.errors import InputError
+from daq.recording.plan import read_plan
+from experiments import cli
+from experiments.emulation.hidden_effects import REST_RAD, SPRING_NM
+from experiments.models.model_file import load_model, save_model
+from experiments.models.schema import JointTorque, Model, StructureValues, TableInput, TorqueTable
+from experiments.models.structure import laws_of, structure_values
+from experiments.reports.structure import structure_document, structure_section, structure_words
+from legid import api
+from tests.support.extended_models import model_with, plant_motion, run_of
+from tests.support.learnt import hidden_magnet
+from tests.support.paths import DEMO_RIG as RIG
+
+SPRING = TorqueTable(inputs=(TableInput(variable="angle", joint=2),), knots=((-2.0, 2.0),), std=(0.001, 0.001),
+                     values=(SPRING_NM * (-2.0 - REST_RAD), SPRING_NM * (2.0 - REST_RAD)))
+
+
+def with_table(table: TorqueTable, joint: int = 2) -> Model:
+    torque = JointTorque(joint=joint, constant=0.0, tables=(table,), noise_nm=0.01)
+    structure = StructureValues(torques=(torque,), removed=0.5, removed_ci95=(0.4, 0.6))
+    return msgspec.structs.replace(model_with(), structure=structure)
+
+
+def test_it_is_saved_and_read_and_old_files_have_none(tmp_path: Path) -> None:
+    model = with_table(SPRING)
+    save_model(model, tmp_path / "m.json")
+    assert load_model(tmp_path / "m.json") == model
+    document = json.loads((tmp_path / "m.json").read_text())
+    del document["structure"]
+    (tmp_path / "m.json").write_text(json.dumps(document))
+    assert load_model(tmp_path / "m.json").structure is None and laws_of(load_model(tmp_path / "m.json")) == ()
+
+
+def test_a_learnt_structure_survives_the_file() -> None:
+    found = hidden_magnet()
+    model = msgspec.structs.replace(model_with(), structure=structure_values(found))
+    (law,), (again,) = found.laws, laws_of(model)
+    np.testing.assert_array_equal(again.torque(found.samples.at), law.torque(found.samples.at))
+    assert model.structure is not None and model.structure.removed == found.removed
+
+
+@pytest.mark.parametrize("change, says", [
+    ({"knots": [[2.0, -2.0]]}, "do not increase"), ({"values": [1.0]}, "1 values for 2 knots"),
+    ({"inputs": []}, "one list of knots"), ({"inputs": [{"variable": "angle", "joint": 3}]}, "joint 3"),
+    ({"inputs": [{"variable": "mood", "joint": 1}]}, "mood"), ({"std": [-1.0, 1.0]}, "std"),
+])
+def test_a_structure_that_cannot_be_run_is_named(change: dict[str, Any], says: str, tmp_path: Path) -> None:
+    document = json.loads(msgspec.json.encode(with_table(SPRING)))
+    document["structure"]["torques"][0]["tables"][0] |= change
+    (tmp_path / "m.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=says):
+        load_model(tmp_path / "m.json")
+
+
+def test_simulation_is_the_motion_of_a_plant_with_that_torque(tmp_path: Path) -> None:
+    with_it = run_of(with_table(SPRING), tmp_path)
+    truth = plant_motion("joint_stiffness", tmp_path)
+    without = run_of(model_with(), tmp_path)
+    for j, column in enumerate(("q1_rad", "q2_rad")):
+        error, plain = (np.sqrt(np.mean((run[column] - truth[:, j]) ** 2)) for run in (with_it, without))
+        assert error < 0.03 * np.ptp(truth[:, j]) and error < 0.4 * plain
+
+
+def test_validate_and_compare_use_it(tmp_path: Path) -> None:
+    run_of(with_table(SPRING), tmp_path, "--noise-seed", "3")
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG.read_text().replace("rate_hz = 250.0", "rate_hz = 200.0"))
+    save_model(model_with(), tmp_path / "plain.json")
+    names = [str(tmp_path / name) for name in ("m.json", "plain.json", "run.csv")]
+    words = ["validate", names[0], names[2], "--rig", str(rig), "--horizons", "0.5", "--json", str(tmp_path / "v.json")]
+    assert cli.main(words) == 0
+    (run,) = json.loads((tmp_path / "v.json").read_text())["runs"]
+    assert run["rmse"]["q1_rad"] < 0.01 and run["rmse"]["q2_rad"] < 0.03
+    assert cli.main(["compare", *names, "--rig", str(rig), "--horizons", "0.5", "--json",
+                     str(tmp_path / "c.json")]) == 0
+    told = json.loads((tmp_path / "c.json").read_text())
+    assert all(row["b"] > 2.0 * row["a"] for row in told["errors"])
+
+
+def test_a_motion_beyond_its_range_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    narrow = msgspec.structs.replace(SPRING, knots=((-0.05, 0.05),), values=(-0.01, 0.01))
+    run_of(with_table(narrow), tmp_path)
+    said = capsys.readouterr().err
+    assert "angle of joint 2" in said and "leaves the range" in said
+    run_of(with_table(SPRING), tmp_path)
+    assert "leaves the range" not in capsys.readouterr().err
+    with pytest.warns(UserWarning, match="angle of joint 2"):
+        api.simulate(with_table(narrow), read_plan(tmp_path / "plan.csv"))
+
+
+def test_reports_say_what_it_removes_and_where() -> None:
+    found = hidden_magnet()
+    words = structure_words(found)
+    assert f"removes {found.removed:.0%} [" in words and "joint 2, as a function of angle" in words
+    told = structure_document(found)
+    assert told["removed"] == found.removed and told["where"][0]["depends_on"] == "angle"
+    assert all(row["after"] < row["before"] for row in told["error"])
+    section = structure_section(found)
+    assert len(section.pictures) == len(found.laws[0].tables) and "95 % band" in section.pictures[0].svg
