@@ -75,12 +75,17 @@ def with_noise(found: Diagnosis, model: Model, floor: FloorNoise) -> Diagnosis:
     mechanism, noise = model.split.mechanism, floor.noise
     shunt = max((float(noise.torque[j]) for j in mechanism.actuated), default=0.0)
     told = [f"an unmeasured torque of {level:.2g} {mechanism.unit('N m')} (rms, time constant {constant_s:.2g} s) acts "
-            f"at joint {j}; it does not depend on the state and counts as noise"
+            + counted_as_noise(j)
             for j, (level, constant_s) in enumerate(zip(noise.disturbance, noise.time_constant), 1)
             if level > shunt and constant_s > model.problem.dt]
     told += [f"{in_words(channel, ratio)}; this is a finding about the sensor, not about the simulation"
              for channel, ratio in noisy_sensors(model).items()]
     return replace(found, noise={**found.noise, **disturbance_levels(noise)}, warnings=(*found.warnings, *told))
+
+
+def counted_as_noise(joint: int) -> str:
+    """End of the warning that says so of the disturbance at a joint."""
+    return f"at joint {joint}; it does not depend on the state and counts as noise"
 
 
 def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tuple[float, float]]) -> list[str]:

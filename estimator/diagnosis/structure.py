@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.diagnosis.conclusion import counted_as_noise
 from estimator.diagnosis.refit import Model
 from estimator.diagnosis.result import Diagnosis
 from estimator.errors import FitError
@@ -35,8 +36,11 @@ def with_structure(found: Diagnosis, nominal: Model) -> Diagnosis:
     if structure is None:
         return found
     if structure.holds(found.material):
-        return replace(found, structure=structure)
-    interval = "" if structure.removed_ci95 is None else f" [{', '.join(f'{c:.0%}' for c in structure.removed_ci95)}]"
+        refuted = [counted_as_noise((law.joint or 0) + 1) for law in structure.laws]
+        return replace(found, structure=structure,
+                       warnings=tuple(w for w in found.warnings if not w.endswith(tuple(refuted))))
+    ends = structure.removed_ci95
+    interval = "" if ends is None else f" [{', '.join(f'{100.0 * end:.0f}' for end in ends)}]"
     return replace(found, warnings=(*found.warnings, (
-        f"torques learnt as functions of the state remove {structure.removed:.0%}{interval} of the free-run error on "
-        "left-out runs: they are not offered")))
+        f"torques learnt as functions of the state remove {100.0 * structure.removed:.0f} %{interval} of the free-run "
+        "error on left-out runs: they are not offered")))

@@ -104,7 +104,7 @@ def verdict_words(verdict: Verdict) -> str:
 def diagnosis_sections(found: Diagnosis, mechanism: Mechanism | None = None) -> list[Section]:
     """All sections, folded, in the order of the questions; those that have nothing to show are left out. `mechanism`
     says what the numbers mean; warnings are `verdict_box`'s. One figure leads the page."""
-    return fold([_verdict(found), _sketch(found, mechanism), _budget(found), structure_section(found.structure),
+    return fold([_verdict(found), structure_section(found.structure), _sketch(found, mechanism), _budget(found),
                 _errors(found), _candidates(found), _signatures(found), _traces(found),
                 _separability(found), _parameters(found, mechanism), _next(found), _ruled_out(found),
                 _untestable(found), _runs(found)])

@@ -27,8 +27,9 @@ def structure_words(found: Structure) -> str:
     """Sentences about the share of the error that the structure removes, with its interval, and its place."""
     low, high = found.removed_ci95 or (np.nan, np.nan)
     (joint, inputs), *_ = where_of(found)
-    return (f"A function of the state that repeats in all runs removes {found.removed:.0%} [{low:.0%}, {high:.0%}] of "
-            f"the free-run error on left-out runs. It is largest at joint {joint}, as a function of {inputs}.")
+    return (f"A function of the state that repeats in all runs removes {100.0 * found.removed:.0f} % "
+            f"[{100.0 * low:.0f}, {100.0 * high:.0f}] of the free-run error on left-out runs. It is largest at joint "
+            f"{joint}, as a function of {inputs}.")
 
 
 def structure_rows(found: Structure) -> list[list[str]]:

@@ -101,7 +101,7 @@ def test_a_motion_beyond_its_range_is_told(tmp_path: Path, capsys: pytest.Captur
 def test_reports_say_what_it_removes_and_where() -> None:
     found = hidden_magnet()
     words = structure_words(found)
-    assert f"removes {found.removed:.0%} [" in words and "joint 2, as a function of angle" in words
+    assert f"removes {100.0 * found.removed:.0f} % [" in words and "joint 2, as a function of angle" in words
     told = structure_document(found)
     assert told["removed"] == found.removed and told["where"][0]["depends_on"] == "angle"
     assert all(row["after"] < row["before"] for row in told["error"])
