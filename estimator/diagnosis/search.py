@@ -68,7 +68,7 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress,
     """Explanations, the likeliest first, each set of effects once, weighed under the noise levels of the best.
 
     More sets of a size are tried while the errors `promise` that another can be materially better, and larger ones
-    while the likeliest leaves something detectable, too.
+    while one of the best leaves something detectable, too.
     """
     found: list[Explanation] = []
     parents = [Explanation(context.nominal, 0.0, tests)]
@@ -82,7 +82,7 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress,
         if not best:
             break
         found += [*best, *reduced(context, best)]
-        if not best[0].has_residual or not promise(found).larger:
+        if not any(e.has_residual for e in best) or not promise(found).larger:
             break
         parents = best
     say("comparing the best sets", 0.8)

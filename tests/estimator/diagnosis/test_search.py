@@ -126,6 +126,26 @@ def test_sets_that_gain_are_fitted_to_the_end_and_those_that_prove_likely_too(mo
     assert not tried  # nothing can be better
 
 
+@pytest.mark.parametrize(("residuals", "sizes"), [((False, False), 1), ((False, True), 2), ((True, False), 2)])
+def test_larger_sets_follow_while_one_of_the_best_leaves_something(residuals: tuple[bool, bool], sizes: int,
+                                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    """A skew was the likeliest and left nothing under its noise levels; drag moved the leg and left a little."""
+    grown: list[int] = []
+
+    def fit(_: object, starts: Any) -> list[Explanation]:
+        grown.append(len(starts[0][1]))
+        return [replace(explained(9.0 - k, *(e.key for e, _ in start)), has_residual=residuals[k] and grown[-1] == 1)
+                for k, (_, start) in enumerate(starts[:2])]
+
+    monkeypatch.setattr(search, "fit_sets", fit)
+    monkeypatch.setattr(search, "weigh", lambda _, found: found)
+    for name in ("exchanged", "reduced", "tried"):
+        monkeypatch.setattr(search, name, lambda *_: [])
+    context = Context({"skew": 9.0, "drag": 8.0, "play": 1.0})
+    search.search(cast(Any, context), explained(0.0).left, lambda *_: None, lambda _: search.Promise(False, True))
+    assert max(grown) == sizes
+
+
 def test_sets_grow_by_what_each_leaves_and_each_set_once() -> None:
     context = Context({f"e{k:02}": 100.0 - k for k in range(GROWN + 4)})
     parents = [explained(50.0, "e00"), explained(10.0, "e01")]
