@@ -49,7 +49,7 @@ from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
 from estimator.diagnosis.search import Progress, Promise, fit_sets, grown, search
 from estimator.diagnosis.structure import with_structure
-from estimator.diagnosis.verdict import NOMINAL, by_likelihood, decide, first_of_each
+from estimator.diagnosis.verdict import NOMINAL, by_error, decide, first_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, describe_smoothing_velocity
@@ -229,7 +229,7 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], material: f
     part of the material amount; a second effect is tried without that, too, where the error is larger than a
     disturbance explains. Measured errors are appended to `known`.
     """
-    best = by_likelihood(first_of_each(found))
+    best = by_error(first_of_each(found))
     models = [context.nominal, *(e.model for e in best)]
     try:
         table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)),

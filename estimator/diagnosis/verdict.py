@@ -76,7 +76,7 @@ def decide(context: DiagnosisContext, tests: ScoreTests, options: Sequence[Expla
     None where neither a listed effect nor a generic term could be fitted. Raises `FitError` where every free run
     diverges.
     """
-    shortlist = by_likelihood(shortlisted([o for o in options if admissible(o)] or options))
+    shortlist = by_error(shortlisted([o for o in options if admissible(o)] or options))
     generic = generic_extension(context, context.nominal, tests)
     if not shortlist and generic is None:
         return None
@@ -243,7 +243,7 @@ def is_open(table: ErrorTable, model: int, than: int, material: float, draws: ND
 
 def measure_together(context: DiagnosisContext, models: Sequence[Model], smoothers: Sequence[int],
                      rng: np.random.Generator, known: Sequence[ErrorTable] = ()) -> ErrorTable:
-    """Errors of `models`, the nominal one first, in units of the noise of the likeliest that can be simulated.
+    """Errors of `models`, the nominal one first, in units of the noise of the first that can be simulated.
 
     The smoother of one of `smoothers` supplies the pivot angle. Errors in `known` tables are reused. Raises `FitError`
     if no model can be simulated.
@@ -276,9 +276,13 @@ def first_of_each(options: Sequence[Explanation]) -> list[Explanation]:
     return [o for n in counts for o in seated([o for o in options if len(o.model.effects) == n], SHORTLIST_EACH)]
 
 
-def by_likelihood(options: Sequence[Explanation]) -> list[Explanation]:
-    """Explanations by falling likelihood under their own noise; inadmissible ones last."""
-    return sorted(options, key=lambda o: (not admissible(o), deviance(o.model)))
+def by_error(options: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations by rising error of free runs on the discover runs; inadmissible ones last.
+
+    The first gives the noise that is the unit: the likeliest can be a small fault of a sensor, which takes for noise
+    what the simulation lacks.
+    """
+    return sorted(options, key=lambda o: (not admissible(o), o.error))
 
 
 def admissible(explanation: Explanation) -> bool:

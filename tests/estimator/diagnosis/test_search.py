@@ -200,7 +200,7 @@ def test_more_effects_are_tried_where_the_last_lowers_the_error(
 
     monkeypatch.setattr(procedure, "measure_errors", measured)
     monkeypatch.setattr(procedure, "noise_floor", lambda _: None)
-    monkeypatch.setattr(procedure, "by_likelihood", list)
+    monkeypatch.setattr(procedure, "by_error", list)
     found = [e for e in (explained(1.0, "delay", "play"), explained(1.0, "delay")) if len(e.model.effects) in errors]
     known: list[Any] = []
     rng = np.random.default_rng(0)
@@ -213,6 +213,6 @@ def test_where_nothing_can_be_simulated_more_is_tried(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(procedure, "measure_errors", diverged)
     monkeypatch.setattr(procedure, "noise_floor", lambda _: None)
-    monkeypatch.setattr(procedure, "by_likelihood", list)
+    monkeypatch.setattr(procedure, "by_error", list)
     found = [explained(1.0, "delay")]
     assert procedure.promise(cast(Any, Context()), found, MATERIAL, np.random.default_rng(0), []) == (True, True)

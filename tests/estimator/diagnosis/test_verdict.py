@@ -156,7 +156,7 @@ def test_what_leaves_much_has_to_show_on_all_runs(monkeypatch: pytest.MonkeyPatc
 
     turns: list[Decision] = []
     monkeypatch.setattr(verdict, "turn_runs", turned)
-    monkeypatch.setattr(verdict, "by_likelihood", list)
+    monkeypatch.setattr(verdict, "by_error", list)
     monkeypatch.setattr(verdict, "admissible", lambda _: True)
     monkeypatch.setattr(verdict, "generic_extension", lambda *_: None)
     monkeypatch.setattr(verdict, "without_each", lambda *_: [])
