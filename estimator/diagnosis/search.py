@@ -196,7 +196,7 @@ def climb_discrete(model: Model) -> Model:
 
     The score that chose them is that of a motion that lacks the effect.
     """
-    tried: set[tuple[int, int, float]] = set()
+    known: set[tuple[int, int, float]] = set()
     while True:
         pairs, likeliest = pairs_of(model), model
         for k, (effect, size) in enumerate(pairs):
@@ -205,9 +205,9 @@ def climb_discrete(model: Model) -> Model:
                     continue
                 grid = effect.tried(shape)
                 at = int(np.argmin(np.abs(np.array(grid) - size[i])))
-                tried.add((k, i, grid[at]))
-                for near in sorted({*grid[max(0, at - 1) : at + 2]} - {v for n, m, v in tried if (n, m) == (k, i)}):
-                    tried.add((k, i, near))
+                known.add((k, i, grid[at]))
+                for near in sorted({*grid[max(0, at - 1) : at + 2]} - {v for n, m, v in known if (n, m) == (k, i)}):
+                    known.add((k, i, near))
                     moved = np.where(np.arange(size.size) < len(effect.sizes), 0.0, size)
                     moved[i] = near
                     try:

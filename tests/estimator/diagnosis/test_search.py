@@ -189,10 +189,10 @@ def test_gains_are_those_over_the_likeliest_smaller_set() -> None:
 
 @pytest.mark.parametrize("errors, promising", [
     ({0: 1.9, 1: 1.35}, True), ({0: 1.9, 1: 1.05}, False),  # room above noise for a second effect, and none
-    ({0: 1.9, 1: 1.35, 2: 1.32}, False),  # a late torque; friction near rest beside it lowers next to nothing
+    ({0: 1.9, 1: 1.35, 2: 1.32}, False),  # a late torque; friction near rest with it lowers next to nothing
     ({0: 9.0, 1: 2.5, 2: 1.4}, True),
     ({0: 9.0, 1: 9.0}, True), ({0: 9.0, 1: 4.5, 2: 4.5}, False),  # one effect may hide another
-    ({0: 9.0, 1: 1.05, 2: 0.9}, False)])  # no room beside the first
+    ({0: 9.0, 1: 1.05, 2: 0.9}, False)])  # no room above noise
 def test_more_effects_are_tried_where_the_last_lowers_the_error(
         errors: dict[int, float], promising: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     def measured(models: list[Fitted], *_: object, **__: object) -> Any:

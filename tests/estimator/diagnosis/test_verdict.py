@@ -351,7 +351,7 @@ def test_structure_within_the_noise_floor_is_told_only_if_it_is_material(generic
     ((1.25, 9.0), 1), ((2.0, 9.0), 2), ((1.25, 1.26), 1)])  # of the last two either would do: one goes
 def test_what_is_not_material_in_a_set_is_left_out(without: tuple[float, float], kept: int,
                                                    monkeypatch: pytest.MonkeyPatch) -> None:
-    """A torque offset made half of a leg's error and a bias beside it a hundredth: the offset alone is the answer."""
+    """A torque offset made half of a leg's error and a bias a hundredth: the offset alone is the answer."""
     pair = explained(900.0, "offset", "bias")
     table = replace(table_of(9.0, 1.2, *without), models=cast(Any, [None, pair.model, *(
         Fitted((cast(Any, Named(key)),)) for key in ("offset", "bias"))]))
