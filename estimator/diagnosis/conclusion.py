@@ -74,13 +74,14 @@ def with_noise(found: Diagnosis, model: Model, floor: FloorNoise) -> Diagnosis:
     """
     mechanism, noise = model.split.mechanism, floor.noise
     shunt = max((float(noise.torque[j]) for j in mechanism.actuated), default=0.0)
-    told = [f"an unmeasured torque of {level:.2g} {mechanism.unit('N m')} (rms, time constant {constant_s:.2g} s) acts "
-            + counted_as_noise(j)
-            for j, (level, constant_s) in enumerate(zip(noise.disturbance, noise.time_constant), 1)
-            if level > shunt and constant_s > model.problem.dt]
+    unmeasured = {j: float(level) for j, (level, constant_s) in enumerate(zip(noise.disturbance, noise.time_constant), 1)
+                  if level > shunt and constant_s > model.problem.dt}
+    told = [f"an unmeasured torque of {level:.2g} {mechanism.unit('N m')} (rms, time constant "
+            f"{noise.time_constant[j - 1]:.2g} s) acts {counted_as_noise(j)}" for j, level in unmeasured.items()]
     told += [f"{in_words(channel, ratio)}; this is a finding about the sensor, not about the simulation"
              for channel, ratio in noisy_sensors(model).items()]
-    return replace(found, noise={**found.noise, **disturbance_levels(noise)}, warnings=(*found.warnings, *told))
+    return replace(found, noise={**found.noise, **disturbance_levels(noise)}, warnings=(*found.warnings, *told),
+                   unmeasured={j: f"{level:.2g} {mechanism.unit('N m')}" for j, level in unmeasured.items()})
 
 
 def counted_as_noise(joint: int) -> str:
@@ -227,6 +228,9 @@ def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
                 "are present, but not each of them surely reduces")
         sentence = (f"No material error beyond noise. {told[:1].upper()}{told[1:]} {verb} the free-run rms error by "
                     f"{100 * found.material:.0f} %")
+    if found.unmeasured:
+        sentence += (". Noise includes an unmeasured torque of "
+                     + " and ".join(f"{level} (rms) at joint {j}" for j, level in found.unmeasured.items()))
     called = "None is needed"
     if found.error is not None and found.error[0] > 1.0 / (1.0 - found.material):
         before, after = found.error

@@ -180,6 +180,8 @@ class Diagnosis:
     extended_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(p + sizes, p + sizes)"""
     noise: Mapping[str, float] = field(default_factory=dict)
+    unmeasured: Mapping[int, str] = field(default_factory=dict)
+    """Joint (1-based) to the rms level of the disturbance torque there that counts as noise, with its unit."""
     angle_range: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     """(n, 2) range of each joint's angle over the runs that were fitted: what the effects' sizes refer to."""
     short: ShortRuns | None = None

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from daq import FloatArray
+from estimator.diagnosis.conclusion import base, nothing, with_noise
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.decision_rule import EDGE
 from estimator.diagnosis.error_table import measure_errors, with_floor
@@ -43,6 +46,10 @@ def test_a_disturbance_is_noise() -> None:
     assert floor.noise.disturbance[1] == pytest.approx(0.03, rel=0.35)
     assert 0.08 < floor.noise.time_constant[1] < 0.5 and floor.repeated[1] < 0.2
     assert error(model, None) > 1.5 and error(model, floor) < 1.4
+    told = nothing(with_noise(base(model, {}, None), model, floor)).sentence
+    assert f"Noise includes an unmeasured torque of {floor.noise.disturbance[1]:.2g} N m (rms) at joint 2" in told
+    quiet = floor._replace(noise=replace(floor.noise, disturbance=np.zeros(2)))
+    assert "unmeasured" not in nothing(with_noise(base(model, {}, None), model, quiet)).sentence
 
 
 def test_a_law_that_the_model_lacks_is_not() -> None:
