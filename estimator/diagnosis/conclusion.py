@@ -74,7 +74,8 @@ def with_noise(found: Diagnosis, model: Model, floor: FloorNoise) -> Diagnosis:
     """
     mechanism, noise = model.split.mechanism, floor.noise
     shunt = max((float(noise.torque[j]) for j in mechanism.actuated), default=0.0)
-    unmeasured = {j: float(level) for j, (level, constant_s) in enumerate(zip(noise.disturbance, noise.time_constant), 1)
+    unmeasured = {j: float(level)
+                  for j, (level, constant_s) in enumerate(zip(noise.disturbance, noise.time_constant), 1)
                   if level > shunt and constant_s > model.problem.dt}
     told = [f"an unmeasured torque of {level:.2g} {mechanism.unit('N m')} (rms, time constant "
             f"{noise.time_constant[j - 1]:.2g} s) acts {counted_as_noise(j)}" for j, level in unmeasured.items()]
