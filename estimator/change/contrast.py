@@ -1,97 +1,105 @@
 """`Contrast`: what one session's runs hold that another's do not, as a score and an information over all columns.
 
 Of run r, its own structure integrated out (`structure`), score s_r = I_r theta_r + noise of covariance I_r, where
-theta_r is common to the runs of a session and L is the precision of its prior.
+theta_r is common to the runs of a session: theta. L is the precision of its prior.
 
-`contrast`: test runs have theta + delta, reference runs theta. With theta integrated out, delta has the score
-q = s_T - I_T (I_T + I_R + L)^-1 (s_T + s_R) and the information Q = I_T - I_T (I_T + I_R + L)^-1 I_T.
+`contrast`: test runs have theta + delta, reference runs theta. `difference`: neither session is the reference. A has
+theta - delta/2, B has theta + delta/2. Exchanging A and B turns the sign of delta and nothing else.
 
-`difference`: neither session is the reference. A has theta - delta/2, B has theta + delta/2. Exchanging A and B turns
-the sign of delta and nothing else.
+theta = u + alpha, u of the prior N(0, L^-1). Which change is likeliest is judged with alpha zero, so that all changes
+are compared with one model of no change. The size of a change is a difference of levels: alpha is then flat, along
+the same columns as delta. The prior alone would draw a level that all runs have, such as a delay, towards zero, and
+its rest would count as change. With u integrated out, W = I_T + I_R + L, s = s_T + s_R, delta and alpha have
+
+    score         q = s_T - I_T W^-1 s      and  L W^-1 s,
+    information   Q = I_T - I_T W^-1 I_T,  I_T W^-1 L  and  L - L W^-1 L.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq import FloatArray
-from estimator.change.scores import RunScore
+from estimator.change.scores import HIDDEN, Score
 from estimator.change.structure import Structure
 
-HIDDEN = 1e-6
-"""Share of a column's information below which nothing is left of it."""
 SINGULAR = 1e-9
 """Square of a pivot of Cholesky's factor below which a matrix of unit diagonal is inverted by its eigenvalues."""
 
 
 @dataclass(frozen=True)
 class Contrast:
-    """Score and information of a change, structure that is no change integrated out."""
+    """Scores of a change delta and of the level alpha that both sessions have."""
 
-    score: FloatArray
-    """(m,)"""
-    information: FloatArray
-    """(m, m)"""
+    change: Score
+    level: Score
+    mixed: FloatArray
+    """(m, m) information between change and level"""
 
-    def along(self, basis: FloatArray) -> Contrast:
-        """Contrast of the k sizes that move all columns by `basis` (m, k) each."""
-        return Contrast(basis.T @ self.score, basis.T @ self.information @ basis)
+    def along(self, basis: FloatArray) -> Score:
+        """Score of the k sizes of a change that moves all columns by `basis` (m, k) each; alpha is zero."""
+        return self.change.along(basis)
 
-    def gain(self) -> float:
-        """Fall of -2 log likelihood by a change of all columns."""
-        return float(self.size() @ self.score)
+    def without(self, basis: FloatArray) -> Contrast:
+        """The contrast with the change along `basis` (m, k) fitted and projected out, alpha zero."""
+        return replace(self, change=without(self.change, basis))
 
-    def size(self) -> FloatArray:
-        """(m,) generalised least squares."""
-        return np.asarray(self.covariance() @ self.score)
-
-    @property
-    def scale(self) -> FloatArray:
-        """(m,) root of each column's own information."""
-        return np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-
-    @property
-    def correlation(self) -> FloatArray:
-        """(m, m) information of columns in units of their own."""
-        return np.asarray(self.information / np.outer(self.scale, self.scale))
-
-    def covariance(self) -> FloatArray:
-        """(m, m) of the sizes."""
-        scale = self.scale
-        square = np.outer(scale, scale)
-        return np.asarray(np.linalg.pinv(self.information / square, HIDDEN, hermitian=True) / square)
+    def measured(self, basis: FloatArray, others: FloatArray) -> Score:
+        """Score of the k sizes along `basis`, `others` (m, l) fitted and projected out; alpha is free along both."""
+        every, k = np.hstack([basis, others]), basis.shape[1]
+        change, level = self.change.along(every), self.level.along(every)
+        mixed = every.T @ self.mixed @ every
+        pair = Score(np.concatenate([change.score, level.score]),
+                     np.block([[change.information, mixed], [mixed.T, level.information]]))
+        found = without(pair, np.eye(pair.score.size)[:, k:])
+        return Score(found.score[:k], found.information[:k, :k])
 
 
-def seen(runs: Sequence[RunScore], structure: Structure) -> list[Contrast]:
+def without(whole: Score, basis: FloatArray) -> Score:
+    """`whole` with the sizes along `basis` fitted and projected out; columns of which nothing is left are zero."""
+    carry = whole.information @ basis @ whole.along(basis).covariance()
+    left = whole.information - carry @ basis.T @ whole.information
+    score = whole.score - carry @ (basis.T @ whole.score)
+    gone = np.diag(left) < HIDDEN * np.diag(whole.information)
+    score[gone], left[gone], left[:, gone] = 0.0, 0.0, 0.0
+    return Score(score, left)
+
+
+def seen(runs: Sequence[Score], structure: Structure) -> list[Score]:
     """Score and information of each run, its own structure integrated out."""
-    return [Contrast(*structure.seen(run)) for run in runs]
+    return [Score(*structure.seen(run)) for run in runs]
 
 
-def total(parts: Sequence[Contrast]) -> Contrast:
+def total(parts: Sequence[Score]) -> Score:
     """The sum of their scores and informations."""
-    return Contrast(np.sum([p.score for p in parts], axis=0), np.sum([p.information for p in parts], axis=0))
+    return Score(np.sum([p.score for p in parts], axis=0), np.sum([p.information for p in parts], axis=0))
 
 
-def contrast(test: Contrast, reference: Contrast, structure: Structure) -> Contrast:
+def contrast(test: Score, reference: Score, structure: Structure) -> Contrast:
     """Contrast of test runs with reference runs, given their totals and the `structure` of the reference."""
     return _without_common(test, test.information, total([test, reference]), structure)
 
 
-def difference(a: Contrast, b: Contrast, structure: Structure) -> Contrast:
+def difference(a: Score, b: Score, structure: Structure) -> Contrast:
     """Contrast of session B with session A, given their totals and the `structure` of both."""
-    half = Contrast(0.5 * (b.score - a.score), 0.25 * (a.information + b.information))
+    half = Score(0.5 * (b.score - a.score), 0.25 * (a.information + b.information))
     return _without_common(half, 0.5 * (b.information - a.information), total([a, b]), structure)
 
 
-def _without_common(own: Contrast, mixed: FloatArray, common: Contrast, structure: Structure) -> Contrast:
-    """`own` with the common theta integrated out; `mixed` (m, m) is the information between the two."""
-    whole = common.information + np.diag(structure.precision)
-    carry = mixed @ _inverse(whole)
-    information = own.information - carry @ mixed.T
-    return Contrast(own.score - carry @ common.score, 0.5 * (information + information.T))
+def _without_common(own: Score, mixed: FloatArray, common: Score, structure: Structure) -> Contrast:
+    """`own` and the common level with u integrated out; `mixed` (m, m) is the information between delta and theta."""
+    prior = structure.precision
+    inverse = _inverse(common.information + np.diag(prior))
+    carry, level = mixed @ inverse, prior[:, None] * inverse
+    return Contrast(Score(own.score - carry @ common.score, _symmetric(own.information - carry @ mixed.T)),
+                    Score(level @ common.score, _symmetric(np.diag(prior) - level * prior)), carry * prior)
+
+
+def _symmetric(square: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * (square + square.T))
 
 
 def _inverse(whole: FloatArray) -> FloatArray:

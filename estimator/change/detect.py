@@ -14,7 +14,7 @@ from estimator.change.groups import groups_of
 from estimator.change.noise import compare_noise, levels_of, with_noise
 from estimator.change.reference import Reference, require_runs
 from estimator.change.result import Change
-from estimator.change.scores import fit_reference, noisiness, score_run
+from estimator.change.scores import Score, fit_reference, noisiness, score_run
 from estimator.change.structure import find_structure
 from estimator.change.verdict import AGAINST, ALPHA, SESSIONS, Fold, Scored, basis_of, conclude, likeliest_changes
 from estimator.errors import FitError
@@ -37,7 +37,7 @@ def detect_change(test: Sequence[Dataset], reference: Reference) -> Change:
         own = with_noise(fit, [one for one in noise if one.p_value < ALPHA])
         groups = groups_of(fit, reference.known)
 
-        def against(some: Sequence[Contrast]) -> Contrast:
+        def against(some: Sequence[Score]) -> Contrast:
             return contrast(total(some), reference.known, structure)
 
         def scored(shift: FloatArray | None) -> tuple[Scored, list[Fold]]:
@@ -81,7 +81,7 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
             structure = begun if shift is None else find_structure(scores, fit.mechanism.p)
             first, second = (seen(runs, structure) for runs in scores)
 
-            def between(some: Sequence[Contrast], others: Sequence[Contrast]) -> Contrast:
+            def between(some: Sequence[Score], others: Sequence[Score]) -> Contrast:
                 return difference(total(some), total(others), structure)
 
             folds = [Fold(d.name, between(first[:k] + first[k + 1 :], second), between([first[k]], second))

@@ -11,7 +11,7 @@ from daq import FloatArray
 from estimator.change.contrast import Contrast
 from estimator.change.payload import NAMES, UNITS, body_basis, fit_body, link_lengths
 from estimator.change.result import Kind
-from estimator.change.scores import ReferenceFit
+from estimator.change.scores import ReferenceFit, Score
 from estimator.effects import Effect
 from estimator.model import has_bodies
 
@@ -40,9 +40,8 @@ class Group:
     def key(self) -> tuple[str, int | None]:
         return self.effect, self.joint
 
-    def fit(self, whole: Contrast) -> tuple[FloatArray, float]:
-        """(k,) likeliest sizes, and the fall of -2 log likelihood."""
-        own = whole.along(self.basis)
+    def fit(self, own: Score) -> tuple[FloatArray, float]:
+        """(k,) likeliest sizes, and the fall of -2 log likelihood, by score and information of the sizes."""
         if self.body:
             size, gain = fit_body(own)
         else:
@@ -50,17 +49,16 @@ class Group:
             gain = float(size @ own.score)
         return size, max(gain, 0.0)
 
-    def covariance(self, whole: Contrast, size: FloatArray) -> FloatArray:
-        """(k, k) of the sizes, uncertain lengths included."""
-        own = whole.along(self.basis)
-        found = own.covariance()
+    def covariance(self, own: Score, whole: Contrast) -> FloatArray:
+        """(k, k) of the sizes, uncertain lengths included; `whole` is the contrast that `own` is of."""
+        found, size = own.covariance(), whole.along(self.basis).size()
         for moved in () if self.lengths is None else self.lengths:
-            shift = whole.along(self.basis + moved).size() - own.size()
+            shift = whole.along(self.basis + moved).size() - size
             found = found + np.outer(shift, shift)
         return found
 
 
-def groups_of(fit: ReferenceFit, known: Contrast) -> tuple[Group, ...]:
+def groups_of(fit: ReferenceFit, known: Score) -> tuple[Group, ...]:
     """Every single change that is tried: parameters, payloads, effects at each shape; `known` is what all runs tell of
     the columns."""
     m = fit.mechanism
@@ -85,7 +83,7 @@ def kind_of(effect: type[Effect]) -> Kind:
     return KINDS.get(effect.__module__.rpartition(".")[2], "mechanics")
 
 
-def _payloads(fit: ReferenceFit, known: Contrast) -> Iterator[Group]:
+def _payloads(fit: ReferenceFit, known: Score) -> Iterator[Group]:
     """A body on each link; sizes that move no parameter are left out."""
     m = fit.mechanism
     covariance = known.along(np.eye(known.score.size)[:, : m.p]).covariance()

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 
 from daq import FloatArray
-from estimator.change.contrast import HIDDEN, Contrast
+from estimator.change.scores import HIDDEN, Score
 from estimator.model import Mechanism, body_values, carried, has_bodies, rigid_parameters
 
 NAMES = ("mass", "first_moment", "inertia")
@@ -58,7 +58,7 @@ def body_basis(mechanism: Mechanism, link: int, lengths: Mapping[int, float]) ->
     return basis
 
 
-def fit_body(own: Contrast) -> tuple[FloatArray, float]:
+def fit_body(own: Score) -> tuple[FloatArray, float]:
     """(3,) likeliest sizes of a body that was added or taken away, and the fall of -2 log likelihood.
 
     The Cholesky factor of [[m, h], [h, J]] makes it a body of real mass. Where the runs do not determine all three

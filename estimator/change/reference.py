@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq import Dataset
-from estimator.change.contrast import Contrast, seen, total
+from estimator.change.contrast import seen, total
 from estimator.change.noise import NoiseLevels, levels_of
-from estimator.change.scores import ReferenceFit, fit_reference, score_run
+from estimator.change.scores import ReferenceFit, Score, fit_reference, score_run
 from estimator.change.structure import Structure, find_structure
 from estimator.errors import FitError
 from estimator.model import Mechanism
@@ -25,7 +25,7 @@ class Reference:
 
     fit: ReferenceFit
     structure: Structure
-    known: Contrast
+    known: Score
     """Sum of the runs' scores and informations, each run's own structure integrated out"""
     noise: NoiseLevels
     runs: tuple[str, ...]

@@ -19,6 +19,9 @@ from estimator.options import FitOptions
 from estimator.prediction import smooth_under
 from estimator.signals import SignalSet, split_signals
 
+HIDDEN = 1e-6
+"""Share of a column's information below which nothing is left of it."""
+
 
 @dataclass(frozen=True)
 class ReferenceFit:
@@ -48,13 +51,42 @@ class ReferenceFit:
 
 
 @dataclass(frozen=True)
-class RunScore:
-    """Scores of one run at the reference model, its motion eliminated; parameters first, then candidates."""
+class Score:
+    """Score and information over all columns, as the quadratic that the log likelihood is near a model; of a run at
+    the reference model, its motion eliminated: parameters first, then candidates."""
 
     score: FloatArray
     """(m,)"""
     information: FloatArray
     """(m, m)"""
+
+    def along(self, basis: FloatArray) -> Score:
+        """Score of the k sizes that move all columns by `basis` (m, k) each."""
+        return Score(basis.T @ self.score, basis.T @ self.information @ basis)
+
+    def gain(self) -> float:
+        """Fall of -2 log likelihood by the likeliest size of all columns."""
+        return float(self.size() @ self.score)
+
+    def size(self) -> FloatArray:
+        """(m,) generalised least squares."""
+        return np.asarray(self.covariance() @ self.score)
+
+    @property
+    def scale(self) -> FloatArray:
+        """(m,) root of each column's own information."""
+        return np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+
+    @property
+    def correlation(self) -> FloatArray:
+        """(m, m) information of columns in units of their own."""
+        return np.asarray(self.information / np.outer(self.scale, self.scale))
+
+    def covariance(self) -> FloatArray:
+        """(m, m) of the sizes."""
+        scale = self.scale
+        square = np.outer(scale, scale)
+        return np.asarray(np.linalg.pinv(self.information / square, HIDDEN, hermitian=True) / square)
 
 
 def fit_reference(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float
@@ -93,7 +125,7 @@ def noisiness(fit: ReferenceFit) -> float:
 
 
 def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None, shift: FloatArray | None = None
-              ) -> RunScore:
+              ) -> Score:
     """At the likeliest motion of the run under the reference model and its noise, or another.
 
     With a `shift` (m,) of all columns it is taken at the changed model, to which a large change is closer, and carried
@@ -114,7 +146,7 @@ def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None, shif
     information = (point.corner - product[1:, 1:])[np.ix_(own, own)]
     if not (np.isfinite(score).all() and np.isfinite(information).all()):
         raise FitError(f"{data.name}: the reference model cannot follow this run")
-    return RunScore(score + information @ moved, information)
+    return Score(score + information @ moved, information)
 
 
 def _present(fit: ReferenceFit, shift: FloatArray) -> tuple[list[Effect], list[FloatArray]]:

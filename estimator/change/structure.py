@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq import FloatArray
-from estimator.change.scores import RunScore
+from estimator.change.scores import Score
 
 PRIOR_RUNS = 8
 """Degrees of freedom that the variance shared by all columns adds; the true variance differs from column to column."""
@@ -65,7 +65,7 @@ class Structure:
         """(m,) variance of each column's size in one run's own structure."""
         return (self.own + self.drift) * self.unit
 
-    def seen(self, run: RunScore) -> tuple[FloatArray, FloatArray]:
+    def seen(self, run: Score) -> tuple[FloatArray, FloatArray]:
         """The run's score (m,) and information (m, m), its own structure integrated out."""
         spread = np.eye(self.unit.size) + run.information * self.scatter
         table = np.linalg.solve(spread, np.column_stack([run.score, run.information]))
@@ -109,7 +109,7 @@ class _Slope(NamedTuple):
         return np.asarray(0.5 * (self.known - self.score**2).sum(axis=0))
 
 
-def find_structure(sessions: Sequence[Sequence[RunScore]], parameters: int) -> Structure:
+def find_structure(sessions: Sequence[Sequence[Score]], parameters: int) -> Structure:
     """The likeliest structure of the runs within each of `sessions`, one of several having a theta of its own; the
     first `parameters` columns are the model's parameters."""
     from scipy.stats import chi2
@@ -135,7 +135,7 @@ def find_structure(sessions: Sequence[Sequence[RunScore]], parameters: int) -> S
     return Structure(found.common, found.own, unit, parameters, freedom, drift)
 
 
-def _rows(runs: Sequence[RunScore], scale: FloatArray) -> list[_Run]:
+def _rows(runs: Sequence[Score], scale: FloatArray) -> list[_Run]:
     found = []
     for run in runs:
         values, vectors = np.linalg.eigh(run.information * np.outer(scale, scale))

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.special import fdtrc, fdtri, stdtrit
 
 from daq import FloatArray
-from estimator.change.contrast import HIDDEN, Contrast
+from estimator.change.contrast import Contrast
 from estimator.change.groups import Group
 from estimator.change.payload import fieller
 from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, NoiseChange, Size
-from estimator.change.scores import ReferenceFit
+from estimator.change.scores import HIDDEN, ReferenceFit, Score
 from estimator.change.structure import Structure
 
 ALPHA = 0.01
@@ -68,7 +68,7 @@ class Scored:
     @cached_property
     def gains(self) -> list[float]:
         """Fall of -2 log likelihood by each group."""
-        return [group.fit(self.contrast)[1] for group in self.groups]
+        return [group.fit(self.contrast.along(group.basis))[1] for group in self.groups]
 
     @cached_property
     def order(self) -> list[int]:
@@ -99,7 +99,7 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
     if not sum(held.gain) > 0.0 or 2 * sum(g > 0.0 for g in held.gain) <= len(held.gain):
         return replace(base, verdict="changed_unexplained", held_out=held,
                        sentence=f"{words.something}, and no listed cause predicts the held-out runs.")
-    causes = tuple(_cause(scored, k) for k in chosen)
+    causes = tuple(_cause(scored, k, [other for other in chosen if other != k]) for k in chosen)
     rest = _without(scored, chosen)
     if min(map(rest.p_value, range(len(groups)))) < ALPHA:
         return replace(base, verdict="partial", causes=causes, held_out=held,
@@ -108,7 +108,7 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
               and scored.gains[k] > scored.gains[chosen[0]] - RIVAL] if len(chosen) == 1 else []
     first = {groups[k].key: k for k in reversed(rivals)}
     if first:
-        several = (*causes, *(_cause(scored, k) for k in first.values()))
+        several = (*causes, *(_cause(scored, k, ()) for k in first.values()))
         return replace(base, verdict="one_of", causes=several, held_out=held,
                        sentence=f"{words.one_of}: {' or '.join(map(_word, several))}. These runs cannot tell which.")
     return replace(base, verdict="named", causes=causes, held_out=held, sentence=f"{words.changed}: {_words(causes)}.")
@@ -128,13 +128,8 @@ def likeliest_changes(scored: Scored, order: Sequence[int]) -> list[int]:
 
 def _without(scored: Scored, chosen: Sequence[int]) -> Scored:
     """The scores with the `chosen` changes fitted and projected out."""
-    one, basis = scored.contrast, basis_of(scored.groups, chosen)
-    carry = one.information @ basis @ one.along(basis).covariance()
-    left = one.information - carry @ basis.T @ one.information
-    gone = np.diag(left) < HIDDEN * np.diag(one.information)
-    score = one.score - carry @ (basis.T @ one.score)
-    score[gone], left[gone], left[:, gone] = 0.0, 0.0, 0.0
-    rest = Contrast(score, left)
+    one = scored.contrast
+    rest = one.without(basis_of(scored.groups, chosen))
     groups = tuple(replace(g, basis=np.zeros_like(g.basis)) if
                    (rest.along(g.basis).scale < HIDDEN**0.5 * one.along(g.basis).scale).all() else g
                    for g in scored.groups)
@@ -155,14 +150,18 @@ def _held_out(groups: Sequence[Group], folds: Sequence[Fold], chosen: Sequence[i
     return HeldOut(tuple(fold.run for fold in folds), tuple(gains))
 
 
-def _cause(scored: Scored, k: int) -> ChangedCause:
-    """Sizes of one change, with intervals that include the unexplained structure of the runs."""
-    group, one = scored.groups[k], scored.contrast
-    values, _ = group.fit(one)
-    covariance = group.covariance(one, values)
+def _cause(scored: Scored, k: int, others: Sequence[int]) -> ChangedCause:
+    """Sizes of one change, the `others` fitted too, with intervals that include the unexplained structure of the
+    runs."""
+    group = scored.groups[k]
+    added = basis_of(scored.groups, others) if others else np.zeros((len(group.basis), 0))
+    own = scored.contrast.measured(group.basis, added)
+    values, _ = group.fit(own)
+    covariance = group.covariance(own, scored.contrast)
     t = float(stdtrit(scored.freedom, 0.975))
-    middle = one.along(group.basis).size()  # a body's likeliest sizes may lie at the edge of what a body can have
+    middle = own.size()  # a body's likeliest sizes may lie at the edge of what a body can have
     half = t * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    half[np.diag(own.information) <= 0.0] = np.inf
     sizes = [Size(n, u, float(v), (float(min(m - h, v)), float(max(m + h, v))))
              for n, u, v, m, h in zip(group.names, group.units, values, middle, half)]
     sentence = group.sentence
@@ -194,16 +193,22 @@ def _detectable(scored: Scored) -> tuple[Detectable, ...]:
     wanted = float(fdtri(1, scored.freedom, 1.0 - ALPHA / (scored.pairs * len(scored.groups)))) ** 0.5
     wanted += float(stdtrit(scored.freedom, POWER))
     for k, group in enumerate(scored.groups):
-        first = scored.contrast.along(group.basis[:, :1])
-        known, change = float(first.information[0, 0]), float(first.size()[0])
-        std = known**-0.5 if known > 0.0 else float("inf")
-        half = float(stdtrit(scored.freedom, 0.975)) * std
-        one = Detectable(group.effect, group.joint, group.names[0], group.units[0], wanted * std, change,
-                         (change - half, change + half), scored.p_value(k))
+        first = group.basis[:, :1]
+        own = scored.contrast.measured(first, first[:, :0])
+        change, half = float(own.size()[0]), float(stdtrit(scored.freedom, 0.975)) * _std(own)
+        one = Detectable(group.effect, group.joint, group.names[0], group.units[0],
+                         wanted * _std(scored.contrast.along(first)), change, (change - half, change + half),
+                         scored.p_value(k))
         key = (group.effect, group.joint, group.names[0] if group.effect == "parameter" else "")
         if key not in found or one.p_value < found[key].p_value:
             found[key] = one
     return tuple(sorted(found.values(), key=lambda d: (d.p_value, -abs(d.change) / d.size)))
+
+
+def _std(own: Score) -> float:
+    """Standard deviation of one size; infinite where the runs do not determine it."""
+    known = float(own.information[0, 0])
+    return known**-0.5 if known > 0.0 else float("inf")
 
 
 def _words(causes: Sequence[ChangedCause]) -> str:

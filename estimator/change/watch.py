@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from daq import Dataset, FloatArray
-from estimator.change.contrast import HIDDEN, Contrast, contrast, seen, total
+from estimator.change.contrast import Contrast, contrast, seen, total
 from estimator.change.groups import Group, groups_of
 from estimator.change.reference import Reference
-from estimator.change.scores import RunScore, score_run
+from estimator.change.scores import HIDDEN, Score, score_run
 from estimator.change.structure import PRIOR_RUNS
 from estimator.errors import FitError
 
@@ -87,7 +87,7 @@ class Watch:
     groups: tuple[Group, ...]
     scale: FloatArray
     """(windows, groups) mean of the left-out reference runs' statistic over that without structure of its own"""
-    recent: list[tuple[float, RunScore]] = field(default_factory=list)
+    recent: list[tuple[float, Score]] = field(default_factory=list)
     """Length [s] and score of the latest blocks."""
 
     def test(self, run: Dataset) -> WatchedRun:
@@ -120,7 +120,7 @@ class Watch:
         return Block(end_s, float(lengths[-1]), min(1.0, p_value * len(WINDOWS)) * HOUR_S / float(lengths[-1]),
                      group.effect, group.joint, float(lengths[-blocks:].sum()))
 
-    def _contrast(self, own: RunScore, known: Contrast) -> Contrast:
+    def _contrast(self, own: Score, known: Score) -> Contrast:
         structure = self.reference.structure
         return contrast(seen([own], structure)[0], known, structure)
 
@@ -136,7 +136,7 @@ class Watch:
             if k not in bodies:
                 return float(p[k]), k
             bodies.remove(k)
-            gains[k] = self.groups[k].fit(one)[1]
+            gains[k] = self.groups[k].fit(one.along(self.groups[k].basis))[1]
 
     @cached_property
     def width(self) -> FloatArray:
@@ -173,7 +173,7 @@ class Watch:
             found[which] = np.einsum("nk,nkl,nl->n", score, covariance, score)
         for k, group in enumerate(self.groups):
             if group.body and not free:
-                found[k] = group.fit(one)[1]
+                found[k] = group.fit(one.along(group.basis))[1]
         return np.maximum(found, 0.0)
 
     def calibrate(self, runs: Sequence[Dataset]) -> None:
@@ -207,5 +207,5 @@ def blocks_of(run: Dataset) -> Iterator[Dataset]:
         yield run.part(slice(int(begin), int(end)))
 
 
-def _together(parts: Sequence[RunScore]) -> RunScore:
-    return RunScore(np.sum([p.score for p in parts], axis=0), np.sum([p.information for p in parts], axis=0))
+def _together(parts: Sequence[Score]) -> Score:
+    return Score(np.sum([p.score for p in parts], axis=0), np.sum([p.information for p in parts], axis=0))

@@ -12,7 +12,7 @@ import pytest
 from daq import Dataset, load_rig
 from estimator.change import Change, Reference, compare_sessions, detect_change, learn_reference
 from estimator.change.contrast import Contrast, contrast, seen, total
-from estimator.change.scores import RunScore
+from estimator.change.scores import Score
 from estimator.change.structure import Structure, find_structure
 from estimator.errors import FitError
 from estimator.model import leg2
@@ -139,11 +139,11 @@ def test_a_contrast_recovers_a_change_with_structure_in_the_reference() -> None:
     rng = np.random.default_rng(3)
     structure, change, columns = rng.normal(size=6), 0.5, 6
 
-    def run(moved: float) -> RunScore:
+    def run(moved: float) -> Score:
         rows = rng.normal(size=(4000, columns))
         theta = structure + moved * np.eye(columns)[4]
         information = rows.T @ rows
-        return RunScore(information @ theta + rows.T @ rng.normal(size=4000), information)
+        return Score(information @ theta + rows.T @ rng.normal(size=4000), information)
 
     reference, test = [run(0.0) for _ in range(4)], [run(change) for _ in range(4)]
     found = between(test, reference, find_structure([reference], 2)).along(np.eye(columns)[:, 4:6])
@@ -151,7 +151,7 @@ def test_a_contrast_recovers_a_change_with_structure_in_the_reference() -> None:
     assert size == pytest.approx([change, 0.0], abs=0.05) and std.max() < 0.05
 
 
-def between(test: list[RunScore], reference: list[RunScore], structure: Structure) -> Contrast:
+def between(test: list[Score], reference: list[Score], structure: Structure) -> Contrast:
     return contrast(total(seen(test, structure)), total(seen(reference, structure)), structure)
 
 
@@ -161,11 +161,11 @@ def test_structure_of_each_run_widens_the_intervals_as_far_as_it_has_to(own: flo
     rng = np.random.default_rng(8)
     common, scores = rng.normal(size=30), []
 
-    def run() -> RunScore:
+    def run() -> Score:
         rows = rng.normal(size=(400, 30))
         information = rows.T @ rows
         score = information @ (common + own * rng.normal(size=30)) + rows.T @ rng.normal(size=400)
-        return RunScore(score, information)
+        return Score(score, information)
 
     for _ in range(40):
         reference, test = [run() for _ in range(4)], [run() for _ in range(4)]
@@ -174,6 +174,41 @@ def test_structure_of_each_run_widens_the_intervals_as_far_as_it_has_to(own: flo
         scores.append(found.size()[0] / np.sqrt(found.covariance()[0, 0]))
     assert 0.6 < np.std(scores) < 1.4
     assert structure.own == pytest.approx(own**2 * 400, rel=0.6, abs=0.5)
+
+
+def test_a_level_that_all_runs_have_is_no_part_of_a_change() -> None:
+    """One column of thirty has six standard deviations of one run in both sessions, such as an unmodelled delay."""
+    rng = np.random.default_rng(5)
+    level, here = np.zeros(30), np.eye(30)[:, 9:10]
+    level[9] = 0.6
+
+    def run() -> Score:
+        rows = rng.normal(size=(100, 30))
+        return Score(rows.T @ (rows @ level + rng.normal(size=100)), rows.T @ rows)
+
+    sizes, held = [], []
+    for _ in range(60):
+        reference, test = [run() for _ in range(4)], [run() for _ in range(4)]
+        one = between(test, reference, find_structure([reference], 3)).measured(here, here[:, :0])
+        sizes.append(one.size()[0])
+        held.append(abs(sizes[-1]) < 2.0 * np.sqrt(one.covariance()[0, 0]))
+    assert abs(np.mean(sizes)) < 0.03 and np.mean(held) > 0.88
+
+
+def test_the_size_of_one_change_is_that_with_the_other_fitted() -> None:
+    """Two columns that overlap changed; each size alone would take a part of the other."""
+    rng = np.random.default_rng(6)
+
+    def run(moved: float) -> Score:
+        rows = rng.normal(size=(4000, 6))
+        rows[:, 5] += rows[:, 4]
+        return Score(rows.T @ (rows @ np.array([0, 0, 0, 0, 0.3, 0.2]) * moved + rng.normal(size=4000)), rows.T @ rows)
+
+    reference, test = [run(0.0) for _ in range(4)], [run(1.0) for _ in range(4)]
+    found = between(test, reference, find_structure([reference], 2))
+    columns = np.eye(6)
+    assert found.measured(columns[:, 4:5], columns[:, 5:6]).size() == pytest.approx([0.3], abs=0.05)
+    assert found.measured(columns[:, 4:5], columns[:, :0]).size()[0] > 0.4
 
 
 @cache

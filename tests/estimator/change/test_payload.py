@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from estimator.change.contrast import Contrast
 from estimator.change.payload import body_basis, fieller, fit_body, link_lengths
+from estimator.change.scores import Score
 from estimator.model import biped3, joint1, leg2
 from tests.support.changed_leg import loaded
 from tests.support.mujoco_leg import random_leg
@@ -47,7 +47,7 @@ def test_a_body_has_a_mass_and_an_inertia_that_physics_allows() -> None:
     for _ in range(5):
         rows = rng.normal(size=(6, 3))
         information, size = rows.T @ rows, np.array([0.5, 1.0, 1.5]) + 0.3 * rng.normal(size=3)  # m J < h^2, mostly
-        found, gain = fit_body(Contrast(information @ size, information))
+        found, gain = fit_body(Score(information @ size, information))
         m, h, j = found
         assert m * j >= h * h * (1.0 - 1e-6)
         a, b, d = np.meshgrid(np.linspace(0, 2, 81), np.linspace(-2, 2, 161), np.linspace(0, 2, 81), indexing="ij")

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.change.scores import RunScore
+from estimator.change.scores import Score
 from estimator.change.structure import _restricted, _rows, _Run, _Variances, find_structure
 
 
 def known_runs() -> list[_Run]:
     rng = np.random.default_rng(1)
     draws = [rng.normal(size=(6, 6)) for _ in range(4)]
-    return _rows([RunScore(rng.normal(size=6), draw @ draw.T) for draw in draws], np.ones(6))
+    return _rows([Score(rng.normal(size=6), draw @ draw.T) for draw in draws], np.ones(6))
 
 
 @pytest.mark.parametrize("at", [_Variances(1.0, 1.0, np.zeros(0), ()), _Variances(2.7, 0.1, np.array([3.0]), (4,)),
@@ -50,13 +50,13 @@ def test_slopes_are_those_of_the_misfit() -> None:
         assert found.columns[column] == pytest.approx(slope(*moved), rel=1e-5)
 
 
-def session(rng: np.random.Generator, spread: np.ndarray, runs: int = 8) -> list[RunScore]:
+def session(rng: np.random.Generator, spread: np.ndarray, runs: int = 8) -> list[Score]:
     """Runs of 400 rows of a regression whose coefficients differ from run to run by `spread`."""
     found = []
     for _ in range(runs):
         rows = rng.normal(size=(400, spread.size)) + 0.5 * rng.normal(size=(400, 1))
         theta = spread * rng.normal(size=spread.size)
-        found.append(RunScore(rows.T @ (rows @ theta + rng.normal(size=400)), rows.T @ rows))
+        found.append(Score(rows.T @ (rows @ theta + rng.normal(size=400)), rows.T @ rows))
     return found
 
 

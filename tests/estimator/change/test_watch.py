@@ -12,7 +12,7 @@ from daq import Dataset
 from estimator.change import Watch, start_watch, watch
 from estimator.change.contrast import seen, total
 from estimator.change.groups import Group
-from estimator.change.scores import RunScore
+from estimator.change.scores import Score
 from estimator.change.structure import find_structure
 from estimator.errors import FitError
 from tests.evidence import watch as study
@@ -46,11 +46,11 @@ def run(rng: np.random.Generator, moved: dict[int, float]) -> Dataset:
     return Dataset("run", 100.0, np.arange(n) / 100.0, {**columns, "y": rows @ theta + rng.normal(size=n)})
 
 
-def score_run(fit: Any, data: Dataset) -> RunScore:
+def score_run(fit: Any, data: Dataset) -> Score:
     if not np.isfinite(data["y"]).all():
         raise FitError("cannot follow")
     rows = np.stack([data[f"x{k}"] for k in range(COLUMNS)], axis=-1)
-    return RunScore(rows.T @ data["y"], rows.T @ rows)
+    return Score(rows.T @ data["y"], rows.T @ rows)
 
 
 def started(monkeypatch: pytest.MonkeyPatch, drift: float, false_alarms: float, seed: int = 3,
