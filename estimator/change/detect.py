@@ -10,13 +10,24 @@ import numpy as np
 
 from daq import Dataset, FloatArray
 from estimator.change.contrast import Contrast, contrast, difference, seen, total
+from estimator.change.free_runs import error_levels, larger_error
 from estimator.change.groups import groups_of
 from estimator.change.noise import compare_noise, levels_of, with_noise
 from estimator.change.reference import Reference, require_runs
 from estimator.change.result import Change
 from estimator.change.scores import Score, fit_reference, noisiness, score_run
 from estimator.change.structure import find_structure
-from estimator.change.verdict import AGAINST, ALPHA, SESSIONS, Fold, Scored, basis_of, conclude, likeliest_changes
+from estimator.change.verdict import (
+    AGAINST,
+    ALPHA,
+    SESSIONS,
+    Fold,
+    Scored,
+    basis_of,
+    conclude,
+    likeliest_changes,
+    with_errors,
+)
 from estimator.errors import FitError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
@@ -46,7 +57,10 @@ def detect_change(test: Sequence[Dataset], reference: Reference) -> Change:
                      for k, d in enumerate(test)]
             return Scored(groups, against(parts), structure), folds
 
-        return conclude(fit, *_relinearised(scored), noise, AGAINST)
+        found = conclude(fit, *_relinearised(scored), noise, AGAINST)
+        if found.verdict != "no_change":
+            return found
+        return with_errors(found, larger_error(error_levels(fit, test), reference.errors), AGAINST)
 
     few = len(reference.runs) < FEW_RUNS
     return replace(_timed(compare), reference=reference.runs, test=tuple(d.name for d in test), warnings=(
@@ -90,7 +104,13 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
                       for k, d in enumerate(b)]
             return Scored(groups, between(first, second), structure, pairs), folds
 
-        return conclude(fit, *_relinearised(scored), noise, SESSIONS)
+        found = conclude(fit, *_relinearised(scored), noise, SESSIONS)
+        if found.verdict != "no_change":
+            return found
+        for its, runs, others in ((fits[0], a, b), (fits[1], b, a)):
+            there = error_levels(its, runs, [score_run(its, d) for d in runs])
+            found = with_errors(found, larger_error(error_levels(its, others), there), SESSIONS)
+        return found
 
     few = min(len(a), len(b)) < FEW_RUNS
     return replace(_timed(compare), reference=tuple(d.name for d in a), test=tuple(d.name for d in b), warnings=(

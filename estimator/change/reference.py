@@ -9,6 +9,7 @@ import numpy as np
 
 from daq import Dataset
 from estimator.change.contrast import seen, total
+from estimator.change.free_runs import error_levels
 from estimator.change.noise import NoiseLevels, levels_of
 from estimator.change.scores import ReferenceFit, Score, fit_reference, score_run
 from estimator.change.structure import Structure, find_structure
@@ -28,6 +29,8 @@ class Reference:
     known: Score
     """Sum of the runs' scores and informations, each run's own structure integrated out"""
     noise: NoiseLevels
+    errors: NoiseLevels
+    """Of the free run of each run under the model of the others; without levels where some run cannot be simulated"""
     runs: tuple[str, ...]
 
 
@@ -40,7 +43,7 @@ def learn_reference(runs: Sequence[Dataset], mechanism: Mechanism, options: FitO
         scores = [score_run(fit, run) for run in runs]
         structure = find_structure([scores], fit.mechanism.p)
         return Reference(fit, structure, total(seen(scores, structure)), levels_of(runs, mechanism, options),
-                         tuple(run.name for run in runs))
+                         error_levels(fit, runs, scores), tuple(run.name for run in runs))
 
 
 def require_runs(runs: Sequence[Dataset]) -> None:

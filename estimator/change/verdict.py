@@ -114,6 +114,16 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
     return replace(base, verdict="named", causes=causes, held_out=held, sentence=f"{words.changed}: {_words(causes)}.")
 
 
+def with_errors(found: Change, larger: NoiseChange | None, words: Words) -> Change:
+    """`found`, a verdict `no_change`, unless free runs err more than those of left-out runs of the reference."""
+    if larger is None or larger.p_value >= ALPHA or found.verdict != "no_change":
+        return found
+    low, high = larger.ci95
+    return replace(found, verdict="changed_unexplained", sentence=(
+        f"{words.something}, and no listed cause explains it: free runs err {larger.ratio:.2g} times [{low:.2g}, "
+        f"{high:.2g}] as much in {larger.column} as those of left-out runs of the other session."))
+
+
 def likeliest_changes(scored: Scored, order: Sequence[int]) -> list[int]:
     """The likeliest single change, and a second one where the first leaves something significant that one takes up."""
     chosen = [max(order, key=scored.gains.__getitem__)]

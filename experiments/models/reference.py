@@ -34,7 +34,8 @@ def reference_values_of(found: Reference) -> ReferenceValues:
         common=structure.common, own=structure.own, freedom=structure.freedom, unit=tuple(map(float, structure.unit)),
         drift=tuple(map(float, structure.drift)) if structure.drift.any() else (),
         columns=fit.columns, score=tuple(map(float, found.known.score)),
-        information=found.known.information[upper].astype("<f8").tobytes(), levels=dict(found.noise.levels))
+        information=found.known.information[upper].astype("<f8").tobytes(), levels=dict(found.noise.levels),
+        errors=dict(found.errors.levels))
 
 
 def reference_of(model: Model, where: str, settings: MechanismSettings, options: FitOptions) -> Reference:
@@ -63,7 +64,7 @@ def reference_of(model: Model, where: str, settings: MechanismSettings, options:
         raise InputError(where, "was written with another library of effects", REMEDY)
     structure = Structure(held.common, held.own, np.array(held.unit), mechanism.p, held.freedom, np.array(drift))
     return Reference(fit, structure, Score(np.array(held.score), information),
-                     NoiseLevels(len(held.runs), held.levels), held.runs)
+                     NoiseLevels(len(held.runs), held.levels), NoiseLevels(len(held.runs), held.errors), held.runs)
 
 
 def _square(values: FloatArray | None) -> FloatArray | None:

@@ -143,6 +143,8 @@ class ReferenceValues(_Part, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Upper triangle by rows, little-endian doubles, base64."""
     levels: dict[str, tuple[float, float]]
     """Column of a run to mean and variance of the log level of its noise over the runs."""
+    errors: dict[str, tuple[float, float]] = {}
+    """Channel to the same of its free-run error, each run predicted by the others."""
 
 
 class Provenance(_Part, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,0 +1,64 @@
+"""Free-run errors of one session's runs under the reference model, and whether another session's are larger.
+
+Scores ask which listed change is likely. This asks nothing of a list: a model of an unchanged rig predicts later runs
+as well as it predicts a reference run that it was not fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from daq import Dataset, FloatArray
+from estimator.change.noise import NoiseLevels, compare_noise
+from estimator.change.result import NoiseChange
+from estimator.change.scores import ReferenceFit, Score
+from estimator.errors import FitError
+from estimator.prediction import SHORT_S, Predictor, predict_run, smooth, tabulate
+
+
+def error_levels(fit: ReferenceFit, runs: Sequence[Dataset], scores: Sequence[Score] = ()) -> NoiseLevels:
+    """Mean and variance over the runs of the log rms error of each angle and rate that a sensor reads.
+
+    Free runs take `SHORT_S`. There is no level where a run cannot be simulated. With the `scores` of the runs that were
+    fitted each run is predicted by the others: the fit without it is one Newton step away.
+    """
+    found: dict[str, list[float]] = {}
+    for k, run in enumerate(runs):
+        try:
+            errors = free_run_errors(fit, run, _without(fit, scores, k) if scores else fit.beta)
+        except (FitError, np.linalg.LinAlgError):
+            return NoiseLevels(len(runs), {})
+        for name, error in errors.items():
+            found.setdefault(name, []).append(error)
+    logs = {name: np.log(values) for name, values in found.items()
+            if len(values) == len(runs) and min(values) > 0.0 and max(values) < np.inf}
+    return NoiseLevels(len(runs), {name: (float(x.mean()), float(x.var(ddof=1))) for name, x in logs.items()})
+
+
+def free_run_errors(fit: ReferenceFit, run: Dataset, beta: FloatArray) -> dict[str, float]:
+    """Channel to its rms error over free runs of `SHORT_S` with the parameters `beta` (p,). Raises `FitError`."""
+    model = Predictor(fit.mechanism, fit.options.hold, beta, angle_range=fit.angle_range, gear_ratio=fit.gear_ratio)
+    table = tabulate([predict_run([smooth(model, run, fit.options)], [SHORT_S], misfits=False)])
+    return {name: table.rms(0, name, SHORT_S) for name in table.judged}
+
+
+def larger_error(test: NoiseLevels, reference: NoiseLevels) -> NoiseChange | None:
+    """The likeliest rise of an error, its p-value one-sided and over all channels; None where none rose."""
+    for one in compare_noise(test, reference):
+        if one.ratio > 1.0:
+            return replace(one, p_value=0.5 * one.p_value)
+    return None
+
+
+def _without(fit: ReferenceFit, scores: Sequence[Score], k: int) -> FloatArray:
+    """(p,) parameters of the fit to all runs but the k-th; a friction at its bound of zero stays there."""
+    moved = np.flatnonzero(fit.free & (fit.beta != 0.0))
+    others = [s for j, s in enumerate(scores) if j != k]
+    whole = Score(np.sum([s.score[moved] for s in others], axis=0),
+                  np.sum([s.information[np.ix_(moved, moved)] for s in others], axis=0))
+    beta = fit.beta.copy()
+    beta[moved] += whole.size()
+    return beta

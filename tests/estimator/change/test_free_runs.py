@@ -1,0 +1,61 @@
+"""Whether later runs are predicted as well as left-out reference runs, whatever the list of changes says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq import load_rig
+from estimator.change.detect import detect_change
+from estimator.change.free_runs import _without, free_run_errors, larger_error
+from estimator.change.noise import NoiseLevels
+from estimator.change.reference import learn_reference
+from estimator.change.scores import fit_reference, score_run
+from estimator.model import leg2
+from estimator.options import FitOptions
+from experiments.session import prepare
+from tests.evidence.blind.records import RECORDS, RIGS
+from tests.evidence.what_changed import runs_of, spoilt
+from tests.support.mujoco_leg import Leg, multisine, record
+from tests.support.paths import REAL
+
+
+def test_only_a_rise_beyond_the_scatter_of_runs_counts() -> None:
+    reference = NoiseLevels(4, {"q1_rad": (0.0, 0.04), "q2_rad": (0.0, 0.04)})
+    risen = larger_error(NoiseLevels(3, {"q1_rad": (0.1, 0.04), "q2_rad": (1.4, 0.04)}), reference)
+    assert risen is not None and (risen.column, risen.ratio) == ("q2_rad", pytest.approx(np.exp(1.4)))
+    assert risen.p_value < 0.001 and risen.ci95[0] > 2.5
+    alike = larger_error(NoiseLevels(3, {"q1_rad": (0.1, 0.04), "q2_rad": (-0.1, 0.04)}), reference)
+    assert alike is not None and alike.p_value > 0.2
+    assert larger_error(NoiseLevels(3, {"q1_rad": (-2.0, 0.04)}), reference) is None
+    assert larger_error(NoiseLevels(3, {}), reference) is None
+
+
+def test_the_fit_without_a_run_is_one_step_away() -> None:
+    rng, leg = np.random.default_rng(4), Leg()
+    time = np.arange(600) / 100.0
+    runs = [record(leg, rng, seconds=6.0, tau=multisine(rng, time, 1.2), name=f"run{k}") for k in range(4)]
+    mechanism = leg2(lever_arm=leg.lever)
+    fit = fit_reference(runs, mechanism, FitOptions(), 1.0)
+    scores = [score_run(fit, run) for run in runs]
+    left = _without(fit, scores, 0)
+    fitted = fit_reference(runs[1:], mechanism, FitOptions(), 1.0).beta
+    p = fit.beta.size
+    std = np.sqrt(np.diag(scores[0].along(np.eye(scores[0].score.size)[:, :p]).covariance()))
+    assert np.abs(left - fit.beta).max() > 0.0
+    assert (np.abs(left - fitted) < 0.3 * std).all()
+    own, others = (free_run_errors(fit, runs[0], beta) for beta in (fit.beta, left))
+    assert set(own) == set(others) == {"q2_rad", "gyro_radps"} and all(others[name] < 2.0 * own[name] for name in own)
+
+
+def test_an_error_that_no_listed_change_takes_is_no_change_no_longer() -> None:
+    """The motors of a real arm give less than their currents say, by a law that is not the library's."""
+    if not (REAL / RECORDS["c0"].folder).exists():
+        pytest.skip("needs the real records beside the checkout")
+    reference = (3, 4, 5, 6)
+    runs = [run if k in reference else spoilt(run, "c0", "torque_saturation", 0.76)
+            for k, run in enumerate(runs_of("c0"))]
+    setup = prepare(runs, load_rig(RIGS / RECORDS["c0"].rig)).setup
+    known, test = ([run for k, run in enumerate(setup.datasets) if (k in reference) is own] for own in (True, False))
+    found = detect_change(test, learn_reference(known, setup.mechanism, setup.options))
+    assert found.verdict == "changed_unexplained" and "free runs err" in found.sentence
