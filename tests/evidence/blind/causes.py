@@ -7,6 +7,7 @@ Called again it goes on where it stopped; after a change of the program it begin
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -43,9 +44,11 @@ def answer(case: PlannedCase, folder: Path) -> dict[str, Any]:
     return diagnose(case, cases, out)
 
 
-def answer_all(cases: Iterable[PlannedCase], folder: Path, minutes: float, at_once: int) -> float:
-    """Answer the cases that have no answer yet, `at_once` at a time; minutes that it took. After `minutes` none is
-    begun. Raises SystemExit after Ctrl-C, when those under way are answered."""
+def answer_all(cases: Iterable[PlannedCase], folder: Path, minutes: float, at_once: int) -> None:
+    """Answer the cases that have no answer yet, `at_once` at a time. After so many minutes none is begun.
+
+    Raises SystemExit after Ctrl-C, when those under way are answered.
+    """
     began = time.monotonic()
     left = (case for case in cases if not answer_file(case, folder).exists())
     under_way: dict[Future[dict[str, Any]], PlannedCase] = {}
@@ -68,7 +71,6 @@ def answer_all(cases: Iterable[PlannedCase], folder: Path, minutes: float, at_on
             take(wait(under_way).done)
     if interrupted:
         raise SystemExit(130)
-    return (time.monotonic() - began) / 60.0
 
 
 def _tell(case: PlannedCase, found: dict[str, Any], seconds: float) -> None:
@@ -105,7 +107,7 @@ def _result(text: str) -> str:
     row = next((line for line in text.splitlines() if line.startswith("| all |")), None)
     if row is None:
         raise ValueError("no row of all families")
-    cells = [cell.strip().split(" = ")[0] for cell in row.strip("|").split("|")[1:]]
+    cells = [cell.strip(" *").split(" = ")[0] for cell in row.strip("|").split("|")[1:]]
     return "; ".join(f"{column.title} {cell}" for column, cell in zip(COLUMNS, cells) if cell != "-")
 
 
@@ -113,6 +115,18 @@ EVIDENCE = (Evidence(
     "Hidden causes, healthy legs and causes outside the library: what does `legid diagnose` answer?", "make evidence",
     "causes.md", MINUTES, "no alarm on 98 %; material singles exactly 85 %, in the answer 95 %, wrong at most 2 %; "
     "pairs 75 %; outside 85 %", _result, r"Seeds (\d+ to \d+)"),)
+
+
+def spend(cases: Iterable[PlannedCase], folder: Path, minutes: float, at_once: int, log: Path) -> float:
+    """As `answer_all`; the minutes of all calls so far, which `log` keeps."""
+    began = time.monotonic()
+    try:
+        answer_all(cases, folder, minutes, at_once)
+    finally:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("a", encoding="utf-8") as file:
+            file.write(f"{(time.monotonic() - began) / 60.0:.3f}\n")
+    return sum(map(float, log.read_text(encoding="utf-8").split()))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -129,36 +143,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True, help="the page")
     given = parser.parse_args(arguments)
     words, families = [word for word in given.effects.split(",") if word], here(given.families)
-    chosen = choose(families, words, given.seeds or [given.seed]) if words or given.seeds else None
+    seeds: list[int] = given.seeds or [given.seed]
+    chosen = choose(families, words, seeds) if words or given.seeds else None
     if not families or chosen == []:
         parser.error("no case has such a name, or its records are not next to the checkout")
-    named = [] if families == here(FAMILIES) else [f'FAMILIES="{" ".join(families)}"']
-    if chosen is None:
-        minutes = _spend(plan(families, given.seed), given.answers, given.minutes, given.at_once,
-                         given.answers / f"{'-'.join(families)}-{given.seed}.minutes")
-        planned, size = plan(families, given.seed), len(one_round(0, families, given.seed))
-        options = [f"MINUTES={given.minutes:g}", f"SEED={given.seed}", *named]
+    options = [f"EFFECTS={','.join(words)}"] if words else []
+    options += [f"SEED={given.seed}" if chosen is None else f"SEEDS={','.join(map(str, seeds))}"]
+    options += [] if families == here(FAMILIES) else [f'FAMILIES="{" ".join(families)}"']
+    log = given.answers / f"{re.sub('[^a-z_0-9]+', '-', ' '.join(options).lower())}.minutes"
+    planned = plan(families, given.seed) if chosen is None else chosen
+    minutes = spend(planned, given.answers, given.minutes, given.at_once, log)
+    if chosen is None:  # a random sample: all cases up to the first without an answer
+        done = list(takewhile(lambda case: answer_file(case, given.answers).exists(), plan(families, given.seed)))
+        count = f"{len(done)} cases of a plan in random order, {len(one_round(0, families, given.seed))} a round"
     else:
-        minutes = answer_all(chosen, given.answers, given.minutes, given.at_once)
-        planned, size = iter(chosen), len(chosen)
-        options = [*([f"EFFECTS={','.join(words)}"] if words else []), *named,
-                   f"SEEDS={','.join(map(str, given.seeds or [given.seed]))}"]
-    # of a plan a random sample: all cases up to the first without an answer
-    done = list((takewhile if chosen is None else filter)(lambda case: answer_file(case, given.answers).exists(),
-                                                          planned))
+        done = [case for case in chosen if answer_file(case, given.answers).exists()]
+        count = f"{len(done)} of {len(chosen)} chosen cases"
     if not done:
         parser.error("no case is done: give more minutes")
-    made = (f"`make evidence {' '.join(options)} RUNS_AT_ONCE={given.at_once}` in {minutes:.0f} minutes: {len(done)} "
-            f"cases of a plan in random order, {size} a round")
+    made = f"`make evidence {' '.join(options)} RUNS_AT_ONCE={given.at_once}` in {minutes:.0f} minutes: {count}"
     lines = list(page(done, given.answers, made, families, given.at_once))
     print("\n".join(lines))
     given.out.parent.mkdir(parents=True, exist_ok=True)
     given.out.write_text("\n".join(lines), encoding="utf-8")
-
-
-def _spend(cases: Iterable[PlannedCase], folder: Path, minutes: float, at_once: int, log: Path) -> float:
-    """As `answer_all`; minutes of all calls so far, which `log` has."""
-    spent = answer_all(cases, folder, minutes, at_once)
-    with log.open("a", encoding="utf-8") as file:
-        file.write(f"{spent:.3f}\n")
-    return sum(map(float, log.read_text(encoding="utf-8").split()))

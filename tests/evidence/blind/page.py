@@ -80,6 +80,12 @@ class Column:
     target: float | None = None
     at_most: bool = False
 
+    def misses(self, rate: Rate) -> bool:
+        """Whether the measured share is on the wrong side of the target."""
+        if self.target is None or not rate.count:
+            return False
+        return rate.value > self.target if self.at_most else rate.value < self.target
+
     def judge(self, rate: Rate) -> str:
         """The target, and whether it is met; a rate is sure where its whole interval is on one side."""
         if self.target is None:
@@ -88,8 +94,7 @@ class Column:
         if not rate.count:
             return f"{wanted}: not run"
         low, high = rate.interval
-        met = rate.value <= self.target if self.at_most else rate.value >= self.target
-        if met:
+        if not self.misses(rate):
             sure = high <= self.target if self.at_most else low >= self.target
             return f"{wanted}: met" if sure else f"{wanted}: met, too few cases to prove it"
         sure = low > self.target if self.at_most else high < self.target
@@ -168,13 +173,14 @@ def tables(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
 
 
 def _by_family(answers: Sequence[Answer]) -> Iterator[str]:
-    yield from ["", "## By family", "", *_head(["family", *(column.title for column in COLUMNS)])]
-    for family in FAMILIES:
-        own = [a for a in answers if a.case.family == family]
+    yield from ["", "## By family", "", "Bold: misses the target.", "",
+                *_head(["family", *(column.title for column in COLUMNS)])]
+    for family in (*FAMILIES, "all"):
+        own = [a for a in answers if family in (a.case.family, "all")]
         if own:
-            yield _row([family, *(_cell(rate(own, column.count)) for column in COLUMNS)])
+            cells = ((column, rate(own, column.count)) for column in COLUMNS)
+            yield _row([family, *(f"**{one}**" if column.misses(one) else _cell(one) for column, one in cells)])
     every = [rate(answers, column.count) for column in COLUMNS]
-    yield _row(["all", *map(_cell, every)])
     yield _row(["target", *(column.judge(one) for column, one in zip(COLUMNS, every))])
     single = rate(answers, of(["single"], lambda a: a.outcome.wrong_name, lambda a: not a.material))
     pair = rate(answers, of(["pair"], lambda a: a.outcome.wrong_name))

@@ -135,6 +135,7 @@ def test_the_page_has_each_count_and_every_case_that_is_not_right(tmp_path: Path
     assert "singles that are not material 1 of 2, pairs 0 of 2. Cases without an answer: 2." in text
     assert "8 of 19 are right" in text and "| servo | none-3 | fit_failed (not done after 900 s) | - | - |" in text
     assert "| outside | outside_worm-2 | gyro_scale + ? | 3.00 | 1.00 |" in text
+    assert rows[0].startswith("| servo | **1/3 = ") and "| pairs | - | - | - | - | - | **1/2 = " in text
     assert "| all | 3/4 = 75.0 % (30.1 to 95.4) | 10, 10, 10 | 9, 9, 9 |" in text
     listed = text.partition("## Cases that are not right")[2]
     assert listed.count("\n| ") == 2 + 11 and "gyro_bias-6" not in listed
@@ -198,5 +199,5 @@ def test_a_small_call_makes_diagnoses_and_writes_the_page(tmp_path: Path, monkey
     assert not found.document["bench"]["crashed"] and found.before is not None
     assert found.document["bench"]["cpu_s"] > 0.0 and found.document["bench"]["wall_s"] < time.monotonic() - began
     text = (tmp_path / "page.md").read_text()
-    assert "`make evidence EFFECTS=none_w FAMILIES=\"geared\" SEEDS=3 RUNS_AT_ONCE=1`" in text
-    assert "1 cases of a plan" in text and "| geared |" in text
+    assert "`make evidence EFFECTS=none_w SEEDS=3 FAMILIES=\"geared\" RUNS_AT_ONCE=1`" in text
+    assert ": 1 of 1 chosen cases." in text and "| geared |" in text
