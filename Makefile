@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench blind family port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -45,7 +45,7 @@ test: $(STAMP) $(THEIRS) lint
 	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" tests
 
 # The demo, the tutorial, the example and the site, from their first command to their last page; public records, kills
-# of studies and recordings, clusters, the blind bench itself, and the drivers on a real kernel.
+# of studies and recordings, clusters, the generator of `make evidence`, and the drivers on a real kernel.
 test-slow: $(STAMP) $(THEIRS)
 	$(KEEP) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m slow tests
 
@@ -56,33 +56,14 @@ bench: $(STAMP)
 	$(LOCKED) requirements-bench.lock
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.evidence bench.speed --page
 
-# Called again it goes on where it stopped; after a change of the program give it a new BLIND_OUT. Without SEEDS and
-# CLASSES it has 102 cases, about an hour on two cores; e.g. CLASSES=none SEEDS=1000-1099 for a hundred negatives.
-BLIND_OUT ?= blind-out
-WORKERS   ?= 2
-LEVELS    ?= moderate
-EFFECTS   ?=
-ifneq ($(SEEDS)$(CLASSES),)
-BLIND_PART = --classes $(or $(CLASSES),none,single,pair,outside,deleted) --seeds $(or $(SEEDS),1000)
-else
-BLIND_PART = --classes none,pair --seeds 1000-1019
-BLIND_REST = --classes single,outside,deleted --seeds 1000
-endif
-BLIND_RUN  = $(BIN)/python -m tests.evidence blind.run --out $(BLIND_OUT) \
-	--workers $(WORKERS) --levels $(LEVELS) --effects "$(EFFECTS)"
-
-blind: $(STAMP)
-	$(LOCKED) requirements-blind.lock
-	$(BLIND_RUN) $(BLIND_PART)
-	$(if $(BLIND_REST),$(BLIND_RUN) $(BLIND_REST))
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence blind.baselines $(BLIND_OUT)
-	$(BIN)/python -m tests.evidence blind.page $(BLIND_OUT) $(if $(PAGE),--page $(PAGE))
-
-# Plants of another make: FAMILY=servo, stickslip, geared, small_faults (ten of them always there), pairs, records (real
-# from ../shared/realdata with a fault put in)
-family: $(STAMP)
-	$(BIN)/python -m tests.evidence blind.family --family $(FAMILY) --seeds $(or $(SEEDS),1000-1003) \
-		--effects "$(EFFECTS)" --out $(BLIND_OUT)-$(FAMILY) $(if $(PAGE),--page $(PAGE))
+# What `legid diagnose` names, every family of cases from fresh seeds: an hour. FAMILIES="servo geared" takes these alone.
+# EFFECTS=none,drag or SEEDS=401,405: only cases with such names, of these seeds; the page is then build/evidence/causes.md.
+# MINUTES=0 ANSWERS=FOLDER: the page anew from the answers of an earlier call.
+evidence: $(STAMP)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.evidence blind.causes \
+		--minutes $(or $(MINUTES),60) --seed $(or $(SEED),2000) --at-once $(or $(RUNS_AT_ONCE),2) \
+		$(if $(FAMILIES),--families $(FAMILIES)) $(if $(EFFECTS),--effects $(EFFECTS)) $(if $(SEEDS),--seeds $(SEEDS)) \
+		$(if $(ANSWERS),--answers $(ANSWERS)) --out $(if $(EFFECTS)$(SEEDS),build/evidence,docs/evidence)/causes.md
 
 soak: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence soak --out docs/evidence/soak.md

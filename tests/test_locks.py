@@ -75,8 +75,6 @@ def test_locks_that_share_an_environment_agree() -> None:
         differ = {package for package, versions in pinned(name).items()
                   if package in main and versions != main[package]}
         assert differ <= ({"docutils"} if "docs" in name else set()), (name, differ)
-    bench, blind = pinned("requirements-bench.lock"), pinned("requirements-blind.lock")
-    assert all(bench[package] == blind[package] for package in bench.keys() & blind.keys())
     build = pinned("requirements-build.lock")
     assert all(build[package] == main[package] for package in build.keys() & main.keys())
 

@@ -1,7 +1,7 @@
 """The one door to the programs that measure.
 
     python -m tests.evidence                        # what there is, and how long it takes
-    python -m tests.evidence NAME [ARGUMENT ...]    # run one: soak, seven-links, blind.run
+    python -m tests.evidence NAME [ARGUMENT ...]    # run one: soak, seven-links, blind.causes
     python -m tests.evidence --index                # docs/evidence/index.md anew
 """
 

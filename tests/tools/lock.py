@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 from tests.support.paths import ROOT
 
 MAIN = "requirements.lock"
-LOCKS = {MAIN: "test", "requirements-bench.lock": "bench", "requirements-blind.lock": "blind",
+LOCKS = {MAIN: "test", "requirements-bench.lock": "bench",
          "requirements-counterparts.lock": "counterparts", "requirements-docs.lock": "docs",
          "requirements-release.lock": "release", "requirements-build.lock": ""}
 """Lock file to the extra that it is of; nothing: what building this package needs."""

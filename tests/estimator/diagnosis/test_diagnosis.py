@@ -1,4 +1,4 @@
-"""Effects and the diagnosis's statistics; whole diagnoses of the blind bench are `make blind`."""
+"""Effects and the diagnosis's statistics; whole diagnoses by hundreds are `make evidence`."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The blind bench: runs of a leg with something hidden in them, made without the library that must find it."""
+"""Families of legs with something hidden in them, made without the library that must find it, and what it finds."""

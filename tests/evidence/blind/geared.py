@@ -5,8 +5,6 @@ both joints follows LuGre. The current loop and the shunt's filter lag, the shun
 friction grows by 1 to 2 % of the load, the IMU is filtered and has the errors of a calibrated chip. One effect of
 ordinary strength may be added, of the library or not. Semi-implicit Euler at 40 kHz, LuGre after Canudas de Wit et al.,
 IEEE TAC 40(3), 1995; Bouc-Wen after Wen, J. Eng. Mech. 102(2), 1976.
-
-    python -m tests.evidence blind.family --family geared --out OUT --effects none,joint_stiffness,... --seeds 1-4
 """
 
 from __future__ import annotations

@@ -1,18 +1,9 @@
-"""The page of a blind bench: rates against targets fixed beforehand, confusion, power, times, baselines.
-
-    python -m tests.evidence blind.page OUT [--page docs/evidence/blind.md]
-
-OUT is the folder that tests.evidence.blind.run (and tests.evidence.blind.baselines) wrote.
-"""
+"""The page of `make evidence`: each class of cases by family, against targets; sizes, times, and what is not right."""
 
 from __future__ import annotations
 
-import argparse
-import datetime
 import json
-import os
-import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -20,218 +11,243 @@ from typing import Any
 
 import numpy as np
 
-from tests.evidence.blind.baselines import METHODS
-from tests.evidence.blind.score import Outcome, Rate, load, score
-from tests.evidence.registry import Evidence
+from estimator.diagnosis.decision_rule import EDGE, MATERIAL
+from tests.evidence.blind import records
+from tests.evidence.blind.plan import FAMILIES, PlannedCase
+from tests.evidence.blind.score import PRESENT, Outcome, Rate, sizes_inside
 
-TUNING = range(1, 100)
-NEGATIVES = 100
-RATIOS = (0.0, 1.5, 2.0, 3.0, 4.0, 5.0, np.inf)
-TITLES = {"bic": "BIC argmax", "stlsq": "STLSQ (pysindy)", "heldout": "best held-out torque"}
+RATIOS = (-np.inf, EDGE, 2.0, 5.0, np.inf)
+OUTSIDE = ("outside", "deleted")
+WALL_S, CPU_S = "wall_s", "cpu_s"
 
 
 @dataclass(frozen=True)
-class Target:
-    """A share that a rate must reach, or must not exceed."""
+class Answer:
+    """What `legid diagnose` says of one case."""
 
-    rate: str
-    limit: float
+    case: PlannedCase
+    outcome: Outcome
+    document: dict[str, Any]
+    """Diagnosis JSON, with `bench` of `run.diagnose`."""
+
+    @property
+    def kind(self) -> str:
+        return self.case.kind
+
+    @property
+    def before(self) -> float | None:
+        """Rms error of free runs over what noise leaves; None where the diagnosis states none."""
+        return (self.document.get("error") or {}).get("before")
+
+    @property
+    def material(self) -> bool:
+        """Whether a named cause can be due; without an error as well, so that no case is lost."""
+        return self.before is None or self.before >= 1.0 + MATERIAL
+
+    @property
+    def above_edge(self) -> bool:
+        return self.before is None or self.before > EDGE
+
+    @property
+    def outside_right(self) -> bool:
+        """Of a cause outside the library: `unexplained`, or `partial` without a wrong name."""
+        o = self.outcome
+        return o.verdict == "unexplained" or (o.verdict == "partial" and not o.wrong_name)
+
+    @property
+    def right(self) -> bool:
+        """Whether it need not be listed: a cause that is not material may stay unnamed."""
+        o = self.outcome
+        if self.kind == "none":
+            return o.verdict == "none"
+        if self.kind in OUTSIDE:
+            return self.outside_right or (o.verdict == "none" and not self.above_edge)
+        if self.kind == "pair" or self.material:
+            return o.exact
+        return o.verdict in ("none", "unexplained") or (o.inside and not o.wrong_name)
+
+
+Count = Callable[[Answer], bool | None]
+"""Whether an answer is a hit; None where it does not count."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A rate of the table by family."""
+
+    title: str
+    count: Count
+    target: float | None = None
     at_most: bool = False
 
-    def __str__(self) -> str:
-        return f"{'at most' if self.at_most else 'at least'} {100 * self.limit:.0f} %"
+    def misses(self, rate: Rate) -> bool:
+        """Whether the measured share is on the wrong side of the target."""
+        if self.target is None or not rate.count:
+            return False
+        return rate.value > self.target if self.at_most else rate.value < self.target
 
     def judge(self, rate: Rate) -> str:
-        """In words; a rate is sure where its whole interval is on one side."""
+        """The target, and whether it is met; a rate is sure where its whole interval is on one side."""
+        if self.target is None:
+            return "-"
+        wanted = f"{'at most' if self.at_most else 'at least'} {100 * self.target:.0f} %"
         if not rate.count:
-            return "not run"
+            return f"{wanted}: not run"
         low, high = rate.interval
-        met = rate.value <= self.limit if self.at_most else rate.value >= self.limit
-        sure = (high <= self.limit if self.at_most else low >= self.limit) if met else \
-            (low > self.limit if self.at_most else high < self.limit)
-        if met:
-            return "met" if sure else "met, but so few cases do not prove it"
-        return "**missed**" if sure else "**missed**, though so few cases leave it open"
+        if not self.misses(rate):
+            sure = high <= self.target if self.at_most else low >= self.target
+            return f"{wanted}: met" if sure else f"{wanted}: met, too few cases to prove it"
+        sure = low > self.target if self.at_most else high < self.target
+        return f"{wanted}: **missed**" if sure else f"{wanted}: **missed**, too few cases to prove it"
 
 
-TARGETS = (
-    Target("false alarms", 0.05, at_most=True),
-    Target("moderate singles: named exactly", 0.85),
-    Target("moderate singles: truth inside named or one_of", 0.95),
-    Target("moderate singles: wrong name", 0.03, at_most=True),
-    Target("outside: unexplained", 0.90),
-    Target("deleted: unexplained", 0.90),
-    Target("pairs: both named", 0.60),
-    Target("pairs: wrong name", 0.0, at_most=True),
-    Target("sizes inside their 95 % intervals", 0.90),
-)
-CLOSED, WALL_S = 0.8, 60.0
-COMPARED = ("false alarms", "moderate singles: named exactly", "moderate singles: truth inside named or one_of",
-            "moderate singles: wrong name", "outside: unexplained", "outside: wrong name", "deleted: unexplained",
-            "deleted: wrong name", "pairs: both named", "pairs: wrong name")
+def of(kinds: Sequence[str], hit: Callable[[Answer], bool], among: Callable[[Answer], bool] = lambda a: True) -> Count:
+    """Counts answers of these kinds that are `among` those meant."""
+    return lambda a: hit(a) if a.kind in kinds and among(a) else None
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in row) + " |" for row in lines)
+def _material(answer: Answer) -> bool:
+    return answer.material
 
 
-def describe_seeds(seeds: Sequence[int]) -> str:
-    """As ranges: 1-3, 7."""
-    spans: list[list[int]] = []
-    for seed in sorted(set(seeds)):
-        if spans and seed == spans[-1][1] + 1:
-            spans[-1][1] = seed
-        else:
-            spans.append([seed, seed])
-    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in spans)
+COLUMNS = (
+    Column("healthy: no alarm", of(["none"], lambda a: a.outcome.verdict == "none"), 0.98),
+    Column("material singles: named exactly", of(["single"], lambda a: a.outcome.exact, _material), 0.85),
+    Column("truth in the answer", of(["single"], lambda a: a.outcome.inside, _material), 0.95),
+    Column("wrong name", of(["single"], lambda a: a.outcome.wrong_name, _material), 0.02, at_most=True),
+    Column("`none`", of(["single"], lambda a: a.outcome.verdict == "none", _material)),
+    Column("pairs: both named", of(["pair"], lambda a: a.outcome.exact), 0.75),
+    Column("outside: `unexplained` or `partial`, no wrong name", of(OUTSIDE, lambda a: a.outside_right), 0.85),
+    Column("outside: wrong name", of(OUTSIDE, lambda a: a.outcome.wrong_name)),
+    Column(f"outside above {EDGE:g} floors: `none`",
+           of(OUTSIDE, lambda a: a.outcome.verdict == "none", lambda a: a.above_edge), 0.0, at_most=True))
+BY_RATIO = (("singles: named exactly", of(["single"], lambda a: a.outcome.exact)),
+            ("truth in the answer", of(["single"], lambda a: a.outcome.inside)),
+            ("wrong name", of(["single"], lambda a: a.outcome.wrong_name)),
+            ("`none`", of(["single"], lambda a: a.outcome.verdict == "none")),
+            ("outside: right", of(OUTSIDE, lambda a: a.outside_right)),
+            ("outside: `none`", of(OUTSIDE, lambda a: a.outcome.verdict == "none")))
 
 
-def describe_machine() -> str:
-    """Cores that this process may use, processor, system and Python."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
-    named = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
-    cores = len(os.sched_getaffinity(0))
-    return (f"{cores} core{'s' if cores != 1 else ''}, {named or platform.machine()}, {platform.system()}, "
-            f"Python {platform.python_version()}")
+def rate(answers: Iterable[Answer], count: Count) -> Rate:
+    hits = [hit for hit in map(count, answers) if hit is not None]
+    return Rate(sum(hits), len(hits))
 
 
-def summarise_gaps(outcomes: Sequence[Outcome], answers: dict[str, Any]) -> tuple[float, int]:
-    """(median, count) of the gap closed on confirm runs where a single was named exactly."""
-    closed = [answers[o.truth["name"]].get("gain", {}).get("gap_closed")
-              for o in outcomes if o.truth["class"] == "single" and o.exact]
-    known = [c for c in closed if c is not None]
-    return (float(np.median(known)) if known else float("nan")), len(known)
+def sizes(answers: Iterable[Answer]) -> Rate:
+    """Sizes in their intervals, of single and double causes that are named exactly."""
+    inside = [one for a in answers if a.kind in ("single", "pair") and a.outcome.exact
+              for one in sizes_inside(a.outcome)]
+    return Rate(sum(inside), len(inside))
 
 
-def judge_table(outcomes: Sequence[Outcome], answers: dict[str, Any]) -> str:
-    """All targets of the bench, met or missed."""
-    rates = score(outcomes).rates
-    rows: list[list[object]] = []
-    for target in TARGETS:
-        rate = rates[target.rate]
-        word = target.judge(rate)
-        if target.rate == "false alarms" and 0 < rate.count < NEGATIVES:
-            word += f"; the target asks for {NEGATIVES} negatives or more"
-        rows.append([target.rate, rate, target, word])
-    median, count = summarise_gaps(outcomes, answers)
-    rows.append(["gap closed on confirm runs, median", f"{median:.2f} of {count} singles named exactly" if count
-                 else "no cases", f"at least {CLOSED}", "not run" if not count else
-                 "met" if median >= CLOSED else "**missed**"])
-    walls = np.array([a["bench"]["wall_s"] for a in answers.values() if not a["bench"]["crashed"]])
-    if walls.size:
-        rows.append(["wall time of a diagnosis [s], 95th percentile",
-                     f"{np.percentile(walls, 95):.0f} (median {np.median(walls):.0f}, longest {walls.max():.0f})",
-                     f"at most {WALL_S:.0f}", "met" if np.percentile(walls, 95) <= WALL_S else "**missed**"])
-    return table(["what", "measured (95 % Wilson interval)", "target", "verdict"], rows)
+def read(cases: Iterable[PlannedCase], folder: Path) -> list[Answer]:
+    """The answers that are kept below `folder`; a case that could not be made has the truth of its name."""
+    found = []
+    for case in cases:
+        document = json.loads(answer_file(case, folder).read_text(encoding="utf-8"))
+        file = folder / case.family / "cases" / f"{case.name}.truth.json"
+        truth = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {
+            "name": case.name, "effects": [{"effect": e, "joint": None, "sizes": {}, "also": []} for e in case.effects]}
+        found.append(Answer(case, Outcome(truth, document["verdict"], tuple(document.get("causes", ()))), document))
+    return found
 
 
-def power_table(outcomes: Sequence[Outcome], label: str,
-                groups: Sequence[tuple[str, Callable[[Outcome], bool]]]) -> str:
-    """Singles by group: detected at all, truth inside, named exactly, wrong name."""
-    rows: list[list[object]] = []
-    for name, belongs in groups:
-        chosen = [o for o in outcomes if o.truth["class"] == "single" and belongs(o)]
-        if chosen:
-            rows.append([name, *(Rate(sum(map(hit, chosen)), len(chosen)) for hit in (
-                lambda o: o.verdict in ("named", "one_of", "unexplained"), lambda o: o.inside, lambda o: o.exact,
-                lambda o: o.wrong_name))])
-    return table([label, "detected", "truth inside named or one_of", "named exactly", "wrong name"], rows)
+def answer_file(case: PlannedCase, folder: Path) -> Path:
+    return folder / case.family / "diagnoses" / f"{case.name}.json"
 
 
-def by_level(name: str) -> Callable[[Outcome], bool]:
-    return lambda o: o.truth["level"] == name
+def tables(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
+    """The page's tables, line by line."""
+    legs = [a for a in answers if a.kind != "record"]
+    real = [a for a in answers if a.kind == "record"]
+    if legs:
+        yield from _by_family(legs)
+        yield from _by_ratio(legs)
+        yield from _sizes_and_times(legs, at_once)
+        yield from _not_right(legs)
+    if real:
+        yield from ["", "## Real records with a fault put in", "",
+                    "Found: the fault is named or in the set, and was not before, or grew by what was put in.", "",
+                    *records.compare([a.outcome for a in real], {a.case.name: a.document for a in real})]
 
 
-def by_ratio(low: float, high: float) -> Callable[[Outcome], bool]:
-    return lambda o: low <= o.truth["ratio"]["projected"] < high
+def _by_family(answers: Sequence[Answer]) -> Iterator[str]:
+    yield from ["", "## By family", "", "Bold: misses the target.", "",
+                *_head(["family", *(column.title for column in COLUMNS)])]
+    for family in (*FAMILIES, "all"):
+        own = [a for a in answers if family in (a.case.family, "all")]
+        if own:
+            cells = ((column, rate(own, column.count)) for column in COLUMNS)
+            yield _row([family, *(f"**{one}**" if column.misses(one) else _cell(one) for column, one in cells)])
+    every = [rate(answers, column.count) for column in COLUMNS]
+    yield _row(["target", *(column.judge(one) for column, one in zip(COLUMNS, every))])
+    single = rate(answers, of(["single"], lambda a: a.outcome.wrong_name, lambda a: not a.material))
+    pair = rate(answers, of(["pair"], lambda a: a.outcome.wrong_name))
+    without = sum(bool(a.document["bench"]["crashed"]) for a in answers)
+    yield from ["", f"Wrong names of other cases: singles that are not material {single.hits} of {single.count}, pairs "
+                    f"{pair.hits} of {pair.count}. Cases without an answer: {without}. They count as misses."]
 
 
-def by_effect(name: str) -> Callable[[Outcome], bool]:
-    return lambda o: o.hidden[0]["effect"] == name
+def _by_ratio(answers: Sequence[Answer]) -> Iterator[str]:
+    yield from ["", "## By error before, over the floor", "", *_head(["ratio", *(title for title, _ in BY_RATIO)])]
+    for low, high in pairwise(RATIOS):
+        own = [a for a in answers if a.before is not None and low < a.before <= high]
+        name = f"up to {high:g}" if low == -np.inf else f"above {low:g}" if high == np.inf else f"{low:g} to {high:g}"
+        yield _row([name, *(_cell(rate(own, count)) for _, count in BY_RATIO)])
+    own = [a for a in answers if a.before is None]
+    if own:
+        yield _row(["not stated", *(_cell(rate(own, count)) for _, count in BY_RATIO)])
 
 
-def write_page(out: Path, date: datetime.date) -> str:
-    """The page's text. Raises ValueError where OUT holds no diagnosis."""
-    outcomes, missing = load(out / "diagnoses", out / "cases")
-    if not outcomes:
-        raise ValueError(f"no diagnosis in {out}")
-    answers = {o.truth["name"]: json.loads((out / "diagnoses" / f"{o.truth['name']}.json").read_text("utf-8"))
-               for o in outcomes}
-    crashed = {name: a["bench"]["said"] for name, a in answers.items() if a["bench"]["crashed"]}
-    failed = Rate(sum(o.verdict == "fit_failed" for o in outcomes), len(outcomes))
-    seeds = [o.truth["seed"] for o in outcomes]
-    tuned = [s for s in seeds if s in TUNING]
-    counts = ", ".join(f"{sum(o.truth['class'] == kind for o in outcomes)} {kind}"
-                       for kind in dict.fromkeys(o.truth["class"] for o in outcomes))
-    blocks = [
-        f"# Blind bench, {date.isoformat()}",
-        f"{len(outcomes)} cases ({counts}), eight runs each, through `legid diagnose`. Seeds {describe_seeds(seeds)}. "
-        + (f"Seeds {describe_seeds(tuned)} are for tuning: what they show is no claim. " if tuned
-           else "None of these is among the seeds that are open for tuning (1 to 99). ")
-        + f"Machine: {describe_machine()}; diagnoses side by side as workers were asked for, each on its share of the "
-        + "cores.",
-        "Made by `make blind`. The targets stand in tests/evidence/blind/page.py. A single is moderate where its "
-        "nominal free-run error is 2 to 5 times the floor, parameters projected out. For class deleted the hidden "
-        "effect was taken out of the library; its target is that of causes outside the library.",
-        "## Against the targets", judge_table(outcomes, answers),
-        f"Diagnoses that ended in `fit_failed`: {failed}. They are neither alarms nor names, and count as misses "
-        f"wherever a name or 'unexplained' was due. Without any diagnosis (crash or time limit), among them: "
-        f"{len(crashed)}." + "".join(f"\n- {name}: {said}" for name, said in sorted(crashed.items())),
-        *([f"Cases made but not diagnosed, left out: {len(missing)}."] if missing else []),
-        "## All rates", table(["rate", "hits/cases"], [[n, r] for n, r in score(outcomes).rates.items() if r.count])]
-    if any(o.truth["class"] == "single" for o in outcomes):
-        effects = sorted({o.hidden[0]["effect"] for o in outcomes if o.truth["class"] == "single"})
-        spans = [(f"{a:g} to {b:g}", by_ratio(a, b)) for a, b in pairwise(RATIOS)]
-        blocks += ["## Power",
-                   power_table(outcomes, "level", [(n, by_level(n)) for n in ("small", "moderate", "large")]),
-                   power_table(outcomes, "error over floor", spans),
-                   power_table(outcomes, "effect", [(n, by_effect(n)) for n in effects])]
-    confusion = score(outcomes).confusion
-    blocks += ["## Confusion", table(["hidden", "said"], [
-        [label, "; ".join(f"{count} x {name}" for name, count in confusion[label].most_common())]
-        for label in sorted(confusion)])]
-    blocks += compare(out, outcomes)
-    return "\n\n".join(blocks) + "\n"
+def _sizes_and_times(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
+    yield from ["", "## Sizes and time", "",
+                f"Time of one diagnosis: median, 95th percentile, worst. {at_once} ran at once, each on one core. The "
+                "target of wall time is for two idle cores.", "",
+                *_head(["family", "sizes in their 95 % intervals", "wall time [s]", "processor time [s]"])]
+    for family in (*FAMILIES, "all"):
+        own = [a for a in answers if family in (a.case.family, "all")]
+        if own:
+            yield _row([family, _cell(sizes(own)), _times(own, WALL_S), _times(own, CPU_S)])
+    yield _row(["target", "93 to 97 %", "8, 20, 40", "-"])
 
 
-def compare(out: Path, outcomes: Sequence[Outcome]) -> list[str]:
-    """The baselines beside the diagnosis, on the cases that all of them answered."""
-    others = {m: {o.truth["name"]: o for o in load(out / "baselines" / m, out / "cases")[0]} for m in METHODS}
-    common = [o for o in outcomes if all(o.truth["name"] in other for other in others.values())]
-    if not common:
-        return []
-    columns = [score(common).rates]
-    columns += [score([other[o.truth["name"]] for o in common]).rates for other in others.values()]
-    rows = [[name, *(column[name] for column in columns)] for name in COMPARED if columns[0][name].count]
-    return ["## Baselines on the same data",
-            f"{len(common)} cases. Regressions on the torque that the filtered motion needs "
-            "(tests/evidence/blind/baselines.py). They give no sizes and cannot say 'unexplained' or 'one of': for "
-            "causes outside the library only their wrong names tell.",
-            table(["rate", "legid diagnose", *(TITLES[m] for m in METHODS)], rows)]
+def _times(answers: Iterable[Answer], key: str) -> str:
+    values = [a.document["bench"][key] for a in answers if key in a.document["bench"]]
+    if not values:
+        return "-"
+    return f"{np.median(values):.0f}, {np.quantile(values, 0.95):.0f}, {max(values):.0f}"
 
 
-EVIDENCE = (
-    Evidence("Causes hidden behind seeds, found by `legid diagnose` from CSVs alone", "make blind", "blind.md", 60,
-             "false alarms at most 5 %, moderate singles named exactly at least 85 %, a wrong name at most 3 %",
-             (r"(false alarms) \| (\d+/\d+)", r"(moderate singles: named exactly) \| (\d+/\d+)",
-              r"(moderate singles: wrong name) \| (\d+/\d+)"), r"Seeds (\d+-\d+)"),)
+def _not_right(answers: Sequence[Answer]) -> Iterator[str]:
+    wrong = [a for a in answers if not a.right]
+    yield from ["", "## Cases that are not right", "",
+                f"{len(answers) - len(wrong)} of {len(answers)} are right. Material singles and pairs must be named "
+                f"exactly. Of a cause outside the library `none` is right up to {EDGE:g} floors.", "",
+                *_head(["family", "case", "answer", "error before", "after"])]
+    for a in sorted(wrong, key=lambda a: (list(FAMILIES).index(a.case.family), a.case.name)):
+        error = a.document.get("error") or {}
+        yield _row([a.case.family, a.case.name, _said(a), *(_number(error.get(k)) for k in ("before", "after"))])
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--page", type=Path)
-    options = parser.parse_args(arguments)
-    today = datetime.datetime.now(datetime.UTC).date()
-    try:
-        text = write_page(options.out, today)
-    except ValueError as error:
-        parser.error(str(error))
-    page = options.page or Path("docs/evidence/blind.md")
-    page.parent.mkdir(parents=True, exist_ok=True)
-    page.write_text(text, encoding="utf-8")
-    print(text)
-    print(f"written: {page}")
-    return 0
+def _said(answer: Answer) -> str:
+    names, o = " + ".join(c["effect"] for c in answer.outcome.causes), answer.outcome
+    if o.verdict not in PRESENT and names:
+        return f"{o.verdict} (closest {names})"
+    return f"{o.said} ({answer.document['bench']['said']})" if o.verdict == "fit_failed" else o.said
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _cell(one: Rate) -> str:
+    return str(one) if one.count else "-"
+
+
+def _head(titles: Sequence[str]) -> list[str]:
+    return [_row(titles), _row(["---"] * len(titles))]
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |"

@@ -3,9 +3,6 @@
 What a sensor does wrong can be put into a record exactly, whatever the machine does besides. The untouched record is
 diagnosed too: what changes against it is what was put in. The rig files are those with which `legid casebook` diagnoses
 these machines; records and their published answers stay in ../shared/realdata.
-
-    python -m tests.evidence blind.family --family records --out OUT --seeds 1
-        --effects a0.untouched,a0.torque_delay,...
 """
 
 from __future__ import annotations
@@ -128,16 +125,20 @@ def compare(outcomes: Sequence[Outcome], answers: Mapping[str, Mapping[str, Any]
         if not o.hidden:
             continue
         record, fault = o.truth["name"].rsplit("-", 1)[0].split(".")
+        before = plain.get(record)
+        if before is None:
+            rows.append(f"| {record} | {fault} | no answer yet | {o.said} | - | - | - |")
+            continue
         size, told = next(iter(o.hidden[0]["sizes"].values()), None), _size(o, o.hidden[0])
-        already = size_before(answers[plain[record].truth["name"]], o.hidden[0])
+        already = size_before(answers[before.truth["name"]], o.hidden[0])
         inside = None if told is None or size is None else bool(told[1] <= size + already <= told[2])
-        found.append(is_found(o, plain[record], inside))
+        found.append(is_found(o, before, inside))
         sized += [] if inside is None else [inside]
         put_in = "-" if size is None else f"{already:.3g} + {size:.3g}"
         size_found = "-" if told is None else f"{told[0]:.3g} [{told[1]:.3g}, {told[2]:.3g}]"
         error = answers[o.truth["name"]].get("error")
         errors = "-" if not error else f"{error['before']:.2f}, {error['after']:.2f}"
-        rows.append(f"| {record} | {fault} | {plain[record].said} | {o.said} | {put_in} | {size_found} | {errors} |")
+        rows.append(f"| {record} | {fault} | {before.said} | {o.said} | {put_in} | {size_found} | {errors} |")
     return ["| | measured |", "| --- | --- |", f"| named or in the set | {Rate(sum(found), len(found))} |",
             f"| size inside its 95 % interval | {Rate(sum(sized), len(sized))} |", "",
             "| record | fault | untouched | spoilt | there + put in | found | rms error before, after |",
@@ -157,10 +158,10 @@ def size_before(answer: Mapping[str, Any], hidden: Mapping[str, Any]) -> float:
 
     Nobody knows a real machine's own faults, and a fault put in adds to them.
     """
-    for cause in (*answer["causes"], *answer["immaterial"]):
+    for cause in (*answer["causes"], *answer.get("immaterial", ())):
         if same(cause, hidden):
             return float(cause["size"][0]["value"])
-    return next((float(c["size"]) for c in answer["candidates"] if same(c, hidden)), 0.0)
+    return next((float(c["size"]) for c in answer.get("candidates", ()) if same(c, hidden)), 0.0)
 
 
 def _size(outcome: Outcome, hidden: Mapping[str, Any]) -> tuple[float, float, float] | None:

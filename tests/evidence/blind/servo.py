@@ -3,8 +3,6 @@
 Torque is held between the servo's ticks and logged at 100 Hz; friction is MuJoCo's set-valued `frictionloss`; each
 effect has a law of its own, none the library's formula where another is plausible. At a tick torque and acceleration
 jump, so what is logged there is the mean of both sides.
-
-    python -m tests.evidence blind.family --family servo --out OUT --effects none,joint_stiffness,... --seeds 1-4
 """
 
 from __future__ import annotations

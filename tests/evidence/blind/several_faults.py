@@ -4,9 +4,6 @@ ones that are always there, beside which one may matter.
 No real rig is without them: half a millisecond, a milliradian, a per mille of a scale. None of the ten changes a free
 run by much; what is hidden beside them is one of `servo`'s effects of ordinary strength. Only that one may be called
 material.
-
-    python -m tests.evidence blind.family --family small_faults --out OUT --effects none,joint_stiffness,... --seeds 1-4
-    python -m tests.evidence blind.family --family pairs --out OUT --seeds 1-4
 """
 
 from __future__ import annotations

@@ -3,8 +3,6 @@
 Motion by `tests.support.stick_slip_leg`: reversals and rest found by root finding, the motor driven at 1 kHz, half of
 the runs by an open-loop torque and half by a position controller, logged at 100 Hz. What is hidden is put into what is
 logged, none by the library's formula where another is plausible; so it can be exact, whatever the leg does.
-
-    python -m tests.evidence blind.family --family stickslip --out OUT --effects none,torque_delay,... --seeds 1-4
 """
 
 from __future__ import annotations
@@ -67,6 +65,10 @@ MAKERS: dict[str, tuple[Callable[[float], Callable[[Readings], None]], int | Non
     "outside_torque_dead_band": (lambda s: _map("tau2_nm", lambda u: u + 0.12 * s * np.tanh(u / 0.05)), None),
     "outside_encoder_kink": (lambda s: _map("q2_rad", lambda q: q + 0.05 * s * np.abs(q - 0.2)), None),
 }
+SIZES = {"torque_offset": {"offset": 0.06}, "torque_delay": {"delay": 0.010}, "sensor_time_skew": {"skew": 0.005},
+         "gyro_bias": {"bias": 0.03}, "gyro_scale": {"scale_error": 0.03}, "accelerometer_bias": {"bias_x": 0.25},
+         "encoder_offset": {"offset": 0.03}, "encoder_scale": {"scale_error": 0.04}}
+"""Of ordinary strength, where the library's law has the same size."""
 
 
 def make_case(name: str, seed: int, out: Path, strength: float = 1.0) -> None:
@@ -75,9 +77,11 @@ def make_case(name: str, seed: int, out: Path, strength: float = 1.0) -> None:
         return
     rng = np.random.default_rng([sum(map(ord, name)), seed, 3])
     maker, joint = MAKERS[name]
-    change = maker(strength * rng.uniform(0.85, 1.15))
+    strength *= rng.uniform(0.85, 1.15)
+    change = maker(strength)
     leg, dry, runs = record([change] * RUNS, rng)
-    hidden = [] if name == "none" or name.startswith("outside") else effect(name, joint)
+    hidden = [] if name == "none" or name.startswith("outside") else effect(
+        name, joint, **{size: strength * value for size, value in SIZES.get(name, {}).items()})
     write_case(name, seed, out, runs, rng, leg, "", hidden, dry)
 
 

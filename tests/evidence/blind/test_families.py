@@ -1,4 +1,4 @@
-"""The bench of plants of other makes: what is put into a leg's readings, and what its page counts."""
+"""Families of plants of other makes: what is put into a leg's motion and its readings."""
 
 from __future__ import annotations
 
@@ -10,35 +10,11 @@ import numpy as np
 import pytest
 
 from tests.evidence.blind import geared, outside, records, servo, several_faults, stickslip
-from tests.evidence.blind.family import FamilyCase, page
+from tests.evidence.blind.plan import PlannedCase
 from tests.evidence.blind.run import diagnose
 from tests.evidence.blind.score import Outcome
 from tests.support.mujoco_leg import GRAVITY, Leg
 from tests.support.paths import needs_records
-
-
-def answer(root: Path, name: str, effects: list[str], verdict: str, causes: list[str]) -> None:
-    truth = {"name": name, "effects": [{"effect": e, "joint": None, "also": []} for e in effects]}
-    (root / "cases" / f"{name}.truth.json").write_text(json.dumps(truth))
-    (root / "diagnoses" / f"{name}.json").write_text(json.dumps(
-        {"verdict": verdict, "causes": [{"effect": c, "joint": None} for c in causes],
-         "error": {"before": 3.0, "after": 1.0}, "bench": {"wall_s": 10.0}}))
-
-
-def test_the_page_counts_every_kind_of_answer(tmp_path: Path) -> None:
-    for folder in ("cases", "diagnoses"):
-        (tmp_path / folder).mkdir()
-    answer(tmp_path, "none-1", [], "none", [])
-    answer(tmp_path, "none-2", [], "unexplained", [])
-    answer(tmp_path, "gyro_bias-1", ["gyro_bias"], "partial", ["gyro_bias"])
-    answer(tmp_path, "gyro_bias-2", ["gyro_bias"], "named", ["gyro_scale"])
-    answer(tmp_path, "gyro_bias-3", ["gyro_bias"], "one_of", ["gyro_scale", "gyro_bias"])
-    answer(tmp_path, "outside_kink-1", [], "named", ["gyro_scale"])
-    text = page("servo", [1, 2, 3], tmp_path)
-    for row in ("healthy: false alarm | 1/2", "named exactly | 1/3", "inside the answer | 2/3", "wrong name | 1/3",
-                "outside the library: wrong name | 1/1", "| gyro_bias | gyro_bias + ?, gyro_scale, one of"):
-        assert row in text
-    assert "3.00, 1.00" in text
 
 
 def test_a_fault_is_in_the_readings_and_nothing_else(tmp_path: Path) -> None:
@@ -52,6 +28,21 @@ def test_a_fault_is_in_the_readings_and_nothing_else(tmp_path: Path) -> None:
     maker, joint = stickslip.MAKERS["encoder_scale"]
     maker(1.0)(readings)
     assert joint == 2 and np.allclose(readings["q2_rad"], 1.04 * before["q2_rad"])
+
+
+@pytest.mark.parametrize("name", stickslip.SIZES)
+def test_a_stated_size_is_what_is_put_into_the_readings(name: str) -> None:
+    """Angle, rate, torque and acceleration grow with time; so an offset is a difference, a scale a quotient."""
+    ((size, value),) = stickslip.SIZES[name].items()
+    time = np.arange(50) * 0.01
+    columns = {"time_s": time, **{c: 2.0 * time for c in ("q2_rad", "tau2_nm", *stickslip.IMU)}}
+    before = {k: v.copy() for k, v in columns.items()}
+    stickslip.MAKERS[name][0](1.0)(columns)
+    (changed, *_) = (c for c in columns if not np.array_equal(columns[c], before[c]))
+    now, then = columns[changed][-1], before[changed][-1]
+    put_in = now / then - 1.0 if size == "scale_error" else now - then
+    late = -put_in / 2.0 if size in ("delay", "skew") else put_in
+    assert late == pytest.approx(value)
 
 
 @needs_records
@@ -84,6 +75,13 @@ def test_a_fault_put_in_is_judged_against_the_untouched_record(
     assert f"| named or in the set | {found}/1" in page and f"95 % interval | {inside}" in page
 
 
+def test_a_spoilt_record_without_its_untouched_one_is_shown_and_not_counted() -> None:
+    hidden = servo.effect("torque_delay", None, delay=0.02)
+    spoilt = Outcome({"name": "c0.torque_delay-1", "effects": hidden}, "none", ())
+    page = "\n".join(records.compare([spoilt], {"c0.torque_delay-1": {}}))
+    assert "| named or in the set | no cases |" in page and "| c0 | torque_delay | no answer yet | none |" in page
+
+
 def test_a_fault_that_was_named_before_counts_only_where_it_grew_by_what_was_put_in() -> None:
     plain, spoilt = (Outcome({"name": n, "effects": servo.effect("torque_delay")}, "named",
                              ({"effect": "torque_delay", "joint": None, "size": []},)) for n in ("a", "b"))
@@ -102,7 +100,7 @@ def test_a_healthy_leg_of_heavy_friction_raises_no_alarm(tmp_path: Path, monkeyp
     monkeypatch.setattr(servo, "record", heavy)
     servo.make_case("none", 61, tmp_path)
     (tmp_path / "diagnoses").mkdir()
-    found = diagnose(FamilyCase("none-61"), tmp_path, tmp_path / "diagnoses", share=2)
+    found = diagnose(PlannedCase("servo", "none", 61), tmp_path, tmp_path / "diagnoses", share=2)
     assert found["verdict"] == "none", found["sentence"]
     assert any("friction smoothing velocity" in text for text in found["warnings"])
 
