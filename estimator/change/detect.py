@@ -108,8 +108,8 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
         if found.verdict != "no_change":
             return found
         for its, runs, others in ((fits[0], a, b), (fits[1], b, a)):
-            there = error_levels(its, runs, [score_run(its, d) for d in runs])
-            found = with_errors(found, larger_error(error_levels(its, others), there), SESSIONS)
+            left_out = error_levels(its, runs, [score_run(its, d) for d in runs])
+            found = with_errors(found, larger_error(error_levels(its, others), left_out), SESSIONS)
         return found
 
     few = min(len(a), len(b)) < FEW_RUNS
