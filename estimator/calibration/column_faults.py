@@ -1,9 +1,9 @@
 """Columns whose sign, unit, order or gear is wrong, found by trying the corrections.
 
 A record obeys tau = Z(q, qd, qdd) beta with a possible beta under the right reading of its columns only. Each likely
-mistake is corrected and least squares repeated. The correction with a possible beta and the smallest residual is
-reported, if it also predicts each part of the records by the other parts. Mistakes that no motion shows, such as the
-torque's scale, are not tried.
+mistake is corrected and least squares repeated, in which no window of the records counts for much more than another.
+The correction with a possible beta and the smallest residual is reported; parameters of other windows predict each
+window. Mistakes that no motion shows, such as the torque's scale, are not tried.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
-from estimator.fitting import faults, free_mask, weighted_least_squares
+from estimator.calibration.windows import CLEAR, bounded, cut, typical, usual
+from estimator.fitting import faults, free_mask
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.signals import angle_column, differentiate, lowpass, split_signals, torque_column
@@ -28,23 +29,22 @@ OVERSAMPLED = 16.0
 """Samples of the thinned motion a period of that band."""
 MOST_SAMPLES = 20_000
 """Of all runs together; from longer ones the beginning is taken."""
-CLEAR = 1.4
-"""A remedy must leave so many times less torque than the record as it is, or make a mechanism where that makes none."""
 ALIKE = 1.25
-"""Of readings that leave less than so many times the least, those with the fewest changes are named."""
+"""Readings that leave less than so many times the least are not told apart: those with the fewest changes are named."""
 MOST_LEFT = 0.5
 """Largest torque residual of a right reading, as a share of the torque."""
 GEAR_STEPS = np.exp(np.linspace(np.log(0.25), np.log(4.0), 25))
 """Factors of an angle that are tried; a gear ratio that is wrong by any factor lies near one."""
 COUNT_SPANS = np.exp(np.linspace(np.log(0.1), np.log(20.0), 45))
 """Spans [rad] that are tried for an angle that goes further than any, as counts of an encoder do."""
-GEAR_CLEAR = 1.18
-"""As CLEAR, for a factor; and ..."""
 NEAR_ONE = 0.1
-"""... factors closer to one are the scatter of such a search. (Measured on 26 real records as they are: the best factor
-beyond that leaves 1.00 to 1.16 times less.)"""
+"""Factors closer to one are the scatter of such a search."""
 EQUAL = 1e-3
 """Residuals that differ by a smaller share are equal."""
+PERIODS = 1.5
+"""Length of a window in periods of that band."""
+WEIGHT_SHARE = 0.3
+"""Least residual of a joint as a share of the largest: a passive joint's equation alone ends at parameters of zero."""
 FOLDS = 4
 """Parts of the records, each of which is predicted by the others."""
 LEAST_SPAN, MOST_SPAN = 0.1, 20.0
@@ -84,10 +84,15 @@ class Reading:
 
     remedy: Remedy
     left: float
-    """Residual as a share of the torque."""
+    """Typical residual of a window as a share of its torque, by the parameters of other windows."""
     faults: tuple[str, ...]
-    clear: float = CLEAR
-    """How many times less it must leave than the record as it is."""
+
+    def told(self, nothing: Reading) -> str:
+        """The remedy, and what it gains over the columns as they are."""
+        before, after = (f"{100.0 * left:.{0 if left > 0.1 else 1}f} %" for left in (nothing.left, self.left))
+        if CLEAR * self.left < nothing.left:
+            return f"{self.remedy}; with it the residual falls from {before} to {after} of the torque"
+        return f"{self.remedy}; with it the parameters are possible and the residual is {after} of the torque"
 
 
 @dataclass(frozen=True)
@@ -122,22 +127,19 @@ def find_remedies(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
         span = float(np.ptp(motion.q[:, j]))
         steps = GEAR_STEPS if span < MOST_SPAN else COUNT_SPANS / span
         reading = _best_gear(motion, mechanism, options, j, steps)
-        found += [] if reading is None else [replace(reading, clear=GEAR_CLEAR)]
-    cures = [r for r in found if not r.faults and r.left < MOST_LEFT and _better(r, nothing, r.left, nothing.left)]
-    if cures:
-        held = _held_out(motion, mechanism, options, nothing.remedy)
-        cures = [r for r in cures if (own := _held_out(motion, mechanism, options, r.remedy)) < MOST_LEFT
-                 and _better(r, nothing, own, held)]
+        found += [] if reading is None else [reading]
+    cures = [r for r in found if not r.faults and r.left < MOST_LEFT and _better(r, nothing)]
     least = min((r.left for r in cures), default=0.0)
     near = [r for r in cures if r.left <= ALIKE * least]
     fewest = min((r.remedy.changes for r in near), default=0)
     return nothing, tuple(sorted((r for r in near if r.remedy.changes == fewest), key=lambda r: round(r.left, 3)))
 
 
-def _better(cured: Reading, nothing: Reading, left: float, as_it_is: float) -> bool:
-    """Whether a remedy that leaves `left` is called for: far less, or no more where the record makes no mechanism."""
-    alike = bool(nothing.faults) and not cured.remedy.scales
-    return left <= (1.0 + EQUAL) * as_it_is if alike else left * cured.clear < as_it_is
+def _better(cured: Reading, nothing: Reading) -> bool:
+    """Whether a remedy is called for: it leaves far less, or no more where the record makes no mechanism."""
+    if nothing.faults and not cured.remedy.scales:
+        return cured.left <= (1.0 + EQUAL) * nothing.left
+    return CLEAR * cured.left < nothing.left
 
 
 def _nothing(n: int) -> Remedy:
@@ -161,76 +163,99 @@ def _filtered(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
 
 
 class _Equations(NamedTuple):
-    """tau = Z beta of all segments under one reading, with constants of the driven joints behind the parameters."""
+    """tau = Z beta of all windows under one reading, with constants of the driven joints behind the parameters."""
 
-    z: FloatArray
-    """(m, n, p + constants)"""
-    tau: FloatArray
-    """(m, n)"""
+    grams: FloatArray
+    """(W, n, k + 1, k + 1) mean products of the free parameters' columns and, behind them, of what these explain."""
     free: NDArray[np.bool_]
     """(p + constants,)"""
     start: FloatArray
     """(p + constants,) of which those that are not free are kept"""
     samples_per_dof: float
+    length: int
+    """Samples a window."""
 
-    def solved(self, where: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-        """beta by the rows `where`, and its standard deviation."""
-        with np.errstate(all="ignore"):
-            found, covariance, _ = weighted_least_squares(self.z[where], self.tau[where], self.free, self.start,
-                                                          self.samples_per_dof)
-        return found, np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    def solved(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(k,) the free parameters, and (k, k) their covariance, by windows of `weights` (W,).
 
-    def left(self, error: FloatArray) -> float:
-        """`error` (m, n) as a share of the torque that the free parameters have to explain."""
-        known = self.tau - self.z[:, :, ~self.free] @ self.start[~self.free]
-        return float(np.sqrt(np.mean(error**2) / max(float(np.mean(known**2)), 1e-300)))
+        Joints are weighted by their own residual's variance, found in three passes.
+        """
+        joints = np.einsum("w,wnab->nab", weights, self.grams)
+        level, ridge = np.ones(len(joints)), 1e-12 * np.eye(joints.shape[1] - 1)
+        for _ in range(3):
+            whole = np.einsum("n,nab->ab", 1.0 / level, joints)
+            scale = np.sqrt(np.maximum(np.diag(whole)[:-1], 1e-300))
+            inverse = np.linalg.inv(whole[:-1, :-1] / np.outer(scale, scale) + ridge) / np.outer(scale, scale)
+            found = inverse @ whole[:-1, -1]
+            level = np.maximum(_squares(joints, found), 1e-18 * joints[:, -1, -1].max() + 1e-300) / weights.sum()
+            level = np.maximum(level, WEIGHT_SHARE**2 * level.max())
+        return found, self.samples_per_dof / self.length * inverse
+
+    def shares(self, found: FloatArray) -> FloatArray:
+        """(W,) residual as a share of the torque of the window, or of the usual one where that is larger."""
+        torque = self.grams[:, :, -1, -1].sum(axis=1)
+        return np.sqrt(_squares(self.grams, found).sum(axis=1) / np.maximum(torque, usual(torque)))
+
+    def judged(self) -> tuple[FloatArray, FloatArray, float]:
+        """(p + constants,) all parameters, their standard deviations, and the typical share of a window.
+
+        The share is by the parameters of the other `FOLDS` - 1 parts of the records.
+        """
+        size = np.einsum("wncc->wnc", self.grams).sum(axis=1)
+        leverage = np.mean(size / [usual(column) for column in size.T], axis=1)
+        weights = bounded(lambda w: self.shares(self.solved(w)[0]) ** 2, leverage)
+        found, spread = self.solved(weights)
+        held = np.zeros(len(self.grams))
+        for part in np.array_split(np.arange(len(held)), FOLDS):
+            others = weights.copy()
+            others[part] = 0.0
+            held[part] = self.shares(self.solved(others)[0])[part]
+        beta, std = self.start.copy(), np.zeros(len(self.start))
+        beta[self.free], std[self.free] = found, np.sqrt(np.maximum(np.diag(spread), 0.0))
+        return beta, std, typical(held, self.grams[:, :, -1, -1].sum(axis=1))
+
+
+def _squares(grams: FloatArray, found: FloatArray) -> FloatArray:
+    """Mean square of the residual of each of (..., k + 1, k + 1) at the parameters `found` (k,)."""
+    x = np.append(found, -1.0)
+    return np.maximum(grams @ x @ x, 0.0)
 
 
 def _equations(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> _Equations | None:
-    """None where all segments are too short."""
+    """None where there are fewer windows than parts."""
     q, qd, qdd = (x @ remedy.angles.T for x in (motion.q, motion.qd, motion.qdd))
     constants = np.zeros((len(q), mechanism.n, len(mechanism.actuated)))
     for column, j in enumerate(mechanism.actuated):
         constants[:, j, column] = 1.0
     free, beta = free_mask(mechanism, options)
     z = np.concatenate([mechanism.regressor(q + remedy.zero, qd, qdd), constants], axis=2)
-    tau = motion.tau @ remedy.torques.T
-    band = min(SLOW_HZ, 0.1 * motion.rate_hz)
-    edge = int(0.5 * motion.rate_hz / band)
-    zs, taus = [], []
-    for where in np.split(np.arange(len(q)), motion.ends[:-1]):
-        if len(where) > 4 * edge + 8:
-            inner = slice(edge, len(where) - edge)
-            zs.append(lowpass(z[where], band, motion.rate_hz, options.filter_order)[inner])
-            taus.append(lowpass(tau[where], band, motion.rate_hz, options.filter_order)[inner])
-    if not zs:
-        return None
     offset = [k for j, k in mechanism.offset_columns.items() if j in mechanism.actuated]
     mask = np.append(free, np.ones(constants.shape[2], dtype=bool))
     mask[offset] = False  # the constants stand for them
     start = np.append(np.where(free, 0.0, beta), np.zeros(constants.shape[2]))
-    return _Equations(np.concatenate(zs), np.concatenate(taus), mask, start, max(1.0, 0.5 * motion.rate_hz / band))
+    tau = motion.tau @ remedy.torques.T - z[:, :, ~mask] @ start[~mask]
+    rows = np.concatenate([z[:, :, mask], tau[:, :, None]], axis=2)
+    band = min(SLOW_HZ, 0.1 * motion.rate_hz)
+    edge, length = int(0.5 * motion.rate_hz / band), int(PERIODS * motion.rate_hz / band)
+    windows = []
+    for where in np.split(np.arange(len(q)), motion.ends[:-1]):
+        if len(where) > 2 * edge + length:
+            slow = lowpass(rows[where], band, motion.rate_hz, options.filter_order)
+            windows.append(cut(slow[edge : len(where) - edge], length))
+    if sum(map(len, windows)) < FOLDS:
+        return None
+    every = np.concatenate(windows)
+    return _Equations(np.einsum("wlna,wlnb->wnab", every, every) / length, mask, start,
+                      max(1.0, 0.5 * motion.rate_hz / band), length)
 
 
 def _read(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> Reading:
     rows = _equations(motion, mechanism, options, remedy)
     if rows is None:
         return Reading(remedy, 1.0, ("too short",))
-    found, std = rows.solved(np.arange(len(rows.z)))
+    found, std, left = rows.judged()
     q = motion.q @ remedy.angles.T + remedy.zero
-    return Reading(remedy, rows.left(rows.tau - rows.z @ found),
-                   faults(mechanism, found[: mechanism.p], std[: mechanism.p], q))
-
-
-def _held_out(motion: _Motion, mechanism: Mechanism, options: FitOptions, remedy: Remedy) -> float:
-    """`left` of each of `FOLDS` parts of the records by the parameters of the others."""
-    rows = _equations(motion, mechanism, options, remedy)
-    if rows is None:
-        return 1.0
-    every = np.arange(len(rows.z))
-    parts = np.array_split(every, FOLDS)
-    return rows.left(np.concatenate([rows.tau[part] - rows.z[part] @ rows.solved(np.setdiff1d(every, part))[0]
-                                     for part in parts]))
+    return Reading(remedy, left, faults(mechanism, found[: mechanism.p], std[: mechanism.p], q))
 
 
 def _likely(mechanism: Mechanism, imu: bool, gear_ratio: float, span: FloatArray) -> Iterator[Remedy]:

@@ -15,16 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from daq import Dataset, FloatArray
+from estimator.calibration.windows import CLEAR, bounded, cut, typical, usual
 from estimator.signals import IMU_COLUMNS, lowpass
 
-SLOW_HZ, FAST_HZ = 0.3, 8.0
-"""Below the first the accelerometer gives the angle, above it the gyro; beyond the second links ring."""
-CLEAR = 1.5
-"""A reading must leave so many times less than the columns as they are."""
+WINDOW_S, FAST_HZ = 1.0, 8.0
+"""Length of a window, in which the gyro's integral is the angle; above the frequency links ring."""
 LEVER_M, LEVER_SHARE = 0.03, 0.25
-"""A lever arm that differs by more than both, in metres and as a share of the larger, is wrong, ..."""
-LEVER_CLEAR = 1.3
-"""... if the other's residual is smaller by this factor."""
+"""A lever arm that differs by more than both, in metres and as a share of the larger, may be wrong."""
 DEGREE, TURN = float(np.pi / 180.0), float(2.0 * np.pi)
 G = 9.80665
 GYRO_UNITS = {DEGREE: ("in degrees a second", 'unit = "deg/s"'), 1e-3 * DEGREE: ("in mdps", 'unit = "mdps"'),
@@ -36,6 +33,8 @@ ACCEL_UNITS = {G: ("in g", 'unit = "g"'), 1e-3 * G: ("in mg", 'unit = "mg"'), 1e
 AROUND, AROUND_OTHER = 2.0, 1.3
 """The accelerometer's median length is gravity's within the first factor, or its unit is another: one that makes
 gravity of it within the second, or else a scale of the sensor's own."""
+UNIT_HZ = 1.0
+"""Below it the tilt of the accelerometer is the angle of a link that swings, which shows the unit of a gyro."""
 GYRO, ACCEL_X, ACCEL_Y = IMU_COLUMNS
 
 
@@ -47,7 +46,7 @@ class ImuReading:
     """(2, 2)"""
     factor: float
     left: float
-    """rms residual in the band [m/s2]."""
+    """Typical rms residual of a window [m/s2]."""
     lever_arm: float
     """That fits best [m]."""
     left_as_declared: float
@@ -90,6 +89,12 @@ class ImuReading:
             writes.append(f"{', '.join(entries)} under [columns.{GYRO}]")
         return f"{' and '.join(looks)}: set {' and '.join(writes)}, or correct calibration.imu_mount"
 
+    def told(self, as_read: ImuReading) -> str:
+        """The remedy, and what it gains over the columns as they are."""
+        before = as_read.left_as_declared
+        gain = _fall(before, self.left) if CLEAR * self.left < before else "the link hangs down"
+        return f"{self}; with it {gain}"
+
 
 def read_imu(datasets: Sequence[Dataset], lever_arm: float, gravity: float, hangs: bool = True
              ) -> tuple[ImuReading, tuple[ImuReading, ...]]:
@@ -99,13 +104,13 @@ def read_imu(datasets: Sequence[Dataset], lever_arm: float, gravity: float, hang
     A link that `hangs` from a passive pivot feels gravity along -y most of the time; a driven one may stand.
     """
     unit = _accelerometer_unit(datasets, gravity)
-    read = [_as_read(data) for data in datasets]
-    as_read = _judge(read, np.eye(2), 1.0, lever_arm, gravity, hangs)
+    read = [_as_read(data, hangs) for data in datasets]
     factors = [sign * f for f in (1.0, DEGREE, *_gyro_unit(datasets)) for sign in (1.0, -1.0)]
-    ways = [(unit * axes, factor) for axes, factor in product(_axes(), dict.fromkeys(factors))]
+    turned = {factor: _turned(read, factor) for factor in factors}
+    as_read = _judge(read, turned[1.0], np.eye(2), 1.0, lever_arm, hangs)
+    ways = [(unit * axes, factor) for axes, factor in product(_axes(), turned)]
     ways += [(np.diag(scales), 1.0) for scales in ((G, 1.0), (1.0, G))]  # one axis alone in g
-    found = [_judge(read, axes, factor, lever_arm, gravity, hangs) for axes, factor in ways
-             if not hangs or _gravity_down(read, axes) > 0.0]
+    found = [_judge(read, turned[factor], axes, factor, lever_arm, hangs) for axes, factor in ways]
     found = [reading for reading in found if reading.left < np.inf]
     least = min((reading.left for reading in found), default=np.inf)
     if unit == 1.0 and as_read.left < CLEAR * least:
@@ -120,10 +125,14 @@ def wrong_lever(reading: ImuReading, lever_arm: float) -> str:
     off = abs(reading.lever_arm - lever_arm)
     if off < LEVER_M or off < LEVER_SHARE * max(reading.lever_arm, lever_arm):
         return ""
-    if reading.left_as_declared < LEVER_CLEAR * reading.left:
+    if reading.left_as_declared < CLEAR * reading.left:
         return ""
     return (f"the IMU looks {reading.lever_arm:.2g} m from the pivot, not {lever_arm:.2g}: measure lever_arm_m under "
-            "[imu], or correct calibration.imu_mount")
+            f"[imu], or correct calibration.imu_mount; with it {_fall(reading.left_as_declared, reading.left)}")
+
+
+def _fall(before: float, after: float) -> str:
+    return f"the accelerometer's residual falls from {before:.2g} to {after:.2g} m/s2"
 
 
 def _accelerometer_unit(datasets: Sequence[Dataset], gravity: float) -> float:
@@ -141,9 +150,9 @@ def _gyro_unit(datasets: Sequence[Dataset]) -> tuple[float, ...]:
     turned, read = 0.0, 0.0
     for data in datasets:
         tilt = np.unwrap(np.arctan2(_known(data[ACCEL_X]), -_known(data[ACCEL_Y])))
-        rate = np.gradient(lowpass(tilt, 3.0 * SLOW_HZ, data.rate_hz)) * data.rate_hz
+        rate = np.gradient(lowpass(tilt, UNIT_HZ, data.rate_hz)) * data.rate_hz
         turned += float(np.sum(rate**2))
-        read += float(np.sum(lowpass(_known(data[GYRO]), 3.0 * SLOW_HZ, data.rate_hz) ** 2))
+        read += float(np.sum(lowpass(_known(data[GYRO]), UNIT_HZ, data.rate_hz) ** 2))
     if not (0.0 < turned < np.inf and 0.0 < read < np.inf):
         return ()
     return (min((1.0, *GYRO_UNITS), key=lambda factor: abs(np.log(factor**2 * read / turned))),)
@@ -165,50 +174,84 @@ class _Read(NamedTuple):
 
     rate_hz: float
     accel: FloatArray
-    """(2, n)"""
-    turned: FloatArray
-    """(n,) angle by the gyro without what is slow"""
+    """(n, 2)"""
+    gyro: FloatArray
+    """(n,)"""
+
+    def windows(self, x: FloatArray) -> FloatArray:
+        """(W, L, ...) of x (n, ...) without what only rings."""
+        fast = lowpass(x, min(FAST_HZ, 0.2 * self.rate_hz), self.rate_hz)
+        return cut(fast, min(max(int(WINDOW_S * self.rate_hz), 8), len(x)))
+
+
+def _as_read(data: Dataset, hangs: bool) -> _Read:
+    """A link that `hangs` ends where it began: what its gyro shows beyond that is a bias."""
+    gyro = _known(data[GYRO])
+    return _Read(data.rate_hz, np.stack([_known(data[ACCEL_X]), _known(data[ACCEL_Y])], axis=1),
+                 gyro - hangs * gyro.mean())
+
+
+class _Turned(NamedTuple):
+    """What a link's motion by its gyro does to an accelerometer's x, then y, in each window of a run."""
+
     swing: FloatArray
-    """(2, n) band of the gyro's derivative and of minus its square"""
+    """(W, 2 L) by the motion at a distance of 1 m from the pivot."""
+    plane: FloatArray
+    """(W, 2 L, 2) by gravity along and across the link at the start of the window."""
+    power: FloatArray
+    """(W,) mean square of the rate."""
+
+    def less_gravity(self, x: FloatArray) -> FloatArray:
+        """(W, 2 L) what no direction of gravity at the start of each window explains of x (W, 2 L)."""
+        across = self.plane.swapaxes(1, 2)
+        gram = across @ self.plane + 1e-9 * np.eye(2)  # a gyro in a wrong unit turns too fast to leave a plane
+        at = np.linalg.solve(gram, across @ x[:, :, None])
+        return np.asarray((x[:, :, None] - self.plane @ at)[:, :, 0])
 
 
-def _as_read(data: Dataset) -> _Read:
-    omega = _known(data[GYRO])
-    turned = np.cumsum(omega - omega.mean()) / data.rate_hz
-    swing = np.stack([np.gradient(omega, 1.0 / data.rate_hz), -omega**2])
-    return _Read(data.rate_hz, np.stack([_known(data[ACCEL_X]), _known(data[ACCEL_Y])]),
-                 turned - lowpass(turned, SLOW_HZ, data.rate_hz), _band(swing, data.rate_hz).reshape(-1, 2).T)
-
-
-def _judge(read: Sequence[_Read], axes: FloatArray, factor: float, lever_arm: float, gravity: float,
-           hangs: bool) -> ImuReading:
-    swings, rests = [], []
+def _turned(read: Sequence[_Read], factor: float) -> list[_Turned]:
+    """Of each run, by its gyro times `factor`."""
+    found = []
     for one in read:
-        x, y = axes @ one.accel
-        tilt = np.unwrap(np.arctan2(x, -y))
-        q1 = factor * one.turned + lowpass(tilt, SLOW_HZ, one.rate_hz)
-        rest = np.stack([x - gravity * np.sin(q1), y + gravity * np.cos(q1)])
-        swings.append((one.swing * [[factor], [factor**2]]).T.ravel())
-        rests.append(_band(rest, one.rate_hz))
-    swing, rest = np.concatenate(swings), np.concatenate(rests)
-    whole = float(np.sqrt(np.mean(rest**2)))
-    lever = max(float(swing @ rest / max(float(swing @ swing), 1e-300)), 0.0)
-    left, declared = (float(np.sqrt(np.mean((rest - arm * swing) ** 2))) for arm in (lever, lever_arm))
-    if (hangs and _gravity_down(read, axes) <= 0.0) or not np.isfinite(whole):
-        left = np.inf
-    return ImuReading(axes, factor, left, lever, declared)
+        rate = factor * one.gyro
+        angle = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))]) / one.rate_hz
+        c, s = np.cos(angle), np.sin(angle)
+        parts = one.windows(np.stack([np.gradient(rate, 1.0 / one.rate_hz), -rate**2, s, -c, c, s, rate], axis=1))
+        columns = [np.concatenate([parts[:, :, k], parts[:, :, k + 1]], axis=1) for k in (0, 2, 4)]
+        found.append(_Turned(columns[0], np.stack(columns[1:], axis=2), np.mean(parts[:, :, 6] ** 2, axis=1)))
+    return found
+
+
+def _judge(read: Sequence[_Read], turned: Sequence[_Turned], axes: FloatArray, factor: float, lever_arm: float,
+           hangs: bool) -> ImuReading:
+    """One lever arm for all windows, and their typical residual."""
+    squares = []
+    for one, way in zip(read, turned):
+        felt = one.windows(one.accel @ axes.T)
+        swing, rest = (way.less_gravity(x) for x in (way.swing, felt.swapaxes(1, 2).reshape(len(felt), -1)))
+        squares.append(np.stack([np.mean(a * b, axis=1) for a, b in ((swing, swing), (swing, rest), (rest, rest))]))
+    size, common, whole = np.concatenate(squares, axis=1)
+
+    def left(arm: float) -> FloatArray:
+        return np.maximum(whole - 2.0 * arm * common + arm**2 * size, 0.0)
+
+    def arm_by(weights: FloatArray) -> float:
+        return max(float(weights @ common / max(float(weights @ size), 1e-300)), 0.0)
+
+    lever = arm_by(bounded(lambda weights: left(arm_by(weights)), size / usual(size)))
+    power = np.concatenate([way.power for way in turned])
+    best, declared = (typical(np.sqrt(left(arm)), power) for arm in (lever, lever_arm))
+    if (hangs and _gravity_down(read, axes) <= 0.0) or not np.isfinite(best):
+        best = np.inf
+    return ImuReading(axes, factor, best, lever, declared)
 
 
 def _gravity_down(read: Sequence[_Read], axes: FloatArray) -> float:
     """Median of the axis along the link, towards the pivot [m/s2]: above zero for a link that hangs."""
-    return float(np.median([-np.median(axes[1] @ one.accel) for one in read]))
+    return float(np.median([-np.median(one.accel @ axes[1]) for one in read]))
 
 
 def _known(x: FloatArray) -> FloatArray:
     return np.where(np.isfinite(x), x, np.nanmean(x))
 
 
-def _band(x: FloatArray, rate_hz: float) -> FloatArray:
-    """Both rows (2, n) without what drifts and what only rings, as one (2 n,)."""
-    fast = lowpass(x.T, min(FAST_HZ, 0.2 * rate_hz), rate_hz)
-    return np.asarray((fast - lowpass(x.T, SLOW_HZ, rate_hz)).ravel(), dtype=np.float64)

@@ -115,6 +115,10 @@ class Mechanism:
         """Lever arm of the first IMU [m]."""
         return self.imus[0].lever_arm
 
+    def with_lever_arm(self, lever_arm: float) -> Mechanism:
+        """The same with another `lever_arm` of the first IMU [m]."""
+        return replace(self, imus=(self.imus[0]._replace(lever_arm=lever_arm), *self.imus[1:]))
+
     @property
     def felt_gravity(self) -> float:
         """`gravity_mps2` in an accelerometer's equations, whose angles count from hanging; where the mechanism's count

@@ -67,11 +67,18 @@ def _suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
         as_read, others = read_imu(datasets, mechanism.lever_arm, mechanism.gravity_mps2,
                                    hangs=0 in mechanism.passive)
         if others:
-            return Suspicion(_with_imu(datasets, mechanism, options, gear_ratio, others),
+            return Suspicion(_with_imu(datasets, mechanism, options, gear_ratio, as_read, others),
                              ("gyro and accelerometer contradict each other",))
         lever = wrong_lever(as_read, mechanism.lever_arm)
         if lever:
-            return Suspicion((lever,))
+            seen = _of_columns(datasets, mechanism.with_lever_arm(as_read.lever_arm), options, gear_ratio, suspected)
+            return Suspicion(tuple(f"{lever}; {text}" for text in seen.remedies) or (lever,), seen.against)
+    return _of_columns(datasets, mechanism, options, gear_ratio, suspected)
+
+
+def _of_columns(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float,
+                suspected: bool) -> Suspicion:
+    """Of angles and torques, the IMU taken for right."""
     if not suspected:
         now = as_it_is(datasets, mechanism, options)
         if not now.faults and now.left < SUSPICIOUS:
@@ -82,7 +89,7 @@ def _suspect(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpti
     if not found and not far:
         return Suspicion()
     most = (f"slow least squares leaves {100 * now.left:.0f} % of the torque",) * (now.left > MOST_LEFT)
-    return Suspicion(far or tuple(str(reading.remedy) for reading in found[:NAMED]), now.faults or most)
+    return Suspicion(far or tuple(reading.told(now) for reading in found[:NAMED]), now.faults or most)
 
 
 def _far(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[str, ...]:
@@ -103,13 +110,13 @@ def _far(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions)
 
 
 def _with_imu(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float,
-              readings: Sequence[ImuReading]) -> tuple[str, ...]:
+              as_read: ImuReading, readings: Sequence[ImuReading]) -> tuple[str, ...]:
     """The IMU's reading with which the knee's equation needs the fewest changes of its own."""
     found: list[tuple[int, float, str]] = []
     for imu in readings:
         runs = [imu.applied(data) for data in datasets]
         now, more = find_remedies(runs, mechanism, options, gear_ratio)
         best: Reading = now if not now.faults and not more else more[0] if more else now
-        told = str(imu) if not best.remedy.changes else f"{imu}; {best.remedy}"
+        told = imu.told(as_read) if not best.remedy.changes else f"{imu.told(as_read)}; {best.told(now)}"
         found.append((imu.changes + best.remedy.changes + 10 * bool(best.faults), best.left, told))
     return tuple(told for _, _, told in sorted(found)[:1])
