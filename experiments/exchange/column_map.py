@@ -106,15 +106,15 @@ def apply_map(imported: ImportedFile, columns: ColumnMap, rate_hz: float | None 
     """The file as a run, on a grid of `rate_hz` (default: that of its slowest signal).
 
     Columns that come at times of their own, or with delays of their own, are each put on the grid by the rule that
-    native runs are; a column of the contract's name that the map does not mention is taken as it is. Raises
-    `InputError` naming file and column.
+    native runs are; a column of the contract's name that the map does not mention is taken as it is. A table without
+    times has `rate_hz` rows a second. Raises `InputError` naming file and column.
     """
     whole = {**identity(imported), **columns}
     if any(ANY in column.name for column in whole.values()):
         raise InputError(imported.name, f"holds several runs by its map ({ANY})", "import it: legid import writes one "
                          "file a run")
     imported = with_computed(imported, whole)
-    channels, wrong = _channels(imported, whole)
+    channels, wrong = _channels(imported, whole, rate_hz)
     if not channels:
         raise InputError(imported.name, "holds no column that the map names", "correct the map, or run --guess")
     rates = [1.0 / float(np.median(np.diff(c.time_s))) for c in channels]
@@ -136,7 +136,8 @@ def _told(wrong: Sequence[Wrong]) -> str:
     return f"has {len(wrong)} wrong sample{'s' * (len(wrong) != 1)}, left out: {', '.join(rows)}{more}"
 
 
-def _channels(imported: ImportedFile, columns: ColumnMap) -> tuple[list[TimedColumns], list[Wrong]]:
+def _channels(imported: ImportedFile, columns: ColumnMap,
+              rate_hz: float | None) -> tuple[list[TimedColumns], list[Wrong]]:
     """Columns in SI units, those of the same times together; times count from the first. And the rows left out."""
     groups: dict[Key, dict[str, FloatArray]] = defaultdict(dict)
     clocks: dict[Key, FloatArray] = {}
@@ -146,7 +147,7 @@ def _channels(imported: ImportedFile, columns: ColumnMap) -> tuple[list[TimedCol
             continue
         table = imported.table_of(column.name)
         key = next(k for k, t in enumerate(imported.tables) if t is table), column.delay
-        clocks[key] = _clock(imported, table, columns) - column.delay
+        clocks[key] = _clock(imported, table, columns, rate_hz) - column.delay
         read = table.columns[column.name]
         scale = column.sign * column.scale * factor(column.unit, name, imported.name)
         values = read if (scale, column.offset) == (1.0, 0.0) else scale * read + column.offset
@@ -164,13 +165,16 @@ def _channels(imported: ImportedFile, columns: ColumnMap) -> tuple[list[TimedCol
     return out, wrong
 
 
-def _clock(imported: ImportedFile, table: Table, columns: ColumnMap) -> FloatArray:
-    """The table's times [s]."""
+def _clock(imported: ImportedFile, table: Table, columns: ColumnMap, rate_hz: float | None) -> FloatArray:
+    """The table's times [s]; without any, `rate_hz` rows a second."""
     column = columns.get(TIME)
     if column is None:
-        if table.time_s is None:
-            raise InputError(imported.name, "has no times", 'name the column by [columns.time_s] and name = "..."')
-        return table.time_s
+        if table.time_s is not None:
+            return table.time_s
+        if rate_hz is None:
+            raise InputError(imported.name, "has no times", 'name the column by [columns.time_s] and name = "...", or '
+                                                            "give the samples per second with --rate")
+        return np.arange(next(iter(table.columns.values())).size) / rate_hz
     home = imported.table_of(column.name)
     read = home.columns[column.name]
     if home is not table:

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from experiments.studies import machine
-from tests.evidence.five_machines import answer
 from tests.evidence.kept import kept
+from tests.evidence.machines import answer
 from tests.evidence.registry import Evidence
 from tests.support.paths import ROOT
 

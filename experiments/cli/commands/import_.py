@@ -14,6 +14,9 @@ from experiments.cli.arguments import add_force
 if TYPE_CHECKING:
     from daq import Column, Dataset
 
+WHOLE = ".13g"
+"""A time since 1970 to the millisecond."""
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
@@ -34,7 +37,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--out", metavar="DIR", default=".", help="where the runs go; default: here")
     parser.add_argument("--yes", action="store_true", help="import by a guessed map without asking")
     add_force(parser)
-    parser.add_argument("--rate", metavar="HZ", type=float, help="samples per second; default: the slowest signal's")
+    parser.add_argument("--rate", metavar="HZ", type=float,
+                        help="samples per second, which a file without times needs; default: the slowest signal's")
     parser.add_argument("--span", metavar="FROM,TO", type=span,
                         help="import these seconds of each file alone, by its own clock")
     parser.set_defaults(run=run)
@@ -102,8 +106,9 @@ def _cut(data: Dataset, wanted: tuple[float, float] | None) -> Dataset:
         return data
     first, last = data.time_s.searchsorted([wanted[0], wanted[1]])
     if first == last:
-        raise InputError(data.name, f"has no sample between {wanted[0]:g} and {wanted[1]:g} s",
-                         f"it goes from {data.time_s[0]:g} to {data.time_s[-1]:g} s: give --span within that")
+        start, end, begins, ends = (f"{t:{WHOLE}}" for t in (*wanted, data.time_s[0], data.time_s[-1]))
+        raise InputError(data.name, f"has no sample between {start} and {end} s",
+                         f"it goes from {begins} to {ends} s: give --span within that")
     return data.part(slice(int(first), int(last)))
 
 

@@ -1,5 +1,6 @@
 """The guess for a single driven joint: unit of its angle, sign of its torque, and what does not show."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -92,3 +93,26 @@ def test_seconds_of_a_record_are_imported_alone(tmp_path: Path, capsys: pytest.C
                          ("9,5", "'9,5' is not FROM,TO in seconds"), ("5", "is not FROM,TO")):
         assert main(["import", str(file), "--map", str(columns), "--out", str(out), "--span", wanted]) == 2
         assert said in capsys.readouterr().err
+
+
+def test_a_span_of_a_record_by_the_calendar_is_said_to_the_millisecond(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, columns = tmp_path / "x.csv", tmp_path / "c.toml"
+    file.write_text("t,a\n" + "".join(f"{1.7e9 + k / 100:.2f},{k / 100:.2f}\n" for k in range(100)))
+    columns.write_text('[columns.time_s]\nname = "t"\n[columns.q1_rad]\nname = "a"\n')
+    call = ["import", str(file), "--map", str(columns), "--out", str(tmp_path / "runs"), "--span"]
+    assert main([*call, "0,1"]) == 2
+    assert "it goes from 1700000000 to 1700000000.99 s" in capsys.readouterr().err
+    assert main([*call, "1700000000.1,1700000000.8"]) == 0
+
+
+def test_a_file_without_times_needs_a_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, columns = tmp_path / "x.json", tmp_path / "c.toml"
+    file.write_text(json.dumps({"rate": 50, "data": [{"angles": [k / 100 for k in range(100)]}]}))
+    columns.write_text('[columns.q1_rad]\nname = "data{1}.angles"\n')
+    call = ["import", str(file), "--map", str(columns), "--out", str(tmp_path / "runs")]
+    assert main(call) == 2
+    assert "has no times" in (said := capsys.readouterr().err) and "--rate" in said
+    assert main([*call, "--rate", "50"]) == 0
+    run = read_csv(tmp_path / "runs" / "x.csv")
+    assert np.diff(run.time_s) == pytest.approx(0.02) and run.columns["q1_rad"] == pytest.approx(np.arange(100) / 100)
