@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from pathlib import Path
 
 import numpy as np
 
 from daq import FloatArray, InputError
 from experiments.exchange.archives import read_archive
-from experiments.exchange.imported import ImportedFile, as_floats, by_length
+from experiments.exchange.imported import ImportedFile, Wrong, as_floats, by_length
 from experiments.exchange.nested import vectors
 
 OWN_FACTS = ("rate_hz", "clock_bound_s")
@@ -20,7 +22,9 @@ def read_mat(path: Path) -> ImportedFile:
     from scipy.io import loadmat
 
     try:
-        content = loadmat(str(path), simplify_cells=True)
+        with warnings.catch_warnings(record=True) as told:  # of names that occur twice: the last variable stays
+            warnings.simplefilter("always")
+            content = loadmat(str(path), simplify_cells=True)
     except NotImplementedError:  # version 7.3
         return read_archive(path)
     except Exception as error:
@@ -28,7 +32,9 @@ def read_mat(path: Path) -> ImportedFile:
     columns = dict(vectors({k: v for k, v in content.items() if not k.startswith("__")}))
     facts = {name: repr(float(content[name])) for name in OWN_FACTS if np.ndim(content.get(name, [])) == 0}
     facts |= {"run": str(content["run"])} if isinstance(content.get("run"), str) else {}
-    return ImportedFile(path.name, by_length(columns), facts)
+    twice = [found[1] for one in told if (found := re.search('Duplicate variable name "(.+?)"', str(one.message)))]
+    return ImportedFile(path.name, by_length(columns), facts, wrong=tuple(
+        Wrong("the first of two variables", name, "has the name of the second") for name in twice))
 
 
 def read_parquet(path: Path) -> ImportedFile:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin
+from scipy.io import savemat
 
 from daq.dataset import Dataset
 from daq.errors import InputError
@@ -220,6 +221,21 @@ def test_files_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]
                      "--out", str(tmp_path / "out")]) == 2
         error = capsys.readouterr().err
         assert expected in error and error.count("\n") == 1, error
+
+
+def test_of_a_matlab_variable_that_occurs_twice_the_second_is_used_and_told(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str], recwarn: pytest.WarningsRecorder) -> None:
+    time = np.arange(60) / 100.0
+    for name, content in (("one", {"t": time, "knee": np.zeros(60)}), ("two", {"knee": np.sin(time)})):
+        savemat(tmp_path / name, content, appendmat=False)
+    header = 128
+    (tmp_path / "x.mat").write_bytes((tmp_path / "one").read_bytes() + (tmp_path / "two").read_bytes()[header:])
+    (tmp_path / "m.toml").write_text("[columns.time_s]\nname = 't'\n[columns.q2_rad]\nname = 'knee'\n")
+    words = ["import", str(tmp_path / "x.mat"), "--map", str(tmp_path / "m.toml"), "--out", str(tmp_path / "o")]
+    assert main(words) == 0
+    assert "'knee' has the name of the second" in "".join(capsys.readouterr()) and not recwarn.list
+    knee = np.genfromtxt(tmp_path / "o/x.csv", delimiter=",", names=True)["q2_rad"]
+    assert knee[-1] == pytest.approx(np.sin(time[-1]), abs=1e-6)
 
 
 def test_nothing_is_written_over(run: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
