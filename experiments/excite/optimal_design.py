@@ -34,9 +34,6 @@ USUAL_NOISE = {"gyro_radps": 0.005, "accel_mps2": 0.05, "torque_nm": 0.02, "enco
 """Where the prior model names no level."""
 MODEL_ERROR = 0.1
 """Share by which the prior's parameters may be off: models that far away must keep the limits too."""
-SIGMAS = 4.0
-"""Standard deviations of the measured torque that a plan's peak stays below the limit at least: one sample beyond it
-ends the run."""
 CRITERIA = {"d": 0.5, "worst": 0.95}
 """Share of the worst relative standard error in what is made small; the rest is the mean of all of them, both as
 logarithms. The mean alone is D-optimality: it gives up the worst parameter where the others gain more."""
@@ -155,7 +152,6 @@ class Bench:
                              "give a model from a fit that determines it")
         self.limits: Limits = rig.limits
         self._levels = {**USUAL_NOISE, **{name: level for name, level in model.noise.items() if level > 0}}
-        self.largest_nm = max(rig.limits.torque_nm - SIGMAS * self._levels["torque_nm"], 0.5 * rig.limits.torque_nm)
         self._noise_hz = rig.sampling.rate_hz
         self._has_imu = model.mechanism.model == "leg2" and model.provenance.sensors == "imu"
         self.fine = self.prior(RATE_HZ)
@@ -174,7 +170,6 @@ class Bench:
 
     def sized(self, shape: FloatArray, margin: float, largest_nm: float | None = None) -> Candidate | None:
         """The shape at RATE_HZ, of peak one, as large as the limits allow, judged; None where that cannot be."""
-        largest_nm = self.largest_nm if largest_nm is None else min(largest_nm, self.largest_nm)
         moved = as_large_as_allowed(self.fine, shape, self.limits, margin, largest_nm, self.others)
         if moved is None:
             return None
@@ -270,9 +265,8 @@ def _bettered(bench: Bench, prior: PlanInformation, series: Series, start: Float
 
     basis = series.basis(prior.rate_hz)
     torque_most, speed_most, angle_most = bounds(bench.limits, INNER * search.margin, bench.mechanism.n)
-    torque_most = min(torque_most, bench.largest_nm)
     scale = float(np.abs(start @ basis).max())
-    begin = as_large_as_allowed(prior, start @ basis / scale, bench.limits, search.margin, bench.largest_nm)
+    begin = as_large_as_allowed(prior, start @ basis / scale, bench.limits, search.margin)
     if begin is None:
         return None
     last: list[Moved] = [begin]

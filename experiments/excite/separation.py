@@ -275,8 +275,7 @@ def separate(contest: Contest, band: Band, search: Search,
         done += 1
         if progress is not None:
             progress(float(done), float(total))
-        moved = as_large_as_allowed(bench.fine, shape / np.abs(shape).max(), bench.limits, search.margin,
-                                    bench.largest_nm)
+        moved = as_large_as_allowed(bench.fine, shape / np.abs(shape).max(), bench.limits, search.margin)
         if moved is None:
             return np.inf, shape
         try:

@@ -22,7 +22,7 @@ import numpy as np
 from msgspec import structs
 from scipy.stats import binomtest
 
-from daq import FloatArray, InputError, Rig
+from daq import FloatArray, InputError, Rig, WorkError
 from daq.recording import Plan
 from estimator.diagnosis import Diagnosis
 from estimator.effects import library
@@ -169,8 +169,11 @@ def outcome(effect: str, tie: float, number: int) -> Outcome:
         contest = contest_of(bench, question_in(diagnosis_document(first), "the diagnosis"), model, options)
         ends, ratios = [], []
         for k, one in enumerate((separate(contest, band, search).best, design(bench, band, search).best)):
-            last = diagnosed([*files, recorded(f"more{k}.mcap", one.plan, 50)], rig)[0]
-            ends.append((last.verdict, causes_of(last)))
+            try:
+                last = diagnosed([*files, recorded(f"more{k}.mcap", one.plan, 50)], rig)[0]
+                ends.append((last.verdict, causes_of(last)))
+            except WorkError:  # a limit ended the run
+                ends.append(("fit_failed", ()))
             ratios.append(nearest(contest, one.torque_nm, truth))
     return Outcome(first.verdict, found, size, score, ends[0], ends[1], (ratios[0], ratios[1]),
                    time.perf_counter() - began)

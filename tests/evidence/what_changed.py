@@ -227,7 +227,10 @@ def page(minutes: float) -> Iterator[str]:
         LARGEST.items(), (" s", "", " rad", "", " rad")))
     yield from [
         "", f"Out of reach: no admissible size has the ratio. The largest admissible sizes are {largest}. An "
-        "`encoder_offset` cannot show: the rig files of both arms declare a zero that differs from run to run.", ""]
+        "`encoder_offset` cannot show: the rig files of both arms declare a zero that differs from run to run.", "",
+        "Where a share is missed: the saturation that is put in has a fifth power of the torque, the library's "
+        "begins with the third. At ratio 4 it mostly ends `changed_unexplained`, or a load-dependent friction "
+        "fits better. An eccentricity and a scale of an encoder differ little where a joint turns little.", ""]
 
 
 EVIDENCE = (

@@ -6,7 +6,6 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 from daq.recording.plan import read_plan
 from daq.rig import load_rig
@@ -138,15 +137,6 @@ def test_models_off_by_the_model_error_keep_the_limits(folder: Path) -> None:
     for other in uncertain.others:
         moved = other.move(small.torque_nm)
         assert moved is not None and np.abs(moved.q[:, 0]).max() <= 1.0 and np.abs(moved.v).max() <= 12.0
-
-
-@pytest.mark.parametrize(("limit_nm", "peak_nm"), [(0.5, 0.8 * 0.5), (0.3, 0.3 - 4.0 * 0.02), (0.1, 0.5 * 0.1)])
-def test_noise_of_the_measured_torque_does_not_reach_the_limit(limit_nm: float, peak_nm: float, folder: Path) -> None:
-    rig = load_rig(folder / "rig.toml")
-    small = structs.replace(rig, limits=structs.replace(rig.limits, torque_nm=limit_nm))
-    bench = Bench(load_model(folder / "model.json"), small, "model.json", 0.0)
-    found = bench.sized(np.sin(2 * np.pi * 1.1 * np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ), 0.8)
-    assert found is not None and found.peaks["torque_nm"] == pytest.approx(peak_nm, rel=1e-6)
 
 
 def test_one_joint(tmp_path: Path) -> None:
