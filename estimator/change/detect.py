@@ -14,8 +14,8 @@ from estimator.change.free_runs import error_levels, larger_error
 from estimator.change.groups import groups_of
 from estimator.change.noise import compare_noise, levels_of, with_noise
 from estimator.change.reference import Reference, require_runs
-from estimator.change.result import Change
-from estimator.change.scores import Score, fit_reference, noisiness, score_run
+from estimator.change.result import Change, NoiseChange
+from estimator.change.scores import ReferenceFit, Score, fit_reference, noisiness, score_run
 from estimator.change.structure import find_structure
 from estimator.change.verdict import (
     AGAINST,
@@ -60,11 +60,12 @@ def detect_change(test: Sequence[Dataset], reference: Reference) -> Change:
         found = conclude(fit, *_relinearised(scored), noise, AGAINST)
         if found.verdict != "no_change":
             return found
-        return with_errors(found, larger_error(error_levels(fit, test), reference.errors), AGAINST)
+        return with_errors(found, lambda: larger_error(error_levels(fit, test), reference.errors), AGAINST)
 
     few = len(reference.runs) < FEW_RUNS
-    return replace(_timed(compare), reference=reference.runs, test=tuple(d.name for d in test), warnings=(
-        f"{len(reference.runs)} reference runs: their scatter is poorly known; four or more are better",) * few)
+    found = _timed(compare)
+    return replace(found, reference=reference.runs, test=tuple(d.name for d in test), warnings=(*found.warnings, *(
+        f"{len(reference.runs)} reference runs: their scatter is poorly known; four or more are better",) * few))
 
 
 def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *,
@@ -108,13 +109,18 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
         if found.verdict != "no_change":
             return found
         for its, runs, others in ((fits[0], a, b), (fits[1], b, a)):
-            left_out = error_levels(its, runs, [score_run(its, d) for d in runs])
-            found = with_errors(found, larger_error(error_levels(its, others), left_out), SESSIONS)
+            def rise(its: ReferenceFit = its, runs: Sequence[Dataset] = runs, others: Sequence[Dataset] = others
+                     ) -> NoiseChange | None:
+                left_out = error_levels(its, runs, [score_run(its, d) for d in runs])
+                return larger_error(error_levels(its, others), left_out, 2 * pairs)
+
+            found = with_errors(found, rise, SESSIONS)
         return found
 
     few = min(len(a), len(b)) < FEW_RUNS
-    return replace(_timed(compare), reference=tuple(d.name for d in a), test=tuple(d.name for d in b), warnings=(
-        "fewer than four runs of a session: their scatter is poorly known",) * few)
+    found = _timed(compare)
+    return replace(found, reference=tuple(d.name for d in a), test=tuple(d.name for d in b), warnings=(
+        *found.warnings, *("fewer than four runs of a session: their scatter is poorly known",) * few))
 
 
 def _timed(compare: Callable[[], Change]) -> Change:

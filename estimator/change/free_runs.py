@@ -45,12 +45,17 @@ def free_run_errors(fit: ReferenceFit, run: Dataset, beta: FloatArray) -> dict[s
     return {name: table.rms(0, name, SHORT_S) for name in table.judged}
 
 
-def larger_error(test: NoiseLevels, reference: NoiseLevels) -> NoiseChange | None:
-    """The likeliest rise of an error, its p-value one-sided and over all channels; None where none rose."""
-    for one in compare_noise(test, reference):
-        if one.ratio > 1.0:
-            return replace(one, p_value=0.5 * one.p_value)
-    return None
+def larger_error(test: NoiseLevels, reference: NoiseLevels, comparisons: int = 1) -> NoiseChange | None:
+    """The likeliest rise of an error, its p-value one-sided, over all channels and `comparisons`; None where none rose.
+
+    Raises `FitError` if no channel can be compared.
+    """
+    found = compare_noise(test, reference)
+    if not found:
+        raise FitError("the free runs cannot be compared: some run cannot be simulated, or the reference file was "
+                       "written without errors of free runs")
+    risen = [one for one in found if one.ratio > 1.0]
+    return replace(risen[0], p_value=min(1.0, 0.5 * comparisons * risen[0].p_value)) if risen else None
 
 
 def _without(fit: ReferenceFit, scores: Sequence[Score], k: int) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,6 +16,7 @@ from estimator.change.payload import fieller
 from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, NoiseChange, Size
 from estimator.change.scores import HIDDEN, ReferenceFit, Score
 from estimator.change.structure import Structure
+from estimator.errors import FitError
 
 ALPHA = 0.01
 """p-value, over all candidates tried, below which something changed."""
@@ -114,8 +115,13 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
     return replace(base, verdict="named", causes=causes, held_out=held, sentence=f"{words.changed}: {_words(causes)}.")
 
 
-def with_errors(found: Change, larger: NoiseChange | None, words: Words) -> Change:
-    """`found`, a verdict `no_change`, unless free runs err more than those of left-out runs of the reference."""
+def with_errors(found: Change, rise: Callable[[], NoiseChange | None], words: Words) -> Change:
+    """`found`, a verdict `no_change`, unless free runs err more than those of left-out reference runs by `rise`; with a
+    warning where that cannot be asked."""
+    try:
+        larger = rise()
+    except (FitError, np.linalg.LinAlgError) as error:
+        return replace(found, warnings=tuple(dict.fromkeys((*found.warnings, str(error)))))
     if larger is None or larger.p_value >= ALPHA or found.verdict != "no_change":
         return found
     low, high = larger.ci95

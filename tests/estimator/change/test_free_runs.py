@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,10 @@ from estimator.change.detect import detect_change
 from estimator.change.free_runs import _without, free_run_errors, larger_error
 from estimator.change.noise import NoiseLevels
 from estimator.change.reference import learn_reference
+from estimator.change.result import Change
 from estimator.change.scores import fit_reference, score_run
+from estimator.change.verdict import AGAINST, with_errors
+from estimator.errors import FitError
 from estimator.model import leg2
 from estimator.options import FitOptions
 from experiments.session import prepare
@@ -28,7 +33,29 @@ def test_only_a_rise_beyond_the_scatter_of_runs_counts() -> None:
     alike = larger_error(NoiseLevels(3, {"q1_rad": (0.1, 0.04), "q2_rad": (-0.1, 0.04)}), reference)
     assert alike is not None and alike.p_value > 0.2
     assert larger_error(NoiseLevels(3, {"q1_rad": (-2.0, 0.04)}), reference) is None
-    assert larger_error(NoiseLevels(3, {}), reference) is None
+    paired = larger_error(NoiseLevels(3, {"q2_rad": (1.4, 0.04)}), reference, comparisons=10)
+    alone = larger_error(NoiseLevels(3, {"q2_rad": (1.4, 0.04)}), reference)
+    assert paired is not None and alone is not None and paired.p_value == pytest.approx(10 * alone.p_value)
+
+
+def test_free_runs_that_cannot_be_compared_give_a_warning() -> None:
+    nothing = NoiseLevels(3, {})
+    with pytest.raises(FitError, match="cannot be compared"):
+        larger_error(nothing, nothing)
+    found = with_errors(Change("no_change", AGAINST.same), lambda: larger_error(nothing, nothing), AGAINST)
+    assert found.verdict == "no_change" and "cannot be compared" in found.warnings[0]
+
+
+def test_a_reference_without_errors_of_free_runs_is_told_to_the_user() -> None:
+    rng, leg = np.random.default_rng(7), Leg()
+    time = np.arange(600) / 100.0
+    runs = [record(leg, rng, seconds=6.0, tau=multisine(rng, time, 1.2), name=f"run{k}") for k in range(6)]
+    reference = learn_reference(runs[:4], leg2(lever_arm=leg.lever), FitOptions())
+    assert set(reference.errors.levels) == {"q2_rad", "gyro_radps"}
+    whole, older = (detect_change(runs[4:], known) for known in
+                    (reference, replace(reference, errors=NoiseLevels(4, {}))))
+    assert (whole.verdict, older.verdict) == ("no_change", "no_change")
+    assert not whole.warnings and "cannot be compared" in older.warnings[0]
 
 
 def test_the_fit_without_a_run_is_one_step_away() -> None:
@@ -51,7 +78,7 @@ def test_the_fit_without_a_run_is_one_step_away() -> None:
 def test_an_error_that_no_listed_change_takes_is_no_change_no_longer() -> None:
     """The motors of a real arm give less than their currents say, by a law that is not the library's."""
     if not (REAL / RECORDS["c0"].folder).exists():
-        pytest.skip("needs the real records beside the checkout")
+        pytest.skip("needs the real records next to the checkout")
     reference = (3, 4, 5, 6)
     runs = [run if k in reference else spoilt(run, "c0", "torque_saturation", 0.76)
             for k, run in enumerate(runs_of("c0"))]

@@ -40,7 +40,7 @@ class Family:
 
     legs: str
     make: Callable[[str, int, Path], None]
-    """(hidden, seed, folder): writes the case's runs and rig file to a folder, its truth beside that, last."""
+    """(hidden, seed, folder): writes the case's runs and rig file to a folder, its truth next to that, last."""
     hidden: tuple[str, ...]
 
 
