@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 FLOORS = {
     "drivers": "Floor 1: bytes to physical units, for one device each.",
@@ -50,7 +52,7 @@ def effects_page() -> str:
         sizes = ", ".join(f"{s['name']} [{s['unit']}]" for s in row["sizes"])
         shapes = ", ".join(f"{s['name']} [{s['unit']}] (tried: {', '.join(f'{x:g}' for x in s['tried'])})"
                            for s in row["shapes"])
-        lines = [f"- {'tested at every joint' if row['by_joint'] else 'of the whole rig'}", f"- sizes: {sizes}"]
+        lines = [f"- {_where(row)}", f"- sizes: {sizes}"]
         lines += [f"- shapes: {shapes}"] if shapes else []
         lines += [f"- after: {row['reference']}", f"- best shown by: {row['experiment']}"]
         parts += [f"## {row['effect']}", f"{row['meaning'][0].upper()}{row['meaning'][1:]}.", "\n".join(lines)]
@@ -80,3 +82,10 @@ def modules_page(floor: str, words: str) -> str:
     for name in names:
         parts += [f"{name}\n{'-' * len(name)}", f".. automodule:: {name}"]
     return "\n\n".join(parts) + "\n"
+
+
+def _where(row: Mapping[str, Any]) -> str:
+    """Where an effect is tested."""
+    if row["by_joint"]:
+        return "tested at every joint"
+    return "tested at every motor where there are several" if row["by_motor"] else "of the whole rig"

@@ -14,7 +14,7 @@ from estimator.change.free_runs import error_levels, larger_error
 from estimator.change.groups import groups_of
 from estimator.change.noise import compare_noise, levels_of, with_noise
 from estimator.change.reference import Reference, require_runs
-from estimator.change.result import Change, NoiseChange
+from estimator.change.result import Change, LevelChange
 from estimator.change.scores import ReferenceFit, Score, fit_reference, noisiness, score_run
 from estimator.change.structure import find_structure
 from estimator.change.verdict import (
@@ -110,7 +110,7 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
             return found
         for its, runs, others in ((fits[0], a, b), (fits[1], b, a)):
             def rise(its: ReferenceFit = its, runs: Sequence[Dataset] = runs, others: Sequence[Dataset] = others
-                     ) -> NoiseChange | None:
+                     ) -> LevelChange | None:
                 left_out = error_levels(its, runs, [score_run(its, d) for d in runs])
                 return larger_error(error_levels(its, others), left_out, 2 * pairs)
 

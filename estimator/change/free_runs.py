@@ -12,14 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator.change.noise import NoiseLevels, compare_noise
-from estimator.change.result import NoiseChange
+from estimator.change.noise import LogLevels, compare_noise
+from estimator.change.result import LevelChange
 from estimator.change.scores import ReferenceFit, Score
 from estimator.errors import FitError
 from estimator.prediction import SHORT_S, Predictor, predict_run, smooth, tabulate
 
 
-def error_levels(fit: ReferenceFit, runs: Sequence[Dataset], scores: Sequence[Score] = ()) -> NoiseLevels:
+def error_levels(fit: ReferenceFit, runs: Sequence[Dataset], scores: Sequence[Score] = ()) -> LogLevels:
     """Mean and variance over the runs of the log rms error of each angle and rate that a sensor reads.
 
     Free runs take `SHORT_S`. There is no level where a run cannot be simulated. With the `scores` of the runs that were
@@ -30,12 +30,12 @@ def error_levels(fit: ReferenceFit, runs: Sequence[Dataset], scores: Sequence[Sc
         try:
             errors = free_run_errors(fit, run, _without(fit, scores, k) if scores else fit.beta)
         except (FitError, np.linalg.LinAlgError):
-            return NoiseLevels(len(runs), {})
+            return LogLevels(len(runs), {})
         for name, error in errors.items():
             found.setdefault(name, []).append(error)
     logs = {name: np.log(values) for name, values in found.items()
             if len(values) == len(runs) and min(values) > 0.0 and max(values) < np.inf}
-    return NoiseLevels(len(runs), {name: (float(x.mean()), float(x.var(ddof=1))) for name, x in logs.items()})
+    return LogLevels(len(runs), {name: (float(x.mean()), float(x.var(ddof=1))) for name, x in logs.items()})
 
 
 def free_run_errors(fit: ReferenceFit, run: Dataset, beta: FloatArray) -> dict[str, float]:
@@ -45,7 +45,7 @@ def free_run_errors(fit: ReferenceFit, run: Dataset, beta: FloatArray) -> dict[s
     return {name: table.rms(0, name, SHORT_S) for name in table.judged}
 
 
-def larger_error(test: NoiseLevels, reference: NoiseLevels, comparisons: int = 1) -> NoiseChange | None:
+def larger_error(test: LogLevels, reference: LogLevels, comparisons: int = 1) -> LevelChange | None:
     """The likeliest rise of an error, its p-value one-sided, over all channels and `comparisons`; None where none rose.
 
     Raises `FitError` if no channel can be compared.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,13 +59,14 @@ class Group:
 
 
 def groups_of(fit: ReferenceFit, known: Score) -> tuple[Group, ...]:
-    """Every single change that is tried: parameters, payloads, effects at each shape; `known` is what all runs tell of
-    the columns."""
+    """Every single change that is tried: parameters, payloads, links, effects at each shape; `known` is what all runs
+    tell of the columns."""
     m = fit.mechanism
     columns = np.eye(known.score.size)
     found = [Group("parameter", "parameters", None, f"{p.name} ({p.meaning}) changed", columns[:, [k]], (p.name,),
                    (p.unit,)) for k, p in enumerate(m.parameters) if fit.free[k]]
-    found += _payloads(fit, known)
+    found += _links(fit, columns, payloads := list(_payloads(fit, known)))
+    found += payloads
     start = m.p
     for candidate in fit.candidates[: fit.named]:
         e = candidate.effect
@@ -81,6 +82,15 @@ def kind_of(effect: type[Effect]) -> Kind:
     if effect.sizes[0].unit == "s":
         return "timing"
     return KINDS.get(effect.__module__.rpartition(".")[2], "mechanics")
+
+
+def _links(fit: ReferenceFit, columns: FloatArray, payloads: Sequence[Group]) -> Iterator[Group]:
+    """All rigid parameters at once, as links of other lengths change them; nothing where a single change does so."""
+    rigid = [k for k, p in enumerate(fit.mechanism.parameters) if p.rigid and fit.free[k]]
+    if len(rigid) > max([1, *(np.linalg.matrix_rank(group.basis) for group in payloads)]):
+        of = [fit.mechanism.parameters[k] for k in rigid]
+        yield Group("links", "parameters", None, "links of other lengths, masses or inertias", columns[:, rigid],
+                    tuple(p.name for p in of), tuple(p.unit for p in of))
 
 
 def _payloads(fit: ReferenceFit, known: Score) -> Iterator[Group]:

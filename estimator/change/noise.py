@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from daq import Dataset
-from estimator.change.result import NoiseChange
+from estimator.change.result import LevelChange
 from estimator.change.scores import ReferenceFit
 from estimator.likelihood import Noise
 from estimator.model import Mechanism
@@ -20,19 +20,19 @@ from estimator.signals import angle_column, imu_columns, torque_column, white_no
 
 
 @dataclass(frozen=True)
-class NoiseLevels:
-    """Noise levels of one session: column to mean and variance of the log level over its runs."""
+class LogLevels:
+    """Levels of noise, or of free-run errors, of one session: column to mean and variance of the log level."""
 
     runs: int
     levels: Mapping[str, tuple[float, float]]
 
 
-def levels_of(runs: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> NoiseLevels:
+def levels_of(runs: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> LogLevels:
     """Noise levels of the columns that a fit reads and whose noise shows in every run."""
     shown = {name: [white_noise_level(run[name][np.isfinite(run[name])]) for run in runs]
              for name in _columns(mechanism, options) if all(name in run for run in runs)}
     logs = {name: np.log(values) for name, values in shown.items() if min(values) > 0.0}
-    return NoiseLevels(len(runs), {name: (float(x.mean()), float(x.var(ddof=1))) for name, x in logs.items()})
+    return LogLevels(len(runs), {name: (float(x.mean()), float(x.var(ddof=1))) for name, x in logs.items()})
 
 
 def _columns(m: Mechanism, options: FitOptions) -> list[str]:
@@ -40,7 +40,7 @@ def _columns(m: Mechanism, options: FitOptions) -> list[str]:
     return [*imus, *(angle_column(m, j) for j in options.encoders_of(m.n)), *(torque_column(m, j) for j in m.actuated)]
 
 
-def compare_noise(test: NoiseLevels, reference: NoiseLevels) -> tuple[NoiseChange, ...]:
+def compare_noise(test: LogLevels, reference: LogLevels) -> tuple[LevelChange, ...]:
     """Noise changes of every column that both sessions show, the likeliest change first."""
     both = [name for name in test.levels if name in reference.levels]
     freedom = test.runs + reference.runs - 2
@@ -52,11 +52,11 @@ def compare_noise(test: NoiseLevels, reference: NoiseLevels) -> tuple[NoiseChang
         p = min(1.0, 2.0 * len(both) * float(stdtr(freedom, -abs(mean - before) / std)))
         half = float(stdtrit(freedom, 0.975)) * std
         low, ratio, high = np.exp(mean - before + half * np.array([-1.0, 0.0, 1.0]))
-        found.append(NoiseChange(name, float(ratio), (float(low), float(high)), p))
+        found.append(LevelChange(name, float(ratio), (float(low), float(high)), p))
     return tuple(sorted(found, key=lambda n: n.p_value))
 
 
-def with_noise(fit: ReferenceFit, changes: Sequence[NoiseChange]) -> Noise:
+def with_noise(fit: ReferenceFit, changes: Sequence[LevelChange]) -> Noise:
     """Noise of the other session: that of the `fit`, times the ratio in each column of `changes`."""
     m, n = fit.mechanism, fit.noise
     ratio = {one.column: one.ratio for one in changes}

@@ -10,7 +10,7 @@ import numpy as np
 from daq import Dataset
 from estimator.change.contrast import seen, total
 from estimator.change.free_runs import error_levels
-from estimator.change.noise import NoiseLevels, levels_of
+from estimator.change.noise import LogLevels, levels_of
 from estimator.change.scores import ReferenceFit, Score, fit_reference, score_run
 from estimator.change.structure import Structure, find_structure
 from estimator.errors import FitError
@@ -28,8 +28,8 @@ class Reference:
     structure: Structure
     known: Score
     """Sum of the runs' scores and informations, each run's own structure integrated out"""
-    noise: NoiseLevels
-    errors: NoiseLevels
+    noise: LogLevels
+    errors: LogLevels
     """Of the free run of each run under the model of the others; without levels where some run cannot be simulated"""
     runs: tuple[str, ...]
 

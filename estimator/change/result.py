@@ -27,7 +27,7 @@ class HeldOut:
 
     runs: tuple[str, ...]
     gain: tuple[float, ...]
-    """Fall of -2 log likelihood of each run, to second order; positive where the cause predicts the run better."""
+    """Fall of -2 log predictive density of each run; positive where the cause predicts the run better."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ class ChangedCause:
 
 
 @dataclass(frozen=True)
-class NoiseChange:
-    """Noise of one column in the test runs over that in the reference runs."""
+class LevelChange:
+    """Level of one column's noise or free-run error in the test runs over that in the reference runs."""
 
     column: str
     ratio: float
@@ -81,7 +81,7 @@ class Change:
     causes: tuple[ChangedCause, ...] = ()
     detectable: tuple[Detectable, ...] = ()
     held_out: HeldOut | None = None
-    noise: tuple[NoiseChange, ...] = ()
+    noise: tuple[LevelChange, ...] = ()
     """Of every column whose samples show their noise."""
     structure: tuple[float, float] = (0.0, 0.0)
     """Standard deviations of unexplained structure: common to a session's runs, and of each run, drifts aside. Their

@@ -68,6 +68,19 @@ class Score:
         """Fall of -2 log likelihood by the likeliest size of all columns."""
         return float(self.size() @ self.score)
 
+    def predicted_gain(self, others: Score) -> float:
+        """Fall of -2 log predictive density by sizes that `others` give, with their uncertainty; no change has zero.
+
+        With J and r the information and score of `others`, I and s those of this one:
+        (r + s)^T (J + I)^-1 (r + s) - r^T J^-1 r + log(|J| / |J + I|).
+        """
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.information) + np.diag(others.information), 1e-300))
+        known = others.information * np.outer(scale, scale) + HIDDEN * np.eye(scale.size)
+        both = known + self.information * np.outer(scale, scale)
+        r, every = scale * others.score, scale * (others.score + self.score)
+        return float(every @ np.linalg.solve(both, every) - r @ np.linalg.solve(known, r)
+                     + np.linalg.slogdet(known)[1] - np.linalg.slogdet(both)[1])
+
     def size(self) -> FloatArray:
         """(m,) generalised least squares."""
         return np.asarray(self.covariance() @ self.score)

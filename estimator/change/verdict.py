@@ -13,7 +13,7 @@ from daq import FloatArray
 from estimator.change.contrast import Contrast
 from estimator.change.groups import Group
 from estimator.change.payload import fieller
-from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, NoiseChange, Size
+from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, LevelChange, Size
 from estimator.change.scores import HIDDEN, ReferenceFit, Score
 from estimator.change.structure import Structure
 from estimator.errors import FitError
@@ -21,9 +21,8 @@ from estimator.errors import FitError
 ALPHA = 0.01
 """p-value, over all candidates tried, below which something changed."""
 POWER = 0.8
-MOST_CAUSES = 2
 RIVAL = 6.0
-"""Candidates within this fall of -2 log likelihood of the best are not told apart from it."""
+"""Fall of -2 log likelihood below which two candidates are not told apart. Each further size must gain as much."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +71,11 @@ class Scored:
         return [group.fit(self.contrast.along(group.basis))[1] for group in self.groups]
 
     @cached_property
+    def worth(self) -> list[float]:
+        """Gain of each group less the price of its further sizes."""
+        return [gain - RIVAL * (len(group.names) - 1) for gain, group in zip(self.gains, self.groups)]
+
+    @cached_property
     def order(self) -> list[int]:
         """Groups, the likeliest first."""
         return sorted(range(len(self.groups)), key=self.p_value)
@@ -81,7 +85,7 @@ class Scored:
         return min(1.0, self.pairs * len(self.groups) * float(fdtrc(width, self.freedom, self.gains[k] / width)))
 
 
-def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tuple[NoiseChange, ...], words: Words
+def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tuple[LevelChange, ...], words: Words
              ) -> Change:
     """Verdict, sizes, and the held-out gain by run."""
     groups = scored.groups
@@ -97,7 +101,7 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
                                                sentence=f"{words.changed}: {_words(noisier)}.")
     chosen = likeliest_changes(scored, order)
     held = _held_out(groups, folds, chosen)
-    if not sum(held.gain) > 0.0 or 2 * sum(g > 0.0 for g in held.gain) <= len(held.gain):
+    if not replicates(held.gain):
         return replace(base, verdict="changed_unexplained", held_out=held,
                        sentence=f"{words.something}, and no listed cause predicts the held-out runs.")
     causes = tuple(_cause(scored, k, [other for other in chosen if other != k]) for k in chosen)
@@ -105,8 +109,8 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
     if min(map(rest.p_value, range(len(groups)))) < ALPHA:
         return replace(base, verdict="partial", causes=causes, held_out=held,
                        sentence=f"{words.changed}: {_words(causes)}, and something else that these causes leave.")
-    rivals = [k for k in order if groups[k].key not in {groups[c].key for c in chosen}
-              and scored.gains[k] > scored.gains[chosen[0]] - RIVAL] if len(chosen) == 1 else []
+    rivals = [k for k in order if groups[k].key != groups[chosen[0]].key and is_rival(scored, k, chosen[0])
+              ] if len(chosen) == 1 else []
     first = {groups[k].key: k for k in reversed(rivals)}
     if first:
         several = (*causes, *(_cause(scored, k, ()) for k in first.values()))
@@ -115,7 +119,7 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
     return replace(base, verdict="named", causes=causes, held_out=held, sentence=f"{words.changed}: {_words(causes)}.")
 
 
-def with_errors(found: Change, rise: Callable[[], NoiseChange | None], words: Words) -> Change:
+def with_errors(found: Change, rise: Callable[[], LevelChange | None], words: Words) -> Change:
     """`found`, a verdict `no_change`, unless free runs err more than those of left-out reference runs by `rise`; with a
     warning where that cannot be asked."""
     try:
@@ -131,15 +135,31 @@ def with_errors(found: Change, rise: Callable[[], NoiseChange | None], words: Wo
 
 
 def likeliest_changes(scored: Scored, order: Sequence[int]) -> list[int]:
-    """The likeliest single change, and a second one where the first leaves something significant that one takes up."""
-    chosen = [max(order, key=scored.gains.__getitem__)]
-    while len(chosen) < MOST_CAUSES:
-        rest = _without(scored, chosen)
-        more = min(range(len(scored.groups)), key=rest.p_value)
-        if rest.p_value(more) >= ALPHA or scored.groups[more].key in {scored.groups[k].key for k in chosen}:
-            break
-        chosen.append(more)
-    return chosen
+    """The single change of the largest worth, and a second one where the first leaves something significant that one
+    takes up. Of two, each is then the one of the largest worth with the other fitted."""
+    chosen = [max(order, key=scored.worth.__getitem__)]
+    rest = _without(scored, chosen)
+    more = min(range(len(scored.groups)), key=rest.p_value)
+    if rest.p_value(more) >= ALPHA or scored.groups[more].key == scored.groups[chosen[0]].key:
+        return chosen
+    first = _likeliest_with(scored, more)
+    return [first, _likeliest_with(scored, first) if first != chosen[0] else more]
+
+
+def _likeliest_with(scored: Scored, other: int) -> int:
+    """The change of the largest worth with the `other` fitted, none of the other's own kind and joint."""
+    rest = _without(scored, [other])
+    return max((k for k in range(len(scored.groups)) if scored.groups[k].key != scored.groups[other].key),
+               key=rest.worth.__getitem__)
+
+
+def is_rival(scored: Scored, k: int, best: int) -> bool:
+    """Whether the runs do not tell change k from the `best`: by worth, or by gain alone unless k holds the best."""
+    if scored.worth[k] > scored.worth[best] - RIVAL:
+        return True
+    a, b = scored.groups[k].basis, scored.groups[best].basis
+    holds = np.linalg.matrix_rank(np.hstack([a, b])) == np.linalg.matrix_rank(a)
+    return not holds and scored.gains[k] > scored.gains[best] - RIVAL
 
 
 def _without(scored: Scored, chosen: Sequence[int]) -> Scored:
@@ -159,11 +179,15 @@ def basis_of(groups: Sequence[Group], chosen: Sequence[int]) -> FloatArray:
 
 def _held_out(groups: Sequence[Group], folds: Sequence[Fold], chosen: Sequence[int]) -> HeldOut:
     """Each run as predicted with the change that the other runs give."""
-    basis, gains = basis_of(groups, chosen), []
-    for fold in folds:
-        size, own = fold.others.along(basis).size(), fold.own.along(basis)
-        gains.append(float(2.0 * size @ own.score - size @ own.information @ size))
-    return HeldOut(tuple(fold.run for fold in folds), tuple(gains))
+    basis = basis_of(groups, chosen)
+    return HeldOut(tuple(fold.run for fold in folds),
+                   tuple(fold.own.along(basis).predicted_gain(fold.others.along(basis)) for fold in folds))
+
+
+def replicates(gains: Sequence[float]) -> bool:
+    """Whether the runs together, and more of those that can tell, are predicted better with the change."""
+    better, worse = sum(g > RIVAL for g in gains), sum(g < -RIVAL for g in gains)
+    return sum(gains) > 0.0 and better >= worse and (better > worse or not better)
 
 
 def _cause(scored: Scored, k: int, others: Sequence[int]) -> ChangedCause:
@@ -198,7 +222,7 @@ def _place(group: Group, values: FloatArray, covariance: FloatArray, t: float) -
         yield Size(name, "m", float(values[above] / values[below]), found)
 
 
-def _noise_cause(one: NoiseChange) -> ChangedCause:
+def _noise_cause(one: LevelChange) -> ChangedCause:
     size = Size(one.column, "times", one.ratio, one.ci95)
     return ChangedCause("noise", "noise", None, f"the noise of {one.column} changed", (size,), one.p_value)
 
@@ -208,7 +232,10 @@ def _detectable(scored: Scored) -> tuple[Detectable, ...]:
     found: dict[tuple[str, int | None, str], Detectable] = {}
     wanted = float(fdtri(1, scored.freedom, 1.0 - ALPHA / (scored.pairs * len(scored.groups)))) ** 0.5
     wanted += float(stdtrit(scored.freedom, POWER))
+    parameters = {group.names for group in scored.groups if group.effect == "parameter"}
     for k, group in enumerate(scored.groups):
+        if group.effect != "parameter" and group.names[:1] in parameters:
+            continue
         first = group.basis[:, :1]
         own = scored.contrast.measured(first, first[:, :0])
         change, half = float(own.size()[0]), float(stdtrit(scored.freedom, 0.975)) * _std(own)

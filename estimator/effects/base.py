@@ -179,6 +179,8 @@ class Effect(ABC):
     by_hand: ClassVar[str] = ""
     """What shows it that no torque plan can do."""
     per_joint: ClassVar[bool] = False
+    per_motor: ClassVar[bool] = False
+    """Whether each of several motors has its own size; the only motor of a rig has no joint."""
     equivalence_class: ClassVar[str] = ""
     """Effects of one such group cannot be told apart by small differences: these stem from what no model has right."""
     instant: ClassVar[bool] = False

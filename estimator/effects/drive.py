@@ -37,15 +37,15 @@ class TorqueRipple(TorqueEffect):
 
 
 class TorqueSensorEffect(SensorEffect):
-    """Base of what is wrong with the measured torque; acts on every driven joint alike."""
+    """Base of what is wrong with the measured torque; without a joint it acts on every driven joint alike."""
 
     per_joint = False
 
     def shown_at(self, mechanism: Mechanism) -> int:
-        return mechanism.actuated[-1]
+        return mechanism.actuated[-1] if self.joint is None else self.joint
 
     def _driven(self, view: View) -> list[int]:
-        return list(view.mechanism.actuated)
+        return list(view.mechanism.actuated) if self.joint is None else [self.joint]
 
     def testable(self, mechanism: Mechanism, has_imu: bool, actuated: tuple[int, ...]) -> str:
         return "" if actuated else "no joint carries a measured torque"
@@ -58,6 +58,7 @@ class TorqueSaturation(TorqueSensorEffect):
     """
 
     name = "torque_saturation"
+    per_motor = True
     positive = 1
     sizes = (Size("cubic_shortfall", "1/(N m)^2", 0.01),)
     sentence = "at high current the motor gives less torque than the current says (saturation)"
@@ -87,6 +88,7 @@ class TorqueOffset(TorqueSensorEffect):
     """reading = u + c."""
 
     name = "torque_offset"
+    per_motor = True
     equivalence_class = CONSTANT
     sizes = (Size("offset", "N m", 0.01),)
     sentence = "the measured torque has an offset (shunt zero)"

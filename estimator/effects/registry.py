@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -49,8 +49,7 @@ def library(mechanism: Mechanism, has_imu: bool, encoders: Collection[int] | Non
     refused = dict(UNTESTABLE)
     read = range(mechanism.n) if encoders is None else encoders
     for kind in classes():
-        joints: list[int | None] = list(range(mechanism.n)) if kind.per_joint else [None]
-        for joint in joints:
+        for joint in joints_of(kind, mechanism):
             effect = placed(kind, joint, mechanism)
             why = effect.testable(mechanism, has_imu, mechanism.actuated) or _walking(effect, mechanism)
             if not why and issubclass(kind, sensors.EncoderEffect) and joint not in read:
@@ -60,6 +59,13 @@ def library(mechanism: Mechanism, has_imu: bool, encoders: Collection[int] | Non
             else:
                 found.append(effect)
     return found, refused
+
+
+def joints_of(kind: type[Effect], mechanism: Mechanism) -> Sequence[int | None]:
+    """0-based joints that have an effect of this kind; [None] for one of the whole rig."""
+    if kind.per_joint:
+        return range(mechanism.n)
+    return mechanism.actuated if kind.per_motor and len(mechanism.actuated) > 1 else [None]
 
 
 def placed(kind: type[Effect], joint: int | None, mechanism: Mechanism) -> Effect:

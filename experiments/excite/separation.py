@@ -150,9 +150,9 @@ def _designable(rival: Rival) -> bool:
 
 
 def _why_left_out(rival: Rival) -> str:
-    if rival.effect == "payload":
-        return (f"payload at link {rival.joint} is left out: it changes several parameters, and the design tells apart "
-                "rivals of one parameter or one effect; weigh the link instead")
+    if rival.effect in ("payload", "links"):
+        return (f"{rival.effect}{f' at link {rival.joint}' if rival.joint else ''} is left out: it changes several "
+                "parameters, and the design tells apart rivals of one parameter or one effect; weigh the link instead")
     return f"{rival.label} is left out: no effect of that name is installed here; install its package"
 
 

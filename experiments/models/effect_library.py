@@ -39,7 +39,7 @@ def effects_document() -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "effects": [{
-            "effect": name, "by_joint": kind.per_joint, "meaning": kind.sentence,
+            "effect": name, "by_joint": kind.per_joint, "by_motor": kind.per_motor, "meaning": kind.sentence,
             "sizes": [{"name": s.name, "unit": s.unit} for s in kind.sizes],
             "shapes": [{"name": s.name, "unit": s.unit, "tried": list(s.grid)} for s in kind.shapes],
             "reference": kind.reference, "experiment": kind.experiment} for name, kind in known_effects().items()],
@@ -55,8 +55,8 @@ def effects_text() -> str:
         sizes = ", ".join(f"{part} [{unit}]" for part, unit in parts)
         rows = [("meaning", kind.sentence), ("sizes", sizes), ("after", kind.reference),
                 ("best shown by", kind.experiment)]
-        blocks.append("\n".join([f"{name} ({'by joint' if kind.per_joint else 'whole rig'})",
-                                 *(_row(label, text) for label, text in rows if text)]))
+        where = "by joint" if kind.per_joint else "by motor" if kind.per_motor else "whole rig"
+        blocks.append("\n".join([f"{name} ({where})", *(_row(label, text) for label, text in rows if text)]))
     untestable = [f"{name}\n{_row('why not', why)}" for name, why in UNTESTABLE.items()]
     return "\n\n".join([*blocks, "Not testable on any rig of this kind:", *untestable])
 

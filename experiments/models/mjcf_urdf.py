@@ -31,8 +31,8 @@ class Extras:
     """c of c v |v| [N m s^2/rad^2]."""
     rotors: dict[int, float] = field(default_factory=dict)
     """[kg m^2]"""
-    offset_nm: float = 0.0
-    """What every measured torque reads above the one that acts."""
+    offsets: dict[int, float] = field(default_factory=dict)
+    """What the measured torque reads above the one that acts [N m]; 0: at every motor."""
     excess_m: float = 0.0
     """How much farther from the pivot the IMU sits."""
     turn_rad: float = 0.0
@@ -61,7 +61,7 @@ def _hold(into: Extras, effect: EffectValue, joint: int) -> bool:
     elif effect.name == "rotor_inertia" and joint and size["inertia"] >= 0:
         into.rotors[joint] = size["inertia"]
     elif effect.name == "torque_offset":
-        into.offset_nm += size["offset"]
+        into.offsets[joint] = size["offset"]
     elif effect.name == "imu_lever_arm":
         into.excess_m += size["excess"]
     elif effect.name == "imu_misalignment":
@@ -118,7 +118,7 @@ def _notes(model: Model, bodies: Sequence[Body], kind: str, extras: Extras) -> l
 def _extended(body: Body, joint: int, extras: Extras) -> Body:
     """With the effects that are more of what a body has anyway."""
     return replace(body, rotor=body.rotor + extras.rotors.get(joint, 0.0),
-                   offset=body.offset + (extras.offset_nm if body.driven else 0.0))
+                   offset=body.offset + (extras.offsets.get(joint, extras.offsets.get(0, 0.0)) if body.driven else 0.0))
 
 
 def _passive(body: Body) -> Body:

@@ -9,7 +9,7 @@ from msgspec import structs
 
 from daq import FloatArray, InputError
 from estimator import FitOptions
-from estimator.change import NoiseLevels, Reference, Score, Structure, known_reference
+from estimator.change import LogLevels, Reference, Score, Structure, known_reference
 from estimator.likelihood import Noise
 from experiments.models.effect_library import known_effects
 from experiments.models.mechanism_settings import build_mechanism
@@ -64,7 +64,7 @@ def reference_of(model: Model, where: str, settings: MechanismSettings, options:
         raise InputError(where, "was written with another library of effects", REMEDY)
     structure = Structure(held.common, held.own, np.array(held.unit), mechanism.p, held.freedom, np.array(drift))
     return Reference(fit, structure, Score(np.array(held.score), information),
-                     NoiseLevels(len(held.runs), held.levels), NoiseLevels(len(held.runs), held.errors), held.runs)
+                     LogLevels(len(held.runs), held.levels), LogLevels(len(held.runs), held.errors), held.runs)
 
 
 def _square(values: FloatArray | None) -> FloatArray | None:

@@ -86,7 +86,7 @@ def model_of(record: str, reference: tuple[int, ...]) -> Model:
 @kept
 def free_run_error(record: str, reference: tuple[int, ...], fault: str, size: float) -> dict[str, float]:
     """Angle -> rms error of the test runs over free runs of `PIECE_S`; empty where they cannot be simulated."""
-    test = [spoilt(run, record, fault, size) for k, run in enumerate(runs_of(record)) if k not in reference]
+    test = spoilt([run for k, run in enumerate(runs_of(record)) if k not in reference], record, fault, size)
     try:
         found = legid.validate(model_of(record, reference), test, load_rig(RIGS / RECORDS[record].rig))
     except (FitError, InputError):
@@ -126,7 +126,7 @@ def one(record: str, reference: tuple[int, ...], fault: str, ratio: float) -> An
     size = 0.0 if fault == UNTOUCHED else size_for(record, reference, fault, ratio)
     if size is None:
         return Answer("out of reach")
-    test = [spoilt(run, record, fault, size) for k, run in enumerate(runs_of(record)) if k not in reference]
+    test = spoilt([run for k, run in enumerate(runs_of(record)) if k not in reference], record, fault, size)
     try:
         found = find_change(test, [runs_of(record)[k] for k in reference], load_rig(RIGS / RECORDS[record].rig)).change
     except InputError:
@@ -144,15 +144,15 @@ def is_held(causes: Sequence[ChangedCause], fault: str, size: float) -> bool | N
     return None
 
 
-def spoilt(run: Dataset, record: str, fault: str, size: float) -> Dataset:
-    """The run with the fault in its readings."""
+def spoilt(runs: Sequence[Dataset], record: str, fault: str, size: float) -> list[Dataset]:
+    """The runs with the fault in their readings."""
     if fault == UNTOUCHED:
-        return run
-    columns = {"time_s": run.time_s.copy(), **{k: v.copy() for k, v in run.columns.items()}}
-    torques = tuple(k for k in columns if k.startswith(("tau", "volt", "duty")))
-    FAULTS[fault].put_in(columns, replace(RECORDS[record], torque=torques), size)
-    del columns["time_s"]
-    return replace(run, columns=columns)
+        return list(runs)
+    every = [{"time_s": run.time_s.copy(), **{k: v.copy() for k, v in run.columns.items()}} for run in runs]
+    torques = tuple(k for k in every[0] if k.startswith(("tau", "volt", "duty")))
+    FAULTS[fault].put_in(every, replace(RECORDS[record], torque=torques), size)
+    return [replace(run, columns={k: v for k, v in columns.items() if k != "time_s"})
+            for run, columns in zip(runs, every)]
 
 
 def cases() -> Iterator[Case]:

@@ -14,13 +14,17 @@ from estimator.change import Change, Reference, compare_sessions, detect_change,
 from estimator.change.contrast import Contrast, contrast, seen, total
 from estimator.change.scores import Score
 from estimator.change.structure import Structure, find_structure
+from estimator.change.verdict import replicates
 from estimator.errors import FitError
 from estimator.model import leg2
 from estimator.options import FitOptions
 from experiments.session import prepare
-from tests.evidence.blind.records import FAULTS, RECORDS, RIGS
+from experiments.workflows.change import find_change
+from tests.evidence.blind.records import RECORDS, RIGS
 from tests.evidence.blind.stickslip import MAKERS, Readings
+from tests.evidence.what_changed import runs_of, spoilt
 from tests.support.changed_leg import REFERENCE, leg_runs, loaded
+from tests.support.mujoco_leg import Leg
 from tests.support.paths import REAL
 
 SHORT_S = 6.0
@@ -116,6 +120,25 @@ def test_a_payload_is_named_with_what_is_determined_of_it(link: int, mass: float
         low, high = size.ci95
         assert 1.25 * low - 0.25 * high < true[size.name] < 1.25 * high - 0.25 * low, size
         assert high - low < 0.3 * true[size.name]
+
+
+def test_links_of_other_lengths_are_named_with_every_rigid_parameter(tmp_path: Path) -> None:
+    """A longer first link with the same centre of mass: no body that is added does this."""
+    legs: list[Leg] = []
+
+    def longer(leg: Leg) -> Leg:
+        other = replace(leg, l1=1.15 * leg.l1, c2=0.9 * leg.c2, m2=0.95 * leg.m2)
+        legs[:] = [leg, other]
+        return other
+
+    found = change_of(*leg_runs(tmp_path, lambda c: None, longer, seconds=SHORT_S))
+    cause = found.causes[0]
+    assert (found.verdict, cause.effect, cause.joint, cause.kind) == ("named", "links", None, "parameters")
+    before, after = (leg.beta() for leg in legs)
+    for k, size in enumerate(cause.size):
+        low, high = size.ci95
+        true = after[k] - before[k]
+        assert size.name == f"beta{k + 1}" and 1.25 * low - 0.25 * high < true < 1.25 * high - 0.25 * low
 
 
 def test_a_body_that_is_taken_away_is_said_to_be(tmp_path: Path) -> None:
@@ -223,9 +246,9 @@ def records() -> tuple[Dataset, ...]:
 @pytest.mark.parametrize("fault", ["untouched", "torque_delay", "torque_saturation", "encoder_scale"])
 def test_a_real_arm_says_what_was_put_into_its_test_runs(fault: str) -> None:
     record, every = RECORDS["a0"], records()
-    test = [spoilt(d, fault) for d in every[1::2]]
-    setup = prepare([*every[::2], *test], load_rig(RIGS / record.rig)).setup
-    count = len(every[::2])
+    count = 3
+    test = spoilt(every[count:], "a0", fault, record.sizes.get(fault, 0.0))
+    setup = prepare([*every[:count], *test], load_rig(RIGS / record.rig)).setup
     found = detect_change(setup.datasets[count:],
                           learn_reference(setup.datasets[:count], setup.mechanism, setup.options))
     if fault == "untouched":
@@ -234,13 +257,30 @@ def test_a_real_arm_says_what_was_put_into_its_test_runs(fault: str) -> None:
         assert fault in {c.effect for c in found.causes}
 
 
-def spoilt(data: Dataset, fault: str) -> Dataset:
-    if fault == "untouched":
-        return data
-    record = RECORDS["a0"]
-    columns = {"time_s": data.time_s.copy(), **{k: v.copy() for k, v in data.columns.items()}}
-    FAULTS[fault].put_in(columns, record, record.sizes[fault])
-    del columns["time_s"]
-    return replace(data, columns=columns)
+def test_a_predicted_gain_is_the_ratio_of_the_predictive_densities() -> None:
+    """Against normal densities of the readings: mean A d and covariance 1 + A C A^T, and mean 0 and covariance 1."""
+    from scipy.stats import multivariate_normal
+
+    rng = np.random.default_rng(4)
+    own, other = rng.normal(size=(5, 2)), rng.normal(size=(30, 2))
+    size = np.array([0.7, -0.4])
+    y, z = own @ size + rng.normal(size=5), other @ size + rng.normal(size=30)
+    known = np.linalg.inv(other.T @ other)
+    wanted = 2.0 * (multivariate_normal(own @ known @ other.T @ z, np.eye(5) + own @ known @ own.T).logpdf(y)
+                    - multivariate_normal(np.zeros(5), np.eye(5)).logpdf(y))
+    found = Score(own.T @ y, own.T @ own).predicted_gain(Score(other.T @ z, other.T @ other))
+    assert found == pytest.approx(wanted, rel=1e-4)
 
 
+def test_a_run_that_cannot_tell_has_no_vote_and_one_that_contradicts_has() -> None:
+    assert replicates([-0.8, 90.0]) and replicates([2.0, 3.0])
+    assert not replicates([-20.0, 90.0]) and not replicates([-2.0, 1.0])
+
+
+@pytest.mark.skipif(not (REAL / "dfki_c0").exists(), reason="needs the real records next to the checkout")
+def test_each_motor_of_an_arm_saturates_on_its_own() -> None:
+    reference = (1, 2, 3, 6)
+    runs = runs_of("c0")
+    test = spoilt([run for k, run in enumerate(runs) if k not in reference], "c0", "torque_saturation", 0.6)
+    found = find_change(test, [runs[k] for k in reference], load_rig(RIGS / RECORDS["c0"].rig)).change
+    assert {(c.effect, c.joint) for c in found.causes} == {("torque_saturation", 1), ("torque_saturation", 2)}

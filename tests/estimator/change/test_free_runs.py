@@ -10,7 +10,7 @@ import pytest
 from daq import load_rig
 from estimator.change.detect import detect_change
 from estimator.change.free_runs import _without, free_run_errors, larger_error
-from estimator.change.noise import NoiseLevels
+from estimator.change.noise import LogLevels
 from estimator.change.reference import learn_reference
 from estimator.change.result import Change
 from estimator.change.scores import fit_reference, score_run
@@ -26,20 +26,20 @@ from tests.support.paths import REAL
 
 
 def test_only_a_rise_beyond_the_scatter_of_runs_counts() -> None:
-    reference = NoiseLevels(4, {"q1_rad": (0.0, 0.04), "q2_rad": (0.0, 0.04)})
-    risen = larger_error(NoiseLevels(3, {"q1_rad": (0.1, 0.04), "q2_rad": (1.4, 0.04)}), reference)
+    reference = LogLevels(4, {"q1_rad": (0.0, 0.04), "q2_rad": (0.0, 0.04)})
+    risen = larger_error(LogLevels(3, {"q1_rad": (0.1, 0.04), "q2_rad": (1.4, 0.04)}), reference)
     assert risen is not None and (risen.column, risen.ratio) == ("q2_rad", pytest.approx(np.exp(1.4)))
     assert risen.p_value < 0.001 and risen.ci95[0] > 2.5
-    alike = larger_error(NoiseLevels(3, {"q1_rad": (0.1, 0.04), "q2_rad": (-0.1, 0.04)}), reference)
+    alike = larger_error(LogLevels(3, {"q1_rad": (0.1, 0.04), "q2_rad": (-0.1, 0.04)}), reference)
     assert alike is not None and alike.p_value > 0.2
-    assert larger_error(NoiseLevels(3, {"q1_rad": (-2.0, 0.04)}), reference) is None
-    paired = larger_error(NoiseLevels(3, {"q2_rad": (1.4, 0.04)}), reference, comparisons=10)
-    alone = larger_error(NoiseLevels(3, {"q2_rad": (1.4, 0.04)}), reference)
+    assert larger_error(LogLevels(3, {"q1_rad": (-2.0, 0.04)}), reference) is None
+    paired = larger_error(LogLevels(3, {"q2_rad": (1.4, 0.04)}), reference, comparisons=10)
+    alone = larger_error(LogLevels(3, {"q2_rad": (1.4, 0.04)}), reference)
     assert paired is not None and alone is not None and paired.p_value == pytest.approx(10 * alone.p_value)
 
 
 def test_free_runs_that_cannot_be_compared_give_a_warning() -> None:
-    nothing = NoiseLevels(3, {})
+    nothing = LogLevels(3, {})
     with pytest.raises(FitError, match="cannot be compared"):
         larger_error(nothing, nothing)
     found = with_errors(Change("no_change", AGAINST.same), lambda: larger_error(nothing, nothing), AGAINST)
@@ -53,7 +53,7 @@ def test_a_reference_without_errors_of_free_runs_is_told_to_the_user() -> None:
     reference = learn_reference(runs[:4], leg2(lever_arm=leg.lever), FitOptions())
     assert set(reference.errors.levels) == {"q2_rad", "gyro_radps"}
     whole, older = (detect_change(runs[4:], known) for known in
-                    (reference, replace(reference, errors=NoiseLevels(4, {}))))
+                    (reference, replace(reference, errors=LogLevels(4, {}))))
     assert (whole.verdict, older.verdict) == ("no_change", "no_change")
     assert not whole.warnings and "cannot be compared" in older.warnings[0]
 
@@ -80,9 +80,9 @@ def test_an_error_that_no_listed_change_takes_is_no_change_no_longer() -> None:
     if not (REAL / RECORDS["c0"].folder).exists():
         pytest.skip("needs the real records next to the checkout")
     reference = (3, 4, 5, 6)
-    runs = [run if k in reference else spoilt(run, "c0", "torque_saturation", 0.76)
-            for k, run in enumerate(runs_of("c0"))]
-    setup = prepare(runs, load_rig(RIGS / RECORDS["c0"].rig)).setup
-    known, test = ([run for k, run in enumerate(setup.datasets) if (k in reference) is own] for own in (True, False))
+    every = runs_of("c0")
+    test = spoilt([run for k, run in enumerate(every) if k not in reference], "c0", "torque_saturation", 0.76)
+    setup = prepare([*(every[k] for k in reference), *test], load_rig(RIGS / RECORDS["c0"].rig)).setup
+    known, test = setup.datasets[:len(reference)], list(setup.datasets[len(reference):])
     found = detect_change(test, learn_reference(known, setup.mechanism, setup.options))
     assert found.verdict == "changed_unexplained" and "free runs err" in found.sentence

@@ -22,11 +22,19 @@ def test_a_reading_of_no_channel_is_refused_with_the_remedy() -> None:
 
 
 def test_every_signature_is_drawn_against_its_own_joint() -> None:
-    """A ripple at joint 1 against joint 1, an offset of the torque against a joint that is driven."""
+    """A ripple at joint 1 against joint 1, an offset of each motor's torque against that motor's joint."""
     m = chain(3, actuated=(0, 1))
     found = {e.key: e for e in library(m, False)[0]}
     assert found["torque_ripple@1"].shown_at(m) == 0 and found["torque_ripple@2"].shown_at(m) == 1
-    assert found["torque_offset"].shown_at(m) == 1 and found["torque_offset"].depends_on == "v"
+    assert found["torque_offset@2"].shown_at(m) == 1 and found["torque_offset@2"].depends_on == "v"
+
+
+def test_each_of_several_motors_has_its_own_shunt_and_the_only_one_has_no_joint() -> None:
+    several, one = ({e.key for e in library(chain(3, actuated=driven), False)[0]} for driven in ((0, 2), (1,)))
+    for name in ("torque_offset", "torque_saturation"):
+        assert {key for key in several if key.startswith(name)} == {f"{name}@1", f"{name}@3"}
+        assert {key for key in one if key.startswith(name)} == {name}
+    assert "torque_delay" in several & one
 
 
 def test_an_encoder_that_is_not_read_has_no_effect() -> None:

@@ -41,11 +41,20 @@ class Record:
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of a reading: name of its size, and what it does to a record's columns."""
+    """A fault of a reading: name of its size, and what it does to the columns of a record's runs."""
 
     size: str
     per_joint: bool
-    put_in: Callable[[Readings, Record, float], None]
+    put_in: Callable[[Sequence[Readings], Record, float], None]
+
+
+def _each(of_run: Callable[[Readings, Record, float], None]) -> Callable[[Sequence[Readings], Record, float], None]:
+    """The fault of one run in each of several."""
+    def put_in(runs: Sequence[Readings], record: Record, size: float) -> None:
+        for c in runs:
+            of_run(c, record, size)
+
+    return put_in
 
 
 def _late(c: Readings, record: Record, size: float) -> None:
@@ -53,10 +62,13 @@ def _late(c: Readings, record: Record, size: float) -> None:
         c[name] = np.interp(c["time_s"] - size, c["time_s"], c[name])
 
 
-def _saturated(c: Readings, record: Record, size: float) -> None:
-    """The motor gives less than the current says, by a fifth power: not the library's law."""
+def _saturated(runs: Sequence[Readings], record: Record, size: float) -> None:
+    """Each motor gives less than the current says, by a fifth power: not the library's law. It is one law in all runs:
+    the current is measured against its largest value in any of them."""
     for name in record.torque:
-        c[name] = c[name] * (1.0 + size * (c[name] / np.abs(c[name]).max()) ** 4)
+        most = max(np.abs(c[name]).max() for c in runs)
+        for c in runs:
+            c[name] = c[name] * (1.0 + size * (c[name] / most) ** 4)
 
 
 def _offset(c: Readings, record: Record, size: float) -> None:
@@ -72,9 +84,10 @@ def _eccentric(c: Readings, record: Record, size: float) -> None:
     c[record.angle] = q + np.arctan2(size * np.sin(q - 0.7), 1.0 + size * np.cos(q - 0.7))
 
 
-FAULTS = {"torque_delay": Fault("delay", False, _late), "torque_saturation": Fault("", False, _saturated),
-          "encoder_offset": Fault("offset", True, _offset), "encoder_scale": Fault("scale_error", True, _scaled),
-          "encoder_eccentricity": Fault("", True, _eccentric)}
+FAULTS = {"torque_delay": Fault("delay", False, _each(_late)), "torque_saturation": Fault("", False, _saturated),
+          "encoder_offset": Fault("offset", True, _each(_offset)),
+          "encoder_scale": Fault("scale_error", True, _each(_scaled)),
+          "encoder_eccentricity": Fault("", True, _each(_eccentric))}
 ARM = {"torque_delay": 0.02, "torque_saturation": 0.3, "encoder_offset": 0.15, "encoder_scale": 0.08,
        "encoder_eccentricity": 0.12}
 RECORDS = {
@@ -101,11 +114,11 @@ def make_case(name: str, seed: int, out: Path) -> None:
     size = record.sizes.get(fault, 0.0) * np.random.default_rng([sum(map(ord, name)), seed, 5]).uniform(0.7, 1.3)
     folder = out / f"{name}-{seed}"
     folder.mkdir(parents=True, exist_ok=True)
-    for k, run in enumerate(record.runs, 1):
-        table = np.genfromtxt(REAL / record.folder / f"{run}.csv.gz", delimiter=",", names=True)
-        columns = {n: np.array(table[n]) for n in table.dtype.names or ()}
-        if fault != UNTOUCHED:
-            FAULTS[fault].put_in(columns, record, size)
+    tables = [np.genfromtxt(REAL / record.folder / f"{run}.csv.gz", delimiter=",", names=True) for run in record.runs]
+    runs = [{n: np.array(table[n]) for n in table.dtype.names or ()} for table in tables]
+    if fault != UNTOUCHED:
+        FAULTS[fault].put_in(runs, record, size)
+    for k, columns in enumerate(runs, 1):
         np.savetxt(folder / f"r{k}.csv", np.column_stack(list(columns.values())), delimiter=",",
                    header=",".join(columns), comments="", fmt="%.12g")
     (folder / "rig.toml").write_text((RIGS / record.rig).read_text(encoding="utf-8"), encoding="utf-8")

@@ -26,7 +26,7 @@ SPRING = EffectValue(name="joint_stiffness", joint=2, sizes={"stiffness": SPRING
 
 @pytest.mark.parametrize("kind", classes(), ids=lambda kind: kind.name)
 def test_every_effect_is_saved_and_read(kind: Any, tmp_path: Path) -> None:
-    effect = kind(1 if kind.per_joint else None)
+    effect = kind(1 if kind.per_joint or kind.per_motor else None)
     size = np.linspace(0.1, 0.3, effect.count)
     model = model_with(effect_value(effect, size))
     save_model(model, tmp_path / "m.json")
@@ -36,7 +36,8 @@ def test_every_effect_is_saved_and_read(kind: Any, tmp_path: Path) -> None:
     assert type(again) is kind and again.joint == effect.joint
     np.testing.assert_array_equal(values, size)
     stored = json.loads((tmp_path / "m.json").read_text())["effects"][0]
-    assert set(stored) == {"name", "joint", "sizes", "shapes"} and stored["joint"] == (2 if kind.per_joint else None)
+    assert set(stored) == {"name", "joint", "sizes", "shapes"} and stored["joint"] == (
+        2 if kind.per_joint or kind.per_motor else None)
 
 
 @pytest.mark.parametrize("name, value", [
