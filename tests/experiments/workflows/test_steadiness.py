@@ -14,7 +14,7 @@ import pytest
 from daq import Dataset, FloatArray, Rig, load_rig
 from daq.runs import read_run
 from daq.timing import recorded_rig
-from estimator.fitting import mle
+from estimator.fitting import mle, start_state
 from estimator.likelihood import State
 from experiments.reports import fit_trust
 from experiments.session import load_runs
@@ -97,10 +97,8 @@ def test_recordings_of_the_emulated_leg_are_fitted_alike_in_any_order() -> None:
 def test_noise_levels_at_the_start_of_a_fit_hardly_move_it(name: str, factor: float,
                                                            monkeypatch: pytest.MonkeyPatch) -> None:
     runs, rig, base = recording(name)
-    start = mle.start_state
-
     def started(*arguments: Any) -> State:
-        state = start(*arguments)
+        state = start_state(*arguments)
         n = state.noise
         state.noise = replace(n, torque=factor * n.torque, encoder=factor * n.encoder, gyro=factor * n.gyro,
                               accel=factor * n.accel)
