@@ -130,7 +130,8 @@ def page(turns: int, minutes: float, seed: int, snapshots: str) -> Iterator[str]
         real += [one for number in range(len(load_cases())) for one in record(number)]
     if snapshots:
         real += [public(one, Path(snapshots) / one.repository.split("/")[1]) for one in MACHINES]
-    last = 1 + max((turn for _, turn in cases(turns)), default=0)
+    families = [(name, kind, [one for one in rows if one.source == name and (one.hidden == HEALTHY) == healthy])
+                for name in FAMILIES for kind, healthy in KINDS]
     yield from [
         "# Is TRUST right?", "",
         f"Made by `make trust MINUTES={minutes:g}` (seed {seed}), {datetime.now(UTC):%Y-%m-%d}, {machine()}.", "",
@@ -142,12 +143,10 @@ def page(turns: int, minutes: float, seed: int, snapshots: str) -> Iterator[str]
         "are not. Distances are errors in standard deviations of the fit: median, 95th percentile. Friction counts "
         "only where the leg has the nominal model's law. The rotor of a geared leg is lumped into the parameters whose "
         "torque is nearest. Parameters at a bound and fits without values do not count.", "",
-        f"{len(rows) // 2} legs of at most {last} turns were measured.", "",
-        HEAD, RULE,
-        *(line for name in FAMILIES for kind, effects in KINDS if (line := _line(
-            f"{name}, {kind}", [one for one in rows if one.source == name and (one.hidden == HEALTHY) == effects]))),
-        *(_line(f"in all, {kind}", [one for one in rows if (one.hidden == HEALTHY) == effects])
-          for kind, effects in KINDS),
+        f"{len(rows) // 2} legs were measured.", "",
+        HEAD, RULE, *(_line(f"{name}, {kind}", some) for name, kind, some in families if some),
+        *(_line(f"in all, {kind}", [one for one in rows if (one.hidden == HEALTHY) == healthy])
+          for kind, healthy in KINDS),
         *(_line(f"in all, {count} run{'s' * (count > 1)}", [one for one in rows if one.runs == count])
           for count in (1, RUNS)),
         _line("in all", rows), "",
@@ -176,9 +175,7 @@ RULE = "| --- | ---: | --- | --- | --- | --- | --- |"
 
 
 def _line(name: str, rows: Sequence[Outcome]) -> str:
-    """A row of the table of rates; empty without fits."""
-    if not rows:
-        return ""
+    """A row of the table of rates."""
     groups = [one for one in rows if one.trusted], [one for one in rows if not one.trusted]
     return (f"| {name} | {len(rows)} | {Rate(len(groups[0]), len(rows))} | {' | '.join(map(_within, groups))} | "
             f"{' | '.join(map(_distance, groups))} |")
