@@ -14,7 +14,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 TOOLS  := build/tools
 
 .PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs prior untuned \
-	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families wheel arm64 \
+	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families trust wheel arm64 \
 	lock sbom docs clean
 
 $(STAMP): requirements.lock requirements-build.lock pyproject.toml
@@ -158,6 +158,11 @@ investigate: $(STAMP)
 changed-families: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence changed-families --minutes $(or $(MINUTES),45) \
 		--out docs/evidence/changed-families.md
+
+# Fits of legs with known parameters, then of real records next to the checkout: an hour. SNAPSHOTS: see `machines`.
+trust: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence trust --minutes $(or $(MINUTES),60) \
+		$(if $(SNAPSHOTS),--snapshots $(SNAPSHOTS)) --out docs/evidence/trust-rates.md
 
 # Emulated legs with a mass added to link 2 at a random place: twenty minutes.
 payloads: $(STAMP)

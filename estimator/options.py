@@ -88,6 +88,8 @@ class FitOptions:
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Value and standard deviation of parameters and body values (m1, lc1, I1, l1, ...) that are known from elsewhere;
     `mle` on one motion then finds the maximum a posteriori."""
+    seeks_omitted: bool = False
+    """mle on one motion only: whether the fit looks for listed effects that would move its parameters."""
     latent: str = "trajectory"
     """mle only. trajectory: one consistent motion. free: the paper's free samples of sin, cos and rate."""
 

@@ -61,6 +61,7 @@ FindingKind = Literal["run_set_aside", "run_doubt", "rig_contradiction", "run_no
                       "noise_share", "level_at_zero", "level_negative", "length", "impossible", "columns",
                       "not_converged", "undetermined", "torque_residual", "passive_joint", "sensor_residual",
                       "repeating_torque", "torque_fit", "prior", "runs_disagree", "estimators_disagree", "loose",
+                      "omitted_effect",
                       "not_shown"]
 
 
@@ -139,6 +140,20 @@ class SecondOpinion:
 
 
 @dataclass(frozen=True)
+class OmittedEffect:
+    """A listed effect that the runs show and the model lacks, and what it would do to the parameters."""
+
+    effect: str
+    """Name, with the joint (from 1) where there is one."""
+    p_value: float
+    """Of such runs without the effect, over all effects tested."""
+    parameter: str
+    """The one that it moves furthest out of its interval, ..."""
+    half_widths: float
+    """... and how far, in halves of the interval."""
+
+
+@dataclass(frozen=True)
 class PriorValue:
     """A body value or parameter that was known before the fit, with what it is after it."""
 
@@ -214,6 +229,8 @@ class FitResult:
     None: all runs have those."""
     second_opinion: SecondOpinion | None = None
     """Of a method that fails differently. None: not asked, or it came to no end."""
+    omitted: tuple[OmittedEffect, ...] = ()
+    """Asked for by `FitOptions.seeks_omitted`."""
     prior: tuple[PriorValue, ...] = ()
     prior_conflict: float = 0.0
     """Standard deviations, by known value, by which the runs are likelier without the prior."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -32,6 +33,7 @@ from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
+from estimator.fitting.omitted_effects import omitted_effects
 from estimator.fitting.prior import Known, prior_at, prior_values
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
 from estimator.fitting.run_levels import run_noise
@@ -76,6 +78,9 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         state = converge_motion(problem, state)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
     result = _with_agreement(result, problem, signals, state, free, skew, options.prior)
+    if options.seeks_omitted and result.converged:
+        with suppress(np.linalg.LinAlgError):  # a segment that alone determines nothing at all
+            result = replace(result, omitted=omitted_effects(result, problem, signals, state, free, skew))
     known = prior_values(result.mechanism, options.prior, result.beta, result.covariance)
     result = replace(result, prior=known, prior_conflict=_conflict(problem, state, result, free, options))
     result = replace(result, wall_s=time.perf_counter() - start)

@@ -10,7 +10,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.fitting.warm_start import LEAST_SEGMENT, cut
-from estimator.likelihood import LatentProblem, State
+from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.numerics import eliminate
 from estimator.signals import SignalSet, by_run
 
@@ -44,15 +44,19 @@ def score_runs(signals: Sequence[SignalSet], problem_of: Problem, fitted: Latent
     found = []
     parts = by_run(signals)
     for run, own, where in parts if len(parts) > 1 else segments(signals, fitted, state):
-        problem = problem_of(own)
-        as_it_is = np.full(problem.n, np.inf)  # no bound on a run's misfit
-        point = problem.linearise(state.x.of(where), beta, state.noise.at(where), predicted_misfit=as_it_is)
-        product = eliminate(point.chain).product()
-        found.append((run, product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:]))
+        found.append((run, *score_at(problem_of(own), state.x.of(where), beta, state.noise.at(where))))
     if not found:
         return RunScores((parts[0][0],), np.zeros((1, beta.size)), np.zeros((1, beta.size, beta.size)))
     runs, score, information = zip(*found, strict=True)
     return RunScores(runs, np.array(score), np.array(information), "run" if len(parts) > 1 else "segment")
+
+
+def score_at(problem: LatentProblem, x: Latents, beta: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+    """Score (m,) and information (m, m) of a problem at one point, the motion eliminated."""
+    as_it_is = np.full(problem.n, np.inf)  # no bound on a run's misfit
+    point = problem.linearise(x, beta, noise, predicted_misfit=as_it_is)
+    product = eliminate(point.chain).product()
+    return product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:]
 
 
 def segments(signals: Sequence[SignalSet], fitted: LatentProblem, state: State

@@ -22,6 +22,8 @@ GOOD_FIT, ROUGH_FIT = 90.0, 70.0
 """Fit [%], 100 (1 - rms error / rms motion about its mean): from here on trusted, from there on roughly."""
 REPEATED, SEGMENTS = 0.5, 8
 """Share of an unmeasured torque, predicted from other runs, beyond which it is structure; parts of a single run."""
+LEAST_P = 1e-9
+"""A smaller probability is printed as this one."""
 PRECISE = 0.1
 """Half of a 95 % interval over the value, beyond which a parameter counts as loosely known."""
 
@@ -53,6 +55,7 @@ def _findings(result: FitResult) -> list[Finding]:
                   for j, r in _structure(result).items() if r > STRUCTURE]
         found += _sensor_findings(result)
         found += _repeating_torques(result)
+        found += _omitted(result)
     found += [Finding("doubt", "prior", text) for text in contradictions_of(result)]
     if result.undetermined:
         found.append(Finding("doubt", "undetermined",
@@ -139,6 +142,19 @@ def _repeating_torques(result: FitResult) -> list[Finding]:
             found.append(Finding("doubt", "repeating_torque", f"an unmeasured torque of {size:.2g} N m (rms) at joint "
                                  f"{j + 1} is a function of the state: the model lacks a term. Run legid diagnose"))
     return found
+
+
+def _omitted(result: FitResult) -> list[Finding]:
+    """The most significant listed effect that the runs show and that would move a parameter out of its interval."""
+    if not result.omitted:
+        return []
+    first, *others = result.omitted
+    name, _, joint = first.effect.partition("@")
+    where = f"{name} (joint {joint})" if joint else name
+    more = f". So would {len(others)} other{'s' * (len(others) > 1)}" if others else ""
+    return [Finding("doubt", "omitted_effect", f"the runs show {where}, which the model lacks "
+                    f"(p {max(first.p_value, LEAST_P):.1g}); it would move {first.parameter} by "
+                    f"{first.half_widths:.1f} half widths of its interval{more}. Run legid diagnose")]
 
 
 def torque_fits(result: FitResult) -> dict[int, float]:

@@ -21,7 +21,7 @@ def within(minutes: float, cases: Iterable[Case]) -> Iterator[Case]:
 
 
 def write_page(page: Callable[..., Iterator[str]], told: str | None, arguments: Sequence[str] | None,
-               **options: tuple[float, str]) -> None:
+               **options: tuple[float | str, str]) -> None:
     """Print the lines of `page` and write them to `--out`; it is called with `options`: default and help of each."""
     parser = argparse.ArgumentParser(description=told)
     parser.add_argument("--out", type=Path, required=True)

@@ -24,6 +24,8 @@ TICK_S, INNER = 1e-3, 40
 RIG = f"[motor]\ngear_ratio = {GEAR}\n"
 SHUNT_NM = 16.0 / 4096
 """Resolution of the shunt [N m]."""
+ROTOR = 3e-4
+"""Inertia of the rotor, seen at the knee [kg m^2]."""
 LAWS = ("spring", "drag", "asymmetry", "ripple", "stribeck", "load", "saturation", "cubic", "patchy", "magnet",
         "boucwen", "slosh", "copper", "wander")
 SMALL = {"gyro_bias": 1e-3, "gyro_scale": 2e-3, "accel_bias": 0.01, "tilt": 1.5e-3, "torque_offset": 2e-3,
@@ -157,7 +159,7 @@ def make_case(name: str, seed: int, out: Path) -> None:
 def record(hidden: Sequence[Hidden], rng: np.random.Generator) -> tuple[Leg, float, Iterator[dict[str, np.ndarray]]]:
     """A random leg, its dry friction [N m], and its runs as logged, without noise: one with each of `hidden`."""
     leg, dry = replace(random_leg(rng), coulomb=(0.0, 0.0)), rng.uniform(0.02, 0.08)
-    drive = np.array([*leg.viscous, dry, leg.lever, rng.uniform(900.0, 1800.0), 1e-4, 3e-4,
+    drive = np.array([*leg.viscous, dry, leg.lever, rng.uniform(900.0, 1800.0), 1e-4, ROTOR,
                       rng.uniform(0.003, 0.008), rng.uniform(0.01, 0.02)])
     small = {k: sigma * rng.normal() for k, sigma in SMALL.items()}
     phases = rng.uniform(0.0, 2.0 * np.pi, 2)

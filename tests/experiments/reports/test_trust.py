@@ -14,6 +14,7 @@ from daq.rig import load_rig
 from estimator import Combination, Finding, FitOptions, fit
 from estimator.model import leg2
 from estimator.prediction import SHORT_S, PredictedRun, tabulate
+from estimator.result import OmittedEffect
 from experiments import cli
 from experiments.emulation.emulated_rig import record_emulated
 from experiments.emulation.hidden_effects import EFFECTS, NOTHING
@@ -142,6 +143,15 @@ def test_a_noisy_torque_is_no_plain_trust() -> None:
     assert box.title == found.sentence and list(box.lines) == list(found.reasons)
     long = replace(found, sentence=f"B IS BETTER: {'word ' * 40}")
     assert long.verdict().title == "B IS BETTER" and long.verdict().lines[0].startswith("Word word")
+
+
+def test_an_effect_that_the_model_lacks_and_that_moves_a_parameter_is_named() -> None:
+    scale, friction = OmittedEffect("gyro_scale", 1e-20, "beta1", 5.81), OmittedEffect("stiction@2", 2e-3, "beta9", 1.2)
+    told = fit_trust(replace(synthetic_fit(), omitted=(scale, friction)))
+    assert told.sentence == "DO NOT TRUST the parameters: the runs show an effect that the model lacks."
+    assert told.reasons[0] == ("The runs show gyro_scale, which the model lacks (p 1e-09); it would move beta1 by 5.8 "
+                               "half widths of its interval. So would 1 other. Run legid diagnose.")
+    assert "stiction (joint 2)" in fit_trust(replace(synthetic_fit(), omitted=(friction,))).reasons[0]
 
 
 def test_residuals_of_sensors_and_of_the_passive_joint_count_too() -> None:

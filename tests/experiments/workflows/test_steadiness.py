@@ -1,10 +1,12 @@
-"""A fit does not hang on what means nothing: the last digits of readings, the order of files, when a clock began."""
+"""A fit does not hang on what means nothing: the last digits of readings, the order of
+files, when a clock began, the noise levels with which its search begins."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +14,16 @@ import pytest
 from daq import Dataset, FloatArray, Rig, load_rig
 from daq.runs import read_run
 from daq.timing import recorded_rig
+from estimator.fitting import mle, start_state
+from estimator.likelihood import State
+from experiments.reports import fit_trust
 from experiments.session import load_runs
 from experiments.workflows import Fitted, fit_runs
 from tests.support.paths import FIXTURES, REAL, needs_records
 
 LEAST_MOVE = 0.1
 """Share of a 95 % interval by which no value may move."""
+RECORDINGS = ("healthy", "noisy", "gap", "saturated-gyro", "pulled-cable", "clock-reset")
 RECORDS = {"dfki_c0": ("00", "01", "02"), "dfki_a0": ("00", "01", "02"), "emps": ("estimation",),
            "multiarm": ("free_swing",)}
 Runs = Sequence[Dataset]
@@ -64,7 +70,7 @@ def moved(found: Fitted, base: Fitted) -> float:
     return float(np.max(np.where(np.isfinite(half), shares, 0.0)))
 
 
-@pytest.mark.parametrize("name", ["healthy", "noisy", "gap", "saturated-gyro", "pulled-cable", "clock-reset"])
+@pytest.mark.parametrize("name", RECORDINGS)
 @pytest.mark.parametrize("change", [in_the_last_digit, at_another_time])
 def test_a_recording_of_the_emulated_leg_is_fitted_alike(name: str, change: Change) -> None:
     runs, rig, base = recording(name)
@@ -84,6 +90,25 @@ def test_recordings_of_the_emulated_leg_are_fitted_alike_in_any_order() -> None:
     rig = load_rig(FIXTURES / "rig.toml")
     hardly_moves(load_runs([FIXTURES / f"{name}.mcap" for name in ("healthy", "noisy", "gap")], rig, True), rig,
                  in_another_order)
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_noise_levels_at_the_start_of_a_fit_hardly_move_it(name: str, factor: float,
+                                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    runs, rig, base = recording(name)
+    def started(*arguments: Any) -> State:
+        state = start_state(*arguments)
+        n = state.noise
+        state.noise = replace(n, torque=factor * n.torque, encoder=factor * n.encoder, gyro=factor * n.gyro,
+                              accel=factor * n.accel)
+        return state
+
+    monkeypatch.setattr(mle, "start_state", started)
+    found = fit_runs(runs, rig)
+    assert not np.array_equal(found.result.beta, base.result.beta), "the start has another level"
+    assert moved(found, base) < LEAST_MOVE
+    assert fit_trust(found.result).sentence == fit_trust(base.result).sentence
 
 
 @needs_records

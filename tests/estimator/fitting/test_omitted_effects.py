@@ -1,0 +1,55 @@
+"""Effects that a fit lacks: found where they would move its parameters, not found on legs that have none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq import Dataset
+from estimator import FitOptions, FitResult, fit
+from estimator.model import leg2
+from tests.support.mujoco_leg import Leg, random_leg, record
+
+OPTIONS = FitOptions(seeks_omitted=True)
+
+
+def recorded(seed: int, count: int, seconds: float = 20.0) -> tuple[Leg, list[Dataset]]:
+    rng = np.random.default_rng(seed)
+    leg = random_leg(rng)
+    return leg, [record(leg, rng, seconds=seconds, name=f"run{k}") for k in range(count)]
+
+
+def with_gyro_scale(runs: list[Dataset], error: float) -> list[Dataset]:
+    return [replace(run, columns={**run.columns, "gyro_radps": (1.0 + error) * run["gyro_radps"]}) for run in runs]
+
+
+def fitted(leg: Leg, runs: list[Dataset], options: FitOptions = OPTIONS) -> FitResult:
+    return fit(runs, leg2(lever_arm=leg.lever), options)
+
+
+@pytest.mark.parametrize(("count", "seconds"), [(1, 20.0), (4, 20.0), (1, 3.5)])
+@pytest.mark.parametrize("seed", [70, 71, 72])
+def test_a_leg_without_a_fault_lacks_nothing(seed: int, count: int, seconds: float) -> None:
+    leg, runs = recorded(seed, count, seconds)
+    result = fitted(leg, runs)
+    assert result.converged and result.omitted == ()
+
+
+@pytest.mark.parametrize(("count", "error"), [(1, 0.02), (4, 0.02), (1, -0.02)])
+def test_a_wrong_gyro_scale_is_found_and_so_is_what_it_does(count: int, error: float) -> None:
+    """The true parameters lie outside their intervals, about as far as is said."""
+    leg, runs = recorded(73, count)
+    result = fitted(leg, with_gyro_scale(runs, error))
+    found = {one.effect: one for one in result.omitted}
+    assert result.omitted[0].p_value < 1e-6 and "gyro_scale" in found
+    scale = found["gyro_scale"]
+    k = result.mechanism.column(scale.parameter)
+    missed = abs(result.beta[k] - leg.beta()[k]) / result.half_width[k]
+    assert missed > 1.0 and scale.half_widths == pytest.approx(missed, rel=0.4)
+
+
+def test_a_fit_that_is_not_asked_does_not_look() -> None:
+    leg, runs = recorded(73, 1)
+    assert fitted(leg, with_gyro_scale(runs, 0.02), FitOptions()).omitted == ()
