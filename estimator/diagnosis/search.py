@@ -163,7 +163,7 @@ def fit_held(context: DiagnosisContext, begin: Model, start: Start, steps: int) 
     """
     for model in (begin, context.afresh):
         try:
-            return refit(model, start, steps, hold_shapes=True, converge=steps > FIRST_STEPS)
+            return refit(model, start, steps, hold_shapes=True)
         except (FitError, np.linalg.LinAlgError):
             continue
     return None
