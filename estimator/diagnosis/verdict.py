@@ -16,7 +16,6 @@ from estimator.diagnosis.model_comparison import indistinguishable_set
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.refit import Model, deviance, refit
 from estimator.diagnosis.rotation import Turn, rotate
-from estimator.diagnosis.score_statistics import ScoreTests
 from estimator.diagnosis.search import assess, presence
 from estimator.effects import GenericReading, GenericTorque
 from estimator.errors import FitError
@@ -69,7 +68,7 @@ class Decision:
         return tuple(sorted(errors.items(), key=lambda one: one[1]))
 
 
-def decide(context: DiagnosisContext, tests: ScoreTests, options: Sequence[Explanation], material: float,
+def decide(context: DiagnosisContext, generic: Model | None, options: Sequence[Explanation], material: float,
            rng: np.random.Generator, known: Sequence[ErrorTable] = ()) -> Decision | None:
     """The verdict by errors on the confirm runs, which no fit has used; some of the errors are `known` already.
 
@@ -77,7 +76,6 @@ def decide(context: DiagnosisContext, tests: ScoreTests, options: Sequence[Expla
     diverges.
     """
     shortlist = by_error(shortlisted([o for o in options if admissible(o)] or options))
-    generic = generic_extension(context, context.nominal, tests)
     if not shortlist and generic is None:
         return None
     models = [context.nominal, *(o.model for o in shortlist), *([generic] if generic is not None else [])]

@@ -204,7 +204,7 @@ def test_more_effects_are_tried_where_the_last_lowers_the_error(
     found = [e for e in (explained(1.0, "delay", "play"), explained(1.0, "delay")) if len(e.model.effects) in errors]
     known: list[Any] = []
     rng = np.random.default_rng(0)
-    assert procedure.promise(cast(Any, Context()), found, MATERIAL, rng, known).larger is promising and len(known) == 1
+    assert procedure.promise(cast(Any, Context()), found, None, MATERIAL, rng, known).larger is promising and len(known) == 1
 
 
 def test_where_nothing_can_be_simulated_more_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,4 +215,19 @@ def test_where_nothing_can_be_simulated_more_is_tried(monkeypatch: pytest.Monkey
     monkeypatch.setattr(procedure, "noise_floor", lambda _: None)
     monkeypatch.setattr(procedure, "by_error", list)
     found = [explained(1.0, "delay")]
-    assert procedure.promise(cast(Any, Context()), found, MATERIAL, np.random.default_rng(0), []) == (True, True)
+    assert procedure.promise(cast(Any, Context()), found, None, MATERIAL, np.random.default_rng(0), []) == (True, True)
+
+
+def test_a_wrong_effect_does_not_set_the_noise_floor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An IMU 3.5 ms late: under the floor of a tilted IMU the error was 1.001, under that of generic terms 1.51."""
+    generic, error = fitted(0.0, "wave"), {"tilt": 1.001, "wave": 1.51}
+
+    def measured(*_: object, noise: Fitted) -> Any:
+        return SimpleNamespace(error=lambda k: error[noise.effects[0].key])
+
+    monkeypatch.setattr(procedure, "measure_errors", measured)
+    monkeypatch.setattr(procedure, "noise_floor", lambda model: model)
+    monkeypatch.setattr(procedure, "by_error", list)
+    context, rng = cast(Any, Context()), np.random.default_rng(0)
+    for model, better in ((None, False), (cast(Any, generic), True)):
+        assert procedure.promise(context, [explained(1.0, "tilt")], model, MATERIAL, rng, []).better is better
