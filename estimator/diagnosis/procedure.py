@@ -125,9 +125,10 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
             base = replace(base, error=None if error is None else (error, error))
             return replace(conclusion.nothing(base), mechanism=nominal.split.mechanism)
     known: list[ErrorTable] = []
-    found = search(context, tests, say, lambda found: promise(context, found, material, rng, known))
+    generic = generic_extension(context, nominal, tests)
+    found = search(context, tests, say, lambda found: promise(context, found, generic, material, rng, known))
     say("simulating the held-out runs", 0.85)
-    concluded = conclude(context, base, tests, found, rng, material, known)
+    concluded = conclude(context, base, generic, found, rng, material, known)
     return replace(with_structure(concluded, nominal), mechanism=nominal.split.mechanism)
 
 
@@ -221,11 +222,12 @@ def nominal_error(context: DiagnosisContext, floor: FloorNoise, rng: np.random.G
     return table.error(NOMINAL)
 
 
-def promise(context: DiagnosisContext, found: Sequence[Explanation], material: float, rng: np.random.Generator,
-            known: list[ErrorTable]) -> Promise:
+def promise(context: DiagnosisContext, found: Sequence[Explanation], generic: Model | None, material: float,
+            rng: np.random.Generator, known: list[ErrorTable]) -> Promise:
     """Whether other sets of effects, and larger ones, than those `found` can be materially better.
 
-    The least error must leave room for that above noise. For larger ones the last effect must have reduced it by a good
+    The least error must leave room for that above noise, which is that of the nominal model with `generic` terms: a
+    wrong effect counts what it leaves as a disturbance. For larger ones the last effect must have reduced it by a good
     part of the material amount; a second effect is tried without that, too, where the error is larger than a
     disturbance explains. Measured errors are appended to `known`.
     """
@@ -233,7 +235,7 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], material: f
     models = [context.nominal, *(e.model for e in best)]
     try:
         table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)),
-                               noise=noise_floor(models[1]))
+                               noise=noise_floor(generic or models[1]))
     except FitError:
         return Promise(True, True)
     known.append(table)
@@ -245,12 +247,12 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], material: f
     return Promise(better, better and ((count == 1 and least > EDGE) or last < before * (1.0 - SUFFICES * material)))
 
 
-def conclude(context: DiagnosisContext, base: Diagnosis, tests: ScoreTests, options: Sequence[Explanation],
+def conclude(context: DiagnosisContext, base: Diagnosis, generic: Model | None, options: Sequence[Explanation],
              rng: np.random.Generator, material: float = MATERIAL, known: Sequence[ErrorTable] = ()) -> Diagnosis:
     """Verdict, gain and budget by the confirm runs, and what a report draws; errors that are `known` already."""
     split = context.split
     try:
-        decision = decide(context, tests, options, material, rng, known)
+        decision = decide(context, generic, options, material, rng, known)
     except FitError as error:  # something was detected, or nothing would be decided here
         why = f"every simulation of the held-out runs diverges ({error})"
         return conclusion.unexplained(base, context.nominal, None, why)

@@ -137,11 +137,11 @@ def begin_afresh(nominal: Model) -> Model:
 
 
 def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int = 30, noise: Noise | None = None,
-          hold_shapes: bool = False, hold_limits: bool = True, converge: bool = True) -> Model:
+          hold_shapes: bool = False, hold_limits: bool = True) -> Model:
     """Full non-linear fit of `start`'s runs with `effects` at their starting sizes; keeps `noise` if given.
 
-    `hold_shapes` estimates the sizes alone; `hold_limits` fixes shapes that start at a limit of their range; without
-    `converge` the motion stays as the last step has it. Raises `FitError`.
+    `hold_shapes` estimates the sizes alone; `hold_limits` fixes shapes that start at a limit of their range. Raises
+    `FitError`.
     """
     split = start.split
     problem = split.problem(split.discover, start.problem.stage.angle_range, [e for e, _ in effects])
@@ -159,7 +159,7 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
     state = iterate(problem, state, free, split.options, floors, limit)
     if floors is not None and mistaken_torques(problem, state, floors):
         raise FitError("the fit takes the torque for noise")
-    return Model(split, tuple(e for e, _ in effects), converge_motion(problem, state) if converge else state, problem)
+    return Model(split, tuple(e for e, _ in effects), converge_motion(problem, state), problem)
 
 
 def likeliest_smoothing_velocity(model: Model, stated: Mechanism) -> Mechanism:

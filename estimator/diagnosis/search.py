@@ -78,15 +78,26 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress,
         best = assess(context, fit_sets(context, starts[:FINALISTS]))
         if not best or promise([*found, *best]).better:  # noise levels can hide what a wrong effect leaves
             more = fit_sets(context, tried(context, starts[FINALISTS:]))
-            best = assess(context, seated(sorted([*best, *more], key=lambda e: -e.gain), PARENTS))
+            best = assess(context, sorted([*best, *more], key=lambda e: -e.gain))
         if not best:
             break
-        found += [*best, *reduced(context, best)]
-        if not any(e.has_residual for e in best) or not promise(found).larger:
+        parents = seated(best, PARENTS)
+        found += [*best, *reduced(context, parents)]
+        if not any(e.has_residual for e in parents) or not promise(found).larger:
             break
-        parents = best
     say("comparing the best sets", 0.8)
-    return weigh(context, found + exchanged(context, tests, found))
+    found = possible(found)
+    return weigh(context, possible(found + exchanged(context, tests, found)))
+
+
+def possible(found: Sequence[Explanation]) -> list[Explanation]:
+    """The `admissible` ones, or all without any: a set that is no answer sets neither noise levels nor scatter."""
+    return [e for e in found if admissible(e)] or list(found)
+
+
+def admissible(explanation: Explanation) -> bool:
+    """Whether each of its effects is significant, with a possible sign."""
+    return all(presence(explanation.model, float(np.sqrt(explanation.left.scatter))))
 
 
 def grown(context: DiagnosisContext, parents: Sequence[Explanation]) -> list[tuple[Model, Start]]:
@@ -163,7 +174,7 @@ def fit_held(context: DiagnosisContext, begin: Model, start: Start, steps: int) 
     """
     for model in (begin, context.afresh):
         try:
-            return refit(model, start, steps, hold_shapes=True, converge=steps > FIRST_STEPS)
+            return refit(model, start, steps, hold_shapes=True)
         except (FitError, np.linalg.LinAlgError):
             continue
     return None

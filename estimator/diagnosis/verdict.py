@@ -16,8 +16,7 @@ from estimator.diagnosis.model_comparison import indistinguishable_set
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.refit import Model, deviance, refit
 from estimator.diagnosis.rotation import Turn, rotate
-from estimator.diagnosis.score_statistics import ScoreTests
-from estimator.diagnosis.search import assess, presence
+from estimator.diagnosis.search import admissible, assess
 from estimator.effects import GenericReading, GenericTorque
 from estimator.errors import FitError
 from estimator.verdicts import Verdict
@@ -69,15 +68,14 @@ class Decision:
         return tuple(sorted(errors.items(), key=lambda one: one[1]))
 
 
-def decide(context: DiagnosisContext, tests: ScoreTests, options: Sequence[Explanation], material: float,
+def decide(context: DiagnosisContext, generic: Model | None, options: Sequence[Explanation], material: float,
            rng: np.random.Generator, known: Sequence[ErrorTable] = ()) -> Decision | None:
     """The verdict by errors on the confirm runs, which no fit has used; some of the errors are `known` already.
 
     None where neither a listed effect nor a generic term could be fitted. Raises `FitError` where every free run
     diverges.
     """
-    shortlist = by_error(shortlisted([o for o in options if admissible(o)] or options))
-    generic = generic_extension(context, context.nominal, tests)
+    shortlist = by_error(shortlisted(options))
     if not shortlist and generic is None:
         return None
     models = [context.nominal, *(o.model for o in shortlist), *([generic] if generic is not None else [])]
@@ -283,11 +281,6 @@ def by_error(options: Sequence[Explanation]) -> list[Explanation]:
     what the simulation lacks.
     """
     return sorted(options, key=lambda o: (not admissible(o), o.error))
-
-
-def admissible(explanation: Explanation) -> bool:
-    """Whether each of its effects is significant, with a possible sign."""
-    return all(presence(explanation.model, float(np.sqrt(explanation.left.scatter))))
 
 
 def choose(possible: Sequence[tuple[Explanation, int]], table: ErrorTable, material: float, draws: NDArray[np.intp]

@@ -165,7 +165,7 @@ def test_what_leaves_much_has_to_show_on_all_runs(monkeypatch: pytest.MonkeyPatc
     context = cast(Any, SimpleNamespace(nominal=None))
     for table, expected in ((first, "unexplained"), (table_of(9.0, 1.2), "named")):
         monkeypatch.setattr(verdict, "measure_together", lambda *_, table=table: table)
-        found = verdict.decide(context, NOTHING_LEFT, [best], MATERIAL, np.random.default_rng(1))
+        found = verdict.decide(context, None, [best], MATERIAL, np.random.default_rng(1))
         assert found is not None and found.verdict == expected
     assert len(turns) == 1
 
@@ -293,7 +293,7 @@ def test_a_leg_that_no_model_simulates_is_unexplained_and_not_undiagnosed(monkey
 
     monkeypatch.setattr(procedure, "decide", diverge)
     context = cast(DiagnosisContext, SimpleNamespace(split=None, nominal=None))
-    found = procedure.conclude(context, Diagnosis("none", ""), cast(ScoreTests, None), [], np.random.default_rng(0))
+    found = procedure.conclude(context, Diagnosis("none", ""), None, [], np.random.default_rng(0))
     assert found.verdict == "unexplained" and "the free run diverges" in found.sentence and not found.causes
 
 
