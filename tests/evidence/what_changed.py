@@ -229,10 +229,10 @@ def page(minutes: float) -> Iterator[str]:
         "", f"Out of reach: no admissible size has the ratio. The largest admissible sizes are {largest}. An "
         "`encoder_offset` cannot show: the rig files of both arms declare a zero that differs from run to run.", "",
         "Where a share is missed: the saturation that is put in has a fifth power of the torque, the library's "
-        "begins with the third, so runs of other torques disagree about its size. An eccentricity and a scale of an "
+        "begins with the third. Runs of other torques disagree about its size. An eccentricity and a scale of an "
         "encoder differ little where a joint turns little. Tried and not kept: one saturation for both motors, and "
-        "left-out runs predicted as if the size by the others were exact (36 of 54 on the arms at ratio 4, with "
-        "another saturation in every run).", ""]
+        "left-out runs predicted as if the other runs knew the size exactly. On the arms this found 36 of 54 faults "
+        "at ratio 4.", ""]
 
 
 EVIDENCE = (
