@@ -9,6 +9,7 @@ from .methods import Method as Method
 from .options import FitOptions as FitOptions
 from .parallel import cores as cores
 from .parallel import worker_pool as worker_pool
+from .result import MOST_DISAGREEMENT as MOST_DISAGREEMENT
 from .result import TWO_SIDED as TWO_SIDED
 from .result import Combination as Combination
 from .result import Finding as Finding

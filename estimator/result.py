@@ -16,6 +16,10 @@ from estimator.model import Mechanism
 TWO_SIDED = 1.959963984540054
 """Standard deviations to either side of a 95 % interval: the normal distribution's quantile at 0.975."""
 
+MOST_DISAGREEMENT = 3.0
+"""Half widths of a parameter's interval between two estimates, or by a listed effect that the model lacks, beyond which
+a fit is not to be trusted."""
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -148,7 +152,7 @@ class OmittedEffect:
     p_value: float
     """Of such runs without the effect, over all effects tested."""
     parameter: str
-    """The one that it moves furthest out of its interval, ..."""
+    """The one that it moves furthest, ..."""
     half_widths: float
     """... and how far, in halves of the interval."""
 

@@ -18,12 +18,11 @@ from estimator.fitting.next_measurement import Measurement, next_measurement
 from estimator.fitting.noise_levels import disturbance_levels, imu_levels, torque_levels
 from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.scale import has_torque, require_scale
-from estimator.fitting.second_opinion import MOST_DISAGREEMENT, with_second_opinion
+from estimator.fitting.second_opinion import with_second_opinion
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 
 __all__ = [
     "MAX_ITERATIONS",
-    "MOST_DISAGREEMENT",
     "PASSIVE_SHARE",
     "TORQUE_SHARE",
     "Disturbance",

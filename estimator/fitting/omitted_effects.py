@@ -19,7 +19,7 @@ from estimator.effects import Effect, SensorTimeSkew, library
 from estimator.fitting.run_scores import score_at, segments
 from estimator.likelihood import Candidate, ExtendedProblem, LatentProblem, Stage, State
 from estimator.numerics import pseudo_inverse
-from estimator.result import FitResult, OmittedEffect
+from estimator.result import MOST_DISAGREEMENT, FitResult, OmittedEffect
 from estimator.signals import SignalSet
 
 SURE = 0.01
@@ -30,8 +30,9 @@ IMITATED = 1e-3
 
 def omitted_effects(result: FitResult, problem: LatentProblem, signals: Sequence[SignalSet], state: State,
                     free: NDArray[np.bool_], skew: float | None = None) -> tuple[OmittedEffect, ...]:
-    """Effects of the library, without shapes, that the runs show at `state` and that would move a parameter out of its
-    interval; the most significant first.
+    """Effects without shapes that the runs show at `state`, the most significant first.
+
+    Each would move a parameter by more than `MOST_DISAGREEMENT` half widths of its interval.
 
     `free` (p,) are the parameters that were estimated, `skew` [s] is by how much the fit takes the IMU to be late.
     """
@@ -57,7 +58,7 @@ def omitted_effects(result: FitResult, problem: LatentProblem, signals: Sequence
                                                    effect.distinguishing_size in (None, size)]))
     found = [_omitted(effects[k][0], p * len(tests), change[taken < free.size], result, taken[taken < free.size])
              for k, p, change in tests if p * len(tests) < SURE]
-    return tuple(sorted((one for one in found if one.half_widths > 1.0), key=lambda one: one.p_value))
+    return tuple(sorted((one for one in found if one.half_widths > MOST_DISAGREEMENT), key=lambda one: one.p_value))
 
 
 def _small(problem: LatentProblem) -> list[Effect]:

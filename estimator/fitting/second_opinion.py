@@ -34,11 +34,9 @@ from estimator.fitting.shooting_segments import Segments, filtered_motion
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions
-from estimator.result import Combination, Finding, FitResult, HeldOut, SecondOpinion
+from estimator.result import MOST_DISAGREEMENT, Combination, Finding, FitResult, HeldOut, SecondOpinion
 from estimator.signals import split_signals
 
-MOST_DISAGREEMENT = 3.0
-"""Disagreement, in half widths, from which on a fit is not to be trusted."""
 LEAST_GAIN = 0.01
 """Share of the held-out error by which shooting must be better at least. In an hour of data a thousandth is
 significant, and of two estimates that predict alike it says nothing about which is nearer to the truth."""

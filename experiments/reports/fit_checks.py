@@ -145,7 +145,7 @@ def _repeating_torques(result: FitResult) -> list[Finding]:
 
 
 def _omitted(result: FitResult) -> list[Finding]:
-    """The most significant listed effect that the runs show and that would move a parameter out of its interval."""
+    """The most significant listed effect that the runs show and that would move a parameter far."""
     if not result.omitted:
         return []
     first, *others = result.omitted

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator import FitResult
-from estimator.fitting import MOST_DISAGREEMENT
+from estimator import MOST_DISAGREEMENT, FitResult
 from experiments.reports.html import Section, Table
 from experiments.reports.numbers import number
 

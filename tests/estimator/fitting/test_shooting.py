@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from daq import Dataset, FloatArray
-from estimator import FitOptions, FitResult
-from estimator.fitting import MOST_DISAGREEMENT, fit_admissible, second_opinion, with_second_opinion
+from estimator import MOST_DISAGREEMENT, FitOptions, FitResult
+from estimator.fitting import fit_admissible, second_opinion, with_second_opinion
 from estimator.fitting.fit import estimate
 from estimator.fitting.second_opinion import shoot_from
 from estimator.fitting.shooting import Shot
