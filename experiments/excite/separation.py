@@ -152,7 +152,8 @@ def _designable(rival: Rival) -> bool:
 def _why_left_out(rival: Rival) -> str:
     if rival.effect in ("payload", "links"):
         return (f"{rival.effect}{f' at link {rival.joint}' if rival.joint else ''} is left out: it changes several "
-                "parameters, and the design tells apart rivals of one parameter or one effect; weigh the link instead")
+                "parameters, and the design tells apart rivals of one parameter or one effect; weigh or measure the "
+                "link instead")
     return f"{rival.label} is left out: no effect of that name is installed here; install its package"
 
 

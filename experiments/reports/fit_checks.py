@@ -145,14 +145,14 @@ def _repeating_torques(result: FitResult) -> list[Finding]:
 
 
 def _omitted(result: FitResult) -> list[Finding]:
-    """The most significant listed effect that the runs show and that would move a parameter far."""
+    """The most significant listed effect that the residuals look like and that would move a parameter far."""
     if not result.omitted:
         return []
     first, *others = result.omitted
     name, _, joint = first.effect.partition("@")
     where = f"{name} (joint {joint})" if joint else name
     more = f". So would {len(others)} other{'s' * (len(others) > 1)}" if others else ""
-    return [Finding("doubt", "omitted_effect", f"the runs show {where}, which the model lacks "
+    return [Finding("doubt", "omitted_effect", f"the residuals look like {where}, which the model lacks "
                     f"(p {max(first.p_value, LEAST_P):.1g}); it would move {first.parameter} by "
                     f"{first.half_widths:.1f} half widths of its interval{more}. Run legid diagnose")]
 

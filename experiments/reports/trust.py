@@ -28,7 +28,7 @@ IN_SHORT: dict[str, str] = {
     "estimators_disagree": "two estimators disagree", "torque_residual": "the torque residual is autocorrelated",
     "passive_joint": "a passive joint has a torque residual", "sensor_residual": "a sensor residual is autocorrelated",
     "repeating_torque": "an unmeasured torque repeats",
-    "omitted_effect": "the runs show an effect that the model lacks", "prior": "the runs contradict [prior]",
+    "omitted_effect": "the residuals look like an effect that the model lacks", "prior": "the runs contradict [prior]",
     "undetermined": "these runs do not determine all parameters", "rig_contradiction": "the rig file contradicts a run"}
 """Kind of a suspect result -> its words in the first line; its own line has the figures."""
 

@@ -148,9 +148,9 @@ def test_a_noisy_torque_is_no_plain_trust() -> None:
 def test_an_effect_that_the_model_lacks_and_that_moves_a_parameter_is_named() -> None:
     scale, friction = OmittedEffect("gyro_scale", 1e-20, "beta1", 5.81), OmittedEffect("stiction@2", 2e-3, "beta9", 1.2)
     told = fit_trust(replace(synthetic_fit(), omitted=(scale, friction)))
-    assert told.sentence == "DO NOT TRUST the parameters: the runs show an effect that the model lacks."
-    assert told.reasons[0] == ("The runs show gyro_scale, which the model lacks (p 1e-09); it would move beta1 by 5.8 "
-                               "half widths of its interval. So would 1 other. Run legid diagnose.")
+    assert told.sentence == "DO NOT TRUST the parameters: the residuals look like an effect that the model lacks."
+    assert told.reasons[0] == ("The residuals look like gyro_scale, which the model lacks (p 1e-09); it would move "
+                               "beta1 by 5.8 half widths of its interval. So would 1 other. Run legid diagnose.")
     assert "stiction (joint 2)" in fit_trust(replace(synthetic_fit(), omitted=(friction,))).reasons[0]
 
 
