@@ -11,6 +11,7 @@ from pkgutil import iter_modules
 from estimator.effects import sensors
 from estimator.effects.base import BodyEffect, Effect, Perturbation, Points, SensorEffect, Shape, Size, View
 from estimator.effects.hip_effect import hip_effect
+from estimator.effects.structure import GearEffect
 from estimator.model import Mechanism
 
 UNTESTABLE = {
@@ -52,7 +53,7 @@ def library(mechanism: Mechanism, has_imu: bool, encoders: Collection[int] | Non
         for joint in joints_of(kind, mechanism):
             effect = placed(kind, joint, mechanism)
             why = effect.testable(mechanism, has_imu, mechanism.actuated) or _walking(effect, mechanism)
-            if not why and issubclass(kind, sensors.EncoderEffect) and joint not in read:
+            if not why and issubclass(kind, (sensors.EncoderEffect, GearEffect)) and joint not in read:
                 why = sensors.NO_ENCODER
             if why:
                 refused[effect.key] = why

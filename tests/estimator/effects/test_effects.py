@@ -46,6 +46,8 @@ def test_an_encoder_that_is_not_read_has_no_effect() -> None:
         for kind in ("encoder_offset", "encoder_scale", "encoder_eccentricity"):
             assert (f"{kind}@2" in found) == (1 in encoders) == (f"{kind}@2" not in refused)
             assert "encoder" in refused[f"{kind}@1"]
+        for kind in ("joint_elasticity", "backlash"):
+            assert (f"{kind}@2" in found) == (1 in encoders) == (f"{kind}@2" not in refused)
 
 
 @pytest.mark.parametrize(("share", "is_stop"), [(0.42, False), (-0.75, True), (0.93, True), (-1.0, False)])
