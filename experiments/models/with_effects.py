@@ -33,7 +33,7 @@ def effects_fault(model: Model) -> str:
         if value.name not in known:
             return f"is extended by {value.name}, an effect that this installation does not know (see legid effects)"
         kind = known[value.name]
-        if value.joint is None if kind.per_joint else value.joint is not None and not kind.per_motor:
+        if (value.joint is not None) != kind.per_joint and not kind.per_motor:  # a motor's may have one or not
             return f"`effects` gives {value.name} {'no' if kind.per_joint else 'a'} joint"
         for what, wanted, found in (("sizes", kind.sizes, value.sizes), ("shapes", kind.shapes, value.shapes)):
             if {w.name for w in wanted} != set(found):
