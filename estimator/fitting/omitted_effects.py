@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc
+from scipy.special import fdtrc
 
 from daq import FloatArray
 from estimator.effects import Effect, SensorTimeSkew, library
@@ -32,7 +32,8 @@ def omitted_effects(result: FitResult, problem: LatentProblem, signals: Sequence
                     free: NDArray[np.bool_], skew: float | None = None) -> tuple[OmittedEffect, ...]:
     """Effects without shapes that the runs show at `state`, the most significant first.
 
-    Each would move a parameter by more than `MOST_DISAGREEMENT` half widths of its interval.
+    Each would move a parameter by more than `MOST_DISAGREEMENT` half widths of its interval. None of runs too short for
+    segments, without which the scatter is unknown.
 
     `free` (p,) are the parameters that were estimated, `skew` [s] is by how much the fit takes the IMU to be late.
     """
@@ -50,7 +51,9 @@ def omitted_effects(result: FitResult, problem: LatentProblem, signals: Sequence
         return ExtendedProblem(some, problem.mechanism, problem.collocation.hold, stage, own, candidates,
                                problem.disturbed)
 
-    parts = segments(signals, problem, state) or [("", list(signals), slice(0, problem.total))]
+    parts = segments(signals, problem, state)
+    if not parts:
+        return ()
     scored = [score_at(extended(some), state.x.of(where), beta, state.noise.at(where)) for _, some, where in parts]
     score, information = (np.array(values) for values in zip(*scored, strict=True))
     effects = [(one.effect, k) for one in candidates for k in range(one.width)]
@@ -86,10 +89,9 @@ def _tests(scores: FloatArray, informations: FloatArray, free: NDArray[np.intp],
         if not information > IMITATED * whole[column, column]:
             continue
         apart = (score - own / information * score.sum()) ** 2 / np.maximum(own, 1e-300)
-        scatter = max(1.0, float(apart.sum()) / (units - 1)) if units > 1 else 1.0
+        scatter = max(1.0, float(apart.sum()) / (units - 1))
         gain = float(score.sum()) ** 2 / information / scatter
-        p_value = fdtrc(1, units - 1, gain) if units > 1 else chdtrc(1, gain)
-        yield size, float(p_value), -carried * float(score.sum()) / information
+        yield size, float(fdtrc(1, units - 1, gain)), -carried * float(score.sum()) / information
 
 
 def _omitted(effect: Effect, p_value: float, change: FloatArray, result: FitResult, free: NDArray[np.intp]

@@ -1,6 +1,7 @@
 from .first_plan import first_plan as first_plan
 from .multisine import random_multisine as random_multisine
 from .next_motion import next_motion as next_motion
+from .optimal_design import USUAL_HIGH_HZ as USUAL_HIGH_HZ
 from .optimal_design import Band as Band
 from .optimal_design import Bench as Bench
 from .optimal_design import Candidate as Candidate
@@ -18,6 +19,7 @@ from .separation import question_of as question_of
 from .separation import separate as separate
 from .separation import separation_text as separation_text
 from .separation import settling_seconds as settling_seconds
+from .separation import widening_bands as widening_bands
 from .session import next_choice as next_choice
 from .session import plan_session as plan_session
 from .session import session_text as session_text

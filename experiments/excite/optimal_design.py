@@ -28,6 +28,8 @@ RATE_HZ = 100.0
 COARSE_HZ = 50.0
 """While it is being bettered; more where the band needs it."""
 SAMPLES_A_PERIOD = 12.0
+USUAL_HIGH_HZ = 3.0
+"""Highest frequency of a plan unless another is asked for: a leg's own swing and a few of its harmonics."""
 TAPER_S = 0.5
 """Torque comes and goes over this time: a step would shake the leg."""
 USUAL_NOISE = {"gyro_radps": 0.005, "accel_mps2": 0.05, "torque_nm": 0.02, "encoder_rad": 4e-4}
@@ -179,9 +181,12 @@ class Bench:
 class Series:
     """Odd harmonics in a band, tapered at both ends."""
 
-    def __init__(self, band: Band) -> None:
-        """Raises `InputError` where the band holds fewer than three."""
-        odd = np.arange(1, int(band.high_hz * band.seconds + 1e-9) + 1, 2) / band.seconds
+    def __init__(self, band: Band, most: float = np.inf) -> None:
+        """Of one over the plan's length, or over such a part of it that the band holds at most `most` of them.
+
+        Raises `InputError` where it holds fewer than three."""
+        period_s = min(band.seconds, 2.0 * most / band.high_hz)
+        odd = np.arange(1, int(band.high_hz * period_s + 1e-9) + 1, 2) / period_s
         self.hz = odd[odd >= band.low_hz]
         if self.hz.size < 3:
             raise InputError("--high", f"leaves {self.hz.size} odd harmonics of 1/{band.seconds:g} s",

@@ -13,10 +13,11 @@ over all ordered pairs small: Chernoff's bound on the probability of a wrong dec
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
-from math import log
+from math import ceil, log, log2
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,17 @@ from estimator.likelihood import Noise
 from estimator.signals import angle_column, predicted_columns, torque_column
 from experiments.excite.fisher_information import Moved
 from experiments.excite.limits import as_large_as_allowed
-from experiments.excite.optimal_design import RATE_HZ, Band, Bench, Candidate, Search, Series, design
+from experiments.excite.optimal_design import (
+    RATE_HZ,
+    SAMPLES_A_PERIOD,
+    USUAL_HIGH_HZ,
+    Band,
+    Bench,
+    Candidate,
+    Search,
+    Series,
+    design,
+)
 from experiments.excite.waveforms import KINDS
 from experiments.models import Model, known_effects
 
@@ -44,6 +55,8 @@ LEAST = 1e-2
 """Log likelihood ratio of one plan below which nothing is told apart."""
 DRAWS = 8
 """Random starts for each of `Search.tries`."""
+LINES = 10
+"""Most lines of a plan: of more the evolution strategy needs more steps. A longer plan repeats itself."""
 STEP, GROW, SHRINK = 0.3, 1.5, 0.9
 """Of the evolution strategy (1 + 1): first step as a share of the plan, and its change after success and failure (one
 success in five keeps it)."""
@@ -254,20 +267,33 @@ def _noise(bench: Bench, imu: bool) -> Noise:
     return Noise(bench.fine.torque_level, encoder, np.array([level["gyro_radps"]]), np.array([accel]))
 
 
-def separate(contest: Contest, band: Band, search: Search,
+def widening_bands(seconds: float, low_hz: float, rate_hz: float) -> tuple[Band, ...]:
+    """Bands whose highest frequency doubles, from USUAL_HIGH_HZ to that of SAMPLES_A_PERIOD at the rig's `rate_hz`.
+
+    What tells rivals apart can lie above the motion that tells most about the parameters.
+    """
+    most = min(rate_hz, RATE_HZ) / SAMPLES_A_PERIOD
+    doublings = max(ceil(log2(most / USUAL_HIGH_HZ)), 0)
+    return tuple(Band(seconds, low_hz, high) for high in
+                 (*(USUAL_HIGH_HZ * 2.0**k for k in range(doublings)), max(most, USUAL_HIGH_HZ)))
+
+
+def separate(contest: Contest, bands: Sequence[Band], search: Search,
              progress: Callable[[float, float], None] | None = None) -> Separation:
-    """The best plan found: draws of Fourier series, every kind of waveform and the best plan for the parameters, then
-    an evolution strategy from the best of these. Raises `InputError`, and `WorkError` where no plan keeps the limits.
+    """The best plan found in any of the `bands`, which are of one length.
+
+    Draws of Fourier series of each band, every kind of waveform and the best plan for the parameters in the first band,
+    then an evolution strategy from the best of each band. Raises `InputError`, and `WorkError` where no plan
+    keeps the limits.
     """
     bench, rng = contest.bench, np.random.default_rng(search.seed)
-    series = Series(band)
-    basis = series.basis(RATE_HZ)
-    time_s = np.arange(basis.shape[1]) / RATE_HZ
-    fall = np.tile(1.0 + series.hz**2, 2)
-    shapes = [rng.standard_normal(fall.size) / fall @ basis for _ in range(DRAWS * search.tries)]
-    shapes += [kind.shape(time_s, rng) for kind in KINDS.values() if kind.shape is not None]
-    shapes.append(design(bench, band, search).best.torque_nm)
-    total = len(shapes) + search.steps * search.tries
+    mixes = [_mix_of(band) for band in bands]
+    time_s = np.arange(mixes[0].shape[1]) / RATE_HZ
+    starts = [[rng.standard_normal(len(mix)) @ mix for _ in range(DRAWS * search.tries)] for mix in mixes]
+    starts[-1] += [kind.shape(time_s, rng) for kind in KINDS.values() if kind.shape is not None]
+    starts[0].append(design(bench, bands[0], search).best.torque_nm)
+    steps = search.steps * search.tries
+    total = sum(map(len, starts)) + len(mixes) * steps
     done = 0
 
     def judged(shape: FloatArray) -> tuple[float, FloatArray]:
@@ -284,16 +310,21 @@ def separate(contest: Contest, band: Band, search: Search,
         except (FitError, np.linalg.LinAlgError):
             return np.inf, shape
 
-    tried = [judged(shape) for shape in shapes]
-    first = next((torque for worth, torque in tried if np.isfinite(worth)), None)
-    worth, torque = min(tried, key=lambda one: one[0])
-    step = STEP
-    for _ in range(search.steps * search.tries):
-        change = rng.standard_normal(fall.size) / fall @ basis
-        other = judged(torque + step * np.std(torque) / np.std(change) * change)
-        better = other[0] < worth
-        step *= GROW if better else SHRINK
-        worth, torque = other if better else (worth, torque)
+    def climbed(worth: float, torque: FloatArray, mix: FloatArray) -> tuple[float, FloatArray]:
+        """The end of an evolution strategy from a shape, by changes in its band."""
+        step = STEP
+        for _ in range(steps):
+            change = rng.standard_normal(len(mix)) @ mix
+            other = judged(torque + step * np.std(torque) / np.std(change) * change)
+            better = other[0] < worth
+            step *= GROW if better else SHRINK
+            worth, torque = other if better else (worth, torque)
+        return worth, torque
+
+    tried = [[judged(shape) for shape in shapes] for shapes in starts]
+    first = next((torque for worth, torque in itertools.chain(*tried) if np.isfinite(worth)), None)
+    torque = min((climbed(*min(each, key=lambda one: one[0]), mix) for each, mix in zip(tried, mixes)),
+                 key=lambda one: one[0])[1]
     if first is None:
         raise WorkError("no plan within the limits was found; widen [limits], or lower --high")
     before, after = (bench.sized(one / np.abs(one).max(), search.margin, float(np.abs(one).max()))
@@ -303,6 +334,12 @@ def separate(contest: Contest, band: Band, search: Search,
     names = [r.label for r in contest.question.rivals]
     return Separation(before, after, tuple(combinations(names, 2)), expected_ratios(contest, before.torque_nm),
                       expected_ratios(contest, after.torque_nm))
+
+
+def _mix_of(band: Band) -> FloatArray:
+    """(2 h, N) waves of the band's series whose amplitudes fall off with the square of the frequency."""
+    series = Series(band, LINES)
+    return np.asarray(series.basis(RATE_HZ) / np.tile(1.0 + series.hz**2, 2)[:, None])
 
 
 def expected_ratios(contest: Contest, torque_nm: FloatArray) -> FloatArray:

@@ -32,6 +32,7 @@ from experiments.excite import (
     separate,
     settling_seconds,
     usual_choice,
+    widening_bands,
 )
 from experiments.models import Model, save_model
 from experiments.provenance import Origin
@@ -258,8 +259,8 @@ class Investigator:
         began = self.clock.spent_s
         contest = contest_of(bench, question, model, setup_of([], self.rig, model.provenance.sensors).options)
         with self.clock.limited():
-            made = separate(contest, Band(SECONDS, 0.0, 3.0), self._search(), lambda done, total: self.asked.progress(
-                "designing what separates", done / total))
+            made = separate(contest, widening_bands(SECONDS, 0.0, self.rig.sampling.rate_hz), self._search(),
+                            lambda done, total: self.asked.progress("designing what separates", done / total))
         self.clock.design_s = self.clock.spent_s - began
         if not made.apart:
             if found.verdict == "one_of":

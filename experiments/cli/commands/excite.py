@@ -47,8 +47,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--seconds", type=_Number(2.0, 600.0), default=20.0, help="length of a plan (default 20)")
     parser.add_argument("--low", metavar="HZ", type=_Number(0.0, 25.0),
                         help="lowest frequency (default: one period a plan; 0.1 without a model)")
-    parser.add_argument("--high", metavar="HZ", type=_Number(0.0, 25.0), default=3.0,
-                        help="highest frequency (default 3)")
+    parser.add_argument("--high", metavar="HZ", type=_Number(0.0, 25.0),
+                        help="highest frequency (default 3; --separate tries up to a twelfth of the sampling rate)")
     parser.add_argument("--margin", type=_Number(0.05, 1.0), default=0.8, help="share of each limit used (default 0.8)")
     parser.add_argument("--doubt", type=_Number(0.0, 0.5), default=0.1,
                         help="share by which the prior's parameters may be off: models so far away keep the limits too "
@@ -109,11 +109,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _prior(args: argparse.Namespace, rig: Rig) -> tuple[Bench, Band, Search]:
     """What a design is made on, in which band, and how it is sought."""
-    from experiments.excite import Band, Bench, Search
+    from experiments.excite import USUAL_HIGH_HZ, Band, Bench, Search
     from experiments.models import load_model
 
     return (Bench(load_model(args.model), rig, args.model, args.doubt),
-            Band(args.seconds, args.low or 0.0, args.high),
+            Band(args.seconds, args.low or 0.0, USUAL_HIGH_HZ if args.high is None else args.high),
             Search(args.margin, args.criterion, int(args.tries), int(args.steps), args.seed))
 
 
@@ -148,7 +148,7 @@ def _designed(args: argparse.Namespace, rig: Rig) -> Plan:
 def _separating(args: argparse.Namespace, rig: Rig) -> Plan:
     """The plan that tells rivals apart, told of on the way."""
     from experiments.console import stages
-    from experiments.excite import contest_of, question_of, separate, separation_text
+    from experiments.excite import contest_of, question_of, separate, separation_text, widening_bands
     from experiments.models import load_model
     from experiments.session import setup_of
 
@@ -156,8 +156,9 @@ def _separating(args: argparse.Namespace, rig: Rig) -> Plan:
     bench, band, search = _prior(args, rig)
     model = load_model(args.model)
     contest = contest_of(bench, question, model, setup_of([], rig, model.provenance.sensors).options)
+    bands = [band] if args.high is not None else widening_bands(band.seconds, band.low_hz, rig.sampling.rate_hz)
     with stages("designing") as show:
-        found = separate(contest, band, search,
+        found = separate(contest, bands, search,
                          lambda done, total: show(f"{done:.0f} of {total:.0f} plans", done / total))
     print(separation_text(found, question))
     return found.best.plan
@@ -165,7 +166,8 @@ def _separating(args: argparse.Namespace, rig: Rig) -> Plan:
 
 def _plain(args: argparse.Namespace, rig: Rig) -> Plan:
     """Equal sines with random phases, or a staircase; nothing is known of what they will do."""
-    from experiments.excite import first_plan
+    from experiments.excite import USUAL_HIGH_HZ, first_plan
 
     holds = None if args.holds is None else int(args.holds)
-    return first_plan(rig, args.seed, args.seconds, args.peak, args.low, args.high, holds)
+    high_hz = USUAL_HIGH_HZ if args.high is None else args.high
+    return first_plan(rig, args.seed, args.seconds, args.peak, args.low, high_hz, holds)

@@ -11,7 +11,8 @@ import pytest
 from daq import load_rig
 from daq.recording import read_plan
 from experiments.cli import main
-from experiments.excite import Band, Bench, Search, contest_of, design, question_of, separate
+from experiments.excite import Band, Bench, Search, contest_of, design, question_of, separate, widening_bands
+from experiments.excite.optimal_design import Series
 from experiments.excite.separation import Contest, expected_ratios, settling_seconds
 from experiments.models import load_model
 from experiments.session import setup_of
@@ -34,9 +35,9 @@ def diagnosis(folder: Path, verdict: str, causes: list[Any], candidates: Sequenc
     return path
 
 
-def contest(folder: Path, path: Path) -> Contest:
+def contest(folder: Path, path: Path, most_nm: float = 1.5) -> Contest:
     write_model(folder / "model.json", (1.02 * Leg().beta()).tolist(), LEG)
-    (folder / "rig.toml").write_text(LEG_RIG.format(q1=1.0))
+    (folder / "rig.toml").write_text(LEG_RIG.format(q1=1.0).replace("torque_nm = 1.5", f"torque_nm = {most_nm}"))
     rig, model = load_rig(folder / "rig.toml"), load_model(folder / "model.json")
     return contest_of(Bench(model, rig, "model.json"), question_of(path), model, setup_of([], rig, "imu").options)
 
@@ -45,12 +46,37 @@ def test_the_design_separates_sooner_than_the_default_and_keeps_the_limits(tmp_p
     rivals = contest(tmp_path, diagnosis(tmp_path, "one_of", [DELAY, ELASTIC]))
     band = Band(5.0, 0.0, 3.0)
     usual = design(rivals.bench, band, Search(tries=1, steps=20)).best
-    found = separate(rivals, band, Search(tries=1, steps=20))
+    found = separate(rivals, [band], Search(tries=1, steps=20))
     (by_default,) = expected_ratios(rivals, usual.torque_nm)
     assert found.pairs == (("torque_delay", "joint_elasticity@2"),)
     assert found.after[0] > 2.0 * by_default > 0.0 and found.after[0] >= found.before[0]
     for name, most in (("torque_nm", 1.5), ("speed_radps", 12.0), ("q1_rad", 1.0), ("q2_rad", 2.0)):
         assert 0.0 < found.best.peaks[name] <= 0.8 * most * (1.0 + 1e-9)
+
+
+def test_rivals_that_fast_motion_tells_apart_get_faster_motion(tmp_path: Path) -> None:
+    """An IMU that is turned errs as one with a bias does, as long as the leg hardly accelerates. Torque is short."""
+    turned = {"effect": "imu_misalignment", "joint": None, "size": [{"name": "angle", "value": 0.05}]}
+    biased = {"effect": "accelerometer_bias", "joint": None, "size": [{"name": "bias_x", "value": 0.5}]}
+    rivals = contest(tmp_path, diagnosis(tmp_path, "one_of", [turned, biased]), 0.2)
+    bands, search = widening_bands(5.0, 0.0, 100.0), Search(tries=1, steps=20)
+    assert [round(band.high_hz, 1) for band in bands] == [3.0, 6.0, 8.3]
+    (wide,), (narrow,) = (separate(rivals, tried, search).after for tried in (bands, bands[:1]))
+    assert wide > 1.2 * narrow > 0.0
+
+
+@pytest.mark.parametrize(("rate_hz", "highest"), [(20.0, [3.0]), (50.0, [3.0, 50.0 / 12.0]),
+                                                  (1000.0, [3.0, 6.0, 100.0 / 12.0])])
+def test_bands_end_where_a_period_has_too_few_samples(rate_hz: float, highest: list[float]) -> None:
+    assert [band.high_hz for band in widening_bands(5.0, 0.0, rate_hz)] == pytest.approx(highest)
+
+
+def test_a_plan_of_few_lines_repeats_itself() -> None:
+    """Odd harmonics: after half a period the wave is its negative."""
+    series = Series(Band(20.0, 0.0, 5.0), most=10)
+    assert series.hz == pytest.approx(np.arange(1, 20, 2) / 4.0)
+    wave = series.basis(100.0)[:, 100:-100]
+    assert wave[:, 200:1700] == pytest.approx(-wave[:, :1500], abs=1e-9)
 
 
 def test_the_expected_ratio_is_that_of_a_regression(tmp_path: Path) -> None:
