@@ -83,6 +83,8 @@ class FitOptions:
     V filters only the absolute angle."""
     weights: str = "estimated"
     """wls only. estimated: each joint's torque by its own residual. known: by torque_nm and passive_nm of `noise`."""
+    encoder_zeros: tuple[int, ...] = ()
+    """0-based joints whose encoders' zeros differ from run to run: a comparison takes them to be unknown in each."""
     fixed: Mapping[str, float] = field(default_factory=dict)
     """Parameters that are given by name, not estimated."""
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq import FloatArray
-from estimator.change.scores import HIDDEN, Score
+from estimator.change.scores import Score
 from estimator.change.structure import Structure
 
 SINGULAR = 1e-9
@@ -45,7 +45,7 @@ class Contrast:
 
     def without(self, basis: FloatArray) -> Contrast:
         """The contrast with the change along `basis` (m, k) fitted and projected out, alpha zero."""
-        return replace(self, change=without(self.change, basis))
+        return replace(self, change=self.change.without(basis))
 
     def measured(self, basis: FloatArray, others: FloatArray) -> Score:
         """Score of the k sizes along `basis`, `others` (m, l) fitted and projected out; alpha is free along both."""
@@ -54,18 +54,8 @@ class Contrast:
         mixed = every.T @ self.mixed @ every
         pair = Score(np.concatenate([change.score, level.score]),
                      np.block([[change.information, mixed], [mixed.T, level.information]]))
-        found = without(pair, np.eye(pair.score.size)[:, k:])
+        found = pair.without(np.eye(pair.score.size)[:, k:])
         return Score(found.score[:k], found.information[:k, :k])
-
-
-def without(whole: Score, basis: FloatArray) -> Score:
-    """`whole` with the sizes along `basis` fitted and projected out; columns of which nothing is left are zero."""
-    carry = whole.information @ basis @ whole.along(basis).covariance()
-    left = whole.information - carry @ basis.T @ whole.information
-    score = whole.score - carry @ (basis.T @ whole.score)
-    gone = np.diag(left) < HIDDEN * np.diag(whole.information)
-    score[gone], left[gone], left[:, gone] = 0.0, 0.0, 0.0
-    return Score(score, left)
 
 
 def seen(runs: Sequence[Score], structure: Structure) -> list[Score]:

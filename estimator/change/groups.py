@@ -67,9 +67,12 @@ def groups_of(fit: ReferenceFit, known: Score) -> tuple[Group, ...]:
                    (p.unit,)) for k, p in enumerate(m.parameters) if fit.free[k]]
     found += _links(fit, columns, payloads := list(_payloads(fit, known)))
     found += payloads
-    start = m.p
+    start, loose = m.p, set(fit.loose)
     for candidate in fit.candidates[: fit.named]:
         e = candidate.effect
+        if start in loose:
+            start += candidate.width
+            continue
         found.append(Group(e.name, kind_of(type(e)), None if e.joint is None else e.joint + 1, e.sentence,
                            columns[:, start : start + candidate.width], tuple(s.name for s in e.sizes),
                            tuple(m.unit(s.unit) for s in e.sizes)))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
-from estimator.effects import Effect, battery, library
+from estimator.effects import Effect, EncoderOffset, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, free_mask, iterate, noise_floors, start_state
 from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage, State
@@ -49,6 +49,13 @@ class ReferenceFit:
         return (*self.mechanism.names, *(f"{c.effect.key} {size.name} {list(c.shape)}" for c in self.candidates
                                          for size in c.effect.sizes))
 
+    @property
+    def loose(self) -> list[int]:
+        """Columns of encoders' zeros that differ from run to run."""
+        every = [candidate.effect for candidate in self.candidates for _ in range(candidate.width)]
+        return [k for k, effect in enumerate(every, self.mechanism.p)
+                if isinstance(effect, EncoderOffset) and effect.joint in self.options.encoder_zeros]
+
 
 @dataclass(frozen=True)
 class Score:
@@ -80,6 +87,16 @@ class Score:
         r, every = scale * others.score, scale * (others.score + self.score)
         return float(every @ np.linalg.solve(both, every) - r @ np.linalg.solve(known, r)
                      + np.linalg.slogdet(known)[1] - np.linalg.slogdet(both)[1])
+
+    def without(self, basis: FloatArray) -> Score:
+        """The same with the sizes along `basis` (m, k) fitted and projected out; columns of which nothing is left are
+        zero."""
+        carry = self.information @ basis @ self.along(basis).covariance()
+        left = self.information - carry @ basis.T @ self.information
+        score = self.score - carry @ (basis.T @ self.score)
+        gone = np.diag(left) < HIDDEN * np.diag(self.information)
+        score[gone], left[gone], left[:, gone] = 0.0, 0.0, 0.0
+        return Score(score, left)
 
     def size(self) -> FloatArray:
         """(m,) generalised least squares."""
@@ -142,7 +159,7 @@ def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None, shif
     """At the likeliest motion of the run under the reference model and its noise, or another.
 
     With a `shift` (m,) of all columns it is taken at the changed model, to which a large change is closer, and carried
-    back: score + information shift. Raises `FitError`."""
+    back: score + information shift. `ReferenceFit.loose` columns are unknown in the run. Raises `FitError`."""
     m, options = fit.mechanism, fit.options
     moved = np.zeros(len(fit.columns)) if shift is None else shift
     present, sizes = _present(fit, moved)
@@ -159,7 +176,7 @@ def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None, shif
     information = (point.corner - product[1:, 1:])[np.ix_(own, own)]
     if not (np.isfinite(score).all() and np.isfinite(information).all()):
         raise FitError(f"{data.name}: the reference model cannot follow this run")
-    return Score(score + information @ moved, information)
+    return Score(score + information @ moved, information).without(np.eye(moved.size)[:, fit.loose])
 
 
 def _present(fit: ReferenceFit, shift: FloatArray) -> tuple[list[Effect], list[FloatArray]]:

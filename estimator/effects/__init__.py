@@ -18,6 +18,7 @@ from estimator.effects.base import (
 from estimator.effects.derivatives import Laws, by_motion
 from estimator.effects.generic_terms import GenericReading, GenericTorque, battery
 from estimator.effects.registry import ENTRY_POINT, UNTESTABLE, classes, library, placed
+from estimator.effects.sensors import EncoderOffset
 from estimator.effects.state_torque import StateTorque, Table, Variable
 from estimator.effects.timing import SensorTimeSkew
 
@@ -27,6 +28,7 @@ __all__ = [
     "Axis",
     "BodyEffect",
     "Effect",
+    "EncoderOffset",
     "GenericReading",
     "GenericTorque",
     "Laws",

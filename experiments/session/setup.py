@@ -124,7 +124,8 @@ def fit_options(rig: Rig, sensors: str, fixed: Mapping[str, float], latent: str 
     smoothing = "auto" if rig.terms.friction_velocity_radps is None else "given"
     joints = rig.mechanism.encoders
     encoders = None if joints is None else tuple(j - 1 for j in sorted(joints))
-    return FitOptions(sensors=sensors, encoders=encoders, hold=rig.sampling.hold,
+    zeros = tuple(j - 1 for j in rig.terms.encoder_zero or ())
+    return FitOptions(sensors=sensors, encoders=encoders, encoder_zeros=zeros, hold=rig.sampling.hold,
                       smoothing_velocity=smoothing, noise=noise,
                       prior={name: (entry[0], entry[1]) for name, entry in rig.prior.items()},
                       accel_correlation=rig.noise.accel_correlation, torque_correlation=rig.noise.torque_correlation,

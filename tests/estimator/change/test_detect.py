@@ -61,6 +61,19 @@ def test_a_changed_reading_is_named_with_its_size(name: str, size: float, kind: 
     assert found.held_out is not None and sum(found.held_out.gain) > 0.0
 
 
+def test_an_encoder_whose_zero_differs_from_run_to_run_shows_no_change_of_it(tmp_path: Path) -> None:
+    files, rig_file = leg_runs(tmp_path, MAKERS["encoder_offset"][0](1.0), seconds=SHORT_S)
+    setup = prepare(files, load_rig(rig_file)).setup
+    found = {}
+    for zeros in ((), (1,)):
+        options = replace(setup.options, encoder_zeros=zeros)
+        reference = learn_reference(setup.datasets[:REFERENCE], setup.mechanism, options)
+        found[zeros] = detect_change(setup.datasets[REFERENCE:], reference)
+    assert found[()].p_any < 1e-6 and "encoder_offset" in {c.effect for c in found[()].causes}
+    assert found[1,].p_any > 0.01 and not found[1,].causes
+    assert "encoder_offset" not in {d.effect for d in found[1,].detectable}
+
+
 def sessions_of(files: list[Path], rig_file: Path) -> tuple[Change, Change]:
     """B from A, and A from B."""
     setup = prepare(files, load_rig(rig_file)).setup
