@@ -275,14 +275,14 @@ def conclude(context: DiagnosisContext, base: Diagnosis, generic: Model | None, 
     best = decision.best[0] if decision.best else None
     base = conclusion.with_noise(base, best.model if best else context.nominal, decision.table.unit.noise)
     hidden = hidden_motion(best.model if best else context.nominal, material, rng) if decision.verdict == "none" else ""
+    p = 1.0 if best is None else chance_of(context, best, best.gain, best.model.effects)
     if decision.verdict == "none" and not hidden:
-        return conclusion.nothing(base, best)
+        return conclusion.nothing(base, best, p)
     if decision.verdict in ("none", "unexplained") or best is None:
         return conclusion.unexplained(base, context.nominal, best, hidden or decision.why, rng,
-                                      decision.table.unit.noise)
+                                      decision.table.unit.noise, p)
     if decision.more is not None:
         base = replace(base, immaterial=minor_causes(context, base, decision.more, best))
-    p = chance_of(context, best, best.gain, best.model.effects)
     indistinguishable = [with_clock(context, best), *decision.best[1:]]
     return conclusion.finding(base, context.nominal, indistinguishable, p, rng, decision.verdict == "partial",
                               decision.table.unit.noise)

@@ -14,9 +14,10 @@ from estimator.diagnosis.error_budget import generic_extension
 from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors, with_floor
 from estimator.diagnosis.model_comparison import indistinguishable_set
 from estimator.diagnosis.noise_floor import noise_floor
+from estimator.diagnosis.presence import admissible
 from estimator.diagnosis.refit import Model, deviance, refit
 from estimator.diagnosis.rotation import Turn, rotate
-from estimator.diagnosis.search import admissible, assess
+from estimator.diagnosis.search import assess
 from estimator.effects import GenericReading, GenericTorque
 from estimator.errors import FitError
 from estimator.verdicts import Verdict
