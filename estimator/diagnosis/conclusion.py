@@ -211,8 +211,8 @@ def remainder_of(model: Model) -> Remainder | None:
     return None
 
 
-def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
-    """Verdict `none`; `small` holds what is there but hardly changes the simulation."""
+def nothing(found: Diagnosis, small: Explanation | None = None, p_value: float = 1.0) -> Diagnosis:
+    """Verdict `none`; `small`, with its p-value, holds what is there but hardly changes the simulation."""
     best = found.candidates[0] if found.candidates else None
     sentence = "These runs show no error beyond noise"
     if best is not None:
@@ -222,7 +222,7 @@ def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
         sentence = (f"No material error beyond noise. The residual resembles {label(best.effect, best.joint)} "
                     f"(p = {best.p_value:.2g}, corrected for all effects tried), but that effect does not reduce the "
                     "free-run error of the held-out runs")
-    immaterial = () if small is None else tuple(causes_of(small, 1.0, found))
+    immaterial = () if small is None else tuple(causes_of(small, p_value, found))
     if immaterial:
         told = " and ".join(label(c.effect, c.joint) for c in immaterial)
         verb = ("is present, but does not surely reduce" if len(immaterial) == 1 else
@@ -251,12 +251,13 @@ def nothing(found: Diagnosis, small: Explanation | None = None) -> Diagnosis:
 
 
 def unexplained(found: Diagnosis, nominal: Model, best: Explanation | None, why: str,
-                rng: np.random.Generator | None = None, noise: FloorNoise | None = None) -> Diagnosis:
-    """Verdict `unexplained`: the closest explanation, if any, is kept but not named as a finding."""
+                rng: np.random.Generator | None = None, noise: FloorNoise | None = None, p_value: float = 1.0
+                ) -> Diagnosis:
+    """Verdict `unexplained`: the closest explanation, if any, is kept with its p-value, but not named as a finding."""
     sentence = f"The model is wrong, and no listed effect explains the error: {why}."
     causes: tuple[Cause, ...] = ()
     if best is not None:
-        causes = tuple(causes_of(best, 1.0, found))
+        causes = tuple(causes_of(best, p_value, found))
         found = with_gain(found, nominal, best, noise or white_noise(best.model.state.noise), rng)
         sentence = (f"The model is wrong, and no listed effect explains the error. The closest, "
                     f"{' with '.join(label(c.effect, c.joint) for c in causes)}, does not suffice: {why}.")
@@ -269,6 +270,10 @@ def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explan
             rng: np.random.Generator, partial: bool = False, noise: FloorNoise | None = None) -> Diagnosis:
     """Verdict `named`, or `one_of` where several explanations fit alike; `partial` where the residual is material."""
     best = indistinguishable[0]
+    lacking = undetermined_sizes(best)
+    if lacking:
+        found = replace(found, warnings=(*found.warnings, f"these runs do not determine {' and '.join(lacking)}: other "
+                                         "sizes or parameters can replace them"))
     found = with_gain(found, nominal, best, noise or white_noise(best.model.state.noise), rng)
     causes = {c.effect + str(c.joint): c for t in indistinguishable for c in causes_of(t, p_value, found)}
     rivals = [causes_of(t, p_value, found) for t in indistinguishable]
@@ -323,8 +328,10 @@ def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorN
 
 
 def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> list[Cause]:
-    """Sizes with 95 % intervals by Student's t, of their own scatter between runs; none of shapes that were held or
-    are at a limit of their range."""
+    """Sizes with 95 % intervals by Student's t, of their own scatter between runs.
+
+    Without sizes that these runs do not determine, and without shapes that were held or are at a limit of their range.
+    """
     model = explanation.model
     unit = model.problem.mechanism.unit
     half = float(stdtrit(explanation.left.freedom, 0.975)) * np.sqrt(np.diag(explanation.covariance()))
@@ -334,7 +341,7 @@ def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> lis
         parts: list[Size | Shape] = [*effect.sizes, *effect.shapes]
         fitted = np.array([not s.discrete for s in effect.shapes], dtype=bool)
         held = effect.at_limits(size) | ((half[here][len(effect.sizes) :] == 0.0) & fitted)
-        told = np.append(np.ones(len(effect.sizes), dtype=bool), ~held)
+        told = np.append(explanation.determined[here][: len(effect.sizes)], ~held)
         sizes = tuple(SizeEstimate(s.name, unit(s.unit), float(v), (float(v - d), float(v + d)))
                       for s, v, d, known in zip(parts, size, half[here], told) if known)
         near: tuple[str, ...] = ()
@@ -345,6 +352,14 @@ def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> lis
         out.append(Cause(effect.name, None if effect.joint is None else effect.joint + 1, effect.sentence, sizes,
                          p_value, explanation.gain, near))
     return out
+
+
+def undetermined_sizes(explanation: Explanation) -> list[str]:
+    """Each size that these runs do not determine, with its effect, in words."""
+    model = explanation.model
+    return [f"the {size.name.replace('_', ' ')} of {effect.key.replace('_', ' ').replace('@', ' at joint ')}"
+            for effect, here in zip(model.named, model.places())
+            for size, known in zip(effect.sizes, explanation.determined[here]) if not known]
 
 
 def label(effect: str, joint: int | None) -> str:

@@ -35,7 +35,9 @@ class Explanation:
     error: float = 1.0
     """rms error of its free runs over a second on the discover runs, over the nominal model's"""
     inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """(m,) how much more variance than white noise gives them its parameters have; see `scores.own_inflation`"""
+    """(m,) how much more variance than white noise gives them its parameters have; see `own_inflation`"""
+    determined: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    """(m,) whether these runs determine each of its parameters; see `score_statistics`"""
     parent: frozenset[str] = frozenset()
     """Effects of the likeliest explanation with one effect less, and ..."""
     gain_over_parent: float = 0.0

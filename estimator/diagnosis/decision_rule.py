@@ -33,7 +33,8 @@ skew, a per mille of scale) and change no simulation."""
 LEAST_GAIN_CLEAR = 0.4
 """... or this share of it where an effect of the library does not act near rest."""
 HIDDEN = 1e-5
-"""Candidates whose information after projection is below this share are not tested; nor are combinations of sizes."""
+"""Candidates whose information after projection is below this share are not tested; nor are combinations of sizes. A
+fitted size of which the other parameters leave less is not determined."""
 PRIOR_RUNS = 8
 """Weight of the pooled scatter, in runs, relative to a candidate's own."""
 REPLICATES = (2, 16)

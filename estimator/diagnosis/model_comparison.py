@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.decision_rule import AGREE, TIE, TIE_ALIKE, TIE_GAIN, WIDEST
-from estimator.diagnosis.search import significant
+from estimator.diagnosis.presence import significant
 
 
 def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
@@ -58,10 +58,9 @@ def distinguishable(near: list[Explanation]) -> list[Explanation]:
 
 
 def set_apart(explanation: Explanation) -> bool:
-    """Whether an effect of a group has a significant distinguishing size, by its own scatter too."""
-    spread = np.sqrt(np.maximum(explanation.inflation, explanation.left.scatter))
+    """Whether an effect of a group has a significant distinguishing size."""
     return any(e.equivalence_class and e.distinguishing_size is not None
-               and significant(explanation.model, k, spread)[e.distinguishing_size]
+               and significant(explanation, k)[e.distinguishing_size]
                for k, e in enumerate(explanation.model.effects))
 
 

@@ -34,6 +34,7 @@ from estimator.diagnosis.error_budget import budget, generic_extension
 from estimator.diagnosis.error_table import ErrorTable, measure_errors
 from estimator.diagnosis.noise_check import in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.noise_floor import noise_floor
+from estimator.diagnosis.probability import probability_of, probability_of_no_error
 from estimator.diagnosis.refit import (
     Model,
     bootstrap_scores,
@@ -118,11 +119,13 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
         if context.noise_dominated:
             raise FitError(context.noise_dominated)
         floor = noise_floor(nominal)
-        error = nominal_error(context, floor, rng)
+        table = nominal_errors(context, floor, rng)
         hidden = hidden_motion(nominal, material, rng)
-        if (error is None or error <= EDGE) and not hidden:
+        if (table is None or table.error(NOMINAL) <= EDGE) and not hidden:
             base = conclusion.with_noise(base, nominal, floor)
-            base = replace(base, error=None if error is None else (error, error))
+            if table is not None:
+                error = table.error(NOMINAL)
+                base = replace(base, error=(error, error), probability=probability_of_no_error(table, rng))
             return replace(conclusion.nothing(base), mechanism=nominal.split.mechanism)
     known: list[ErrorTable] = []
     generic = generic_extension(context, nominal, tests)
@@ -210,16 +213,14 @@ def hidden_motion(model: Model, material: float, rng: np.random.Generator) -> st
     return text if differs else ""
 
 
-def nominal_error(context: DiagnosisContext, floor: FloorNoise, rng: np.random.Generator) -> float | None:
-    """rms error of the nominal model's free runs on the confirm runs in units of what the noise `floor` leaves; None
-    where they cannot be carried through."""
+def nominal_errors(context: DiagnosisContext, floor: FloorNoise, rng: np.random.Generator) -> ErrorTable | None:
+    """Errors of the nominal model's free runs on the confirm runs in units of what the noise `floor` leaves; None where
+    they diverge."""
     nominal = context.nominal
     try:
-        table = measure_errors([nominal], nominal, rng.integers(2**63, size=len(nominal.split.confirm)),
-                               noise=floor)
+        return measure_errors([nominal], nominal, rng.integers(2**63, size=len(nominal.split.confirm)), noise=floor)
     except FitError:
         return None
-    return table.error(NOMINAL)
 
 
 def promise(context: DiagnosisContext, found: Sequence[Explanation], generic: Model | None, material: float,
@@ -260,10 +261,14 @@ def conclude(context: DiagnosisContext, base: Diagnosis, generic: Model | None, 
         nominal = context.nominal
         floor = noise_floor(nominal)
         base = conclusion.with_noise(base, nominal, floor)
-        left, hidden = nominal_error(context, floor, rng), hidden_motion(nominal, material, rng)
-        large = "" if left is None or left <= EDGE else f"the free-run error is {left:.1f} times that of noise alone"
+        table, hidden = nominal_errors(context, floor, rng), hidden_motion(nominal, material, rng)
+        left = 0.0 if table is None else table.error(NOMINAL)
+        large = "" if left <= EDGE else f"the free-run error is {left:.1f} times that of noise alone"
         why = large or hidden or context.noise_dominated
-        return conclusion.unexplained(base, nominal, None, why) if why else conclusion.nothing(base)
+        if why:
+            return conclusion.unexplained(base, nominal, None, why)
+        sure = None if table is None else probability_of_no_error(table, rng)
+        return replace(conclusion.nothing(base), probability=sure)
     base = replace(base, material=material, budget=budget(decision.table, decision.row, decision.without,
                                                           decision.best[0].model if decision.best else None,
                                                           decision.draws),
@@ -275,14 +280,16 @@ def conclude(context: DiagnosisContext, base: Diagnosis, generic: Model | None, 
     best = decision.best[0] if decision.best else None
     base = conclusion.with_noise(base, best.model if best else context.nominal, decision.table.unit.noise)
     hidden = hidden_motion(best.model if best else context.nominal, material, rng) if decision.verdict == "none" else ""
+    p = 1.0 if best is None else chance_of(context, best, best.gain, best.model.effects)
+    if not hidden:
+        base = replace(base, probability=probability_of(decision, material))
     if decision.verdict == "none" and not hidden:
-        return conclusion.nothing(base, best)
+        return conclusion.nothing(base, best, p)
     if decision.verdict in ("none", "unexplained") or best is None:
         return conclusion.unexplained(base, context.nominal, best, hidden or decision.why, rng,
-                                      decision.table.unit.noise)
+                                      decision.table.unit.noise, p)
     if decision.more is not None:
         base = replace(base, immaterial=minor_causes(context, base, decision.more, best))
-    p = chance_of(context, best, best.gain, best.model.effects)
     indistinguishable = [with_clock(context, best), *decision.best[1:]]
     return conclusion.finding(base, context.nominal, indistinguishable, p, rng, decision.verdict == "partial",
                               decision.table.unit.noise)

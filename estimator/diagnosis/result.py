@@ -187,6 +187,9 @@ class Diagnosis:
     short: ShortRuns | None = None
     """Only where free runs over whole runs cannot show the gain."""
     budget: tuple[BudgetRow, ...] = ()
+    probability: float | None = None
+    """That the answer is true if its causes are among the effects tried (see `probability_of`); None where none is
+    stated."""
     error: tuple[float, float] | None = None
     """rms free-run error before and after in units of what noise alone leaves, over all sensors and horizons."""
     compared: tuple[tuple[tuple[str, ...], float], ...] = ()

@@ -136,6 +136,18 @@ def own_inflation(runs: Sequence[RunScore], free: NDArray[np.bool_], least: floa
     return out
 
 
+def determined(runs: Sequence[RunScore], free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(m,) whether these runs determine each of the model's first m parameters; of `free` ones only.
+
+    The others must leave a share 1 / (I_kk C_kk) of its information I_kk above HIDDEN; C is the pooled inverse of I.
+    """
+    out = np.zeros(free.size, dtype=bool)
+    which = np.flatnonzero(free)
+    information = np.sum([r.information[np.ix_(which, which)] for r in runs], axis=0)
+    out[which] = np.diag(information) * np.diag(pseudo_inverse(information)) < 1.0 / HIDDEN
+    return out
+
+
 def _inflation(scores: FloatArray, own: FloatArray, least: float = 1.0) -> tuple[FloatArray, float]:
     """Scatter of the scores (R, c), with information `own` (R, c), about their share of the pooled score, shrunk
     towards the columns' median."""

@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.diagnosis.context import (
@@ -25,7 +24,8 @@ from estimator.diagnosis.context import (
     keys_of,
     seated,
 )
-from estimator.diagnosis.decision_rule import COLLINEAR, FINALISTS, GROWN, MOST_EFFECTS, PARENTS, ZERO_WITHIN
+from estimator.diagnosis.decision_rule import COLLINEAR, FINALISTS, GROWN, MOST_EFFECTS, PARENTS
+from estimator.diagnosis.presence import admissible, presence, undetermined
 from estimator.diagnosis.refit import (
     Model,
     bootstrap_scores,
@@ -37,7 +37,7 @@ from estimator.diagnosis.refit import (
     short_errors,
     tests_of,
 )
-from estimator.diagnosis.score_statistics import RunScore, ScoreTests, own_inflation
+from estimator.diagnosis.score_statistics import RunScore, ScoreTests, determined, own_inflation
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.likelihood import State
@@ -93,11 +93,6 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress,
 def possible(found: Sequence[Explanation]) -> list[Explanation]:
     """The `admissible` ones, or all without any: a set that is no answer sets neither noise levels nor scatter."""
     return [e for e in found if admissible(e)] or list(found)
-
-
-def admissible(explanation: Explanation) -> bool:
-    """Whether each of its effects is significant, with a possible sign."""
-    return all(presence(explanation.model, float(np.sqrt(explanation.left.scatter))))
 
 
 def grown(context: DiagnosisContext, parents: Sequence[Explanation]) -> list[tuple[Model, Start]]:
@@ -235,15 +230,19 @@ def climb_discrete(model: Model) -> Model:
 def reduced(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
     """Sets with an effect that is not significant, fitted without it, from the motion of the set.
 
-    The nominal model's motion can be too far off for a fit of the only cause.
+    The nominal model's motion can be too far off for a fit of the only cause. Effects that replace each other in the
+    set are left out in turn: with all of them none is determined, and without all of them the cause is missing.
     """
-    starts = []
+    starts: dict[frozenset[str], tuple[Model, Start]] = {}
     for e in explanations:
-        there = presence(e.model, float(np.sqrt(e.left.scatter)))
-        rest = [pair for pair, real in zip(pairs_of(e.model), there) if real]
-        if rest and not all(there):
-            starts.append((e.model, rest))
-    return assess(context, fit_sets(context, starts)) if starts else []
+        there, open_effects = presence(e), undetermined(e)
+        kept = [there, *([r or (t and i != k) for i, (r, t) in enumerate(zip(there, open_effects))]
+                         for k, one in enumerate(open_effects) if one)]
+        for which in kept:
+            rest = [pair for pair, keep in zip(pairs_of(e.model), which) if keep]
+            if rest and not all(which):
+                starts.setdefault(frozenset(effect.key for effect, _ in rest), (e.model, rest))
+    return assess(context, fit_sets(context, list(starts.values()))) if starts else []
 
 
 def exchanged(context: DiagnosisContext, tests: ScoreTests, found: Sequence[Explanation]) -> list[Explanation]:
@@ -309,9 +308,9 @@ def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequen
     """Explanation with its `scores` on the discover runs."""
     model = explanation.model
     left = tests_of(model, scores, [insert_size_entries(b, model) for b in bias])
-    inflation = own_inflation(scores, np.diag(model.state.covariance) > 0.0, left.scatter)
+    free = np.diag(model.state.covariance) > 0.0
     return replace(explanation, left=left, has_residual=detected_in_residual(context, left, keys_of(explanation)),
-                   inflation=inflation)
+                   inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free))
 
 
 def drop_size_entries(score: RunScore, model: Model) -> RunScore:
@@ -324,29 +323,6 @@ def insert_size_entries(score: RunScore, model: Model) -> RunScore:
     """The bias of a run of the nominal model as one of `model`, which has more parameters."""
     p = model.problem.mechanism.p
     return RunScore(np.insert(score.score, [p] * (model.problem.parameter_count - p), 0.0), score.information)
-
-
-def presence(model: Model, spread: float) -> list[bool]:
-    """For each effect, whether a defining size is significant, no size has an impossible sign, and shapes are in range.
-
-    A gear of zero compliance with friction and inertia of its motor is no elastic gear.
-    """
-    out = []
-    for k, (effect, size) in enumerate(zip(model.named, model.sizes())):
-        counts = significant(model, k, spread)
-        below = size[: effect.positive] < 0.0
-        wrong = (below & counts[: effect.positive]).any() or (effect.strict and effect.at_limits(size).any())
-        out.append(bool(counts[: effect.defining].any() and not wrong))
-    return out
-
-
-def significant(model: Model, which: int, spread: float | FloatArray) -> NDArray[np.bool_]:
-    """For each size of one effect of `model`, whether it differs from zero by its standard deviation times `spread`.
-
-    `spread` is one value, or one for each parameter.
-    """
-    std = (spread * model.std())[model.places()[which]]
-    return np.asarray(np.abs(model.sizes()[which]) > ZERO_WITHIN * std)[: len(model.effects[which].sizes)]
 
 
 def weigh(context: DiagnosisContext, found: Sequence[Explanation]) -> list[Explanation]:

@@ -14,9 +14,10 @@ from estimator.diagnosis.error_budget import generic_extension
 from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors, with_floor
 from estimator.diagnosis.model_comparison import indistinguishable_set
 from estimator.diagnosis.noise_floor import noise_floor
+from estimator.diagnosis.presence import admissible
 from estimator.diagnosis.refit import Model, deviance, refit
 from estimator.diagnosis.rotation import Turn, rotate
-from estimator.diagnosis.search import admissible, assess
+from estimator.diagnosis.search import assess
 from estimator.effects import GenericReading, GenericTorque
 from estimator.errors import FitError
 from estimator.verdicts import Verdict
@@ -56,6 +57,12 @@ class Decision:
     """Rotations over the other runs, where the held-out ones were inconclusive."""
     more: Explanation | None = None
     """The likeliest with one more effect, which is present but not material."""
+    possible: tuple[tuple[Explanation, int], ...] = ()
+    """Admissible explanations and their rows in the table of the held-out runs"""
+    unturned: Decision | None = None
+    """The same on the held-out runs alone, where the split rotated."""
+    judged: Decision | None = None
+    """The same with its best explanation before the verdict was passed"""
 
     @property
     def compared(self) -> tuple[tuple[tuple[str, ...], float], ...]:
@@ -87,19 +94,20 @@ def decide(context: DiagnosisContext, generic: Model | None, options: Sequence[E
         table = over_floor(table, generic or context.nominal, rng)
         structure = is_material(table, own, NOMINAL, material, draws)
         why = "a defining size is not significant, or has an impossible sign"
+        asked = Decision("none", (), table, NOMINAL, (), NOMINAL, own, generic if structure else None, draws)
         if table.error(NOMINAL) <= EDGE:
-            return Decision("none", (), table, NOMINAL, (), NOMINAL, own, generic if structure else None, draws)
-        return Decision("unexplained", tuple(shortlist[:1]) if structure else (), table, int(structure), (), NOMINAL,
-                        own, generic, draws, why)
-    begin = Decision("named", (), table, NOMINAL, (), NOMINAL, own, generic, draws)
+            return replace(asked, judged=asked)
+        return replace(asked, verdict="unexplained", best=tuple(shortlist[:1]) if structure else (),
+                       row=int(structure), terms=generic, why=why)
+    begin = Decision("named", (), table, NOMINAL, (), NOMINAL, own, generic, draws, possible=tuple(possible))
     asked = pruned(context, ask(context, begin, choose(possible, table, material, draws), possible, rng), possible,
                    material, rng)
-    found = judge(asked, generic, material)
+    found = passed(asked, generic, material)
     # a large residual must show on all runs, not on the held-out ones only
     if found.verdict == "partial" or (found.verdict != "named"
                                       and is_open(asked.table, asked.row, NOMINAL, material, draws)):
         turned = turn_runs(context, asked, rng)
-        found = found if turned is None else judge(turned[0], generic, material)
+        found = found if turned is None else passed(turned[0], generic, material)
     if found.verdict != "named":
         return found
     second = second_cause(possible, asked, material)
@@ -111,7 +119,7 @@ def decide(context: DiagnosisContext, generic: Model | None, options: Sequence[E
     both, place = more
     if not is_material(both.table, both.row, place[asked.row], material, both.draws):
         return found
-    both = judge(both, generic, material)
+    both = passed(both, generic, material)
     return both if both.verdict in ("named", "partial") else found
 
 
@@ -191,7 +199,12 @@ def turn_runs(context: DiagnosisContext, asked: Decision, rng: np.random.Generat
     place = {k: rows.index(k) for k in rows}
     return replace(asked, table=turned[0], row=place[asked.row], without=tuple(place[k] for k in asked.without),
                    with_generic=place[asked.with_generic], own=place[asked.own], draws=turned[0].draws(rng),
-                   turns=turned[1]), place
+                   turns=turned[1], unturned=asked), place
+
+
+def passed(asked: Decision, generic: Model | None, material: float) -> Decision:
+    """The verdict of `judge`, with what was judged."""
+    return replace(judge(asked, generic, material), judged=asked)
 
 
 def judge(asked: Decision, generic: Model | None, material: float) -> Decision:

@@ -30,6 +30,7 @@ from experiments.reports.diagnosis_text import (
     BUDGET_HEADER,
     ERROR_HEADER,
     ROTATION_HEADER,
+    answer_words,
     budget_rows,
     budget_words,
     causes_title,
@@ -92,7 +93,8 @@ def verdict_box(found: Diagnosis, warnings: Sequence[str] = ()) -> VerdictBox:
     """The answer and every warning, for the head of a page."""
     words = verdict_words(found.verdict)
     return VerdictBox(LEVELS[found.verdict], f"{words[:1].upper()}{words[1:]}",
-                   [found.sentence], [f"Warning: {text}" for text in (*warnings, *found.warnings)],
+                   [*filter(None, [found.sentence, answer_words(found)])],
+                   [f"Warning: {text}" for text in (*warnings, *found.warnings)],
                    f"Next step: {next_step(found)}")
 
 

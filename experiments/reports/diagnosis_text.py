@@ -62,6 +62,14 @@ def candidate_row(candidate: CandidateScore) -> list[str]:
             size_text(candidate), detectable_text(candidate), candidate.unit]
 
 
+def answer_words(found: Diagnosis) -> str:
+    """The probability of the answer, with its condition; empty where none is stated."""
+    if found.probability is None:
+        return ""
+    value = "above 0.99" if found.probability > 0.99 else f"{found.probability:.2f}"
+    return f"Probability of this answer: {value}, if the library has the true causes."
+
+
 ERROR_HEADER = ["sensor", "nominal", "extended", "noise alone"]
 
 
@@ -158,7 +166,7 @@ def causes_title(found: Diagnosis) -> str:
 
 def diagnosis_text(found: Diagnosis) -> str:
     """Text after `legid diagnose`: the verdict first."""
-    blocks = [found.sentence]
+    blocks = ["\n".join(filter(None, [found.sentence, answer_words(found)]))]
     if found.structure is not None:
         blocks.append("\n".join([structure_words(found.structure), text_table(
             STRUCTURE_HEADER, structure_rows(found.structure), {2, 3}), USE]))

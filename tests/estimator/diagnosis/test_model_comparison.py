@@ -12,7 +12,7 @@ import pytest
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.search import presence
+from estimator.diagnosis.presence import presence, undetermined
 from estimator.effects import Effect
 from estimator.effects.drive import TorqueOffset
 from estimator.effects.friction import AsymmetricFriction, QuadraticDrag, StribeckFriction
@@ -29,7 +29,8 @@ def explanation(effect: Effect, gain: float, by_run: list[float], sizes: list[fl
                                  problem=SimpleNamespace(mechanism=SimpleNamespace(p=5)))
     left: Any = SimpleNamespace(scatter=1.0)
     return Explanation(model, gain, left, has_residual, np.array(by_run),
-                     inflation=np.full(5 + effect.count, inflation))
+                       inflation=np.full(5 + effect.count, inflation),
+                       determined=np.ones(5 + effect.count, dtype=bool))
 
 
 def names(ties: list[Explanation]) -> list[str]:
@@ -122,4 +123,14 @@ def test_what_leaves_nothing_stands_before_what_is_likelier() -> None:
     (JointStiffness(1), [-9.0, 9.0], False),  # a spring that pushes
     (JointStiffness(1), [-1.0, 9.0], True)])
 def test_an_effect_is_there_by_the_sizes_that_define_it(effect: Effect, sizes: list[float], there: bool) -> None:
-    assert presence(explanation(effect, 1000.0, [0.0] * 6, sizes).model, 1.0) == [there]
+    assert presence(explanation(effect, 1000.0, [0.0] * 6, sizes)) == [there]
+
+
+@pytest.mark.parametrize(("inflation", "known", "there"), [
+    (1.0, (True, True), True), (1.0, (True, False), True), (1.0, (False, True), False), (4.0, (True, True), False)])
+def test_a_size_counts_where_it_is_determined_and_beyond_its_scatter(inflation: float, known: tuple[bool, bool],
+                                                                     there: bool) -> None:
+    """A slide's spring: stiffness 5 standard deviations of white noise; another effect could replace its preload."""
+    spring = explanation(JointStiffness(0), 1000.0, [0.0] * 6, [5.0, 1.0], inflation=inflation)
+    spring.determined[5:] = known
+    assert presence(spring) == [there] and undetermined(spring) == [known == (False, False)]

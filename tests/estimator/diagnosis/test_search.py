@@ -188,7 +188,8 @@ def test_other_first_sizes_of_an_effect_are_tried_too() -> None:
 
 def test_what_is_not_significant_in_a_set_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tilted IMU was found only with a bias that was zero."""
-    monkeypatch.setattr(search, "presence", lambda model, _: [e.key == "tilt" for e in model.effects])
+    monkeypatch.setattr(search, "presence", lambda e: [one.key == "tilt" for one in e.model.effects])
+    monkeypatch.setattr(search, "undetermined", lambda e: [False for _ in e.model.effects])
     monkeypatch.setattr(search, "fit_sets", lambda _, starts: [
         Explanation(fitted(1.0, *(e.key for e, _ in start)), 1.0) for _, start in starts])
     both, alone = explained(900.0, "tilt", "bias"), explained(900.0, "tilt")

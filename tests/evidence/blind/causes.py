@@ -96,8 +96,7 @@ def page(cases: Sequence[PlannedCase], folder: Path, made: str, families: Sequen
         "Errors are rms errors of free runs over the noise floor, as the diagnosis states them. A single cause is "
         f"material from an error of {1.0 + MATERIAL:g} floors on. A leg with a cause outside the library has no right "
         "name. `one_of` with the truth in it counts as truth in the answer. A torque offset and asymmetric friction "
-        "have the same effect on any record, so their `one_of` is never exact. Intervals are Wilson's, 95 %.", "",
-        "The diagnosis JSON states no probability of its answer. A table of reliability needs one."]
+        "have the same effect on any record, so their `one_of` is never exact. Intervals are Wilson's, 95 %."]
     yield from tables(read(cases, folder), at_once)
     yield ""
 

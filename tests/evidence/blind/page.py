@@ -16,6 +16,8 @@ from tests.evidence.blind import records
 from tests.evidence.blind.plan import FAMILIES, PlannedCase
 from tests.evidence.blind.score import PRESENT, Outcome, Rate, sizes_inside
 
+PROBABILITIES = (0.0, 0.5, 0.8, 0.95, 1.0)
+"""Bins of the stated probability."""
 RATIOS = (-np.inf, EDGE, 2.0, 5.0, np.inf)
 OUTSIDE = ("outside", "deleted")
 WALL_S, CPU_S = "wall_s", "cpu_s"
@@ -65,6 +67,22 @@ class Answer:
         if self.kind == "pair" or self.material:
             return o.exact
         return o.verdict in ("none", "unexplained") or (o.inside and not o.wrong_name)
+
+
+    @property
+    def probability(self) -> float | None:
+        """That the diagnosis states of its answer."""
+        return self.document.get("probability")
+
+    @property
+    def true(self) -> bool:
+        """Whether the answer says what is hidden, as its probability has it; `none`: that nothing material is."""
+        o = self.outcome
+        if o.verdict == "none":
+            return self.kind == "none" or not (self.above_edge if self.kind in OUTSIDE else self.material)
+        if o.verdict == "partial":
+            return not o.wrong_name
+        return o.inside if o.verdict == "one_of" else o.exact
 
 
 Count = Callable[[Answer], bool | None]
@@ -164,6 +182,7 @@ def tables(answers: Sequence[Answer], at_once: int) -> Iterator[str]:
     if legs:
         yield from _by_family(legs)
         yield from _by_ratio(legs)
+        yield from _reliability(legs)
         yield from _sizes_and_times(legs, at_once)
         yield from _not_right(legs)
     if real:
@@ -198,6 +217,23 @@ def _by_ratio(answers: Sequence[Answer]) -> Iterator[str]:
     own = [a for a in answers if a.before is None]
     if own:
         yield _row(["not stated", *(_cell(rate(own, count)) for _, count in BY_RATIO)])
+
+
+def _reliability(answers: Sequence[Answer]) -> Iterator[str]:
+    """Share of true answers by stated probability, of causes in the library and outside it."""
+    stated = [(a, a.probability) for a in answers if a.probability is not None]
+    yield from ["", "## Stated probability and true answers", "",
+                "The diagnosis states the probability that its causes are exactly those present, if the library has "
+                "them. For `partial`, its causes are among those present. For `none`, nothing material is. Outside the "
+                f"library only `none` can be true, up to {EDGE:g} floors. {len(answers) - len(stated)} of "
+                f"{len(answers)} answers state none.", "",
+                *_head(["stated", "answers", "mean stated", "true", "in the library or healthy", "outside"])]
+    for low, high in [*pairwise(PROBABILITIES), (0.0, 1.0)]:
+        own = [(a, p) for a, p in stated if low <= p and (p < high or high == 1.0)]
+        groups = [[a for a, _ in own if a.kind not in OUTSIDE], [a for a, _ in own if a.kind in OUTSIDE]]
+        rates = [Rate(sum(a.true for a in group), len(group)) for group in ([a for a, _ in own], *groups)]
+        yield _row(["all" if high - low == 1.0 else f"{low:g} to {high:g}", str(len(own)),
+                    f"{np.mean([p for _, p in own]):.2f}" if own else "-", *map(_cell, rates)])
 
 
 def _sizes_and_times(answers: Sequence[Answer], at_once: int) -> Iterator[str]:

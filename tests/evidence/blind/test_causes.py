@@ -79,7 +79,7 @@ def test_a_case_s_name_says_what_is_in_it(family: str, hidden: str, kind: str, e
 
 
 def put(folder: Path, case: PlannedCase, verdict: str, found: list[str], before: float | None, crashed: str = "",
-        size: float = 0.0) -> PlannedCase:
+        size: float = 0.0, sure: float | None = None) -> PlannedCase:
     """An answer, and the truth that the case's name tells, its size 1.0."""
     for name in ("cases", "diagnoses"):
         (folder / case.family / name).mkdir(parents=True, exist_ok=True)
@@ -89,6 +89,7 @@ def put(folder: Path, case: PlannedCase, verdict: str, found: list[str], before:
              for c in found]
     answer_file(case, folder).write_text(json.dumps({
         "verdict": verdict, "causes": named, "error": None if before is None else {"before": before, "after": 1.0},
+        "probability": sure,
         "bench": {"wall_s": 10.0, "cpu_s": 9.0, "crashed": bool(crashed), "said": crashed}}))
     return case
 
@@ -154,6 +155,31 @@ def test_a_case_that_could_not_be_made_counts_as_a_miss(tmp_path: Path, monkeypa
     (found,) = read([case], tmp_path)
     assert found.material and not found.right and [e["effect"] for e in found.outcome.hidden] == ["gyro_bias"]
     assert "| geared | gyro_bias-1 | fit_failed (not made: ValueError: no leg) | - | - |" in tables([found], 1)
+
+
+def test_stated_probabilities_stand_next_to_the_shares_of_true_answers(tmp_path: Path) -> None:
+    answers = [
+        (0.97, "servo", "gyro_bias", "named", ["gyro_bias"], 2.0, True),
+        (0.97, "servo", "gyro_bias", "named", ["gyro_scale"], 2.0, False),
+        (0.95, "servo", "gyro_bias", "one_of", ["gyro_scale", "gyro_bias"], 2.0, True),
+        (0.6, "pairs", "gyro_scale+encoder_offset", "partial", ["gyro_scale"], 8.0, True),
+        (0.7, "pairs", "gyro_scale+encoder_offset", "named", ["gyro_scale"], 8.0, False),
+        (0.3, "servo", "gyro_bias", "none", [], 1.2, False), (1.0, "servo", "gyro_bias", "none", [], 1.05, True),
+        (0.99, "outside", "outside_worm", "named", ["gyro_scale"], 3.0, False),
+        (1.0, "outside", "outside_worm", "none", [], 1.4, True),
+        (0.8, "outside", "outside_worm", "none", [], 1.6, False),
+        (None, "outside", "outside_worm", "unexplained", [], 3.0, False)]
+    cases = [put(tmp_path, PlannedCase(family, hidden, k), verdict, found, before, sure=sure)
+             for k, (sure, family, hidden, verdict, found, before, _) in enumerate(answers)]
+    assert [a.true for a in read(cases, tmp_path)] == [true for *_, true in answers]
+    text = "\n".join(tables(read(cases, tmp_path), 1)).partition("## Stated probability")[2]
+    assert "1 of 11 answers state none." in text
+    rows = [[cell.split(" = ")[0] for cell in line.strip("| ").split(" | ")] for line in text.splitlines()
+            if line.startswith(("| 0", "| all"))][:5]
+    assert rows == [
+        ["0 to 0.5", "1", "0.30", "0/1", "0/1", "-"], ["0.5 to 0.8", "2", "0.65", "1/2", "1/2", "-"],
+        ["0.8 to 0.95", "1", "0.80", "0/1", "-", "0/1"], ["0.95 to 1", "6", "0.98", "4/6", "3/4", "1/2"],
+        ["all", "10", "0.83", "5/10", "4/7", "1/3"]]
 
 
 @pytest.mark.parametrize(("column", "hits", "count", "said"), [

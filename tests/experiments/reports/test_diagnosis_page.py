@@ -29,7 +29,7 @@ def test_document_is_the_contract() -> None:
     found = msgspec.json.decode(msgspec.json.encode(diagnosis_document(synthetic())))
     assert {"schema", "verdict", "causes", "candidates", "gain", "parameters", "not_testable", "runs", "wall_s",
             "sentence", "next_experiment", "next_step", "warnings", "material", "budget", "immaterial", "remainder",
-            "error", "compared", "structure", "stability", "rotations", "set_aside"} == set(found)
+            "error", "compared", "structure", "stability", "probability", "rotations", "set_aside"} == set(found)
     assert [row["what"] for row in found["budget"]] == ["nominal", "cause", "remainder", "noise"]
     assert found["budget"][1] == {"what": "cause", "effect": "stribeck_friction", "joint": 2, "share": 0.9,
                                   "ci95": [0.8, 0.97]}
@@ -55,6 +55,15 @@ def test_document_is_the_contract() -> None:
                       "gap_closed": 0.9, "gap_closed_ci95": [0.7, 1.0]}
     assert "pieces of 1 s" in diagnosis_text(replace(synthetic(), short=short))
     assert found["runs"]["screen"] == ["r2.csv"] and found["parameters"]["extended"]["beta9"] == 0.11
+
+
+@pytest.mark.parametrize(("probability", "told"), [(0.874, "0.87"), (1.0, "above 0.99"), (None, "")])
+def test_an_answer_states_its_probability_and_the_condition(probability: float | None, told: str) -> None:
+    found = replace(synthetic(), probability=probability)
+    assert diagnosis_document(found)["probability"] == probability
+    line = f"Probability of this answer: {told}, if the library has the true causes."
+    for text in (diagnosis_text(found), " ".join(verdict_box(found).lines)):
+        assert (line in text) is bool(told) and ("Probability" in text) is bool(told)
 
 
 def test_joints_are_those_of_the_contract() -> None:

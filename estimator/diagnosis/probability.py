@@ -1,0 +1,67 @@
+"""`probability_of`: the probability that a diagnosis states of its answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.diagnosis.context import keys_of
+from estimator.diagnosis.decision_rule import EDGE, TIE, TIE_GAIN
+from estimator.diagnosis.error_table import ErrorTable
+from estimator.diagnosis.verdict import NOMINAL, Decision, judge
+
+
+def probability_of(decision: Decision, material: float) -> float | None:
+    """Probability (0 to 1) that the answer is true if its causes are among the effects that were tried.
+
+    It is that the stated causes are exactly those present; for `one_of` that one of the sets is; for `partial` that the
+    listed causes are present; for `none` that nothing material is. None for `unexplained`, which names no cause.
+
+        P = mean_d 1{V(d) = V} * mean_d [sum_A w_s(d) / sum_s w_s(d)]
+        w_s(d) = 1{E_s(d) <= min_t E_t(d) + m E_0(d)} exp(-(G - G_s) / (2 T)),  T = 1 + G TIE / TIE_GAIN
+
+    d is a resampling of the blocks of the held-out runs. V(d) is the verdict on it and E_s(d) the free-run error of the
+    set s, 0 the nominal model and m the material share. A has the stated sets, and s counts all sets of as many
+    effects. G_s is their gain, G the largest. T tempers the likelihood by what all models have wrong: sets at the limit
+    of a tie get the weight exp(-TIE_GAIN / 2).
+    """
+    judged = decision.judged
+    if judged is None or decision.verdict not in ("none", "named", "partial"):
+        return None
+    holds = ("named", "partial") if decision.verdict == "partial" else (decision.verdict,)
+    table, draws = judged.table, judged.draws
+    whole = np.arange(table.values.shape[1])[None]
+    same = np.mean([judge(replace(judged, table=resampled(table, d), draws=whole), None, material).verdict in holds
+                    for d in draws])
+    return float(same) * (1.0 if decision.verdict == "none" else weight_of(judged.unturned or judged, material))
+
+
+def weight_of(asked: Decision, material: float) -> float:
+    """Share of the stated sets in the weights w_s(d) of `probability_of`, a mean over the resamplings."""
+    stated = {keys_of(e) for e in asked.best}
+    count = len(asked.best[0].model.effects)
+    rivals = [(e, row) for e, row in asked.possible
+              if len(e.model.effects) == count and keys_of(e) != keys_of(asked.best[0])]
+    sets, rows = zip(*[(asked.best[0], asked.row), *rivals])
+    gains = np.array([e.gain for e in sets])
+    most = max(float(gains.max()), 0.0)
+    likely = np.exp(-(most - gains) / (2.0 * (1.0 + most * TIE / TIE_GAIN)))
+    own = np.array([keys_of(e) in stated for e in sets])
+    shares = []
+    for d in asked.draws:
+        errors = np.array([asked.table.error(row, d) for row in rows])
+        near = errors <= errors.min() + material * asked.table.error(NOMINAL, d)
+        shares.append(likely[near & own].sum() / likely[near].sum())
+    return float(np.mean(shares))
+
+
+def probability_of_no_error(table: ErrorTable, rng: np.random.Generator) -> float:
+    """Share (0 to 1) of resamplings whose nominal error stays within the noise: `none` where no effect is detected."""
+    return float(np.mean([table.error(NOMINAL, d) <= EDGE for d in table.draws(rng)]))
+
+
+def resampled(table: ErrorTable, blocks: NDArray[np.intp]) -> ErrorTable:
+    """`table` on these blocks (B,) of its runs."""
+    return replace(table, values=table.values[:, blocks], runs=table.runs[blocks])

@@ -1,0 +1,85 @@
+"""Sets of effects whose sizes the runs do not determine, on a simulated leg."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq import FloatArray
+from estimator.diagnosis import procedure
+from estimator.diagnosis.context import DiagnosisContext, Explanation, keys_of
+from estimator.diagnosis.data_split import split_runs
+from estimator.diagnosis.model_comparison import indistinguishable_set
+from estimator.diagnosis.presence import admissible, undetermined
+from estimator.diagnosis.score_statistics import RunScore, determined
+from estimator.diagnosis.search import assess, fit_sets, reduced
+from estimator.effects import Effect
+from estimator.effects.base import Points, View
+from estimator.effects.drive import TorqueOffset
+from estimator.effects.structure import JointStiffness
+from estimator.likelihood import Candidate
+from estimator.model import leg2
+from estimator.options import FitOptions
+from tests.support.mujoco_leg import Leg, record
+
+
+class Hose(JointStiffness):
+    """A spring under another name, of half the stiffness for its size."""
+
+    name = "hose"
+
+    def law(self, at: Points, size: FloatArray, view: View) -> FloatArray:
+        return super().law(at, np.array([0.5 * size[0], size[1]]), view)
+
+
+SPRING, HOSE, OFFSET = JointStiffness(1), Hose(1), TorqueOffset()
+
+
+@pytest.fixture(scope="module")
+def sprung() -> DiagnosisContext:
+    """The nominal fit of runs with a spring of 0.4 N m/rad at the knee."""
+    leg = Leg()
+    runs = [record(leg, np.random.default_rng(640 + k), seconds=10.0, name=f"r{k + 1}") for k in range(4)]
+    runs = [replace(run, columns=dict(run.columns) | {"tau2_nm": run["tau2_nm"] + 0.4 * run["q2_rad"] - 0.05})
+            for run in runs]
+    split = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
+    candidates = [Candidate(e) for e in (SPRING, HOSE, OFFSET)]
+    return procedure.scored(split, candidates, len(candidates), np.random.default_rng(1), lambda *_: None)[0]
+
+
+def fitted(context: DiagnosisContext, *effects: Effect) -> Explanation:
+    """These effects, fitted together."""
+    (found,) = assess(context, fit_sets(context, [(context.nominal, [(e, np.zeros(e.count)) for e in effects])]))
+    return found
+
+
+def test_an_effect_whose_only_size_another_one_replaces_is_no_answer(sprung: DiagnosisContext) -> None:
+    alone, both = fitted(sprung, SPRING), fitted(sprung, SPRING, OFFSET)
+    assert admissible(alone) and not any(undetermined(alone))
+    assert alone.model.sizes()[0][0] == pytest.approx(0.4, rel=0.05)
+    assert not admissible(both) and undetermined(both) == [False, True]  # the preload replaces the offset
+    assert {keys_of(e) for e in reduced(sprung, [both])} == {keys_of(alone)}
+
+
+def test_effects_that_replace_each_other_are_alternatives(sprung: DiagnosisContext) -> None:
+    both = fitted(sprung, SPRING, HOSE)
+    assert undetermined(both) == [True, True] and not admissible(both)
+    alone = reduced(sprung, [both])
+    assert {keys_of(e) for e in alone} == {frozenset({SPRING.key}), frozenset({HOSE.key})}
+    assert all(admissible(e) for e in alone)
+    weighed = [replace(e, by_run=np.full(4, -e.gain / 4.0)) for e in alone]
+    assert len(indistinguishable_set(weighed)) == 2
+
+
+def test_sizes_are_determined_where_the_other_columns_leave_information() -> None:
+    rng, runs = np.random.default_rng(3), []
+    for _ in range(4):
+        rows: Any = rng.normal(size=(50, 4))
+        rows[:, 1] = rows[:, 0] + 1e-4 * rows[:, 1]  # a share of 1e-8 is its own
+        rows[:, 3] = rows[:, 2] + 0.1 * rows[:, 3]  # a share of 0.01
+        runs.append(RunScore(np.zeros(4), rows.T @ rows))
+    assert determined(runs, np.ones(4, dtype=bool)).tolist() == [False, False, True, True]
+    assert determined(runs, np.array([True, False, True, True])).tolist() == [True, False, True, True]
