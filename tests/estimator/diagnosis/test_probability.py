@@ -60,6 +60,15 @@ def test_rivals_that_fit_alike_share_the_probability(behind: float, stated: int,
     assert probability_of(found, MATERIAL) == pytest.approx(expected, abs=1e-3)
 
 
+def test_second_causes_are_weighed_by_their_own_gains() -> None:
+    """A ripple and a tilted IMU, of a gain of 2e8; a delay in place of the ripple was 6e4 behind, and had the weight
+    0.8."""
+    pairs = [replace(explained(gain, "tilt", key), parent=frozenset({"tilt"}), gain_over_parent=gain - 197_307_970.0)
+             for gain, key in ((197_374_627.0, "ripple"), (197_316_850.0, "delay"))]
+    found = passed(asked(table_of(37.8, 1.0, 4.5), *pairs), None, MATERIAL)
+    assert probability_of(found, MATERIAL) == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize(("significant", "expected"), [(False, 1.0), (True, 0.5)])
 def test_a_spring_without_stiffness_is_no_rival_of_an_offset(significant: bool, expected: float) -> None:
     sets = explained(900.0, "offset"), explained(900.0, "spring", told_by=0, significant=significant)
