@@ -23,13 +23,15 @@ def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
                              (not o.has_residual or best.has_residual or equivalent(o, best)))])
 
 
-def is_close(other: Explanation, most: Explanation) -> bool:
-    """Whether `other` is about as likely as the `most` likely.
+def common_gain(other: Explanation, most: Explanation) -> float:
+    """Gain of the `most` likely that a comparison with `other` is about: of the second causes of pairs with the same
+    first cause."""
+    return most.gain_over_parent if most.parent and most.parent == other.parent else most.gain
 
-    Pairs with the same first cause are compared by the gains of their second causes alone.
-    """
-    common = bool(most.parent) and most.parent == other.parent
-    share, short = most.gain_over_parent if common else most.gain, most.gain - other.gain
+
+def is_close(other: Explanation, most: Explanation) -> bool:
+    """Whether `other` is about as likely as the `most` likely."""
+    share, short = common_gain(other, most), most.gain - other.gain
     if short <= share * (TIE_ALIKE if equivalent(other, most) else TIE) + TIE_GAIN:
         return True
     worse = other.by_run - most.by_run

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from estimator.diagnosis.context import keys_of
 from estimator.diagnosis.decision_rule import EDGE, TIE, TIE_GAIN
 from estimator.diagnosis.error_table import ErrorTable
+from estimator.diagnosis.model_comparison import common_gain, nested, set_apart
 from estimator.diagnosis.verdict import NOMINAL, Decision, judge
 
 
@@ -24,30 +25,35 @@ def probability_of(decision: Decision, material: float) -> float | None:
 
     d is a resampling of the blocks of the held-out runs. V(d) is the verdict on it and E_s(d) the free-run error of the
     set s, 0 the nominal model and m the material share. A has the stated sets, and s counts all sets of as many
-    effects. G_s is their gain, G the largest. T tempers the likelihood by what all models have wrong: sets at the limit
-    of a tie get the weight exp(-TIE_GAIN / 2).
+    effects. G_s is their gain, G the largest; in T it is over the smaller set that both contain, if they have one. T
+    tempers the likelihood by what all models have wrong: sets at the limit of a tie get the weight exp(-TIE_GAIN / 2).
+    For `none` the second factor is mean_d 1{min_s E_s(d) >= (1 - m) E_0(d)} over all sets s.
     """
     judged = decision.judged
     if judged is None or decision.verdict not in ("none", "named", "partial"):
         return None
     holds = ("named", "partial") if decision.verdict == "partial" else (decision.verdict,)
-    table, draws = judged.table, judged.draws
-    whole = np.arange(table.values.shape[1])[None]
+    table, whole = judged.table, np.arange(judged.table.values.shape[1])[None]
     same = np.mean([judge(replace(judged, table=resampled(table, d), draws=whole), None, material).verdict in holds
-                    for d in draws])
-    return float(same) * (1.0 if decision.verdict == "none" else weight_of(judged.unturned or judged, material))
+                    for d in judged.draws])
+    share = share_without_cause if decision.verdict == "none" else share_of_stated
+    return float(same) * share(judged.unturned or judged, material)
 
 
-def weight_of(asked: Decision, material: float) -> float:
-    """Share of the stated sets in the weights w_s(d) of `probability_of`, a mean over the resamplings."""
+def share_of_stated(asked: Decision, material: float) -> float:
+    """Share of the stated sets in the weights w_s(d) of `probability_of`, a mean over the resamplings.
+
+    A set that is a stated one with another size of zero, as a spring without stiffness is an offset, is no rival.
+    """
     stated = {keys_of(e) for e in asked.best}
     count = len(asked.best[0].model.effects)
     rivals = [(e, row) for e, row in asked.possible
-              if len(e.model.effects) == count and keys_of(e) != keys_of(asked.best[0])]
+              if len(e.model.effects) == count and keys_of(e) != keys_of(asked.best[0])
+              and (keys_of(e) in stated or set_apart(e) or not any(nested(best, e) for best in asked.best))]
     sets, rows = zip(*[(asked.best[0], asked.row), *rivals])
-    gains = np.array([e.gain for e in sets])
-    most = max(float(gains.max()), 0.0)
-    likely = np.exp(-(most - gains) / (2.0 * (1.0 + most * TIE / TIE_GAIN)))
+    most = max(sets, key=lambda e: e.gain)
+    tempered = np.array([1.0 + max(common_gain(e, most), 0.0) * TIE / TIE_GAIN for e in sets])
+    likely = np.exp(-np.array([most.gain - e.gain for e in sets]) / (2.0 * tempered))
     own = np.array([keys_of(e) in stated for e in sets])
     shares = []
     for d in asked.draws:
@@ -55,6 +61,12 @@ def weight_of(asked: Decision, material: float) -> float:
         near = errors <= errors.min() + material * asked.table.error(NOMINAL, d)
         shares.append(likely[near & own].sum() / likely[near].sum())
     return float(np.mean(shares))
+
+
+def share_without_cause(asked: Decision, material: float) -> float:
+    """Share of the resamplings in which no set reduces the error by a material amount."""
+    return float(np.mean([all(asked.table.error(row, d) >= (1.0 - material) * asked.table.error(NOMINAL, d)
+                              for _, row in asked.possible) for d in asked.draws]))
 
 
 def probability_of_no_error(table: ErrorTable, rng: np.random.Generator) -> float:

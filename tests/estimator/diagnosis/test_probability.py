@@ -18,9 +18,16 @@ from estimator.diagnosis.verdict import Decision, passed
 BLOCKS = 40
 
 
-def explained(gain: float, *effects: str) -> Explanation:
-    model: Any = SimpleNamespace(effects=tuple(SimpleNamespace(key=key) for key in effects))
-    return Explanation(model, gain)
+def explained(gain: float, *effects: str, told_by: int | None = None, significant: bool = True) -> Explanation:
+    """With effects of one size; `told_by` the size that sets them apart from others that act as a constant torque."""
+    group = "" if told_by is None and effects != ("offset",) else "constant"
+    model: Any = SimpleNamespace(
+        effects=tuple(SimpleNamespace(key=key, sizes=(0,), equivalence_class=group, distinguishing_size=told_by)
+                      for key in effects),
+        places=lambda: [slice(k, k + 1) for k in range(len(effects))], std=lambda: np.ones(len(effects)),
+        sizes=lambda: [np.array([9.0 if significant else 1.0]) for _ in effects])
+    left: Any = SimpleNamespace(scatter=1.0)
+    return Explanation(model, gain, left, inflation=np.ones(len(effects)), determined=np.ones(len(effects), dtype=bool))
 
 
 def table_of(*errors: float, spread: float = 0.25) -> ErrorTable:
@@ -51,6 +58,35 @@ def test_rivals_that_fit_alike_share_the_probability(behind: float, stated: int,
     sets = explained(900.0, "drag"), explained(900.0 - behind, "spring"), explained(2000.0, "drag", "spring")
     found = passed(asked(table_of(9.0, 1.2, 1.2, 1.15), *sets, stated=stated), None, MATERIAL)
     assert probability_of(found, MATERIAL) == pytest.approx(expected, abs=1e-3)
+
+
+def test_second_causes_are_weighed_by_their_own_gains() -> None:
+    """A ripple and a tilted IMU, of a gain of 2e8; a delay in place of the ripple was 6e4 behind, and had the weight
+    0.8."""
+    pairs = [replace(explained(gain, "tilt", key), parent=frozenset({"tilt"}), gain_over_parent=gain - 197_307_970.0)
+             for gain, key in ((197_374_627.0, "ripple"), (197_316_850.0, "delay"))]
+    found = passed(asked(table_of(37.8, 1.0, 4.5), *pairs), None, MATERIAL)
+    assert probability_of(found, MATERIAL) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("significant", "expected"), [(False, 1.0), (True, 0.5)])
+def test_a_spring_without_stiffness_is_no_rival_of_an_offset(significant: bool, expected: float) -> None:
+    sets = explained(900.0, "offset"), explained(900.0, "spring", told_by=0, significant=significant)
+    found = passed(asked(table_of(9.0, 1.2, 1.2), *sets), None, MATERIAL)
+    assert probability_of(found, MATERIAL) == pytest.approx(expected, abs=1e-3)
+
+
+def test_nothing_material_is_uncertain_where_a_set_is_nearly_material() -> None:
+    """A ripple took a tenth of a saturated motor's error of 1.35 floors."""
+    chances = []
+    for after in (1.3, 1.215):
+        table = table_of(1.35, 1.34, after)
+        scatter = np.random.default_rng(5).normal(size=(BLOCKS, 1))
+        table.values[2] *= 1.0 + 0.1 * (scatter - scatter.mean())
+        found = passed(asked(table, explained(900.0, "drag"), explained(800.0, "ripple")), None, MATERIAL)
+        assert found.verdict == "none"
+        chances.append(probability_of(found, MATERIAL))
+    assert chances[0] == 1.0 and chances[1] is not None and 0.1 < chances[1] < 0.9
 
 
 def test_a_verdict_near_its_threshold_is_uncertain() -> None:
