@@ -129,12 +129,17 @@ def tried(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> l
 
 
 def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[Explanation]:
-    """The sets of `starts`, from a model and sizes each, fitted to the end, the likeliest first."""
-    fitted = _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
+    """The sets of `starts` fitted to the end, with the errors of their free runs, the likeliest first."""
+    fitted = fit_models(context, starts)
     errors = parallel_map(lambda k: short_errors(fitted[k]), len(fitted), context.split.workers)
     found = [Explanation(m, context.deviance - deviance(m), error=relative(e, context.short_errors))
              for m, e in zip(fitted, errors)]
     return sorted(found, key=lambda e: -e.gain)
+
+
+def fit_models(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[Model]:
+    """The sets of `starts`, from a model and sizes each, fitted to the end; those that cannot be fitted are left out."""
+    return _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
 
 
 def unlike(models: Iterable[Model]) -> list[Model]:
