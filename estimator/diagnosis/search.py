@@ -138,7 +138,7 @@ def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -
 
 
 def fit_models(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[Model]:
-    """The sets of `starts`, from a model and sizes each, fitted to the end; those that cannot be fitted are left out."""
+    """The sets of `starts`, from a model and sizes each, fitted to the end, without those that cannot be fitted."""
     return _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
 
 
