@@ -126,7 +126,8 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
             return replace(conclusion.nothing(base), mechanism=nominal.split.mechanism)
     known: list[ErrorTable] = []
     generic = generic_extension(context, nominal, tests)
-    found = search(context, tests, say, lambda found: promise(context, found, generic, material, rng, known))
+    floor = None if generic is None else noise_floor(generic)
+    found = search(context, tests, say, lambda found: promise(context, found, floor, material, rng, known))
     say("simulating the held-out runs", 0.85)
     concluded = conclude(context, base, generic, found, rng, material, known)
     return replace(with_structure(concluded, nominal), mechanism=nominal.split.mechanism)
@@ -222,20 +223,20 @@ def nominal_error(context: DiagnosisContext, floor: FloorNoise, rng: np.random.G
     return table.error(NOMINAL)
 
 
-def promise(context: DiagnosisContext, found: Sequence[Explanation], generic: Model | None, material: float,
+def promise(context: DiagnosisContext, found: Sequence[Explanation], floor: FloorNoise | None, material: float,
             rng: np.random.Generator, known: list[ErrorTable]) -> Promise:
     """Whether other sets of effects, and larger ones, than those `found` can be materially better.
 
-    The least error must leave room for that above noise, which is that of the nominal model with `generic` terms: a
-    wrong effect counts what it leaves as a disturbance. For larger ones the last effect must have reduced it by a good
-    part of the material amount; a second effect is tried without that, too, where the error is larger than a
-    disturbance explains. Measured errors are appended to `known`.
+    The least error must leave room for that above the noise `floor`, which is that of the nominal model with generic
+    terms: a wrong effect counts what it leaves as a disturbance. None: the floor of the best of `found`. For larger
+    sets the last effect must have reduced the error by a good part of the material amount; a second effect is tried
+    without that, too, where the error is larger than a disturbance explains. Measured errors are appended to `known`.
     """
     best = by_error(first_of_each(found))
     models = [context.nominal, *(e.model for e in best)]
     try:
         table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)),
-                               noise=noise_floor(generic or models[1]))
+                               noise=floor or noise_floor(models[1]))
     except FitError:
         return Promise(True, True)
     known.append(table)
