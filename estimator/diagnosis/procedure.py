@@ -47,7 +47,7 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
-from estimator.diagnosis.search import Progress, Promise, fit_models, grown, search
+from estimator.diagnosis.search import Progress, Promise, fit_likeliest, grown, search
 from estimator.diagnosis.structure import with_structure
 from estimator.diagnosis.verdict import NOMINAL, by_error, decide, first_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
@@ -158,8 +158,8 @@ def smoothing_velocity_with(context: DiagnosisContext, tests: ScoreTests, stated
     Without what the nominal model lacks, a larger smoothing velocity absorbs part of it.
     """
     generic = generic_extension(context, context.nominal, tests)
-    singles = fit_models(context, grown(context, [Explanation(context.nominal, 0.0, tests)])[:FINALISTS])
-    models = [*singles, *([] if generic is None else [generic])]
+    single = fit_likeliest(context, grown(context, [Explanation(context.nominal, 0.0, tests)])[:FINALISTS])
+    models = [m for m in (single, generic) if m is not None]
     if not models:
         return None
     try:

@@ -129,17 +129,18 @@ def tried(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> l
 
 
 def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[Explanation]:
-    """The sets of `starts` fitted to the end, with the errors of their free runs, the likeliest first."""
-    fitted = fit_models(context, starts)
+    """The sets of `starts`, from a model and sizes each, fitted to the end, the likeliest first."""
+    fitted = _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
     errors = parallel_map(lambda k: short_errors(fitted[k]), len(fitted), context.split.workers)
     found = [Explanation(m, context.deviance - deviance(m), error=relative(e, context.short_errors))
              for m, e in zip(fitted, errors)]
     return sorted(found, key=lambda e: -e.gain)
 
 
-def fit_models(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[Model]:
-    """The sets of `starts`, from a model and sizes each, fitted to the end, without those that cannot be fitted."""
-    return _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
+def fit_likeliest(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> Model | None:
+    """Of the sets of `starts` the one that is the likeliest with its shapes held, fitted to the end; None without."""
+    held = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], HELD_STEPS))
+    return fit_free(min(held, key=deviance)) if held else None
 
 
 def unlike(models: Iterable[Model]) -> list[Model]:
