@@ -126,8 +126,8 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
             return replace(conclusion.nothing(base), mechanism=nominal.split.mechanism)
     known: list[ErrorTable] = []
     generic = generic_extension(context, nominal, tests)
-    floor = None if generic is None else noise_floor(generic)
-    found = search(context, tests, say, lambda found: promise(context, found, floor, material, rng, known))
+    noise = None if generic is None else noise_floor(generic)
+    found = search(context, tests, say, lambda found: promise(context, found, noise, material, rng, known))
     say("simulating the held-out runs", 0.85)
     concluded = conclude(context, base, generic, found, rng, material, known)
     return replace(with_structure(concluded, nominal), mechanism=nominal.split.mechanism)
