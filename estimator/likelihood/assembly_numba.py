@@ -99,8 +99,11 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
 
 def _add_squares(square: FloatArray, left: FloatArray, z: FloatArray, weight: FloatArray, p: int, extra: Extra | None
                  ) -> None:
-    """Add to square (1 + m, 1 + m) the products of what is `left` (n, 2, K) of the equation of motion and of z (m, n,
-    2, K), each row times its joint's weight (n, K): joint by joint those of the columns that have anything there."""
+    """Add products of the equation of motion's right sides to square (1 + m, 1 + m), joint by joint.
+
+    The right sides are what is `left` (n, 2, K) and z (m, n, 2, K), each row times its joint's weight (n, K). Columns
+    of `extra` that are zero at a joint add nothing there.
+    """
     for j in range(len(left)):
         acts = np.ones(1 + len(z), dtype=bool)
         if extra is not None:

@@ -160,9 +160,8 @@ class LatentProblem:
     def _assembled(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None,
                    predicted_misfit: FloatArray | None = None, motion_alone: bool = False) -> Linearised:
         """`linearise` with columns of `extra` after those of beta, or `motion_equations`."""
-        b, n, width = self.block, self.n, 1
-        if not motion_alone:
-            width += self.mechanism.p + (0 if extra is None else extra.sample_columns.shape[0])
+        b, n, columns = self.block, self.n, 0 if extra is None else len(extra.sample_columns)
+        width = 1 if motion_alone else 1 + self.mechanism.p + columns
         chain = BlockTridiagonal.zeros(self.total, b, width)  # right sides: residual, then parameters
         accumulators = Accumulators(chain, np.zeros((width, width)), np.zeros(n))
         weight = self.motion_weight(noise)

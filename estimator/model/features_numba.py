@@ -16,8 +16,10 @@ STRIP = 64
 
 
 def interval_features(q: FloatArray, v: FloatArray, left: NDArray[np.int64], basis: FloatArray) -> FloatArray:
-    """(F, n, G, K) sums of (q0, v0, q1, v1) by the weights `basis` (G, F, 4) on the intervals from each sample of
-    `left` (K,) to the next; q, v (N, n)."""
+    """(F, n, G, K) F features of the motion at G points inside the intervals from samples `left` (K,) to the next.
+
+    Each is the sum of (q0, v0, q1, v1) at the interval's ends by weights `basis` (G, F, 4); q, v are (N, n).
+    """
     points, count, _ = basis.shape
     out = np.empty((count, q.shape[1], points, left.size))
     _sums()(np.ascontiguousarray(q), np.ascontiguousarray(v), left, basis, out, np.empty((4, STRIP)))
