@@ -48,7 +48,7 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
-from estimator.diagnosis.search import Progress, Promise, fit_sets, grown, search
+from estimator.diagnosis.search import Progress, Promise, fit_likeliest, grown, search
 from estimator.diagnosis.structure import with_structure
 from estimator.diagnosis.verdict import NOMINAL, by_error, decide, first_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
@@ -129,7 +129,8 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
             return replace(conclusion.nothing(base), mechanism=nominal.split.mechanism)
     known: list[ErrorTable] = []
     generic = generic_extension(context, nominal, tests)
-    found = search(context, tests, say, lambda found: promise(context, found, generic, material, rng, known))
+    noise = None if generic is None else noise_floor(generic)
+    found = search(context, tests, say, lambda found: promise(context, found, noise, material, rng, known))
     say("simulating the held-out runs", 0.85)
     concluded = conclude(context, base, generic, found, rng, material, known)
     return replace(with_structure(concluded, nominal), mechanism=nominal.split.mechanism)
@@ -160,8 +161,8 @@ def smoothing_velocity_with(context: DiagnosisContext, tests: ScoreTests, stated
     Without what the nominal model lacks, a larger smoothing velocity absorbs part of it.
     """
     generic = generic_extension(context, context.nominal, tests)
-    singles = fit_sets(context, grown(context, [Explanation(context.nominal, 0.0, tests)])[:FINALISTS])
-    models = [*(e.model for e in singles), *([] if generic is None else [generic])]
+    single = fit_likeliest(context, grown(context, [Explanation(context.nominal, 0.0, tests)])[:FINALISTS])
+    models = [m for m in (single, generic) if m is not None]
     if not models:
         return None
     try:
@@ -223,20 +224,20 @@ def nominal_errors(context: DiagnosisContext, floor: FloorNoise, rng: np.random.
         return None
 
 
-def promise(context: DiagnosisContext, found: Sequence[Explanation], generic: Model | None, material: float,
+def promise(context: DiagnosisContext, found: Sequence[Explanation], floor: FloorNoise | None, material: float,
             rng: np.random.Generator, known: list[ErrorTable]) -> Promise:
     """Whether other sets of effects, and larger ones, than those `found` can be materially better.
 
-    The least error must leave room for that above noise, which is that of the nominal model with `generic` terms: a
-    wrong effect counts what it leaves as a disturbance. For larger ones the last effect must have reduced it by a good
-    part of the material amount; a second effect is tried without that, too, where the error is larger than a
-    disturbance explains. Measured errors are appended to `known`.
+    The least error must leave room for that above the noise `floor`, which is that of the nominal model with generic
+    terms: a wrong effect counts what it leaves as a disturbance. None: the floor of the best of `found`. For larger
+    sets the last effect must have reduced the error by a good part of the material amount; a second effect is tried
+    without that, too, where the error is larger than a disturbance explains. Measured errors are appended to `known`.
     """
     best = by_error(first_of_each(found))
     models = [context.nominal, *(e.model for e in best)]
     try:
         table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)),
-                               noise=noise_floor(generic or models[1]))
+                               noise=floor or noise_floor(models[1]))
     except FitError:
         return Promise(True, True)
     known.append(table)

@@ -20,6 +20,7 @@ from estimator.fitting import (
     gentle_start,
     iterate,
     mistaken_torques,
+    start_motion,
     start_state,
 )
 from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
@@ -228,10 +229,7 @@ def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequen
     split = model.split
     own = list(split.runs[run]) if signals is None else list(signals)
     problem = split.problem([run], model.problem.stage.angle_range, model.effects, signals=own)
-    if start is None:
-        begin = start_state(problem, own, split.mechanism, split.options,
-                            np.zeros(split.mechanism.p, dtype=bool), model.state.beta[: split.mechanism.p])
-        start = begin.x
+    start = start or start_motion(problem, own, split.mechanism, split.options)
     state = smooth_under(problem, replace(model.state, x=start), near=signals is not None)
     rest = problem.stiction(state.noise)
     return SmoothedRun(split.names[run], tuple(own), problem.with_stiction(rest),

@@ -127,9 +127,14 @@ def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -
     """The sets of `starts`, from a model and sizes each, fitted to the end, the likeliest first."""
     fitted = _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
     errors = parallel_map(lambda k: short_errors(fitted[k]), len(fitted), context.split.workers)
-    found = [Explanation(m, context.deviance - deviance(m), error=relative(e, context.short_errors))
-             for m, e in zip(fitted, errors)]
-    return sorted(found, key=lambda e: -e.gain)
+    return sorted((Explanation(m, context.deviance - deviance(m), error=relative(e, context.short_errors))
+                   for m, e in zip(fitted, errors)), key=lambda e: -e.gain)
+
+
+def fit_likeliest(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> Model | None:
+    """The set of `starts` that is the likeliest with its shapes held, fitted to the end; None without any."""
+    held = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], HELD_STEPS))
+    return fit_free(min(held, key=deviance)) if held else None
 
 
 def unlike(models: Iterable[Model]) -> list[Model]:
@@ -350,8 +355,7 @@ def weigh(context: DiagnosisContext, found: Sequence[Explanation]) -> list[Expla
 
     plain, *others = parallel_map(weighed, len(models), context.split.workers)
     assert plain is not None
-    scatter = best[0].left.scatter
-    out = [replace(e, gain=(plain[0] - own[0]) / scatter, by_run=own[1])
+    out = [replace(e, gain=(plain[0] - own[0]) / best[0].left.scatter, by_run=own[1])
            for e, own in zip(best, others) if own is not None]
     out.sort(key=lambda e: -e.gain)
     return [with_parent(e, out) for e in out]

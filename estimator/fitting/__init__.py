@@ -11,7 +11,7 @@ from estimator.fitting.disturbance import (
 from estimator.fitting.fit import between_samples, fit
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.gauss_newton import MAX_ITERATIONS, PASSIVE_SHARE, TORQUE_SHARE, iterate, mistaken_torques
-from estimator.fitting.initial_guess import gentle_start, noise_floors, start_state
+from estimator.fitting.initial_guess import gentle_start, noise_floors, start_motion, start_state
 from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.mle import describe_smoothing_velocity
 from estimator.fitting.next_measurement import Measurement, next_measurement
@@ -50,6 +50,7 @@ __all__ = [
     "noise_floors",
     "of_noise",
     "require_scale",
+    "start_motion",
     "start_state",
     "torque_levels",
     "weighted_least_squares",

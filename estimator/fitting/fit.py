@@ -12,7 +12,7 @@ from estimator.errors import FitError, ScaleError
 from estimator.fitting.excitation import LEAST_POWER, LEAST_POWER_MLE, undetermined_by_design
 from estimator.fitting.hekf import fit_hekf
 from estimator.fitting.hold_choice import FIRST
-from estimator.fitting.mle import fit_mle
+from estimator.fitting.mle import find_hold, fit_mle
 from estimator.fitting.prior import check_known
 from estimator.fitting.profile_likelihood import knows_noise, suits
 from estimator.fitting.rls import fit_rls
@@ -65,9 +65,13 @@ def between_samples(datasets: Sequence[Dataset], mechanism: Mechanism, options: 
     """
     if AUTO not in (options.hold, options.smoothing_velocity):
         return options.hold, mechanism
+    options = replace(options, noise={})
     try:
-        result = estimate(datasets, mechanism, replace(options, noise={}), "mle")
-        return result.hold, result.mechanism
+        if options.prior:
+            check_known(mechanism, options.prior)
+        require_scale(datasets, mechanism, options)
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a fit that diverges raises
+            return find_hold(datasets, mechanism, options)
     except FitError:
         return FIRST if options.hold == AUTO else options.hold, mechanism
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from estimator.fitting.wls import driven_first, stack_regressors, weighted_least
 from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
-from estimator.signals import SignalSet, differentiate
+from estimator.signals import Kinematics, SignalSet, differentiate
 
 GENTLE = 0.15
 """Share of the usual cutoff that `gentle_start` leaves of the motion; from 0.1 to 0.2 its fits end in one place."""
@@ -24,10 +25,8 @@ GENTLE = 0.15
 def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
                 free: NDArray[np.bool_], beta: FloatArray) -> State:
     """Filtered motion, its least squares fit and rough noise levels."""
-    rate = signals[0].rate_hz
-    cutoff = options.cutoff(rate)
-    motions = [differentiate(s, mechanism, min(2.0 * cutoff, 0.4 * rate), options.filter_order, fused=True)
-               for s in signals]
+    cutoff = options.cutoff(signals[0].rate_hz)
+    motions = _start_motions(signals, mechanism, options)
     z, tau = stack_regressors(signals, motions, mechanism, cutoff, options.filter_order)
     start = beta
     beta, covariance, sigma = weighted_least_squares(z, tau, free, start, 1.0)
@@ -36,8 +35,6 @@ def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mec
         sigma = np.maximum(np.sqrt(np.mean((tau - z @ beta) ** 2, axis=0)), 1e-3 * sigma)
     if options.prior:
         beta = combined(mechanism, options.prior, beta, signals[0].rate_hz / cutoff * covariance)
-    x = Latents(np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions]),
-                problem.torque.copy())
     shown = problem.shown
     torque = np.maximum(sigma, shown.torque)
     for j in range(mechanism.n):
@@ -54,8 +51,25 @@ def start_state(problem: LatentProblem, signals: list[SignalSet], mechanism: Mec
         for i in range(2):
             given = options.accel_noise(i, k)
             accel[k, i] = max(shown.accel[k, i], 1e-5) if given is None else given
-    return State(x, beta, Noise(torque, encoder, gyro, accel, options.accel_correlation,
+    return State(_latents(problem, motions), beta, Noise(torque, encoder, gyro, accel, options.accel_correlation,
                                 joint_correlation(mechanism, options)), covariance)
+
+
+def start_motion(problem: LatentProblem, signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions
+                 ) -> Latents:
+    """Filtered motion, with the measured torque: that of `start_state`."""
+    return _latents(problem, _start_motions(signals, mechanism, options))
+
+
+def _start_motions(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> list[Kinematics]:
+    rate = signals[0].rate_hz
+    cutoff = min(2.0 * options.cutoff(rate), 0.4 * rate)
+    return [differentiate(s, mechanism, cutoff, options.filter_order, fused=True) for s in signals]
+
+
+def _latents(problem: LatentProblem, motions: Sequence[Kinematics]) -> Latents:
+    return Latents(np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions]),
+                   problem.torque.copy())
 
 
 def joint_correlation(mechanism: Mechanism, options: FitOptions) -> FloatArray | None:

@@ -58,16 +58,12 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     start = time.perf_counter()
     signals = split_signals(datasets, mechanism, options)
     free, beta = free_mask(mechanism, options)
-    chosen: HoldChoice | None = None
-    auto, options = options.hold == AUTO, replace(options, hold=FIRST if options.hold == AUTO else options.hold)
-    problem, state = _search(signals, mechanism, options, free, beta)
+    problem, state, chosen = _search_hold(signals, mechanism, options, free, beta)
     stated, mechanism = mechanism, problem.mechanism
-    options = replace(options, smoothing_velocity="given")
-    if auto:
-        chosen = choose_hold(signals, mechanism, state, free, problem)
-        if chosen.hold != FIRST:
-            options = replace(options, hold=chosen.hold)
-            problem, state = _search(signals, mechanism, options, free, beta, state)
+    options = replace(options, hold=problem.collocation.hold, smoothing_velocity="given")
+    if chosen is not None and chosen.hold != options.hold:
+        options = replace(options, hold=chosen.hold)
+        problem, state = _search(signals, mechanism, options, free, beta, state)
     problem, state = _with_disturbance(problem, state, signals, free, options)
     bound_s = max(d.clock_bound_s for d in datasets)
     skew, found = None, None
@@ -89,6 +85,13 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
         result = replace(result, hold_margin=chosen.margin, assumptions=(first, *result.assumptions[1:]))
     said = tuple(text for text in (describe_smoothing_velocity(stated, mechanism), found) if text is not None)
     return replace(result, assumptions=(*result.assumptions, *said))
+
+
+def find_hold(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions) -> tuple[str, Mechanism]:
+    """(hold, mechanism with its friction smoothing velocities) with which `fit_mle` fits. Raises `FitError`."""
+    signals = split_signals(datasets, mechanism, options)
+    problem, _, chosen = _search_hold(signals, mechanism, options, *free_mask(mechanism, options))
+    return problem.collocation.hold if chosen is None else chosen.hold, problem.mechanism
 
 
 def describe_smoothing_velocity(stated: Mechanism, found: Mechanism) -> str | None:
@@ -121,6 +124,15 @@ def _conflict(problem: LatentProblem, state: State, result: FitResult, free: NDA
     scatter = result.covariance.diagonal() / np.maximum(state.covariance.diagonal()[: result.mechanism.p], 1e-300)
     spread = max(1.0, float(np.median(scatter[free]))) if free.any() else 1.0
     return float(np.sqrt(max(fall, 0.0) / (len(options.prior) * spread)))
+
+
+def _search_hold(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],
+                 beta: FloatArray) -> tuple[LatentProblem, State, HoldChoice | None]:
+    """As `_search`, under the hold FIRST where `options` state none; then with the likeliest hold at its end."""
+    if options.hold != AUTO:
+        return *_search(signals, mechanism, options, free, beta), None
+    problem, state = _search(signals, mechanism, replace(options, hold=FIRST), free, beta)
+    return problem, state, choose_hold(signals, problem.mechanism, state, free, problem)
 
 
 def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions, free: NDArray[np.bool_],

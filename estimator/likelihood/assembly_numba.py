@@ -43,9 +43,7 @@ def add_motion(c: Collocation, x: Latents, beta: FloatArray, weight: FloatArray,
     z = z[: chain.width - 1]  # none in a search of the motion alone
     fixed = _constant(chain.edge)
     if fixed == 0:  # of so many columns a library's matrix product is ten times as fast
-        right = np.concatenate([(torque - c.torque(x.u, left))[None], z]) * weight[:, None]
-        right = right.reshape(len(right), -1)
-        accumulators.square[:] += right @ right.T
+        _add_squares(accumulators.square, torque - c.torque(x.u, left), z, weight, len(beta), extra)
     left = np.arange(left.start, left.stop) if isinstance(left, slice) else left
     height, full = 2 * c.mechanism.n, chain.rows.shape[2]
     _intervals(c.mechanism.n, chain.block, fixed)(
@@ -90,12 +88,30 @@ def add_accelerometer(c: Collocation, x: Latents, beta: FloatArray, measured: Fl
                 if channel in extra.readings:
                     left[axis] += extra.readings[channel][here]
                 if channel in extra.reading_columns:
-                    columns[axis] = extra.reading_columns[channel][:, here]
+                    which, values = extra.reading_columns[channel]
+                    columns[axis, which] = values[:, here]
         precision, rows = noise.accel_precision(k), accel[k, here]
         _samples(n, chain.block, _constant(chain.edge))(
             z[:, :, 0], own[:, 0], reach, by_angle, by_rate, left, columns, precision, chain.edge, chain.rows[here],
             rows, np.zeros((2, chain.edge, STRIP)), np.zeros((2, chain.edge)))
         accumulators.square[:] += _products(rows[:, :, chain.block :], precision)
+
+
+def _add_squares(square: FloatArray, left: FloatArray, z: FloatArray, weight: FloatArray, p: int, extra: Extra | None
+                 ) -> None:
+    """Add products of the equation of motion's right sides to square (1 + m, 1 + m), joint by joint.
+
+    The right sides are what is `left` (n, 2, K) and z (m, n, 2, K), each row times its joint's weight (n, K). Columns
+    of `extra` that are zero at a joint add nothing there.
+    """
+    for j in range(len(left)):
+        acts = np.ones(1 + len(z), dtype=bool)
+        if extra is not None:
+            acts[1 + p :] = extra.acts[: max(len(z) - p, 0), j]  # none in a search of the motion alone
+        which = np.flatnonzero(acts)
+        right = np.concatenate([left[None, j], z[which[1:] - 1, j]]) * weight[j]
+        right = right.reshape(len(right), -1)
+        square[np.ix_(which, which)] += right @ right.T
 
 
 def _products(rows: FloatArray, precision: FloatArray) -> FloatArray:

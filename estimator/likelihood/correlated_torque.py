@@ -53,7 +53,9 @@ def add_columns(residual: FloatArray, precision: FloatArray, extra: Extra, borde
     """Add what the k sizes of effects do to torque readings to border (N, n, k), corner (k, k) and gradient (k,)."""
     columns = np.zeros(border.shape)
     for i in range(residual.shape[1]):
-        columns[:, i] += np.transpose(extra.reading_columns.get(torque_of(i), 0.0))
+        if torque_of(i) in extra.reading_columns:
+            which, values = extra.reading_columns[torque_of(i)]
+            columns[:, i, which] = values.T
     weighted = precision @ columns
     border += _slope(residual, extra)[:, :, None] * weighted
     corner += np.einsum("kia,kib->ab", columns, weighted)

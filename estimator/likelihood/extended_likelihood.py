@@ -27,7 +27,7 @@ from estimator.effects import (
     by_motion,
 )
 from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Extra, Latents, Linearised
+from estimator.likelihood.normal_equations import Extra, Latents, Linearised, ReadingColumns
 from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.likelihood.weighted_residuals import WeightedResiduals
 from estimator.model import ACCEL, ANGLE, GAUSS, RATE, Mechanism, mean_sign, smooth_sign
@@ -179,18 +179,25 @@ class ExtendedProblem(LatentProblem):
                 derivatives += slopes_at_zero(candidate, view)
         k = len(derivatives)
         gauss_columns, sample_columns = np.empty((k, n, 2, count)), np.empty((k, n, total))
-        reading_columns: dict[Channel, FloatArray] = {}
+        acts = np.zeros((k, n), dtype=bool)
+        rows: dict[Channel, list[int]] = {}
         for i, d in enumerate(derivatives):
-            acts = d.torque is not None and d.torque_at_samples is not None
-            gauss_columns[i], sample_columns[i] = (d.torque, d.torque_at_samples) if acts else (0.0, 0.0)
-            for channel, values in d.readings.items():
-                reading_columns.setdefault(channel, np.zeros((k, total)))[i] = values
+            if d.torque is not None and d.torque_at_samples is not None:
+                gauss_columns[i], sample_columns[i] = d.torque, d.torque_at_samples
+                acts[i] = d.torque.any(axis=(1, 2))
+            else:
+                gauss_columns[i], sample_columns[i] = 0.0, 0.0
+            for channel in d.readings:
+                rows.setdefault(channel, []).append(i)
+        reading_columns = {channel: ReadingColumns(np.array(which), np.stack([derivatives[i].readings[channel]
+                                                                              for i in which]))
+                           for channel, which in rows.items()}
         gauss_slopes, sample_slopes = self._law_slopes(view, sizes)
         by_torque: dict[Channel, FloatArray] = {}
         for effect, size in zip(self.effects, sizes):
             for channel, slope in effect.by_torque(view, size).items():
                 by_torque[channel] = by_torque.get(channel, 0.0) + slope
-        return Extra(torque, at_samples, readings, gauss_columns, sample_columns, reading_columns, gauss_slopes,
+        return Extra(torque, at_samples, readings, gauss_columns, sample_columns, acts, reading_columns, gauss_slopes,
                      sample_slopes, by_torque)
 
     def _acting(self, x: Latents, parameters: FloatArray

@@ -46,6 +46,15 @@ class Accumulators(NamedTuple):
     """(n,) sum of squares of each joint's equation of motion."""
 
 
+class ReadingColumns(NamedTuple):
+    """Derivatives of one channel's readings by those of the k sizes that change them."""
+
+    which: NDArray[np.intp]
+    """(m,)"""
+    values: FloatArray
+    """(m, N)"""
+
+
 @dataclass(frozen=True)
 class Extra:
     """Contributions of effects to the model at one point, and their derivatives by the k sizes."""
@@ -60,8 +69,9 @@ class Extra:
     """(k, n, 2, K)"""
     sample_columns: FloatArray
     """(k, n, N)"""
-    reading_columns: Mapping[Channel, FloatArray]
-    """(k, N)"""
+    acts: NDArray[np.bool_]
+    """(k, n) whether `torque_columns` of a size have anything at a joint."""
+    reading_columns: Mapping[Channel, ReadingColumns]
     slopes: FloatArray | None = None
     """(n, 5, n, 2, K) derivative of `torque` by the features of the motion, where it is known."""
     sample_slopes: FloatArray | None = None

@@ -160,9 +160,8 @@ class LatentProblem:
     def _assembled(self, x: Latents, beta: FloatArray, noise: Noise, extra: Extra | None,
                    predicted_misfit: FloatArray | None = None, motion_alone: bool = False) -> Linearised:
         """`linearise` with columns of `extra` after those of beta, or `motion_equations`."""
-        b, n, width = self.block, self.n, 1
-        if not motion_alone:
-            width += self.mechanism.p + (0 if extra is None else extra.sample_columns.shape[0])
+        b, n, columns = self.block, self.n, 0 if extra is None else len(extra.sample_columns)
+        width = 1 if motion_alone else 1 + self.mechanism.p + columns
         chain = BlockTridiagonal.zeros(self.total, b, width)  # right sides: residual, then parameters
         accumulators = Accumulators(chain, np.zeros((width, width)), np.zeros(n))
         weight = self.motion_weight(noise)
@@ -357,13 +356,14 @@ class LatentProblem:
         for channel, columns, variance in self.channels(variances, noise):
             if channel not in extra.reading_columns:
                 continue
-            c = extra.reading_columns[channel] / variance
+            which, values = extra.reading_columns[channel]
+            c, place = values / variance, p + which
             for column in columns:
-                border[:, column, p:] += c.T
+                border[:, column, place] += c.T
             if channel in extra.by_torque:
-                border[:, 2 * self.n + columns[0] % self.n, p:] += (extra.by_torque[channel] * c).T
-            corner[p:, p:] += c @ extra.reading_columns[channel].T
-            gradient_beta[p:] += c @ of_channel(residuals, channel)
+                border[:, 2 * self.n + columns[0] % self.n, place] += (extra.by_torque[channel] * c).T
+            corner[np.ix_(place, place)] += c @ values.T
+            gradient_beta[place] += c @ of_channel(residuals, channel)
         if noise.torque_correlation is not None:
             correlated_torque.add_columns(residuals["torque"], noise.torque_precision(variances), extra,
                                           border[:, 2 * self.n : 3 * self.n, p:], corner[p:, p:], gradient_beta[p:])
@@ -388,9 +388,9 @@ class LatentProblem:
             size[index] = step_beta
             for channel, slope in point.extra.by_torque.items():
                 of_channel(out, channel)[:] += slope * step[:, 2 * n + (channel.joint or 0)]
-            for channel, columns in point.extra.reading_columns.items():
+            for channel, (which, values) in point.extra.reading_columns.items():
                 if channel.kind in out:  # an accelerometer's are in its rows
-                    of_channel(out, channel)[:] += size[p:] @ columns
+                    of_channel(out, channel)[:] += size[p + which] @ values
         return out
 
 

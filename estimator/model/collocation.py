@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.model.features_numba import interval_features
 from estimator.model.mechanism import Mechanism
 from estimator.model.regressor_numba import FastTerms
 from estimator.model.terms import ACCEL, ANGLE, RATE, RATE_FROM, RATE_TO, TERMS, Motion, Slope
@@ -95,11 +96,8 @@ class Collocation:
 
     def motion(self, q: FloatArray, v: FloatArray, left: Samples) -> Motion:
         """Features on the intervals from each sample of `left` to the next; q, v (N, n)."""
-        right = after(left)
-        ends = np.stack([q[left].T, v[left].T, q[right].T, v[right].T], axis=1)
-        n, _, count = ends.shape
-        features = self.basis.transpose(1, 0, 2).reshape(10, 4) @ ends
-        return Motion(*features.reshape(n, 5, 2, count).swapaxes(0, 1).copy())
+        samples = np.arange(left.start, left.stop) if isinstance(left, slice) else left
+        return Motion(*interval_features(q, v, samples, self.basis))
 
     def torque(self, u: FloatArray, left: Samples) -> FloatArray:
         """Torque at the Gauss points (n, 2, K) from samples u (N, n)."""

@@ -121,7 +121,8 @@ def accelerometer_rows(c: Collocation, x: Latents, beta: FloatArray, measured: F
             if channel in extra.readings:
                 rows[axis, b] += extra.readings[channel][here]
             if channel in extra.reading_columns:
-                rows[axis, b + 1 + m.p :] += extra.reading_columns[channel][:, here]
+                which, values = extra.reading_columns[channel]
+                rows[axis, b + 1 + m.p + which] += values[:, here]
     return rows
 
 

@@ -127,6 +127,27 @@ def test_sets_that_gain_are_fitted_to_the_end_and_those_that_prove_likely_too(mo
     assert not tried  # nothing can be better
 
 
+def test_shapes_are_free_in_the_likeliest_set_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    gains = {"drag": 50.0, "play": 900.0}
+    freed: list[Any] = []
+
+    def held(_: object, begin: object, start: Any, steps: int) -> Any:
+        return fitted(gains[start[0][0].key], start[0][0].key)
+
+    def free(model: Any) -> Any:
+        freed.append(model)
+        return model
+
+    monkeypatch.setattr(search, "_each", lambda _, starts, work: [work(k) for k in range(len(starts))])
+    monkeypatch.setattr(search, "fit_held", held)
+    monkeypatch.setattr(search, "fit_free", free)
+    context = cast(Any, Context(gains))
+    starts = search.grown(context, [explained(0.0)])
+    found = search.fit_likeliest(context, starts)
+    assert found is not None and [e.key for e in found.effects] == ["play"] and freed == [found]
+    assert search.fit_likeliest(context, []) is None
+
+
 @pytest.mark.parametrize(("residuals", "sizes"), [((False, False), 1), ((False, True), 2), ((True, False), 2)])
 def test_larger_sets_follow_while_one_of_the_best_leaves_something(residuals: tuple[bool, bool], sizes: int,
                                                                    monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from daq import Dataset
 from estimator import FitOptions, fit
+from estimator.fitting import between_samples
 from estimator.model import Collocation, leg2
 from estimator.model.collocation import GAUSS, spline_slopes
 from tests.support.mujoco_leg import Leg, random_leg, record
@@ -56,8 +57,11 @@ def test_a_held_torque_is_recognised() -> None:
 
 def test_a_controller_s_torque_is_recognised_as_smooth() -> None:
     leg, run = rubbing(11, 0.04, 50.0)
-    found = fit([run], leg2(lever_arm=leg.lever), FitOptions(hold="auto"))
+    mechanism, options = leg2(lever_arm=leg.lever), FitOptions(hold="auto")
+    found = fit([run], mechanism, options)
     assert found.hold == "smooth" and (found.hold_margin or 0.0) > 5.0
+    hold, known = between_samples([run], mechanism, options)  # without the rest of a fit
+    assert hold == found.hold and known == found.mechanism
     line = fit([run], leg2(lever_arm=leg.lever), FitOptions(hold="linear"))
     assert found.noise["torque_nm"] < line.noise["torque_nm"]
 
