@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -74,15 +73,6 @@ def lowpass(x: FloatArray, cutoff_hz: float | None, rate_hz: float, order: int =
     out = np.zeros(flat.shape)
     out[live] = y[:, pad : pad + x.shape[0]]
     return out.T.reshape(x.shape)
-
-
-def filter_causally(x: FloatArray, numerator: Sequence[float] | FloatArray,
-                    denominator: Sequence[float] | FloatArray) -> FloatArray:
-    """(n,) x (n,), from rest, through a filter of up to second order: coefficients of 1, 1/z and 1/z^2."""
-    b, a = (np.pad(np.asarray(c, dtype=np.float64), (0, 3 - len(c))) / denominator[0] for c in (numerator, denominator))
-    y = np.concatenate([[0.0], x])[None]  # rest before the first sample
-    _pass()(y, np.array([[*b, *a[1:]]]))
-    return np.asarray(y[0, 1:])
 
 
 def central_difference(x: FloatArray, dt_s: float, spacing: int = 1) -> FloatArray:
