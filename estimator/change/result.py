@@ -88,6 +88,9 @@ class Change:
     unit is the standard deviation of an effect's size estimated from one run."""
     p_any: float = 1.0
     """Probability of the strongest candidate under no change, over all candidates tried."""
+    free_runs: LevelChange | None = None
+    """Likeliest rise of a free-run error over that of left-out runs; asked where no listed change is significant, None
+    where none rose."""
     not_testable: tuple[tuple[str, str], ...] = ()
     """(effect, why)"""
     reference: tuple[str, ...] = ()

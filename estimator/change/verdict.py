@@ -120,13 +120,17 @@ def conclude(fit: ReferenceFit, scored: Scored, folds: Sequence[Fold], noise: tu
 
 
 def with_errors(found: Change, rise: Callable[[], LevelChange | None], words: Words) -> Change:
-    """`found`, a verdict `no_change`, unless free runs err more than those of left-out reference runs by `rise`; with a
+    """`found`, a verdict `no_change`, with its `rise`, unless free runs err more by it than those left out; with a
     warning where that cannot be asked."""
     try:
         larger = rise()
     except (FitError, np.linalg.LinAlgError) as error:
         return replace(found, warnings=tuple(dict.fromkeys((*found.warnings, str(error)))))
-    if larger is None or larger.p_value >= ALPHA or found.verdict != "no_change":
+    if larger is None:
+        return found
+    if found.free_runs is None or larger.p_value < found.free_runs.p_value:
+        found = replace(found, free_runs=larger)
+    if larger.p_value >= ALPHA or found.verdict != "no_change":
         return found
     low, high = larger.ci95
     return replace(found, verdict="changed_unexplained", sentence=(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Any
 
-from estimator.change import Change, ChangedCause, Detectable, HeldOut, Kind
+from estimator.change import Change, ChangedCause, Detectable, HeldOut, Kind, LevelChange
 from experiments.console import text_table
 from experiments.reports.origin import Source
 from experiments.session import SetAside
@@ -27,6 +27,7 @@ def change_text(found: Change, names: tuple[str, str] = REFERENCE_NAMES) -> str:
         blocks.append(f"From {names[0]} to {names[1]}:\n" + text_table(CAUSE_HEADER, cause_rows(found), {3, 4}))
     if found.held_out is not None:
         blocks.append(held_out_text(found.held_out))
+    blocks += free_runs_text(found)
     if found.detectable:
         rows = detectable_rows(found)[:SHOWN]
         blocks.append("Smallest change that these runs would have shown with 80 % probability (the likeliest "
@@ -53,6 +54,16 @@ def held_out_text(held: HeldOut) -> str:
     """Sentence on how well the change predicts runs that it was not fitted to."""
     better = sum(g > 0.0 for g in held.gain)
     return f"Fitted to the other runs, the change predicts {better} of {len(held.gain)} runs better than no change."
+
+
+def free_runs_text(found: Change) -> list[str]:
+    """Sentence on how much more free runs err than left-out runs of the other session, where no change is found."""
+    rise = found.free_runs
+    if rise is None or found.verdict != "no_change":
+        return []
+    low, high = rise.ci95
+    return [f"Free runs over 1 s err {rise.ratio:.2g} times [{low:.2g}, {high:.2g}] as much in {rise.column} as those "
+            f"of left-out runs of the other session (p = {rise.p_value:.2g})."]
 
 
 def structure_text(found: Change) -> str:
@@ -98,11 +109,15 @@ def _answer(found: Change) -> dict[str, Any]:
                         "change": d.change, "ci95": list(d.ci95) if isfinite(d.size) else None,
                         "smallest_detectable": d.size if isfinite(d.size) else None, "unit": d.unit}
                        for d in found.detectable],
-        "noise": [{"column": n.column, "ratio": n.ratio, "ci95": list(n.ci95), "p_value": n.p_value}
-                  for n in found.noise],
+        "noise": [_level(n) for n in found.noise],
+        "free_runs": None if found.free_runs is None else _level(found.free_runs),
         "held_out": None if held is None else {"runs": list(held.runs), "gain": list(held.gain)},
         "not_testable": [{"effect": e.partition("@")[0], "joint": int(e.partition("@")[2]) if "@" in e else None,
                           "why": why} for e, why in found.not_testable]}
+
+
+def _level(one: LevelChange) -> dict[str, Any]:
+    return {"column": one.column, "ratio": one.ratio, "ci95": list(one.ci95), "p_value": one.p_value}
 
 
 FIT = "legid fit RUN... --rig RIG --model-out MODEL.json"

@@ -19,6 +19,7 @@ from experiments.reports.change import (
     Pair,
     cause_rows,
     detectable_rows,
+    free_runs_text,
     held_out_text,
     label,
     next_of_change,
@@ -72,7 +73,8 @@ def _answer(pair: Pair, several: bool) -> Section:
     drawn = drawn_changes(found.detectable)
     pictures = [Picture(change_plot(found.detectable, f"{a} {b}"), caption, leads=not several)] if drawn else []
     return Section(f"From {a} to {b}", [found.sentence] if several else [], causes, pictures,
-                   [] if found.held_out is None else [held_out_text(found.held_out)])
+                   [*([] if found.held_out is None else [held_out_text(found.held_out)]),
+                    *free_runs_text(found)])
 
 
 def _noise(pair: Pair) -> Section:

@@ -18,6 +18,7 @@ from estimator.change.verdict import AGAINST, with_errors
 from estimator.errors import FitError
 from estimator.model import leg2
 from estimator.options import FitOptions
+from experiments.reports.change import change_document, change_text
 from experiments.session import prepare
 from tests.evidence.blind.records import RECORDS, RIGS
 from tests.evidence.what_changed import runs_of, spoilt
@@ -44,6 +45,18 @@ def test_free_runs_that_cannot_be_compared_give_a_warning() -> None:
         larger_error(nothing, nothing)
     found = with_errors(Change("no_change", AGAINST.same), lambda: larger_error(nothing, nothing), AGAINST)
     assert found.verdict == "no_change" and "cannot be compared" in found.warnings[0]
+
+
+def test_no_change_says_how_much_more_free_runs_err() -> None:
+    """Three runs against three: an error four times as large need not be significant."""
+    rise = larger_error(LogLevels(3, {"q2_rad": (np.log(4.0), 0.6)}), LogLevels(3, {"q2_rad": (0.0, 0.6)}))
+    assert rise is not None and rise.p_value > 0.01
+    found = with_errors(Change("no_change", AGAINST.same), lambda: rise, AGAINST)
+    assert found.verdict == "no_change" and found.free_runs == rise
+    assert "Free runs over 1 s err 4 times" in change_text(found)
+    assert change_document(found)["free_runs"]["ratio"] == pytest.approx(4.0)
+    smaller = with_errors(found, lambda: replace(rise, ratio=2.0, p_value=1.0), AGAINST)
+    assert smaller.free_runs == rise
 
 
 def test_a_reference_without_errors_of_free_runs_is_told_to_the_user() -> None:
