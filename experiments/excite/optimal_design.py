@@ -185,11 +185,12 @@ class Series:
         """Of one over the plan's length, or over such a part of it that the band holds at most `most` of them.
 
         Raises `InputError` where it holds fewer than three."""
-        period_s = min(band.seconds, 2.0 * most / band.high_hz)
+        width_hz = max(band.high_hz - band.low_hz, 0.0)
+        period_s = band.seconds if width_hz * band.seconds <= 2.0 * most else 2.0 * most / width_hz
         odd = np.arange(1, int(band.high_hz * period_s + 1e-9) + 1, 2) / period_s
         self.hz = odd[odd >= band.low_hz]
         if self.hz.size < 3:
-            raise InputError("--high", f"leaves {self.hz.size} odd harmonics of 1/{band.seconds:g} s",
+            raise InputError("--high", f"leaves {self.hz.size} odd harmonics of 1/{period_s:.3g} s",
                              "raise it, or make the plan longer")
         self.band = band
 

@@ -67,12 +67,12 @@ def setup_of(datasets: Sequence[Dataset], rig: Rig, sensors: str | None = None,
             level = float(np.sqrt(np.nanmean(np.square(np.concatenate(sigmas)))))
             options = replace(options, noise={**options.noise, "encoder1_rad": level})
     notes = (*[FREE_SWING] * free_swing, *(f"{d.name}: {d.steps}" for d in datasets if d.steps is not None))
-    return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes, rig.motor.gear_ratio), rig, beta)
+    return zeroed(Setup(settings, mechanism, options, tuple(datasets), notes, rig.motor.gear_ratio), beta)
 
 
-def zeroed(setup: Setup, rig: Rig, beta: NDArray[np.float64] | None = None) -> Setup:
-    """`setup` less the encoders' zeros that its rig declares to differ from run to run; see `find_zeros`."""
-    joints = [j - 1 for j in rig.terms.encoder_zero or ()]
+def zeroed(setup: Setup, beta: NDArray[np.float64] | None = None) -> Setup:
+    """`setup` less the encoders' zeros that its options declare to differ from run to run; see `find_zeros`."""
+    joints = setup.options.encoder_zeros
     known = beta if beta is not None and len(beta) == setup.mechanism.p else None
     if not joints or (len(setup.datasets) == 1 and known is None):  # one run says nothing of differences
         return setup

@@ -75,6 +75,7 @@ def test_a_plan_of_few_lines_repeats_itself() -> None:
     """Odd harmonics: after half a period the wave is its negative."""
     series = Series(Band(20.0, 0.0, 5.0), most=10)
     assert series.hz == pytest.approx(np.arange(1, 20, 2) / 4.0)
+    assert Series(Band(20.0, 2.5, 3.0), most=10).hz == pytest.approx(Series(Band(20.0, 2.5, 3.0)).hz)  # few as it is
     wave = series.basis(100.0)[:, 100:-100]
     assert wave[:, 200:1700] == pytest.approx(-wave[:, :1500], abs=1e-9)
 
