@@ -11,7 +11,7 @@ from scipy.special import stdtrit
 
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
-from estimator.diagnosis.decision_rule import ALPHA, BLOCK_S, CHANGED, CONFUSABLE, DRAWS, EDGE, FEW_RUNS, SHORT_S
+from estimator.diagnosis.decision_rule import ALPHA, COLLINEAR, DRAWS, EDGE, RUNS, SIGMAS
 from estimator.diagnosis.error_table import about_zero, floor_of, sensors_of
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.refit import Model, smooth
@@ -22,6 +22,8 @@ from estimator.errors import FitError
 from estimator.fitting import disturbance_levels, imu_levels, torque_levels
 from estimator.parallel import parallel_map
 from estimator.prediction import (
+    BLOCK_S,
+    SHORT_S,
     FloorNoise,
     PredictedRun,
     Predictor,
@@ -46,7 +48,7 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
     if split.single:
         warnings.append("one run only: p-values and intervals are approximate, because parts of one run are not "
                         "independent; record several runs")
-    elif len(split.names) < FEW_RUNS:
+    elif len(split.names) < RUNS:
         warnings.append(f"{len(split.names)} runs only: the scatter between runs is poorly known; eight are better")
     if np.isinf(std).any():
         warnings.append("the nominal fit does not converge: the nominal parameters are least squares on filtered "
@@ -91,13 +93,13 @@ def counted_as_noise(joint: int) -> str:
 
 
 def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tuple[float, float]]) -> list[str]:
-    """One line for each parameter that differs from the reference by more than `CHANGED` standard deviations."""
+    """One line for each parameter that differs from the reference by more than `SIGMAS` standard deviations."""
     out = []
     for name, (value, std) in now.items():
         if name in reference:
             old, old_std = reference[name]
             spread = float(np.hypot(std, old_std))
-            if spread > 0 and abs(value - old) > CHANGED * spread:
+            if spread > 0 and abs(value - old) > SIGMAS * spread:
                 out.append(f"{name} is {value:.4g}, the reference has {old:.4g} ({(value - old) / spread:+.1f} sigma): "
                            "a changed payload or link changes parameters only")
     return out
@@ -348,7 +350,7 @@ def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> lis
         if effect.key in keys:
             row = np.abs(cosines[keys.index(effect.key)])
             near = tuple(dict.fromkeys(k.split("@")[0] for k, c in zip(keys, row)
-                                       if c > CONFUSABLE and k.split("@")[0] != effect.name))
+                                       if c > COLLINEAR and k.split("@")[0] != effect.name))
         out.append(Cause(effect.name, None if effect.joint is None else effect.joint + 1, effect.sentence, sizes,
                          p_value, explanation.gain, near))
     return out

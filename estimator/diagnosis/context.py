@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import ALPHA, LEAST_GAIN, LEAST_GAIN_CLEAR
+from estimator.diagnosis.decision_rule import ALPHA, LEAST_GAIN
 from estimator.diagnosis.noise_check import noise_dominated
 from estimator.diagnosis.refit import Model, begin_afresh, deviance, short_errors
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests
@@ -38,10 +38,10 @@ class Explanation:
     """(m,) how much more variance than white noise gives them its parameters have; see `own_inflation`"""
     determined: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     """(m,) whether these runs determine each of its parameters; see `score_statistics`"""
-    parent: frozenset[str] = frozenset()
-    """Effects of the likeliest explanation with one effect less, and ..."""
+    further: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(K,) gain of each candidate in addition to it; zero for its own effects"""
     gain_over_parent: float = 0.0
-    """... its gain over that one"""
+    """Its gain over the likeliest explanation with one effect less"""
 
     def covariance(self) -> FloatArray:
         """(m, m) of the parameters that belong to the leg, from noise and scatter between runs."""
@@ -119,22 +119,10 @@ class DiagnosisContext:
         return LEAST_GAIN * sum(len(s.time_s) for s in self.split.signals(which))
 
 
-def least_gain(context: DiagnosisContext, i: int) -> float:
-    """Gain on the discover runs above which candidate i counts as detected."""
-    clear = i < context.named and not context.candidates[i].effect.near_rest
-    return (LEAST_GAIN_CLEAR if clear else 1.0) * context.material(context.split.discover)
-
-
-def detected(context: DiagnosisContext, tests: ScoreTests) -> bool:
-    """Whether anything at all is there, named or not."""
-    return any(context.gain(tests, i) > least_gain(context, i) and p_of(context, tests, i) < ALPHA
-               for i in range(context.trials))
-
-
-def detected_in_residual(context: DiagnosisContext, left: ScoreTests, own: frozenset[str]) -> bool:
-    """Whether the residual `left` of a model has anything but its `own` effects."""
+def detected(context: DiagnosisContext, tests: ScoreTests, own: frozenset[str] = frozenset()) -> bool:
+    """Whether anything is there, named or not, that none of a model's `own` effects is."""
     least = context.material(context.split.discover)
-    return any(context.gain(left, i) > least and p_of(context, left, i) < ALPHA
+    return any(context.gain(tests, i) > least and p_of(context, tests, i) < ALPHA
                for i, c in enumerate(context.candidates) if c.effect.key not in own)
 
 

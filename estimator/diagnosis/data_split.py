@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator.diagnosis.decision_rule import HELD_OUT, LEAST_S, PARTS
+from estimator.diagnosis.decision_rule import LEAST_S, RUNS
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import noise_floors, require_scale
@@ -17,6 +17,9 @@ from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage
 from estimator.model import Mechanism
 from estimator.options import FitOptions, accel_level, encoder_level, gyro_level, torque_level
 from estimator.signals import SignalSet, split_signals
+
+HELD_OUT = (1, 2)
+"""Held-out places among four neighbours in excitation, alternating: neither the strongest nor the weakest run."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,7 @@ def _or(declared: float | None, least: float) -> float:
 
 
 def _parts(data: Dataset) -> list[Dataset]:
-    edges = np.linspace(0, len(data), PARTS + 1).astype(int)
+    edges = np.linspace(0, len(data), RUNS + 1).astype(int)
     cuts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
     return [replace(data.part(cut), name=f"{data.name}[{data.time_s[cut.start]:.1f}-{data.time_s[cut.stop - 1]:.1f} s]")
             for cut in cuts]

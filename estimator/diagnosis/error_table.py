@@ -20,10 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.decision_rule import BLOCK_S, DECIDING_S, DRAWS
+from estimator.diagnosis.decision_rule import DECIDING_S, DRAWS
 from estimator.diagnosis.refit import Model, smooth
 from estimator.parallel import parallel_map
-from estimator.prediction import FloorNoise, SmoothedRun, channel_names, floor_errors, predict_run, white_noise
+from estimator.prediction import (
+    BLOCK_S,
+    FloorNoise,
+    SmoothedRun,
+    channel_names,
+    floor_errors,
+    predict_run,
+    white_noise,
+)
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimator.diagnosis.context import Explanation
-from estimator.diagnosis.decision_rule import AGREE, TIE, TIE_ALIKE, TIE_GAIN, WIDEST
+from estimator.diagnosis.decision_rule import SURE
 from estimator.diagnosis.presence import significant
+
+LEAST_APART = 2.0 * float(np.log(SURE / (1.0 - SURE)))
+"""Difference in gain at which one explanation has the probability SURE, of two."""
 
 
 def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
@@ -23,19 +26,27 @@ def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
                              (not o.has_residual or best.has_residual or equivalent(o, best)))])
 
 
-def common_gain(other: Explanation, most: Explanation) -> float:
-    """Gain of the `most` likely that a comparison with `other` is about: of the second causes of pairs with the same
-    first cause."""
-    return most.gain_over_parent if most.parent and most.parent == other.parent else most.gain
-
-
 def is_close(other: Explanation, most: Explanation) -> bool:
-    """Whether `other` is about as likely as the `most` likely."""
-    share, short = common_gain(other, most), most.gain - other.gain
-    if short <= share * (TIE_ALIKE if equivalent(other, most) else TIE) + TIE_GAIN:
-        return True
+    """Whether these runs do not tell `other` from the `most` likely with the probability SURE.
+
+    Two explanations that are D apart in gain have the odds exp(-(D - L) / 2), L their `margin`. Or more than a share
+    1 - SURE of the differences between them, run by run, is in favour of `other`.
+    """
     worse = other.by_run - most.by_run
-    return bool(worse.sum() < AGREE * np.abs(worse).sum() and short <= share * WIDEST)
+    return bool(most.gain - other.gain <= margin(other, most) + LEAST_APART
+                or np.maximum(-worse, 0.0).sum() > (1.0 - SURE) * np.abs(worse).sum())
+
+
+def margin(other: Explanation, most: Explanation) -> float:
+    """Gain by which one further effect, listed or generic, would bring `other` nearer to the `most` likely.
+
+        L = max_k min(g_k(other) - g_k(most), g_k(most))
+
+    g_k is the gain of effect k in addition to each. It counts no more than in addition to the most likely: what
+    explains nothing there only imitates that one.
+    """
+    imitated = np.minimum(other.further - most.further, most.further)
+    return float(imitated.max(initial=0.0))
 
 
 def equivalent(one: Explanation, other: Explanation) -> bool:

@@ -6,40 +6,30 @@ of noise has a residual of 95.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from estimator.diagnosis.decision_rule import NOISY_SENSOR, NOISY_UNDECLARED
+from estimator.diagnosis.decision_rule import EDGE
 from estimator.diagnosis.refit import Model, refit
 from estimator.fitting import TORQUE_SHARE, mistaken_torques
 from estimator.options import accel_level, encoder_level, gyro_level
 from estimator.signals import Channel, encoder_of, imu_channels, white_noise_level
 
-Ratios = Mapping[Channel, tuple[float, float]]
-"""Channel to (noise found over its level, most it may be)."""
 
-
-def noise_ratios(model: Model) -> Ratios:
-    """Noise ratios of encoders and IMU: of an undeclared sensor by what its neighbouring samples show."""
+def noise_ratios(model: Model) -> dict[Channel, float]:
+    """Channel of an encoder or IMU to its fitted noise over what the rig declares, or neighbouring samples show."""
     known, problem, noise = model.split.known, model.problem, model.state.noise
-    out: dict[Channel, tuple[float, float]] = {}
+    out: dict[Channel, float] = {}
     for j in map(int, np.flatnonzero(problem.has_encoder)):
-        level, declared = float(noise.encoder[j]), encoder_level(known, j)
-        if declared:
-            out[encoder_of(j)] = level / declared, NOISY_SENSOR
-        else:
-            out[encoder_of(j)] = level / max(1e-12, float(problem.shown.encoder[j])), NOISY_UNDECLARED
+        usual = encoder_level(known, j) or max(1e-12, float(problem.shown.encoder[j]))
+        out[encoder_of(j)] = float(noise.encoder[j]) / usual
     for k in range(problem.imu_count):
         levels = (noise.gyro[k], *noise.accel[k])
         known_levels = (gyro_level(known, k), accel_level(known, 0, k), accel_level(known, 1, k))
         for channel, level, readings, declared in zip(imu_channels(k), levels, (problem.gyro[k], *problem.accel[k]),
                                                       known_levels, strict=True):
-            if declared is None:
-                out[channel] = float(level) / max(1e-12, white_noise_level(readings)), NOISY_UNDECLARED
-            else:
-                out[channel] = float(level) / declared, NOISY_SENSOR
+            out[channel] = float(level) / (max(1e-12, white_noise_level(readings)) if declared is None else declared)
     return out
 
 
@@ -52,10 +42,8 @@ def in_words(channel: Channel, ratio: float) -> str:
 
 
 def noisy_sensors(model: Model) -> dict[Channel, float]:
-    """Sensors of motion whose fitted noise exceeds its limit: channel to the ratio of that noise to what the rig
-    declares, or neighbouring samples show."""
-    found = noise_ratios(model)
-    return {channel: ratio for channel, (ratio, limit) in found.items() if ratio > limit}
+    """Those of `noise_ratios` above EDGE: sensors of motion that are too noisy."""
+    return {channel: ratio for channel, ratio in noise_ratios(model).items() if ratio > EDGE}
 
 
 def with_declared_noise(model: Model) -> Model:

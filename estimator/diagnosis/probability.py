@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.diagnosis.context import keys_of
-from estimator.diagnosis.decision_rule import EDGE, TIE, TIE_GAIN
+from estimator.diagnosis.decision_rule import EDGE
 from estimator.diagnosis.error_table import ErrorTable
-from estimator.diagnosis.model_comparison import common_gain, nested, set_apart
+from estimator.diagnosis.model_comparison import LEAST_APART, margin, nested, set_apart
 from estimator.diagnosis.verdict import NOMINAL, Decision, judge
 
 
@@ -21,12 +21,12 @@ def probability_of(decision: Decision, material: float) -> float | None:
     listed causes are present; for `none` that nothing material is. None for `unexplained`, which names no cause.
 
         P = mean_d 1{V(d) = V} * mean_d [sum_A w_s(d) / sum_s w_s(d)]
-        w_s(d) = 1{E_s(d) <= min_t E_t(d) + m E_0(d)} exp(-(G - G_s) / (2 T)),  T = 1 + G TIE / TIE_GAIN
+        w_s(d) = 1{E_s(d) <= min_t E_t(d) + m E_0(d)} exp(-(G - G_s) / (2 T_s)),  T_s = 1 + L_s / L_0
 
     d is a resampling of the blocks of the held-out runs. V(d) is the verdict on it and E_s(d) the free-run error of the
     set s, 0 the nominal model and m the material share. A has the stated sets, and s counts all sets of as many
-    effects. G_s is their gain, G the largest; in T it is over the smaller set that both contain, if they have one. T
-    tempers the likelihood by what all models have wrong: sets at the limit of a tie get the weight exp(-TIE_GAIN / 2).
+    effects. G_s is their gain, G the largest. T_s tempers the likelihood by what both models have wrong: L_s is the
+    `margin` of s and L_0 LEAST_APART. So a set at the limit of a tie has the odds (1 - SURE) / SURE.
     For `none` the second factor is mean_d 1{min_s E_s(d) >= (1 - m) E_0(d)} over all sets s.
     """
     judged = decision.judged
@@ -52,14 +52,15 @@ def share_of_stated(asked: Decision, material: float) -> float:
               and (keys_of(e) in stated or set_apart(e) or not any(nested(best, e) for best in asked.best))]
     sets, rows = zip(*[(asked.best[0], asked.row), *rivals])
     most = max(sets, key=lambda e: e.gain)
-    tempered = np.array([1.0 + max(common_gain(e, most), 0.0) * TIE / TIE_GAIN for e in sets])
-    likely = np.exp(-np.array([most.gain - e.gain for e in sets]) / (2.0 * tempered))
+    tempered = np.array([1.0 + margin(e, most) / LEAST_APART for e in sets])
+    log_odds = np.array([e.gain - most.gain for e in sets]) / (2.0 * tempered)
     own = np.array([keys_of(e) in stated for e in sets])
     shares = []
     for d in asked.draws:
         errors = np.array([asked.table.error(row, d) for row in rows])
         near = errors <= errors.min() + material * asked.table.error(NOMINAL, d)
-        shares.append(likely[near & own].sum() / likely[near].sum())
+        weights = np.exp(np.where(near, log_odds - log_odds[near].max(), -np.inf))
+        shares.append(weights[own].sum() / weights.sum())
     return float(np.mean(shares))
 
 

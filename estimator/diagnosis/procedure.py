@@ -25,11 +25,10 @@ from estimator.diagnosis.context import (
     best_shapes,
     detected,
     keys_of,
-    least_gain,
     p_of,
 )
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.decision_rule import ALPHA, EDGE, FINALISTS, MATERIAL, SUFFICES, SURE
+from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, SUFFICES, SURE, WIDTH
 from estimator.diagnosis.error_budget import budget, generic_extension
 from estimator.diagnosis.error_table import ErrorTable, measure_errors
 from estimator.diagnosis.noise_check import in_words, noisy_sensors, with_declared_noise
@@ -161,7 +160,7 @@ def smoothing_velocity_with(context: DiagnosisContext, tests: ScoreTests, stated
     Without what the nominal model lacks, a larger smoothing velocity absorbs part of it.
     """
     generic = generic_extension(context, context.nominal, tests)
-    single = fit_likeliest(context, grown(context, [Explanation(context.nominal, 0.0, tests)])[:FINALISTS])
+    single = fit_likeliest(context, grown(context, [Explanation(context.nominal, 0.0, tests)])[:WIDTH])
     models = [m for m in (single, generic) if m is not None]
     if not models:
         return None
@@ -177,7 +176,7 @@ def rank(context: DiagnosisContext, tests: ScoreTests) -> tuple[CandidateScore, 
     out = []
     for i in best_shapes(context, tests):
         effect, columns = context.candidates[i].effect, context.columns[i]
-        detectable = tests.detectable(int(columns[0]), ALPHA / context.trials, least_gain(context, i))
+        detectable = tests.detectable(int(columns[0]), ALPHA / context.trials, context.material(context.split.discover))
         out.append(CandidateScore(effect.name, None if effect.joint is None else effect.joint + 1,
                           float(np.sqrt(max(context.gain(tests, i), 0.0))), p_of(context, tests, i),
                           float(tests.size(columns)[0]), max(detectable, effect.open_size(context.split.clock_bound_s)),

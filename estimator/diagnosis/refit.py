@@ -9,7 +9,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import BAD_REPLICATE, LENT_BIAS, REPLICATED_SAMPLES, REPLICATES
+from estimator.diagnosis.decision_rule import EDGE, REPLICATED_SAMPLES
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests, project, score_alone, score_run
 from estimator.effects import Effect
 from estimator.errors import FitError
@@ -256,12 +256,12 @@ def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequ
     """
     split, states = model.split, run_states(model)
     seeds = rng.integers(2**63, size=len(states))
-    count = int(np.clip(REPLICATED_SAMPLES // model.problem.total, *REPLICATES))
+    count = max(2, REPLICATED_SAMPLES // model.problem.total)
 
     def bootstrap_bias(k: int) -> FloatArray | None:
         i, own = split.discover[k], np.random.default_rng(seeds[k])
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
-        found, worst = [], BAD_REPLICATE * per_value(problem, states[k])
+        found, worst = [], EDGE * per_value(problem, states[k])
         staged = None if split.mechanism.passive else simulate_run(problem, states[k], own)
         for _ in range(count):
             signals = draw_replicate(problem, states[k], split.runs[i], own, staged)
@@ -280,13 +280,13 @@ def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequ
 
 
 def pooled_bias(bias: Sequence[RunScore], run: RunScore) -> RunScore:
-    """Mean bias of other runs, scaled column by column to what this run informs of.
+    """Mean bias of other runs, scaled column by column to what this run informs of, but not enlarged.
 
     A run that never reaches a stop says nothing of it, and has no bias about it either.
     """
     score = np.mean([b.score for b in bias], axis=0)
     known = np.mean([np.diag(b.information) for b in bias], axis=0)
-    share = np.clip(np.diag(run.information) / np.maximum(known, 1e-100), 0.0, LENT_BIAS)
+    share = np.clip(np.diag(run.information) / np.maximum(known, 1e-100), 0.0, 1.0)
     return RunScore(score * share, run.information)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtrc, fdtri  # scipy.stats takes a second more to import
 
 from daq import FloatArray
-from estimator.diagnosis.decision_rule import HIDDEN, PRIOR_RUNS
+from estimator.diagnosis.decision_rule import HIDDEN, RUNS
 from estimator.likelihood import Candidate, ExtendedProblem, State, weighted_residuals_after
 from estimator.numerics import eliminate, pseudo_inverse
 
@@ -156,11 +156,11 @@ def _inflation(scores: FloatArray, own: FloatArray, least: float = 1.0) -> tuple
     share = own / own.sum(axis=0)
     excess = scores - share * scores.sum(axis=0)
     if runs < 2:
-        return np.full(scores.shape[1], least), float(PRIOR_RUNS)
+        return np.full(scores.shape[1], least), float(RUNS)
     variance = np.sum(excess**2 / own, axis=0) / (runs - 1)
     common = max(least, float(np.median(variance)) / float(chdtri(runs - 1, 0.5) / (runs - 1)))
-    inflation = (PRIOR_RUNS * common + (runs - 1) * variance) / (PRIOR_RUNS + runs - 1)
-    return np.maximum(inflation, 1.0), float(PRIOR_RUNS + runs - 1)
+    inflation = (RUNS * common + (runs - 1) * variance) / (RUNS + runs - 1)
+    return np.maximum(inflation, 1.0), float(RUNS + runs - 1)
 
 
 def columns_of(candidates: Sequence[Candidate]) -> list[NDArray[np.intp]]:

@@ -20,11 +20,11 @@ from estimator.diagnosis.context import (
     DiagnosisContext,
     Explanation,
     best_shapes,
-    detected_in_residual,
+    detected,
     keys_of,
     seated,
 )
-from estimator.diagnosis.decision_rule import COLLINEAR, FINALISTS, GROWN, MOST_EFFECTS, PARENTS
+from estimator.diagnosis.decision_rule import COLLINEAR, GROWN, MOST_EFFECTS, WIDTH
 from estimator.diagnosis.presence import admissible, presence, undetermined
 from estimator.diagnosis.refit import (
     Model,
@@ -75,13 +75,13 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress,
     for count in range(1, MOST_EFFECTS + 1):
         say(f"fitting sets of {count}", 0.3 + 0.15 * count)
         starts = grown(context, parents)
-        best = assess(context, fit_sets(context, starts[:FINALISTS]))
+        best = assess(context, fit_sets(context, starts[:WIDTH]))
         if not best or promise([*found, *best]).better:  # noise levels can hide what a wrong effect leaves
-            more = fit_sets(context, tried(context, starts[FINALISTS:]))
+            more = fit_sets(context, tried(context, starts[WIDTH:]))
             best = assess(context, sorted([*best, *more], key=lambda e: -e.gain))
         if not best:
             break
-        parents = seated(best, PARENTS)
+        parents = seated(best, WIDTH)
         found += [*best, *reduced(context, parents)]
         if not any(e.has_residual for e in parents) or not promise(found).larger:
             break
@@ -118,9 +118,9 @@ def grown(context: DiagnosisContext, parents: Sequence[Explanation]) -> list[tup
 
 
 def tried(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[tuple[Model, Start]]:
-    """The sets of `starts` that are the likeliest after a few steps, up to FINALISTS, from there."""
+    """The sets of `starts` that are the likeliest after a few steps, up to WIDTH, from there."""
     begun = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], FIRST_STEPS))
-    return [(m, pairs_of(m)) for m in unlike(sorted(begun, key=deviance))[:FINALISTS]]
+    return [(m, pairs_of(m)) for m in unlike(sorted(begun, key=deviance))[:WIDTH]]
 
 
 def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[Explanation]:
@@ -314,7 +314,10 @@ def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequen
     model = explanation.model
     left = tests_of(model, scores, [insert_size_entries(b, model) for b in bias])
     free = np.diag(model.state.covariance) > 0.0
-    return replace(explanation, left=left, has_residual=detected_in_residual(context, left, keys_of(explanation)),
+    keys = keys_of(explanation)
+    further = np.array([0.0 if c.effect.key in keys else context.gain(left, i)
+                        for i, c in enumerate(context.candidates)])
+    return replace(explanation, left=left, has_residual=detected(context, left, keys), further=further,
                    inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free))
 
 
@@ -362,13 +365,10 @@ def weigh(context: DiagnosisContext, found: Sequence[Explanation]) -> list[Expla
 
 
 def with_parent(explanation: Explanation, found: Sequence[Explanation]) -> Explanation:
-    """`explanation` with the likeliest of `found` that has one effect less, and the gain over that."""
+    """`explanation` with its gain over the likeliest of `found` that has one effect less."""
     keys = keys_of(explanation)
     smaller = [e for e in found if keys_of(e) < keys and len(e.model.effects) == len(keys) - 1]
-    parent = max(smaller, key=lambda e: e.gain, default=None)
-    if parent is None:
-        return replace(explanation, gain_over_parent=explanation.gain)
-    return replace(explanation, parent=keys_of(parent), gain_over_parent=explanation.gain - parent.gain)
+    return replace(explanation, gain_over_parent=explanation.gain - max((e.gain for e in smaller), default=0.0))
 
 
 def relative(squares: FloatArray, nominal: FloatArray) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.diagnosis.context import DiagnosisContext, Explanation, keys_of, seated
-from estimator.diagnosis.decision_rule import EDGE, SHORTLIST, SHORTLIST_EACH, SUFFICES, SURE
+from estimator.diagnosis.decision_rule import EDGE, MOST_EFFECTS, SHORTLIST_EACH, SUFFICES, SURE
 from estimator.diagnosis.error_budget import generic_extension
 from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors, with_floor
 from estimator.diagnosis.model_comparison import indistinguishable_set
@@ -278,7 +278,7 @@ def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
     every = sorted(options, key=lambda o: -o.gain)
     ranked = [o for k, o in enumerate(every) if not any(keys_of(o) == keys_of(e) for e in every[:k])]
     first = first_of_each(ranked)
-    return [*first, *(o for o in ranked if not any(o is f for f in first))][: max(SHORTLIST, len(first))]
+    return [*first, *(o for o in ranked if not any(o is f for f in first))][: MOST_EFFECTS * SHORTLIST_EACH]
 
 
 def first_of_each(options: Sequence[Explanation]) -> list[Explanation]:

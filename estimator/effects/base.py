@@ -191,8 +191,6 @@ class Effect(ABC):
     """Its first so many sizes are not below zero where the effect is present: friction that drives is none."""
     defining: ClassVar[int | None] = None
     """One of the first so many sizes is not zero where the effect is present; by default, of all."""
-    near_rest: ClassVar[bool] = False
-    """True if it acts where a joint reverses: the smoothed sign is inexact there, so every leg shows a little."""
     strict: ClassVar[bool] = False
     """True if a shape parameter at a limit of its range makes it another effect than its name says."""
     starts: ClassVar[tuple[tuple[float, ...], ...]] = ()

@@ -13,7 +13,6 @@ class StribeckFriction(TorqueEffect):
     """F exp(-|v/vs|^n) sign(v), n = 2 (Gaussian) for most lubricated contacts, 0.5 to 1 for slower decays."""
 
     name = "stribeck_friction"
-    near_rest = True
     strict = True
     positive = 1
     sizes = (Size("excess_torque", "N m", 0.01),)
@@ -61,7 +60,6 @@ class LoadDependentFriction(TorqueEffect):
     """
 
     name = "load_dependent_friction"
-    near_rest = True
     strict = True
     positive = 1
     sizes = (Size("load_coefficient", "1", 0.01),)
@@ -130,7 +128,6 @@ class PreslidingFriction(StateEffect):
     """
 
     name = "presliding_friction"
-    near_rest = True
     strict = True
     positive = 2  # bristles that drove would give back more than they took: a hysteresis that fades does
     defining = 1

@@ -57,13 +57,13 @@ from tests.evidence.kept import kept
 from tests.evidence.page_file import within, write_page
 from tests.evidence.registry import Evidence
 
-SEED, RUNS, SECONDS, MORE_S = 5050, 4, 5.0, 2.5
+SEED, RUNS, SECONDS, MORE_S = 5151, 4, 5.0, 2.5
 """... runs that go before, their length, and that of the run that is added [s]."""
 GENTLE_NM, LIMIT_NM, LOW_HZ, HIGH_HZ = 0.2, 0.3, 0.2, 2.5
 """Peak of the first runs, the rig's limit, and the frequencies of the first runs."""
-TIES = (10.0, 20.0)
+TIES = (3.0, 6.0)
 """Twice the expected log likelihood ratio, over the first runs, of a fault over its nearest rival of the library: a
-diagnosis does not tell apart what differs by less than 8 (`TIE_GAIN`) and 0.5 % of the gain (`TIE`)."""
+diagnosis does not tell apart what differs by less than 5.9."""
 PRIOR = 0.03
 """Standard deviation of the prior model's parameters about the legs'."""
 
@@ -228,8 +228,7 @@ def page(legs: int, wanted: int, minutes: float) -> Iterator[str]:
         f"Emulated legs with one fault each, {RUNS} runs of {SECONDS:g} s, a diagnosis. The runs are the gentle "
         f"multisine of {GENTLE_NM:g} N m that `legid excite` writes without a model. The information of these plans "
         "gives the size of a fault. Twice its log likelihood ratio over its nearest rival of the library is expected "
-        f"to be {TIES[0]:g} or {TIES[1]:g}. A diagnosis does not tell apart what differs by less than 8 and 0.5 % of "
-        "the fault's own ratio.", "",
+        f"to be {TIES[0]:g} or {TIES[1]:g}. A diagnosis does not tell apart what differs by less than 5.9.", "",
         f"{count} of {len(rows)} diagnoses end `one_of` with the fault among the causes; {wanted} of these "
         "were asked for.", "",
         "| fault | standard deviations | verdict after the first runs | causes |", "| --- | ---: | --- | --- |"]
@@ -242,8 +241,8 @@ def page(legs: int, wanted: int, minutes: float) -> Iterator[str]:
     yield from [
         "", f"To each of the {count} one run of {MORE_S:g} s is added, by the designed torque or by the default "
         f"design. Both may use {LIMIT_NM:g} N m. The default design has frequencies up to {USUAL_HIGH_HZ:g} Hz, the "
-        "designed torque up to a twelfth of the sampling rate. Its bands were chosen by expected ratios on legs 0, 2, "
-        "3 and 5 of this seed.", "",
+        "designed torque up to a twelfth of the sampling rate. Its bands were chosen by expected ratios on four "
+        "legs of another seed.", "",
         "| | designed torque | default design |", "| --- | --- | --- |",
         f"| the fault alone is named | {Rate(sum(designed), count)} | {Rate(sum(usual), count)} |",
         f"| something else is named | {Rate(sum(wrong(e, o.designed) for e, o in open_ if o.designed), count)} | "

@@ -246,7 +246,7 @@ def test_a_replicate_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
                 for s in found]
 
     monkeypatch.setattr(refit, "draw_replicate", going_off)
-    monkeypatch.setattr(refit, "REPLICATES", (2, 2))
+    monkeypatch.setattr(refit, "REPLICATED_SAMPLES", 0)
     names = [split.runs[i][0].run for i in split.discover]
     bad: list[str] = []
     means = []

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.context import Explanation
-from estimator.diagnosis.decision_rule import MATERIAL, TIE, TIE_GAIN
+from estimator.diagnosis.decision_rule import MATERIAL, SURE
 from estimator.diagnosis.error_table import ErrorTable
+from estimator.diagnosis.model_comparison import LEAST_APART
 from estimator.diagnosis.probability import probability_of, probability_of_no_error
 from estimator.diagnosis.verdict import Decision, passed
 
@@ -52,7 +53,7 @@ def test_a_clear_answer_is_nearly_certain() -> None:
 
 
 @pytest.mark.parametrize(("behind", "stated", "expected"), [
-    (0.0, 1, 0.5), (0.0, 2, 1.0), (TIE * 900.0 + TIE_GAIN, 1, 1.0 / (1.0 + np.exp(-TIE_GAIN / 2.0))), (400.0, 1, 1.0)])
+    (0.0, 1, 0.5), (0.0, 2, 1.0), (LEAST_APART, 1, SURE), (400.0, 1, 1.0)])
 def test_rivals_that_fit_alike_share_the_probability(behind: float, stated: int, expected: float) -> None:
     """A rival of as many effects and about the same error counts by its likelihood, tempered; larger sets do not."""
     sets = explained(900.0, "drag"), explained(900.0 - behind, "spring"), explained(2000.0, "drag", "spring")
@@ -60,12 +61,19 @@ def test_rivals_that_fit_alike_share_the_probability(behind: float, stated: int,
     assert probability_of(found, MATERIAL) == pytest.approx(expected, abs=1e-3)
 
 
-def test_second_causes_are_weighed_by_their_own_gains() -> None:
-    """A ripple and a tilted IMU, of a gain of 2e8; a delay in place of the ripple was 6e4 behind, and had the weight
-    0.8."""
-    pairs = [replace(explained(gain, "tilt", key), parent=frozenset({"tilt"}), gain_over_parent=gain - 197_307_970.0)
-             for gain, key in ((197_374_627.0, "ripple"), (197_316_850.0, "delay"))]
-    found = passed(asked(table_of(37.8, 1.0, 4.5), *pairs), None, MATERIAL)
+def test_what_rivals_leave_makes_the_likelihood_less_sure() -> None:
+    """A further effect brings a rival, 400 behind, to the limit of a tie; further likelihood then counts for less."""
+    left = [replace(explained(900.0, "drag"), further=np.array([500.0])),
+            replace(explained(500.0, "spring"), further=np.array([900.0 - LEAST_APART]))]
+    found = passed(asked(table_of(9.0, 1.2, 1.2), *left), None, MATERIAL)
+    assert probability_of(found, MATERIAL) == pytest.approx(SURE, abs=1e-3)
+
+
+@pytest.mark.parametrize("rival", [199_000.0, 190_000.0])
+def test_a_likelier_set_that_simulates_worse_is_no_rival(rival: float) -> None:
+    """Its weight is that of the others by far: they are weighed among themselves."""
+    sets = [explained(gain, key) for gain, key in ((100_000.0, "ripple"), (99_900.0, "delay"), (rival, "tilt"))]
+    found = passed(asked(table_of(37.8, 1.0, 1.0, 9.0), *sets), None, MATERIAL)
     assert probability_of(found, MATERIAL) == pytest.approx(1.0)
 
 

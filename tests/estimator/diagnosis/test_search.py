@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from estimator.diagnosis import procedure, search
 from estimator.diagnosis.context import NO_TESTS, Explanation, keys_of, seated
-from estimator.diagnosis.decision_rule import FINALISTS, GROWN, MATERIAL
+from estimator.diagnosis.decision_rule import GROWN, MATERIAL, WIDTH
 from estimator.errors import FitError
 
 
@@ -101,7 +101,7 @@ def test_sets_that_gain_are_fitted_to_the_end_and_those_that_prove_likely_too(mo
     A rotor's inertia had the largest score, and two steps led nowhere."""
     context = Context({f"other{k}": 100.0 - k for k in range(6)} | {"skew": 5.0, "drag": 1.0, "play": 0.5})
     starts = search.grown(cast(Any, context), [explained(0.0)])
-    assert [e.key for _, [(e, _)] in starts][:FINALISTS] == [f"other{k}" for k in range(FINALISTS)]
+    assert [e.key for _, [(e, _)] in starts][:WIDTH] == [f"other{k}" for k in range(WIDTH)]
     tried, whole = [], []
 
     def held(_: object, begin: object, start: Any, steps: int) -> Any:
@@ -120,7 +120,7 @@ def test_sets_that_gain_are_fitted_to_the_end_and_those_that_prove_likely_too(mo
     monkeypatch.setattr(search, "reduced", lambda *_: [])
     left = explained(0.0).left
     found = search.search(cast(Any, context), left, lambda *_: None, lambda _: search.Promise(True, False))
-    assert len(tried) == len(starts) - FINALISTS and len(whole) == 2 * FINALISTS
+    assert len(tried) == len(starts) - WIDTH and len(whole) == 2 * WIDTH
     assert keys_of(found[0]) == {"skew"} and found[0].gain == 10_000.0
     tried.clear()
     search.search(cast(Any, context), left, lambda *_: None, lambda _: search.Promise(False, False))
@@ -230,7 +230,7 @@ def test_an_effect_is_exchanged_for_one_that_it_resembles(monkeypatch: pytest.Mo
 def test_gains_are_those_over_the_likeliest_smaller_set() -> None:
     spring, offset, both = explained(9.0, "spring"), explained(7.0, "offset"), explained(12.0, "offset", "spring")
     pair = search.with_parent(both, [both, spring, offset])
-    assert pair.parent == {"spring"} and pair.gain_over_parent == 3.0
+    assert pair.gain_over_parent == 3.0
     assert search.with_parent(spring, [both, spring, offset]).gain_over_parent == 9.0
 
 
