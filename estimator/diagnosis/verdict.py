@@ -157,7 +157,7 @@ def pruned(context: DiagnosisContext, asked: Decision, possible: Sequence[tuple[
         smaller = assess(context, [Explanation(model, best.gain - loss, by_run=best.by_run)])[0]
         same = [(o, k) for o, k in possible if len(o.model.effects) == len(model.effects)
                 and keys_of(o) != keys_of(smaller)]
-        what = likeliest([(smaller, row), *same], table, material * table.error(NOMINAL))
+        what = likeliest([(smaller, row), *same], table, material, NOMINAL, asked.draws)
         asked = ask(context, asked, what, possible, rng)
     return asked
 
@@ -181,7 +181,7 @@ def second_cause(possible: Sequence[tuple[Explanation, int]], asked: Decision, m
     more = [(o, k) for o, k in possible if len(o.model.effects) == count and any(h < keys_of(o) for h in held)
             and table.error(row) - table.error(k) > material * table.error(row)
             and is_open(table, k, row, material, asked.draws)]
-    return likeliest(more, table, material * table.error(row)) if more else None
+    return likeliest(more, table, material, row, asked.draws) if more else None
 
 
 def turn_runs(context: DiagnosisContext, asked: Decision, rng: np.random.Generator, also: Sequence[int] = ()
@@ -312,22 +312,25 @@ def choose(possible: Sequence[tuple[Explanation, int]], table: ErrorTable, mater
         best: list[Explanation] = []
         row = NOMINAL
         for count in sorted({len(o.model.effects) for o, _ in possible}):
-            found, k = likeliest([(o, k) for o, k in possible if len(o.model.effects) == count], table,
-                                 material * table.error(row))
+            found, k = likeliest([(o, k) for o, k in possible if len(o.model.effects) == count], table, material, row,
+                                 draws)
             if better(k, row):
                 best, row = found, k
         if best:
             return best, row
     fewest = min(len(o.model.effects) for o, _ in possible)
-    return likeliest([(o, k) for o, k in possible if len(o.model.effects) == fewest], table,
-                     material * table.error(NOMINAL))
+    return likeliest([(o, k) for o, k in possible if len(o.model.effects) == fewest], table, material, NOMINAL, draws)
 
 
-def likeliest(of: Sequence[tuple[Explanation, int]], table: ErrorTable, least: float) -> tuple[list[Explanation], int]:
-    """The likeliest of those with an error within `least` of the lowest, with its equivalents, and its row."""
-    lowest = min(table.error(k) for _, k in of)
-    best = indistinguishable_set([o for o, k in of if table.error(k) <= lowest + least])
-    return best, next(k for o, k in of if o is best[0])
+def likeliest(among: Sequence[tuple[Explanation, int]], table: ErrorTable, material: float, than: int,
+              draws: NDArray[np.intp]) -> tuple[list[Explanation], int]:
+    """The likeliest of those that do not surely err materially more than the best, with its equivalents, and its row.
+
+    Material is a share of the error of the model `than`.
+    """
+    lowest = min((k for _, k in among), key=table.error)
+    best = indistinguishable_set([o for o, k in among if table.lowers(lowest, k, material, draws, than) < SURE])
+    return best, next(k for o, k in among if o is best[0])
 
 
 def with_minor(possible: Sequence[tuple[Explanation, int]], best: Explanation, row: int, table: ErrorTable,
