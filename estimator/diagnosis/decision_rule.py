@@ -77,5 +77,7 @@ HIDDEN = 1e-5
 fitted size of which the other parameters leave less is not determined."""
 REPLICATED_SAMPLES = 24_000
 """Samples that the replicates of the discover runs have in all, at least."""
+WHOLE_RUNS = 8
+"""Replicates of a run whose free runs over the whole of it say what noise leaves."""
 DRAWS = 400
 """Number of bootstrap resamples of the held-out runs."""

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.diagnosis.decision_rule import DECIDING_S, DRAWS
+from estimator.diagnosis.decision_rule import DECIDING_S, DRAWS, WHOLE_RUNS
 from estimator.diagnosis.refit import Model, smooth
 from estimator.parallel import parallel_map
 from estimator.prediction import (
@@ -213,11 +213,23 @@ def about_zero(model: Model, errors: FloatArray) -> FloatArray:
 
 def floor_of(model: Model, run: int, fitted: SmoothedRun, seed: int | np.int64, horizons_s: Sequence[float],
              noise: FloorNoise) -> FloatArray:
-    """(H, C, N) squared errors of a replicate with this `noise` alone, of the run as `fitted`, in `sensors_of`."""
-    split = model.split
-    found = floor_errors(fitted, np.random.default_rng(seed), horizons_s, lambda signals: split.problem(
-        [run], model.problem.stage.angle_range, model.effects, signals=signals), noise)
-    return about_zero(model, found[:, [channel_names(fitted.problem).index(c) for c in sensors_of(model)]]) ** 2
+    """(H, C, N) squared errors of replicates with this `noise` alone, of the run as `fitted`, in `sensors_of`.
+
+    Those over whole runs are a mean of WHOLE_RUNS replicates: a leg that sticks leaves ten times as much in one as in
+    another.
+    """
+    split, rng = model.split, np.random.default_rng(seed)
+    rows, whole = [channel_names(fitted.problem).index(c) for c in sensors_of(model)], np.isinf(horizons_s)
+
+    def drawn(horizons_s: Sequence[float]) -> FloatArray:
+        found = floor_errors(fitted, rng, horizons_s, lambda signals: split.problem(
+            [run], model.problem.stage.angle_range, model.effects, signals=signals), noise)
+        return about_zero(model, found[:, rows]) ** 2
+
+    squares = drawn(horizons_s)
+    if whole.any():
+        squares[whole] = np.mean([squares[whole], *(drawn([np.inf]) for _ in range(WHOLE_RUNS - 1))], axis=0)
+    return squares
 
 
 def choose_rows(table: ErrorTable, rows: Sequence[int]) -> ErrorTable:

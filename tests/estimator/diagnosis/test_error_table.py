@@ -10,6 +10,7 @@ import pytest
 
 from daq import FloatArray
 from estimator.diagnosis import error_table
+from estimator.diagnosis.decision_rule import WHOLE_RUNS
 from estimator.model import leg2
 
 PIVOT = "q1_rad"
@@ -61,3 +62,22 @@ def test_noise_leaves_no_more_than_a_model_of_the_same_runs_errs() -> None:
     """On the demo's leg the floor of the pivot's angle was four times the extended model's error."""
     squares = np.array([[[9.0, 4.0], [9.0, 4.0]], [[1.0, 4.0], [3.0, 4.0]], [[np.nan, 8.0], [1.0, 8.0]]])
     assert error_table._least(np.array([5.0, 1.0]), squares).tolist() == [2.0, 1.0]
+
+
+def test_the_floor_of_whole_runs_is_a_mean_of_replicates(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A leg that sticks left 1.0 to 8.5 floors by the one replicate that was drawn."""
+    drawn: list[list[float]] = []
+
+    def floor_errors(one: Any, rng: Any, horizons_s: list[float], *rest: Any) -> FloatArray:
+        drawn.append(list(horizons_s))
+        return np.full((len(horizons_s), 1, 4), float(len(drawn)))
+
+    monkeypatch.setattr(error_table, "floor_errors", floor_errors)
+    monkeypatch.setattr(error_table, "sensors_of", lambda model: ("q2_rad",))
+    monkeypatch.setattr(error_table, "channel_names", lambda problem: ["q2_rad"])
+    problem = SimpleNamespace(n=2, has_encoder=np.array([False, True]), stage=SimpleNamespace(angle_range=None))
+    model: Any = SimpleNamespace(split=SimpleNamespace(has_imu=False), problem=problem, effects=())
+    squares = error_table.floor_of(model, 0, cast(Any, SimpleNamespace(problem=problem)), 0, (0.1, np.inf),
+                                   cast(Any, None))
+    every = np.arange(1.0, WHOLE_RUNS + 1.0)
+    assert squares[:, 0, 0] == pytest.approx([1.0, np.mean(every**2)]) and drawn[1:] == [[np.inf]] * (WHOLE_RUNS - 1)
