@@ -62,9 +62,10 @@ RECORDS = {
                       "[terms]\nrotor_inertia = [2]\n"),
     "emps": Record("prismatic axis", ("estimation",), JOINT + "gravity_mps2 = 0.0\n",
                    (95.1089, 203.5034, 20.3935), (-3.1648,), "[terms]\ntorque_offset = [1]\n"),
-    "bam_xl330": Record("servo and pendulum, volts (by the data's own least squares)",
+    # R / kt = 14.74 V/(N m) times (m l^2 + armature, m l, friction), and kt: the authors' model m1, without Stribeck's
+    "bam_xl330": Record("servo and pendulum, volts (the authors' Coulomb and viscous model)",
                         tuple(f"kp{k}_{end}" for k in (100, 400) for end in ENDS),
-                        JOINT + 'input = "voltage"\n', (0.0766, 0.5683, 0.438, 0.381)),
+                        JOINT + 'input = "voltage"\n', (0.0964, 0.7222, 0.4779, 0.1027)),
 }
 
 
