@@ -106,8 +106,10 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     named = len(candidates)
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu, split.encoders)]
     context, tests = scored(split, candidates, named, rng, say)
+    generic = None
     if stated is not None and detected(context, tests):
-        other = smoothing_velocity_with(context, tests, stated)
+        generic = generic_extension(context, context.nominal, tests)
+        other = smoothing_velocity_with(context, tests, generic, stated)
         if other is not None:
             with suppress(FitError):
                 context, tests = scored(replace(split, mechanism=other, stiction={}), candidates, named, rng, say,
@@ -128,7 +130,8 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
                 base = replace(base, error=(error, error), probability=probability_of_no_error(table, rng))
             return replace(conclusion.nothing(base), mechanism=nominal.split.mechanism)
     known: list[ErrorTable] = []
-    generic = generic_extension(context, nominal, tests)
+    if generic is None or generic.split is not context.split:
+        generic = generic_extension(context, nominal, tests)
     noise = None if generic is None else noise_floor(generic)
     found = search(context, tests, say, lambda found: promise(context, found, noise, material, rng, known))
     say("simulating the held-out runs", 0.85)
@@ -154,13 +157,13 @@ def scored(split: RunSplit, candidates: list[Candidate], named: int, rng: np.ran
     return context, tests_of(nominal, scores, bias)
 
 
-def smoothing_velocity_with(context: DiagnosisContext, tests: ScoreTests, stated: Mechanism) -> Mechanism | None:
+def smoothing_velocity_with(context: DiagnosisContext, tests: ScoreTests, generic: Model | None, stated: Mechanism
+                            ) -> Mechanism | None:
     """The mechanism with its smoothing velocity estimated from `stated` together with the likeliest of the effects of
-    the largest scores and of generic terms; None if it stays.
+    the largest scores and of `generic` terms; None if it stays.
 
     Without what the nominal model lacks, a larger smoothing velocity absorbs part of it.
     """
-    generic = generic_extension(context, context.nominal, tests)
     single = fit_likeliest(context, grown(context, [Explanation(context.nominal, 0.0, tests)])[:FINALISTS])
     models = [m for m in (single, generic) if m is not None]
     if not models:

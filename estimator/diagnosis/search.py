@@ -120,12 +120,14 @@ def grown(context: DiagnosisContext, parents: Sequence[Explanation]) -> list[tup
 def tried(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[tuple[Model, Start]]:
     """The sets of `starts` that are the likeliest after a few steps, up to FINALISTS, from there."""
     begun = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], FIRST_STEPS))
-    return [(m, pairs_of(m)) for m in unlike(sorted(begun, key=deviance))[:FINALISTS]]
+    found = sorted((m for m in begun if m is not None), key=deviance)
+    return [(m, pairs_of(m)) for m in unlike(found)[:FINALISTS]]
 
 
 def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[Explanation]:
     """The sets of `starts`, from a model and sizes each, fitted to the end, the likeliest first."""
-    fitted = _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
+    every = _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
+    fitted = [m for m in every if m is not None]
     errors = parallel_map(lambda k: short_errors(fitted[k]), len(fitted), context.split.workers)
     return sorted((Explanation(m, context.deviance - deviance(m), error=relative(e, context.short_errors))
                    for m, e in zip(fitted, errors)), key=lambda e: -e.gain)
@@ -133,8 +135,19 @@ def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -
 
 def fit_likeliest(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> Model | None:
     """The set of `starts` that is the likeliest with its shapes held, fitted to the end; None without any."""
-    held = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], HELD_STEPS))
-    return fit_free(min(held, key=deviance)) if held else None
+    every = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], HELD_STEPS))
+    held = {key_of(begin, start): m for (begin, start), m in zip(starts, every) if m is not None}
+    context.held.update(held)
+    if not held:
+        return None
+    likeliest = min(held, key=lambda key: deviance(held[key]))
+    context.whole[likeliest] = fit_free(held[likeliest])
+    return context.whole[likeliest]
+
+
+def key_of(begin: Model, start: Start) -> tuple[int, bytes]:
+    """What tells one start of a fit from others: the model whose motion it has, effects and sizes."""
+    return id(begin), b" ".join(effect.key.encode() + size.tobytes() for effect, size in start)
 
 
 def unlike(models: Iterable[Model]) -> list[Model]:
@@ -150,20 +163,21 @@ def pairs_of(model: Model) -> Start:
     return list(zip(model.effects, model.sizes()))
 
 
-def _each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[[int], Model | None]) -> list[Model]:
-    """The models that `fit` makes of the `starts`, on as many processes as the diagnosis has."""
+def _each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[[int], Model | None]
+          ) -> list[Model | None]:
+    """The model that `fit` makes of each of the `starts`, on as many processes as the diagnosis has."""
     split, angle_range = context.split, context.nominal.problem.stage.angle_range
 
     def fitted(k: int) -> State | None:
         model = fit(k)
         return None if model is None else model.state
 
-    models = []
-    for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers)):
-        if state is not None:
-            effects = tuple(e for e, _ in start)
-            models.append(Model(split, effects, state, split.problem(split.discover, angle_range, effects)))
-    return models
+    def model_of(start: Start, state: State) -> Model:
+        effects = tuple(e for e, _ in start)
+        return Model(split, effects, state, split.problem(split.discover, angle_range, effects))
+
+    return [None if state is None else model_of(start, state)
+            for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers))]
 
 
 def fit_held(context: DiagnosisContext, begin: Model, start: Start, steps: int) -> Model | None:
@@ -181,8 +195,11 @@ def fit_held(context: DiagnosisContext, begin: Model, start: Start, steps: int) 
 
 
 def fit_whole(context: DiagnosisContext, begin: Model, start: Start) -> Model | None:
-    """A fit with shapes held, then free; None where it fails."""
-    held = fit_held(context, begin, start, HELD_STEPS)
+    """A fit with shapes held, then free, as far as `context` has none from this start; None where it fails."""
+    key = key_of(begin, start)
+    if key in context.whole:
+        return context.whole[key]
+    held = context.held.get(key) or fit_held(context, begin, start, HELD_STEPS)
     return None if held is None else fit_free(held)
 
 

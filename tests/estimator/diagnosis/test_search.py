@@ -50,6 +50,8 @@ class Context:
     short_errors: Any = None
     nominal: Fitted = field(default_factory=lambda: Fitted((), 0.0))
     split: Any = field(default_factory=lambda: SimpleNamespace(confirm=(1, 6), workers=1))
+    held: dict[Any, Any] = field(default_factory=dict)
+    whole: dict[Any, Any] = field(default_factory=dict)
 
     @property
     def candidates(self) -> list[Any]:
@@ -130,8 +132,10 @@ def test_sets_that_gain_are_fitted_to_the_end_and_those_that_prove_likely_too(mo
 def test_shapes_are_free_in_the_likeliest_set_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     gains = {"drag": 50.0, "play": 900.0}
     freed: list[Any] = []
+    begun: list[str] = []
 
     def held(_: object, begin: object, start: Any, steps: int) -> Any:
+        begun.append(start[0][0].key)
         return fitted(gains[start[0][0].key], start[0][0].key)
 
     def free(model: Any) -> Any:
@@ -146,6 +150,11 @@ def test_shapes_are_free_in_the_likeliest_set_alone(monkeypatch: pytest.MonkeyPa
     found = search.fit_likeliest(context, starts)
     assert found is not None and [e.key for e in found.effects] == ["play"] and freed == [found]
     assert search.fit_likeliest(context, []) is None
+    again = {start[0][0].key: search.fit_whole(context, begin, start) for begin, start in starts}
+    assert again["play"] is found and sorted(begun) == ["drag", "play"]  # no fit is made twice
+    assert [e.key for e in freed[-1].effects] == ["drag"] and len(freed) == 2
+    other = [(effect, size + 0.1) for effect, size in starts[0][1]]
+    assert search.fit_whole(context, starts[0][0], other) is not None and len(begun) == 3
 
 
 @pytest.mark.parametrize(("residuals", "sizes"), [((False, False), 1), ((False, True), 2), ((True, False), 2)])
