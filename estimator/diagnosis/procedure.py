@@ -31,7 +31,7 @@ from estimator.diagnosis.context import (
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import ALPHA, EDGE, FINALISTS, MATERIAL, SUFFICES, SURE
 from estimator.diagnosis.error_budget import budget, generic_extension
-from estimator.diagnosis.error_table import ErrorTable, measure_errors
+from estimator.diagnosis.error_table import ErrorTable, known_errors, measure_errors
 from estimator.diagnosis.noise_check import in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.probability import probability_of, probability_of_no_error
@@ -239,8 +239,10 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], floor: Floo
     best = by_error(first_of_each(found))
     models = [context.nominal, *(e.model for e in best)]
     try:
-        table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)),
-                               noise=floor or noise_floor(models[1]))
+        table = known_errors(known, models)
+        if table is None:
+            table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)),
+                                   noise=floor or noise_floor(models[1]))
     except FitError:
         return Promise(True, True)
     known.append(table)
