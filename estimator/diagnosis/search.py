@@ -24,7 +24,15 @@ from estimator.diagnosis.context import (
     keys_of,
     seated,
 )
-from estimator.diagnosis.decision_rule import COLLINEAR, FINALISTS, GROWN, MOST_EFFECTS, PARENTS
+from estimator.diagnosis.decision_rule import (
+    COLLINEAR,
+    FINALISTS,
+    GROWN,
+    MOST_EFFECTS,
+    PARENTS,
+    TIE_GAIN,
+    WIDEST,
+)
 from estimator.diagnosis.presence import admissible, presence, undetermined
 from estimator.diagnosis.refit import (
     Model,
@@ -75,19 +83,48 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress,
     for count in range(1, MOST_EFFECTS + 1):
         say(f"fitting sets of {count}", 0.3 + 0.15 * count)
         starts = grown(context, parents)
-        best = assess(context, fit_sets(context, starts[:FINALISTS]))
+        fits = fit_sets(context, starts[:FINALISTS])
+        best = assess_answers(context, fits)
         if not best or promise([*found, *best]).better:  # noise levels can hide what a wrong effect leaves
-            more = fit_sets(context, tried(context, starts[FINALISTS:]))
-            best = assess(context, sorted([*best, *more], key=lambda e: -e.gain))
+            fits += fit_sets(context, tried(context, starts[FINALISTS:]))
+            best = assess_answers(context, without(fits, best), best)
         if not best:
             break
         parents = seated(best, PARENTS)
         found += [*best, *reduced(context, parents)]
-        if not any(e.has_residual for e in parents) or not promise(found).larger:
+        if count == MOST_EFFECTS or not any(e.has_residual for e in parents) or not promise(found).larger:
             break
+        rest = assess(context, without(fits, best))  # a cause of several can be far from the likeliest single one
+        parents = seated(sorted([*best, *rest], key=lambda e: -e.gain), PARENTS)
+        found += [*rest, *reduced(context, [e for e in parents if any(e is r for r in rest)])]
     say("comparing the best sets", 0.8)
     found = possible(found)
     return weigh(context, possible(found + exchanged(context, tests, found)))
+
+
+def assess_answers(context: DiagnosisContext, sets: Sequence[Explanation], others: Sequence[Explanation] = ()
+                   ) -> list[Explanation]:
+    """Those of `sets` that can be an answer, assessed, with the assessed `others`; the likeliest first.
+
+    A set is no answer where an admissible one of as many effects is likelier, by more than can count as a tie, and
+    simulates better, too.
+    """
+    found = list(others)
+    for e in sorted(sets, key=lambda e: -e.gain):
+        if not any(outperforms(o, e) and admissible(o) for o in found):
+            found += assess(context, [e])
+    return sorted(found, key=lambda e: -e.gain)
+
+
+def outperforms(one: Explanation, other: Explanation) -> bool:
+    """Whether `one` has as many effects as the `other`, a larger gain beyond a tie, and a smaller error."""
+    return (len(one.model.effects) == len(other.model.effects) and one.error < other.error
+            and one.gain - other.gain > WIDEST * one.gain + TIE_GAIN)
+
+
+def without(sets: Sequence[Explanation], others: Sequence[Explanation]) -> list[Explanation]:
+    """Those of `sets` whose models are not among those of the `others`."""
+    return [e for e in sets if not any(e.model is o.model for o in others)]
 
 
 def possible(found: Sequence[Explanation]) -> list[Explanation]:
@@ -284,7 +321,8 @@ def exchanged(context: DiagnosisContext, tests: ScoreTests, found: Sequence[Expl
                     known.add(keys)
                     changed = [*pairs[:k], (other, start_size(context, tests, i)), *pairs[k + 1 :]]
                     starts.append((context.nominal, changed))
-    return assess(context, fit_sets(context, starts)) if starts else []
+    fits = fit_sets(context, starts) if starts else []
+    return without(assess_answers(context, fits, found), found)
 
 
 def resemble(context: DiagnosisContext, tests: ScoreTests, i: int, k: int) -> bool:
@@ -308,21 +346,27 @@ def start_size(context: DiagnosisContext, tests: ScoreTests, i: int) -> FloatArr
 
 
 def assess(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
-    """Each with the scores of what it leaves on the discover runs, less their bias; as it is where it has them.
-
-    The bias is simulated for the first that has none.
-    """
+    """Each with the scores of what it leaves on the discover runs, less their bias; as it is where it has them."""
     new = [e.model for e in explanations if e.left is NO_TESTS]
-    if not new:
-        return list(explanations)
-    scores = [score_discover(m, context.candidates) for m in new]
-    try:
-        bias = [drop_size_entries(r, new[0])
-                for r in bootstrap_scores(new[0], context.candidates, scores[0], context.rng)]
-    except FitError:  # it cannot be simulated
-        bias = context.bias
-    own = iter(scores)
-    return [assessed(context, e, next(own), bias) if e.left is NO_TESTS else e for e in explanations]
+    every = [score_discover(m, context.candidates) for m in new]
+    biases = iter([bias_of(context, m, scores) for m, scores in zip(new, every)])
+    own = iter(every)
+    return [assessed(context, e, next(own), next(biases)) if e.left is NO_TESTS else e for e in explanations]
+
+
+def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[RunScore]) -> list[RunScore]:
+    """Bias of the `scores` of sets of as many effects as `model` has, one a discover run, own sizes left out.
+
+    It is simulated for the first of them. Where it cannot be, it is that of the nominal model.
+    """
+    count = len(model.effects)
+    if count not in context.biases:
+        try:
+            bias = bootstrap_scores(model, context.candidates, scores, context.rng)
+        except FitError:
+            return context.bias
+        context.biases[count] = [drop_size_entries(r, model) for r in bias]
+    return context.biases[count]
 
 
 def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequence[RunScore], bias: Sequence[RunScore]

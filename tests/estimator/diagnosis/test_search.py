@@ -201,6 +201,37 @@ def test_all_fitted_sets_are_compared_that_can_be_answers(monkeypatch: pytest.Mo
         assert [next(iter(keys_of(e))) for e in found] == expected
 
 
+def test_sets_of_as_many_effects_share_one_bias(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulated: list[int] = []
+
+    def bootstrap(model: Fitted, *_: object) -> list[str]:
+        simulated.append(len(model.effects))
+        if len(simulated) == 1:
+            raise FitError("no replicate is like its run")
+        return [f"bias of {len(model.effects)}"]
+
+    monkeypatch.setattr(search, "bootstrap_scores", bootstrap)
+    monkeypatch.setattr(search, "drop_size_entries", lambda bias, model: bias)
+    context = cast(Any, SimpleNamespace(biases={}, bias=["nominal"], candidates=[], rng=None))
+    models = [fitted(0.0, *keys) for keys in (("drag",), ("play",), ("drag", "play"), ("skew",), ("drag", "skew"))]
+    found = [search.bias_of(context, cast(Any, m), []) for m in models]
+    assert found == [["nominal"], ["bias of 1"], ["bias of 2"], ["bias of 1"], ["bias of 2"]]
+    assert simulated == [1, 1, 2]
+
+
+def test_sets_that_cannot_be_answers_are_not_assessed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A likelier set that simulates better excludes one, unless they tie or the likelier one has an impossible sign."""
+    best, tied, worse, clear = (replace(explained(gain, key), error=error) for gain, key, error in (
+        (2000.0, "play", 0.5), (1850.0, "gear", 0.6), (900.0, "drag", 0.7), (800.0, "skew", 0.4)))
+    pair = replace(explained(100.0, "drag", "skew"), error=0.9)
+    monkeypatch.setattr(search, "admissible", lambda e: True)
+    found = search.assess_answers(cast(Any, Context()), [pair, clear, worse, tied], [best])
+    assert [e.gain for e in found] == [2000.0, 1850.0, 800.0, 100.0]
+    monkeypatch.setattr(search, "admissible", lambda e: keys_of(e) != {"play"} and keys_of(e) != {"gear"})
+    found = search.assess_answers(cast(Any, Context()), [pair, clear, worse, tied], [best])
+    assert [e.gain for e in found] == [2000.0, 1850.0, 900.0, 800.0, 100.0]
+
+
 def test_sets_grow_by_what_each_leaves_and_each_set_once() -> None:
     context = Context({f"e{k:02}": 100.0 - k for k in range(GROWN + 4)})
     parents = [explained(50.0, "e00"), explained(10.0, "e01")]
