@@ -78,7 +78,7 @@ class DiagnosisContext:
     nominal: Model
     rng: np.random.Generator
     biases: dict[int, list[RunScore]] = field(default_factory=dict)
-    """Number of effects to the `bias` of sets of so many; see `search.bias_of`"""
+    """Number of effects to the `bias` of sets of so many; see assessment.bias_of"""
     held: dict[tuple[int, bytes], Model] = field(default_factory=dict)
     """Start of a fit to its end with shapes held, as far as another step may want it again, and ..."""
     whole: dict[tuple[int, bytes], Model] = field(default_factory=dict)

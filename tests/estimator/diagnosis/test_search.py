@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimator.diagnosis import procedure, search
+from estimator.diagnosis import assessment, procedure, search
 from estimator.diagnosis.context import NO_TESTS, Explanation, keys_of, seated
 from estimator.diagnosis.decision_rule import FINALISTS, GROWN, MATERIAL
 from estimator.errors import FitError
@@ -82,8 +82,9 @@ def no_likelihood(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "start_size", lambda *_: np.zeros(1))
     monkeypatch.setattr(search, "short_errors", lambda _: np.ones(1))
     monkeypatch.setattr(search, "relative", lambda *_: 1.0)
-    monkeypatch.setattr(search, "assess", lambda _, explanations: list(explanations))
-    monkeypatch.setattr(search, "admissible", lambda _: True)
+    for module in (search, assessment):
+        monkeypatch.setattr(module, "assess", lambda _, explanations: list(explanations))
+        monkeypatch.setattr(module, "admissible", lambda _: True)
 
 
 def test_the_last_place_is_for_what_simulates_best() -> None:
@@ -196,7 +197,8 @@ def test_all_fitted_sets_are_compared_that_can_be_answers(monkeypatch: pytest.Mo
     for impossible, expected in ((("gear", "play", "gear1"), ["scale2", "scale1", "friction"]),
                                  (tuple(gains), sorted(gains, key=lambda key: -gains[key]))):
         whole = iter((("gear", "play", "gear1"), ("scale2", "scale1", "friction")))
-        monkeypatch.setattr(search, "admissible", lambda e, gone=impossible: not keys_of(e) & set(gone))
+        for module in (search, assessment):
+            monkeypatch.setattr(module, "admissible", lambda e, gone=impossible: not keys_of(e) & set(gone))
         found = search.search(context, left, lambda *_: None, lambda _: search.Promise(True, False))
         assert [next(iter(keys_of(e))) for e in found] == expected
 
@@ -210,11 +212,11 @@ def test_sets_of_as_many_effects_share_one_bias(monkeypatch: pytest.MonkeyPatch)
             raise FitError("no replicate is like its run")
         return [f"bias of {len(model.effects)}"]
 
-    monkeypatch.setattr(search, "bootstrap_scores", bootstrap)
-    monkeypatch.setattr(search, "drop_size_entries", lambda bias, model: bias)
+    monkeypatch.setattr(assessment, "bootstrap_scores", bootstrap)
+    monkeypatch.setattr(assessment, "drop_size_entries", lambda bias, model: bias)
     context = cast(Any, SimpleNamespace(biases={}, bias=["nominal"], candidates=[], rng=None))
     models = [fitted(0.0, *keys) for keys in (("drag",), ("play",), ("drag", "play"), ("skew",), ("drag", "skew"))]
-    found = [search.bias_of(context, cast(Any, m), []) for m in models]
+    found = [assessment.bias_of(context, cast(Any, m), []) for m in models]
     assert found == [["nominal"], ["bias of 1"], ["bias of 2"], ["bias of 1"], ["bias of 2"]]
     assert simulated == [1, 1, 2]
 
@@ -224,11 +226,11 @@ def test_sets_that_cannot_be_answers_are_not_assessed(monkeypatch: pytest.Monkey
     best, tied, worse, clear = (replace(explained(gain, key), error=error) for gain, key, error in (
         (2000.0, "play", 0.5), (1850.0, "gear", 0.6), (900.0, "drag", 0.7), (800.0, "skew", 0.4)))
     pair = replace(explained(100.0, "drag", "skew"), error=0.9)
-    monkeypatch.setattr(search, "admissible", lambda e: True)
-    found = search.assess_answers(cast(Any, Context()), [pair, clear, worse, tied], [best])
+    monkeypatch.setattr(assessment, "admissible", lambda e: True)
+    found = assessment.assess_answers(cast(Any, Context()), [pair, clear, worse, tied], [best])
     assert [e.gain for e in found] == [2000.0, 1850.0, 800.0, 100.0]
-    monkeypatch.setattr(search, "admissible", lambda e: keys_of(e) != {"play"} and keys_of(e) != {"gear"})
-    found = search.assess_answers(cast(Any, Context()), [pair, clear, worse, tied], [best])
+    monkeypatch.setattr(assessment, "admissible", lambda e: keys_of(e) != {"play"} and keys_of(e) != {"gear"})
+    found = assessment.assess_answers(cast(Any, Context()), [pair, clear, worse, tied], [best])
     assert [e.gain for e in found] == [2000.0, 1850.0, 900.0, 800.0, 100.0]
 
 
