@@ -77,6 +77,12 @@ class DiagnosisContext:
     bias: list[RunScore]
     nominal: Model
     rng: np.random.Generator
+    biases: dict[int, list[RunScore]] = field(default_factory=dict)
+    """Number of effects to the `bias` of sets of so many; see assessment.bias_of"""
+    held: dict[tuple[int, bytes], Model] = field(default_factory=dict)
+    """Start of a fit to its end with shapes held, as far as another step may want it again, and ..."""
+    whole: dict[tuple[int, bytes], Model] = field(default_factory=dict)
+    """... to its end with shapes free; see `search.key_of`"""
 
     @property
     def split(self) -> RunSplit:

@@ -169,6 +169,17 @@ def extend_errors(table: ErrorTable, more: Sequence[Model]) -> ErrorTable:
                    agreement=np.concatenate([table.agreement, agreement]))
 
 
+def known_errors(known: Sequence[ErrorTable], models: Sequence[Model]) -> ErrorTable | None:
+    """Errors of `models` in units of the second one's noise floor, measured only where no `known` table of that unit
+    has them; None without such a table."""
+    for table in reversed(known):
+        if len(models) > 1 and table.unit.reference is models[1]:
+            more = [m for m in models if not any(m is k for k in table.models)]
+            place = {id(m): k for k, m in enumerate((*table.models, *more))}
+            return choose_rows(extend_errors(table, more), [place[id(m)] for m in models])
+    return None
+
+
 def with_floor(table: ErrorTable, noise: FloorNoise, seeds: NDArray[np.int64]) -> ErrorTable:
     """`table` in units of what this `noise` leaves of its reference, with one of `seeds` a confirm run.
 

@@ -47,7 +47,9 @@ def _coloured(model: Model) -> FloorNoise:
     found = find_disturbance(likelihood, of_noise(state.noise), options)
     rest = _share_near_rest(likelihood, found)
     found = find_disturbance(likelihood, found, options)
-    repeated = _repeated(model, disturbance_likelihood(signals, model.problem, state, disturbed, np.inf), found)
+    repeated = np.zeros_like(found.level)
+    if found.level.any():
+        repeated = _repeated(model, disturbance_likelihood(signals, model.problem, state, disturbed, np.inf), found)
     found = found._replace(level=found.level * np.sqrt(1.0 - repeated))
     return FloorNoise(found.put(state.noise), rest, repeated)
 
@@ -61,8 +63,7 @@ def _repeated(model: Model, whole: MarginalLikelihood, found: Disturbance) -> Fl
     time = (np.arange(problem.total) - np.repeat(start, np.diff(problem.ends, prepend=0))) * problem.dt
     torques = problem.torque[:, list(problem.mechanism.actuated)]
     columns, which = state_columns(x.q, x.v, np.column_stack([torques, time]), problem.ends), taken(problem.total)
-    return np.array([repeated_share(e[which, j], columns, run[which]) if found.level[j] > 0.0 else 0.0
-                     for j in range(problem.n)])
+    return repeated_share(np.where(found.level > 0.0, e[which], 0.0), columns, run[which])
 
 
 def _share_near_rest(likelihood: MarginalLikelihood, found: Disturbance) -> FloatArray:

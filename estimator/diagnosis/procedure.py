@@ -30,7 +30,7 @@ from estimator.diagnosis.context import (
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, SUFFICES, SURE, WIDTH
 from estimator.diagnosis.error_budget import budget, generic_extension
-from estimator.diagnosis.error_table import ErrorTable, measure_errors
+from estimator.diagnosis.error_table import ErrorTable, known_errors, measure_errors
 from estimator.diagnosis.noise_check import in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.probability import probability_of, probability_of_no_error
@@ -105,8 +105,10 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     named = len(candidates)
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu, split.encoders)]
     context, tests = scored(split, candidates, named, rng, say)
+    generic = None
     if stated is not None and detected(context, tests):
-        other = smoothing_velocity_with(context, tests, stated)
+        generic = generic_extension(context, context.nominal, tests)
+        other = smoothing_velocity_with(context, tests, generic, stated)
         if other is not None:
             with suppress(FitError):
                 context, tests = scored(replace(split, mechanism=other, stiction={}), candidates, named, rng, say,
@@ -127,7 +129,8 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
                 base = replace(base, error=(error, error), probability=probability_of_no_error(table, rng))
             return replace(conclusion.nothing(base), mechanism=nominal.split.mechanism)
     known: list[ErrorTable] = []
-    generic = generic_extension(context, nominal, tests)
+    if generic is None or generic.split is not context.split:
+        generic = generic_extension(context, nominal, tests)
     noise = None if generic is None else noise_floor(generic)
     found = search(context, tests, say, lambda found: promise(context, found, noise, material, rng, known))
     say("simulating the held-out runs", 0.85)
@@ -153,13 +156,13 @@ def scored(split: RunSplit, candidates: list[Candidate], named: int, rng: np.ran
     return context, tests_of(nominal, scores, bias)
 
 
-def smoothing_velocity_with(context: DiagnosisContext, tests: ScoreTests, stated: Mechanism) -> Mechanism | None:
+def smoothing_velocity_with(context: DiagnosisContext, tests: ScoreTests, generic: Model | None, stated: Mechanism
+                            ) -> Mechanism | None:
     """The mechanism with its smoothing velocity estimated from `stated` together with the likeliest of the effects of
-    the largest scores and of generic terms; None if it stays.
+    the largest scores and of `generic` terms; None if it stays.
 
     Without what the nominal model lacks, a larger smoothing velocity absorbs part of it.
     """
-    generic = generic_extension(context, context.nominal, tests)
     single = fit_likeliest(context, grown(context, [Explanation(context.nominal, 0.0, tests)])[:WIDTH])
     models = [m for m in (single, generic) if m is not None]
     if not models:
@@ -235,8 +238,10 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation], floor: Floo
     best = by_error(first_of_each(found))
     models = [context.nominal, *(e.model for e in best)]
     try:
-        table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)),
-                               noise=floor or noise_floor(models[1]))
+        table = known_errors(known, models)
+        if table is None:
+            table = measure_errors(models, models[1], rng.integers(2**63, size=len(context.split.confirm)),
+                                   noise=floor or noise_floor(models[1]))
     except FitError:
         return Promise(True, True)
     known.append(table)

@@ -160,7 +160,22 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
     state = iterate(problem, state, free, split.options, floors, limit)
     if floors is not None and mistaken_torques(problem, state, floors):
         raise FitError("the fit takes the torque for noise")
-    return Model(split, tuple(e for e, _ in effects), converge_motion(problem, state), problem)
+    return Model(split, tuple(e for e, _ in effects), converge_runs(split, problem, state), problem)
+
+
+def converge_runs(split: RunSplit, problem: ExtendedProblem, state: State) -> State:
+    """`state` with the likeliest motion of each discover run, sought by steps of its own: a run in which a joint
+    reverses close to a sample shortens no other run's steps. Raises `FitError`."""
+    if problem.stiction(state.noise) is None:
+        return converge_motion(problem, state)
+    found, begin = [], 0
+    for i in split.discover:
+        here = slice(begin, begin + sum(len(s.time_s) for s in split.runs[i]))
+        own = split.problem([i], problem.stage.angle_range, problem.effects)
+        found.append(converge_motion(own, replace(state, x=state.x.of(here), noise=state.noise.at(here))).x)
+        begin = here.stop
+    q, v, u = (np.concatenate([getattr(x, name) for x in found]) for name in ("q", "v", "u"))
+    return replace(state, x=Latents(q, v, u))
 
 
 def likeliest_smoothing_velocity(model: Model, stated: Mechanism) -> Mechanism:

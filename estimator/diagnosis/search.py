@@ -15,29 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from daq import FloatArray
-from estimator.diagnosis.context import (
-    NO_TESTS,
-    DiagnosisContext,
-    Explanation,
-    best_shapes,
-    detected,
-    keys_of,
-    seated,
-)
+from estimator.diagnosis.assessment import assess, assess_answers, without
+from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, keys_of, seated
 from estimator.diagnosis.decision_rule import COLLINEAR, GROWN, MOST_EFFECTS, WIDTH
 from estimator.diagnosis.presence import admissible, presence, undetermined
-from estimator.diagnosis.refit import (
-    Model,
-    bootstrap_scores,
-    deviance,
-    misfit,
-    misfit_by_run,
-    refit,
-    score_discover,
-    short_errors,
-    tests_of,
-)
-from estimator.diagnosis.score_statistics import RunScore, ScoreTests, determined, own_inflation
+from estimator.diagnosis.refit import Model, deviance, misfit, misfit_by_run, refit, short_errors
+from estimator.diagnosis.score_statistics import ScoreTests
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.likelihood import State
@@ -75,16 +58,20 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress,
     for count in range(1, MOST_EFFECTS + 1):
         say(f"fitting sets of {count}", 0.3 + 0.15 * count)
         starts = grown(context, parents)
-        best = assess(context, fit_sets(context, starts[:WIDTH]))
+        fits = fit_sets(context, starts[:WIDTH])
+        best = assess_answers(context, fits)
         if not best or promise([*found, *best]).better:  # noise levels can hide what a wrong effect leaves
-            more = fit_sets(context, tried(context, starts[WIDTH:]))
-            best = assess(context, sorted([*best, *more], key=lambda e: -e.gain))
+            fits += fit_sets(context, tried(context, starts[WIDTH:]))
+            best = assess_answers(context, without(fits, best), best)
         if not best:
             break
         parents = seated(best, WIDTH)
         found += [*best, *reduced(context, parents)]
-        if not any(e.has_residual for e in parents) or not promise(found).larger:
+        if count == MOST_EFFECTS or not any(e.has_residual for e in parents) or not promise(found).larger:
             break
+        rest = assess(context, without(fits, best))  # a cause of several can be far from the likeliest single one
+        parents = seated(sorted([*best, *rest], key=lambda e: -e.gain), WIDTH)
+        found += [*rest, *reduced(context, [e for e in parents if any(e is r for r in rest)])]
     say("comparing the best sets", 0.8)
     found = possible(found)
     return weigh(context, possible(found + exchanged(context, tests, found)))
@@ -120,12 +107,14 @@ def grown(context: DiagnosisContext, parents: Sequence[Explanation]) -> list[tup
 def tried(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[tuple[Model, Start]]:
     """The sets of `starts` that are the likeliest after a few steps, up to WIDTH, from there."""
     begun = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], FIRST_STEPS))
-    return [(m, pairs_of(m)) for m in unlike(sorted(begun, key=deviance))[:WIDTH]]
+    found = sorted((m for m in begun if m is not None), key=deviance)
+    return [(m, pairs_of(m)) for m in unlike(found)[:WIDTH]]
 
 
 def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[Explanation]:
     """The sets of `starts`, from a model and sizes each, fitted to the end, the likeliest first."""
-    fitted = _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
+    every = _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
+    fitted = [m for m in every if m is not None]
     errors = parallel_map(lambda k: short_errors(fitted[k]), len(fitted), context.split.workers)
     return sorted((Explanation(m, context.deviance - deviance(m), error=relative(e, context.short_errors))
                    for m, e in zip(fitted, errors)), key=lambda e: -e.gain)
@@ -133,8 +122,19 @@ def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -
 
 def fit_likeliest(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> Model | None:
     """The set of `starts` that is the likeliest with its shapes held, fitted to the end; None without any."""
-    held = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], HELD_STEPS))
-    return fit_free(min(held, key=deviance)) if held else None
+    every = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], HELD_STEPS))
+    held = {key_of(begin, start): m for (begin, start), m in zip(starts, every) if m is not None}
+    context.held.update(held)
+    if not held:
+        return None
+    likeliest = min(held, key=lambda key: deviance(held[key]))
+    context.whole[likeliest] = fit_free(held[likeliest])
+    return context.whole[likeliest]
+
+
+def key_of(begin: Model, start: Start) -> tuple[int, bytes]:
+    """Key of a start of a fit: the model whose motion it has, its effects and their sizes."""
+    return id(begin), b" ".join(effect.key.encode() + size.tobytes() for effect, size in start)
 
 
 def unlike(models: Iterable[Model]) -> list[Model]:
@@ -150,20 +150,21 @@ def pairs_of(model: Model) -> Start:
     return list(zip(model.effects, model.sizes()))
 
 
-def _each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[[int], Model | None]) -> list[Model]:
-    """The models that `fit` makes of the `starts`, on as many processes as the diagnosis has."""
+def _each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[[int], Model | None]
+          ) -> list[Model | None]:
+    """The model that `fit` makes of each of the `starts`, on as many processes as the diagnosis has."""
     split, angle_range = context.split, context.nominal.problem.stage.angle_range
 
     def fitted(k: int) -> State | None:
         model = fit(k)
         return None if model is None else model.state
 
-    models = []
-    for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers)):
-        if state is not None:
-            effects = tuple(e for e, _ in start)
-            models.append(Model(split, effects, state, split.problem(split.discover, angle_range, effects)))
-    return models
+    def model_of(start: Start, state: State) -> Model:
+        effects = tuple(e for e, _ in start)
+        return Model(split, effects, state, split.problem(split.discover, angle_range, effects))
+
+    return [None if state is None else model_of(start, state)
+            for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers))]
 
 
 def fit_held(context: DiagnosisContext, begin: Model, start: Start, steps: int) -> Model | None:
@@ -181,8 +182,11 @@ def fit_held(context: DiagnosisContext, begin: Model, start: Start, steps: int) 
 
 
 def fit_whole(context: DiagnosisContext, begin: Model, start: Start) -> Model | None:
-    """A fit with shapes held, then free; None where it fails."""
-    held = fit_held(context, begin, start, HELD_STEPS)
+    """A fit with shapes held, then free, as far as `context` has none from this start; None where it fails."""
+    key = key_of(begin, start)
+    if key in context.whole:
+        return context.whole[key]
+    held = context.held.get(key) or fit_held(context, begin, start, HELD_STEPS)
     return None if held is None else fit_free(held)
 
 
@@ -267,7 +271,8 @@ def exchanged(context: DiagnosisContext, tests: ScoreTests, found: Sequence[Expl
                     known.add(keys)
                     changed = [*pairs[:k], (other, start_size(context, tests, i)), *pairs[k + 1 :]]
                     starts.append((context.nominal, changed))
-    return assess(context, fit_sets(context, starts)) if starts else []
+    fits = fit_sets(context, starts) if starts else []
+    return without(assess_answers(context, fits, found), found)
 
 
 def resemble(context: DiagnosisContext, tests: ScoreTests, i: int, k: int) -> bool:
@@ -288,49 +293,6 @@ def start_size(context: DiagnosisContext, tests: ScoreTests, i: int) -> FloatArr
     if effect.positive:  # a bad nominal fit can mislead even the sign
         size[0] = abs(size[0])
     return np.concatenate([size, shape])
-
-
-def assess(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
-    """Each with the scores of what it leaves on the discover runs, less their bias; as it is where it has them.
-
-    The bias is simulated for the first that has none.
-    """
-    new = [e.model for e in explanations if e.left is NO_TESTS]
-    if not new:
-        return list(explanations)
-    scores = [score_discover(m, context.candidates) for m in new]
-    try:
-        bias = [drop_size_entries(r, new[0])
-                for r in bootstrap_scores(new[0], context.candidates, scores[0], context.rng)]
-    except FitError:  # it cannot be simulated
-        bias = context.bias
-    own = iter(scores)
-    return [assessed(context, e, next(own), bias) if e.left is NO_TESTS else e for e in explanations]
-
-
-def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequence[RunScore], bias: Sequence[RunScore]
-             ) -> Explanation:
-    """Explanation with its `scores` on the discover runs."""
-    model = explanation.model
-    left = tests_of(model, scores, [insert_size_entries(b, model) for b in bias])
-    free = np.diag(model.state.covariance) > 0.0
-    keys = keys_of(explanation)
-    further = np.array([0.0 if c.effect.key in keys else context.gain(left, i)
-                        for i, c in enumerate(context.candidates)])
-    return replace(explanation, left=left, has_residual=detected(context, left, keys), further=further,
-                   inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free))
-
-
-def drop_size_entries(score: RunScore, model: Model) -> RunScore:
-    """Without the entries of the model's own sizes; `insert_size_entries` puts them back, as zeros."""
-    own = np.arange(model.problem.mechanism.p, model.problem.parameter_count)
-    return RunScore(np.delete(score.score, own), np.delete(np.delete(score.information, own, 0), own, 1))
-
-
-def insert_size_entries(score: RunScore, model: Model) -> RunScore:
-    """The bias of a run of the nominal model as one of `model`, which has more parameters."""
-    p = model.problem.mechanism.p
-    return RunScore(np.insert(score.score, [p] * (model.problem.parameter_count - p), 0.0), score.information)
 
 
 def weigh(context: DiagnosisContext, found: Sequence[Explanation]) -> list[Explanation]:

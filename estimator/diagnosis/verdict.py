@@ -8,16 +8,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.diagnosis.assessment import assess
 from estimator.diagnosis.context import DiagnosisContext, Explanation, keys_of, seated
 from estimator.diagnosis.decision_rule import EDGE, MOST_EFFECTS, SHORTLIST_EACH, SUFFICES, SURE
 from estimator.diagnosis.error_budget import generic_extension
-from estimator.diagnosis.error_table import ErrorTable, choose_rows, extend_errors, measure_errors, with_floor
+from estimator.diagnosis.error_table import (
+    ErrorTable,
+    choose_rows,
+    extend_errors,
+    known_errors,
+    measure_errors,
+    with_floor,
+)
 from estimator.diagnosis.model_comparison import indistinguishable_set
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.presence import admissible
 from estimator.diagnosis.refit import Model, deviance, refit
 from estimator.diagnosis.rotation import Turn, rotate
-from estimator.diagnosis.search import assess
 from estimator.effects import GenericReading, GenericTorque
 from estimator.errors import FitError
 from estimator.verdicts import Verdict
@@ -259,11 +266,9 @@ def measure_together(context: DiagnosisContext, models: Sequence[Model], smoothe
     The smoother of one of `smoothers` supplies the pivot angle. Errors in `known` tables are reused. Raises `FitError`
     if no model can be simulated.
     """
-    for table in known:
-        if table.unit.reference is models[1]:
-            more = [m for m in models if not any(m is k for k in table.models)]
-            place = {id(m): k for k, m in enumerate((*table.models, *more))}
-            return choose_rows(extend_errors(table, more), [place[id(m)] for m in models])
+    table = known_errors(known, models)
+    if table is not None:
+        return table
     seeds = rng.integers(2**63, size=len(context.split.confirm))
     for reference in models[1:]:
         try:

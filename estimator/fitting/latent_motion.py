@@ -22,6 +22,8 @@ CONVERGE_STEPS = 15
 """Most steps from the motion of a fit, whose noise levels still move and whose objective is compared."""
 FREE_STEPS = 3
 """Steps that are not shortened: they come from far off."""
+SHORTEST = 0.1
+"""Least share of a step that is taken."""
 
 
 def converge_motion(problem: LatentProblem, state: State, limit: int = CONVERGE_STEPS) -> State:
@@ -46,7 +48,9 @@ def converge_motion(problem: LatentProblem, state: State, limit: int = CONVERGE_
         if converged_steps == 2 or iteration == limit:
             break
         if iteration >= FREE_STEPS:
-            share = max(0.1, 0.5 * share) if fall < 0.0 else min(1.0, 1.2 * share)
+            if fall < 0.0 and share == SHORTEST:  # effects whose slope the equations neglect: no step lowers it
+                break
+            share = max(SHORTEST, 0.5 * share) if fall < 0.0 else min(1.0, 1.2 * share)
         try:
             solved = eliminate(point.chain)
         except np.linalg.LinAlgError:

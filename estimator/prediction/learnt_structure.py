@@ -99,8 +99,8 @@ def find_structure(model: Predictor, runs: Sequence[RunSignals], options: FitOpt
         others = [k for k in range(len(runs)) if k not in folds[fold]]
         found, _ = _learn(model, [runs[k] for k in others], [smoothed[k] for k in others], options)
         laws = [one.law for one in found]
-        return [predict_run([smoothed[k], _smoothed(with_torques(model, laws), runs[k], options)], HORIZONS_S,
-                            misfits=False) for k in folds[fold]]
+        return [predict_run([smoothed[k], _smoothed(with_torques(model, laws), runs[k], options, smoothed[k])],
+                            HORIZONS_S, misfits=False) for k in folds[fold]]
 
     predicted = [one for fold in parallel_map(left_out, len(folds), workers) for one in fold]
     torques, samples = _learn(model, runs, smoothed, options)
@@ -115,8 +115,9 @@ def with_torques(model: Predictor, laws: Sequence[StateTorque]) -> Predictor:
     return replace(model, effects=(*model.effects, *laws))
 
 
-def _smoothed(model: Predictor, run: RunSignals, options: FitOptions) -> SmoothedRun:
-    return smooth_segments(model, run.name, run.signals, options, run.session_s)
+def _smoothed(model: Predictor, run: RunSignals, options: FitOptions, begin: SmoothedRun | None = None) -> SmoothedRun:
+    """The run's motion under `model`, sought from that under a similar one in `begin`."""
+    return smooth_segments(model, run.name, run.signals, options, run.session_s, None if begin is None else begin.state)
 
 
 def _learn(model: Predictor, runs: Sequence[RunSignals], smoothed: Sequence[SmoothedRun], options: FitOptions
@@ -127,7 +128,7 @@ def _learn(model: Predictor, runs: Sequence[RunSignals], smoothed: Sequence[Smoo
     if not first:
         return [], samples
     best = max(first, key=lambda one: one.explained_nm / one.noise_nm).law
-    again = [_smoothed(with_torques(model, [best]), run, options) for run in runs]
+    again = [_smoothed(with_torques(model, [best]), run, options, one) for run, one in zip(runs, smoothed, strict=True)]
     samples = samples_of(again).plus(best)
     return [one for j in joints if (one := learn_torque(samples, j, model.mechanism)) is not None], samples
 

@@ -62,13 +62,15 @@ def smooth(model: Predictor, data: Dataset, options: FitOptions, session_s: floa
     return smooth_segments(model, data.name, signals, options, session_s)
 
 
-def smooth_segments(model: Predictor, run: str, signals: Sequence[SignalSet], options: FitOptions, session_s: float
-                    ) -> SmoothedRun:
-    """Motion like that of `smooth`, of the gap-free segments `signals` of the run named `run`."""
+def smooth_segments(model: Predictor, run: str, signals: Sequence[SignalSet], options: FitOptions, session_s: float,
+                    begin: State | None = None) -> SmoothedRun:
+    """Motion like that of `smooth`, of the gap-free segments `signals` of the run named `run`; sought from `begin`, the
+    state under a similar model, if there is one."""
     mechanism, options = model.mechanism, replace(options, hold=model.hold)
     problem = model.problem(signals, session_s)
-    begin = start_state(problem, list(signals), mechanism, options, np.zeros(mechanism.p, dtype=bool), model.beta)
-    state = _state(begin.x, model.parameters, begin.noise)
+    if begin is None:
+        begin = start_state(problem, list(signals), mechanism, options, np.zeros(mechanism.p, dtype=bool), model.beta)
+    state = _state(begin.x, model.parameters, begin.noise.levels())
     held = np.zeros(state.beta.size, dtype=bool)
     state = iterate(problem, state, held, options, noise_floors(problem, mechanism, model.beta))
     if not state.converged:  # levels that still creep, such as that of a passive joint whose model is exact

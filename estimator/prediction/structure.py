@@ -63,30 +63,33 @@ def _stopped(angles: FloatArray, width: FloatArray, ends: NDArray[np.int64]) -> 
     return out
 
 
-def predict_runs(residual: FloatArray, columns: FloatArray, run: NDArray[np.intp]) -> FloatArray:
-    """(N,) the residual of each run as predicted from the others, with the ridge penalty that is best over all."""
+def predict_runs(residuals: FloatArray, columns: FloatArray, run: NDArray[np.intp]) -> FloatArray:
+    """(N, J) the residuals of each run as predicted from the others, each with the ridge penalty best over all runs."""
     which = np.unique(run)
     columns = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
-    parts = [(columns[run == k], residual[run == k]) for k in which]
+    parts = [(columns[run == k], residuals[run == k]) for k in which]
     grams, rights = np.stack([a.T @ a for a, _ in parts]), np.stack([a.T @ y for a, y in parts])
     solved = [np.linalg.eigh(grams.sum(axis=0) - one) for one in grams]
-    best, least = np.zeros_like(residual), np.inf
+    best, least = np.zeros_like(residuals), np.full(residuals.shape[1], np.inf)
     for ridge in RIDGES:
-        out = np.empty_like(residual)
+        out = np.empty_like(residuals)
         for k, (values, vectors) in enumerate(solved):
-            own, count = run == which[k], residual.size - len(parts[k][1])
+            own, count = run == which[k], len(residuals) - len(parts[k][1])
             onto = vectors.T @ (rights.sum(axis=0) - rights[k])
-            out[own] = parts[k][0] @ (vectors @ (onto / (np.maximum(values, 0.0) + ridge * count)))
-        error = float(np.sum((residual - out) ** 2))
-        if error < least:
-            best, least = out, error
+            out[own] = parts[k][0] @ (vectors @ (onto / (np.maximum(values, 0.0) + ridge * count)[:, None]))
+        errors = np.sum((residuals - out) ** 2, axis=0)
+        better = errors < least
+        best[:, better], least[better] = out[:, better], errors[better]
     return best
 
 
-def repeated_share(residual: FloatArray, columns: FloatArray, run: NDArray[np.intp]) -> float:
-    """Share of the residual's mean square that `columns` (N, B) predict in runs that they were not fitted to; 0 where
-    they predict none."""
-    whole = float(np.sum(residual**2))
-    if whole == 0.0 or np.unique(run).size < 2:
-        return 0.0
-    return max(0.0, 1.0 - float(np.sum((residual - predict_runs(residual, columns, run)) ** 2)) / whole)
+def repeated_share(residuals: FloatArray, columns: FloatArray, run: NDArray[np.intp]) -> FloatArray:
+    """(J,) share of the mean square of each of `residuals` (N, J) that `columns` (N, B) predict in runs that they were
+    not fitted to; 0 where they predict none."""
+    whole, out = np.sum(residuals**2, axis=0), np.zeros(residuals.shape[1])
+    some = whole > 0.0
+    if np.unique(run).size < 2 or not some.any():
+        return out
+    errors = residuals[:, some] - predict_runs(residuals[:, some], columns, run)
+    out[some] = np.maximum(0.0, 1.0 - np.sum(errors**2, axis=0) / whole[some])
+    return out

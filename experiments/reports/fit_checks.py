@@ -136,7 +136,7 @@ def _repeating_torques(result: FitResult) -> list[Finding]:
         np.arange(len(q)) * SEGMENTS // len(q)
     columns = state_columns(q, v, torque[:, list(result.mechanism.actuated)], ends)
     found, which = [], taken(len(q))
-    for j, share in enumerate(repeated_share(one[which], columns, run[which]) for one in e.T):
+    for j, share in enumerate(repeated_share(e[which], columns, run[which])):
         size = float(np.sqrt(share * np.mean(e[:, j] ** 2)))
         if share > REPEATED and size > noise:
             found.append(Finding("doubt", "repeating_torque", f"an unmeasured torque of {size:.2g} N m (rms) at joint "

@@ -10,12 +10,13 @@ import pytest
 
 from daq import FloatArray
 from estimator.diagnosis import procedure
+from estimator.diagnosis.assessment import assess
 from estimator.diagnosis.context import DiagnosisContext, Explanation, keys_of
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.model_comparison import indistinguishable_set
 from estimator.diagnosis.presence import admissible, undetermined
 from estimator.diagnosis.score_statistics import RunScore, determined
-from estimator.diagnosis.search import assess, fit_sets, reduced
+from estimator.diagnosis.search import fit_sets, reduced
 from estimator.effects import Effect
 from estimator.effects.base import Points, View
 from estimator.effects.drive import TorqueOffset

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.refit import Model, begin_afresh, fit_nominal, misfit, refit, smooth
+from estimator.diagnosis.refit import Model, begin_afresh, converge_runs, fit_nominal, misfit, refit, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.effects import Effect
 from estimator.effects.drive import TorqueDelay, TorqueRipple
@@ -134,6 +134,19 @@ def test_a_few_steps_end_at_the_likeliest_motion() -> None:
     again = replace(model, state=converge_motion(model.problem, model.state))
     assert misfit(model) == pytest.approx(misfit(again), abs=1.0)
     assert misfit(replace(model, state=replace(model.state, x=nominal.state.x))) > misfit(model) + 100.0
+
+
+def test_no_run_changes_the_motion_of_another() -> None:
+    case = drawn("torque_delay")
+    split = split_runs(record(case, {}, 0.0), leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
+    model = fit_nominal(split)
+    problem, x = model.problem, model.state.x
+    begin = problem.run_starts[1]
+    far = np.where(np.arange(problem.total)[:, None] < begin, x.v + 3.0, x.v + 1e-3)
+    near = np.where(np.arange(problem.total)[:, None] < begin, x.v, x.v + 1e-3)
+    one, other = (converge_runs(model.split, problem, replace(model.state, x=replace(x, v=v))) for v in (far, near))
+    assert np.array_equal(one.x.q[begin:], other.x.q[begin:])
+    assert misfit(replace(model, state=other)) == pytest.approx(misfit(model), abs=1.0)
 
 
 def test_friction_by_load_is_found() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimator.diagnosis import procedure, search
+from estimator.diagnosis import assessment, procedure, search
 from estimator.diagnosis.context import NO_TESTS, Explanation, keys_of, seated
 from estimator.diagnosis.decision_rule import GROWN, MATERIAL, WIDTH
 from estimator.errors import FitError
@@ -50,6 +50,8 @@ class Context:
     short_errors: Any = None
     nominal: Fitted = field(default_factory=lambda: Fitted((), 0.0))
     split: Any = field(default_factory=lambda: SimpleNamespace(confirm=(1, 6), workers=1))
+    held: dict[Any, Any] = field(default_factory=dict)
+    whole: dict[Any, Any] = field(default_factory=dict)
 
     @property
     def candidates(self) -> list[Any]:
@@ -80,8 +82,9 @@ def no_likelihood(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "start_size", lambda *_: np.zeros(1))
     monkeypatch.setattr(search, "short_errors", lambda _: np.ones(1))
     monkeypatch.setattr(search, "relative", lambda *_: 1.0)
-    monkeypatch.setattr(search, "assess", lambda _, explanations: list(explanations))
-    monkeypatch.setattr(search, "admissible", lambda _: True)
+    for module in (search, assessment):
+        monkeypatch.setattr(module, "assess", lambda _, explanations: list(explanations))
+        monkeypatch.setattr(module, "admissible", lambda _: True)
 
 
 def test_the_last_place_is_for_what_simulates_best() -> None:
@@ -130,8 +133,10 @@ def test_sets_that_gain_are_fitted_to_the_end_and_those_that_prove_likely_too(mo
 def test_shapes_are_free_in_the_likeliest_set_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     gains = {"drag": 50.0, "play": 900.0}
     freed: list[Any] = []
+    begun: list[str] = []
 
     def held(_: object, begin: object, start: Any, steps: int) -> Any:
+        begun.append(start[0][0].key)
         return fitted(gains[start[0][0].key], start[0][0].key)
 
     def free(model: Any) -> Any:
@@ -146,6 +151,11 @@ def test_shapes_are_free_in_the_likeliest_set_alone(monkeypatch: pytest.MonkeyPa
     found = search.fit_likeliest(context, starts)
     assert found is not None and [e.key for e in found.effects] == ["play"] and freed == [found]
     assert search.fit_likeliest(context, []) is None
+    again = {start[0][0].key: search.fit_whole(context, begin, start) for begin, start in starts}
+    assert again["play"] is found and sorted(begun) == ["drag", "play"]  # no fit is made twice
+    assert [e.key for e in freed[-1].effects] == ["drag"] and len(freed) == 2
+    other = [(effect, size + 0.1) for effect, size in starts[0][1]]
+    assert search.fit_whole(context, starts[0][0], other) is not None and len(begun) == 3
 
 
 @pytest.mark.parametrize(("residuals", "sizes"), [((False, False), 1), ((False, True), 2), ((True, False), 2)])
@@ -187,9 +197,43 @@ def test_all_fitted_sets_are_compared_that_can_be_answers(monkeypatch: pytest.Mo
     for impossible, expected in ((("gear", "play", "gear1"), ["scale2", "scale1", "friction"]),
                                  (tuple(gains), sorted(gains, key=lambda key: -gains[key]))):
         whole = iter((("gear", "play", "gear1"), ("scale2", "scale1", "friction")))
-        monkeypatch.setattr(search, "admissible", lambda e, gone=impossible: not keys_of(e) & set(gone))
+        for module in (search, assessment):
+            monkeypatch.setattr(module, "admissible", lambda e, gone=impossible: not keys_of(e) & set(gone))
         found = search.search(context, left, lambda *_: None, lambda _: search.Promise(True, False))
         assert [next(iter(keys_of(e))) for e in found] == expected
+
+
+def test_sets_of_as_many_effects_share_one_bias(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulated: list[int] = []
+
+    def bootstrap(model: Fitted, *_: object) -> list[str]:
+        simulated.append(len(model.effects))
+        if len(simulated) == 1:
+            raise FitError("no replicate is like its run")
+        return [f"bias of {len(model.effects)}"]
+
+    monkeypatch.setattr(assessment, "bootstrap_scores", bootstrap)
+    monkeypatch.setattr(assessment, "drop_size_entries", lambda bias, model: bias)
+    context = cast(Any, SimpleNamespace(biases={}, bias=["nominal"], candidates=[], rng=None))
+    models = [fitted(0.0, *keys) for keys in (("drag",), ("play",), ("drag", "play"), ("skew",), ("drag", "skew"))]
+    found = [assessment.bias_of(context, cast(Any, m), []) for m in models]
+    assert found == [["nominal"], ["bias of 1"], ["bias of 2"], ["bias of 1"], ["bias of 2"]]
+    assert simulated == [1, 1, 2]
+
+
+def test_sets_that_cannot_be_answers_are_not_assessed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A likelier set that simulates better excludes one, unless a further effect may level them, here by 160, or the
+    likelier one has an impossible sign."""
+    best, tied, worse, clear = (replace(explained(gain, key), error=error) for gain, key, error in (
+        (2000.0, "play", 0.5), (1850.0, "gear", 0.6), (900.0, "drag", 0.7), (800.0, "skew", 0.4)))
+    pair = replace(explained(100.0, "drag", "skew"), error=0.9)
+    best = replace(best, further=np.array([160.0]))
+    monkeypatch.setattr(assessment, "admissible", lambda e: True)
+    found = assessment.assess_answers(cast(Any, Context()), [pair, clear, worse, tied], [best])
+    assert [e.gain for e in found] == [2000.0, 1850.0, 800.0, 100.0]
+    monkeypatch.setattr(assessment, "admissible", lambda e: keys_of(e) != {"play"} and keys_of(e) != {"gear"})
+    found = assessment.assess_answers(cast(Any, Context()), [pair, clear, worse, tied], [best])
+    assert [e.gain for e in found] == [2000.0, 1850.0, 900.0, 800.0, 100.0]
 
 
 def test_sets_grow_by_what_each_leaves_and_each_set_once() -> None:

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from estimator.diagnosis import procedure, verdict
+from estimator.diagnosis import error_table, procedure, verdict
 from estimator.diagnosis.context import DiagnosisContext, Explanation
 from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.diagnosis.error_budget import budget
@@ -209,7 +209,7 @@ def test_errors_that_are_known_are_not_measured_again(monkeypatch: pytest.Monkey
     nominal, first, second, third = (object() for _ in range(4))
     known = replace(table_of(5.0, 2.0, 4.0), models=cast(Any, (nominal, first, second)),
                     unit=cast(Any, SimpleNamespace(reference=first)))
-    monkeypatch.setattr(verdict, "extend_errors", extended)
+    monkeypatch.setattr(error_table, "extend_errors", extended)
     context = cast(Any, SimpleNamespace(split=None))
     found = verdict.measure_together(context, cast(Any, [nominal, first, third]), [0, 1],
                                      np.random.default_rng(0), [known])

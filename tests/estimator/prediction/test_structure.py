@@ -23,8 +23,11 @@ def motion(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
 
 def share(residual: FloatArray, q: FloatArray, v: FloatArray) -> float:
     ends = np.arange(1, RUNS + 1) * SAMPLES
-    return repeated_share(residual, state_columns(q[:, None], v[:, None], np.zeros((q.size, 0)), ends),
+    columns = state_columns(q[:, None], v[:, None], np.zeros((q.size, 0)), ends)
+    both = repeated_share(np.column_stack([np.zeros_like(residual), residual]), columns,
                           np.repeat(np.arange(RUNS), SAMPLES))
+    assert both[0] == 0.0
+    return float(both[1])
 
 
 def test_functions_of_the_state_repeat() -> None:
