@@ -11,12 +11,13 @@ from scipy.special import stdtrit
 
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
-from estimator.diagnosis.decision_rule import ALPHA, COLLINEAR, DRAWS, EDGE, RUNS, SIGMAS
+from estimator.diagnosis.decision_rule import ALPHA, DRAWS, EDGE, RUNS, SUFFICES
 from estimator.diagnosis.error_table import about_zero, floor_of, sensors_of
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.refit import Model, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, SensorGain, ShortRuns, SizeEstimate, Trace
+from estimator.diagnosis.score_statistics import least_sigmas
 from estimator.effects import GenericReading, GenericTorque, Shape, Size
 from estimator.errors import FitError
 from estimator.fitting import disturbance_levels, imu_levels, torque_levels
@@ -93,13 +94,13 @@ def counted_as_noise(joint: int) -> str:
 
 
 def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tuple[float, float]]) -> list[str]:
-    """One line for each parameter that differs from the reference by more than `SIGMAS` standard deviations."""
+    """One line for each parameter that differs from the reference by `least_sigmas`."""
     out = []
     for name, (value, std) in now.items():
         if name in reference:
             old, old_std = reference[name]
             spread = float(np.hypot(std, old_std))
-            if spread > 0 and abs(value - old) > SIGMAS * spread:
+            if spread > 0 and abs(value - old) > least_sigmas(len(now)) * spread:
                 out.append(f"{name} is {value:.4g}, the reference has {old:.4g} ({(value - old) / spread:+.1f} sigma): "
                            "a changed payload or link changes parameters only")
     return out
@@ -350,7 +351,7 @@ def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> lis
         if effect.key in keys:
             row = np.abs(cosines[keys.index(effect.key)])
             near = tuple(dict.fromkeys(k.split("@")[0] for k, c in zip(keys, row)
-                                       if c > COLLINEAR and k.split("@")[0] != effect.name))
+                                       if c**2 > SUFFICES and k.split("@")[0] != effect.name))
         out.append(Cause(effect.name, None if effect.joint is None else effect.joint + 1, effect.sentence, sizes,
                          p_value, explanation.gain, near))
     return out

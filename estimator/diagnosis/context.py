@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import ALPHA, LEAST_GAIN
+from estimator.diagnosis.decision_rule import ALPHA, MATERIAL
 from estimator.diagnosis.noise_check import noise_dominated
 from estimator.diagnosis.refit import Model, begin_afresh, deviance, short_errors
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests
@@ -122,7 +122,7 @@ class DiagnosisContext:
 
     def material(self, which: Sequence[int]) -> float:
         """Least gain that counts on these runs."""
-        return LEAST_GAIN * sum(len(s.time_s) for s in self.split.signals(which))
+        return MATERIAL**2 * sum(len(s.time_s) for s in self.split.signals(which))
 
 
 def detected(context: DiagnosisContext, tests: ScoreTests, own: frozenset[str] = frozenset()) -> bool:

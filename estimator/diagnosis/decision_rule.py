@@ -16,38 +16,32 @@ from estimator.prediction import SHORT_S
 
 # The runs
 
-LEAST_S = 8.0
-"""Shortest data that are diagnosed, all runs together [s]."""
 RUNS = 8
 """Runs that a diagnosis wants. Fewer give a warning, and a single one is cut into so many segments. The scatter between
 runs that all columns share weighs as much as so many runs of a column's own."""
+LEAST_S = RUNS * SHORT_S
+"""Shortest data that are diagnosed, all runs together [s]: each segment of a single run is a swing."""
 
 # What is detected
 
 ALPHA = 0.01
 """p-value, over all candidates tried, below which something is there."""
 MATERIAL = 0.1
-"""Material: the smallest relative reduction of the free-run rms error that counts (`--material`)."""
-LEAST_GAIN = MATERIAL**2
-"""Least gain a sample of an effect that is looked at: a share MATERIAL of the noise, squared. Smaller ones can be
-significant in long records (microseconds of skew, a per mille of scale) and change no simulation."""
-SIGMAS = 4.0
-"""Standard deviations within which a size is zero, and a parameter that of a reference: friction smoothing alone moves
-sizes by two."""
+"""Material: the smallest relative reduction of the free-run rms error that counts (`--material`).
+
+Its square is the least gain a sample of an effect that is looked at: smaller ones can be significant in long records
+(microseconds of skew, a per mille of scale) and change no simulation. An effect is tried in another's place where that
+leaves less than this share of its information."""
 
 # Which models are tried
 
 MOST_EFFECTS = 3
 """Most effects of an explanation."""
 WIDTH = 3
-"""Sets of each number of effects that are fitted to the end, by each of two rankings, and that are then extended by one
-effect."""
+"""Sets of each number of effects that are fitted to the end, by each of two rankings, that are then extended by one
+effect, and whose free runs are measured, at least."""
 GROWN = 8
 """Effects by which each of them is extended."""
-COLLINEAR = 0.9
-"""Cosine above which one effect is tried in another's place, and a cause is said to be confusable with it."""
-SHORTLIST_EACH = 2
-"""Explanations of each number of effects, at least, whose free runs are measured: the likeliest."""
 
 # Errors of free runs, on the held-out runs
 
@@ -60,17 +54,17 @@ SUFFICES = 0.5
 """Least share of the explainable error that the named causes must explain; otherwise they imitate something else.
 
 Explainable: by listed effects and generic terms together. For `partial` also the least share of the mean square error
-beyond noise."""
+beyond noise. A cause is said to be confusable with an effect that explains as much of what it explains."""
 GENERIC_TERMS = 4
 """Most generic terms, which represent what the library does not list."""
-EDGE = 1.5
+EDGE = 1.0 + SUFFICES
 """Ratio to what the rig's noise leaves up to which an error is put down to that noise.
 
 Of free runs (see `noise_floor`): beyond it explanations are sought even where no term is detected, a nominal model that
 is not explained is `unexplained`, and a cause that leaves more is `partial`. Of a sensor: its fitted noise over what
 the rig declares, or neighbouring samples show. Of a replicate: its sum of squares over its run's own."""
 
-# Numerics: no verdict depends on these
+# Numerics: the resolution of tests and of simulated noise
 
 HIDDEN = 1e-5
 """Candidates whose information after projection is below this share are not tested; nor are combinations of sizes. A

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.diagnosis.context import Explanation
-from estimator.diagnosis.decision_rule import SIGMAS
+from estimator.diagnosis.score_statistics import least_sigmas
 
 
 def admissible(explanation: Explanation) -> bool:
@@ -36,12 +36,13 @@ def undetermined(explanation: Explanation) -> list[bool]:
 
 
 def significant(explanation: Explanation, which: int) -> NDArray[np.bool_]:
-    """For each size of one effect, whether it is determined and differs from zero by SIGMAS standard deviations.
+    """For each size of one effect, whether it is determined and differs from zero by `least_sigmas`.
 
     These allow for its scatter between runs, as its interval does, and for that of all tests.
     """
     model = explanation.model
     here = model.places()[which]
     std = (np.sqrt(np.maximum(explanation.inflation, explanation.left.scatter)) * model.std())[here]
-    counts = explanation.determined[here] & (np.abs(model.sizes()[which]) > SIGMAS * std)
+    least = least_sigmas(explanation.further.size)
+    counts = explanation.determined[here] & (np.abs(model.sizes()[which]) > least * std)
     return np.asarray(counts[: len(model.effects[which].sizes)])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtrc, fdtri  # scipy.stats takes a second more to import
 
 from daq import FloatArray
-from estimator.diagnosis.decision_rule import HIDDEN, RUNS
+from estimator.diagnosis.decision_rule import ALPHA, HIDDEN, RUNS
 from estimator.likelihood import Candidate, ExtendedProblem, State, weighted_residuals_after
 from estimator.numerics import eliminate, pseudo_inverse
 
@@ -161,6 +161,12 @@ def _inflation(scores: FloatArray, own: FloatArray, least: float = 1.0) -> tuple
     common = max(least, float(np.median(variance)) / float(chdtri(runs - 1, 0.5) / (runs - 1)))
     inflation = (RUNS * common + (runs - 1) * variance) / (RUNS + runs - 1)
     return np.maximum(inflation, 1.0), float(RUNS + runs - 1)
+
+
+def least_sigmas(tests: int) -> float:
+    """Standard deviations (no unit) that the largest of so many normal errors exceeds with probability ALPHA, or
+    less (Bonferroni)."""
+    return float(np.sqrt(chdtri(1, ALPHA / max(1, tests))))
 
 
 def columns_of(candidates: Sequence[Candidate]) -> list[NDArray[np.intp]]:

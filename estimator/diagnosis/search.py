@@ -17,7 +17,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.diagnosis.assessment import assess, assess_answers, without
 from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, keys_of, seated
-from estimator.diagnosis.decision_rule import COLLINEAR, GROWN, MOST_EFFECTS, WIDTH
+from estimator.diagnosis.decision_rule import GROWN, MATERIAL, MOST_EFFECTS, WIDTH
 from estimator.diagnosis.presence import admissible, presence, undetermined
 from estimator.diagnosis.refit import Model, deviance, misfit, misfit_by_run, refit, short_errors
 from estimator.diagnosis.score_statistics import ScoreTests
@@ -282,7 +282,7 @@ def resemble(context: DiagnosisContext, tests: ScoreTests, i: int, k: int) -> bo
         return None in (one.joint, other.joint) or one.joint == other.joint
     a, b = context.columns[i][0], context.columns[k][0]
     information = tests.information
-    return bool(information[a, b] ** 2 > COLLINEAR**2 * information[a, a] * information[b, b] > 0.0)
+    return bool(information[a, b] ** 2 > (1.0 - MATERIAL) * information[a, a] * information[b, b] > 0.0)
 
 
 def start_size(context: DiagnosisContext, tests: ScoreTests, i: int) -> FloatArray:

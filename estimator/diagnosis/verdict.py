@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimator.diagnosis.assessment import assess
 from estimator.diagnosis.context import DiagnosisContext, Explanation, keys_of, seated
-from estimator.diagnosis.decision_rule import EDGE, MOST_EFFECTS, SHORTLIST_EACH, SUFFICES, SURE
+from estimator.diagnosis.decision_rule import EDGE, MOST_EFFECTS, SUFFICES, SURE, WIDTH
 from estimator.diagnosis.error_budget import generic_extension
 from estimator.diagnosis.error_table import (
     ErrorTable,
@@ -279,17 +279,17 @@ def measure_together(context: DiagnosisContext, models: Sequence[Model], smoothe
 
 
 def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
-    """The likeliest explanations, of each number of effects at least `SHORTLIST_EACH`, and each set of effects once."""
+    """The likeliest explanations, of each number of effects at least `WIDTH`, and each set of effects once."""
     every = sorted(options, key=lambda o: -o.gain)
     ranked = [o for k, o in enumerate(every) if not any(keys_of(o) == keys_of(e) for e in every[:k])]
     first = first_of_each(ranked)
-    return [*first, *(o for o in ranked if not any(o is f for f in first))][: MOST_EFFECTS * SHORTLIST_EACH]
+    return [*first, *(o for o in ranked if not any(o is f for f in first))][: MOST_EFFECTS * WIDTH]
 
 
 def first_of_each(options: Sequence[Explanation]) -> list[Explanation]:
     """The first of each number of effects, the fewest effects first."""
     counts = sorted({len(o.model.effects) for o in options})
-    return [o for n in counts for o in seated([o for o in options if len(o.model.effects) == n], SHORTLIST_EACH)]
+    return [o for n in counts for o in seated([o for o in options if len(o.model.effects) == n], WIDTH)]
 
 
 def by_error(options: Sequence[Explanation]) -> list[Explanation]:

@@ -19,6 +19,9 @@ from estimator.effects.friction import AsymmetricFriction, QuadraticDrag
 from estimator.effects.sensors import EncoderScale
 from estimator.effects.structure import JointElasticity, JointStiffness, RotorInertia
 
+TESTS = 150
+"""Candidates that were tried: a size counts from four standard deviations on."""
+
 
 def explanation(effect: Effect, gain: float, by_run: list[float], sizes: list[float] | None = None,
               has_residual: bool = False, inflation: float = 1.0) -> Explanation:
@@ -29,7 +32,7 @@ def explanation(effect: Effect, gain: float, by_run: list[float], sizes: list[fl
                                  problem=SimpleNamespace(mechanism=SimpleNamespace(p=5)))
     left: Any = SimpleNamespace(scatter=1.0)
     return Explanation(model, gain, left, has_residual, np.array(by_run),
-                       inflation=np.full(5 + effect.count, inflation),
+                       inflation=np.full(5 + effect.count, inflation), further=np.zeros(TESTS),
                        determined=np.ones(5 + effect.count, dtype=bool))
 
 
@@ -78,7 +81,7 @@ def test_a_clear_second_is_no_tie(gain: float, by_run: list[float]) -> None:
     ([30.0, 5.0], [130.0, 5.0], ["encoder_scale"])])  # it counts for what the scale leaves, 30
 def test_what_both_leave_can_make_a_tie(scale: list[float], rotor: list[float], told: list[str]) -> None:
     """Gains of two further effects in addition to each of two explanations that are 42 apart on runs that agree."""
-    likely, other = (replace(explanation(effect, gain, by_run), further=np.array(gains)) for effect, gain, by_run, gains
+    likely, other = (replace(explanation(effect, gain, by_run), further=np.pad(gains, (0, TESTS - 2))) for effect, gain, by_run, gains
                      in ((EncoderScale(1), 1546.0, [0.0] * 6, scale), (RotorInertia(1), 1504.0, [7.0] * 6, rotor)))
     assert names(indistinguishable_set([likely, other])) == told
 

@@ -10,7 +10,7 @@ import pytest
 from daq.dataset import Dataset
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.refit import Model, fit_nominal, refit, run_states
-from estimator.diagnosis.score_statistics import score_alone, score_run
+from estimator.diagnosis.score_statistics import least_sigmas, score_alone, score_run
 from estimator.effects import Effect, battery, classes, library
 from estimator.likelihood import Candidate
 from estimator.model import leg2
@@ -55,3 +55,9 @@ def test_scores_alone_equal_those_with_the_information(nominal: tuple[RunSplit, 
     spread = np.sqrt(np.maximum(np.diag(found.information), 1e-12))
     assert np.max(np.abs(found.score) / spread) > 1.0  # there is something to compare
     np.testing.assert_allclose(score_alone(problem, state) / spread, found.score / spread, atol=1e-7)
+
+
+@pytest.mark.parametrize(("tests", "sigmas"), [(0, 2.58), (1, 2.58), (10, 3.29), (160, 4.0)])
+def test_more_tests_ask_for_more_standard_deviations(tests: int, sigmas: float) -> None:
+    """Quantiles of the normal distribution at 1 % and at 0.1 % are 2.58 and 3.29."""
+    assert least_sigmas(tests) == pytest.approx(sigmas, abs=0.01)
