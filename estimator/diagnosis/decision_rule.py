@@ -38,8 +38,8 @@ leaves less than this share of its information."""
 MOST_EFFECTS = 3
 """Most effects of an explanation."""
 WIDTH = 3
-"""Sets of each number of effects that are fitted to the end, by each of two rankings, that are then extended by one
-effect, and whose free runs are measured, at least."""
+"""Sets of each number of effects that are fitted to the end, by each of two rankings. So many are then extended by one
+effect, and of so many at least the free runs are measured."""
 GROWN = 8
 """Effects by which each of them is extended."""
 

@@ -81,8 +81,9 @@ def test_a_clear_second_is_no_tie(gain: float, by_run: list[float]) -> None:
     ([30.0, 5.0], [130.0, 5.0], ["encoder_scale"])])  # it counts for what the scale leaves, 30
 def test_what_both_leave_can_make_a_tie(scale: list[float], rotor: list[float], told: list[str]) -> None:
     """Gains of two further effects in addition to each of two explanations that are 42 apart on runs that agree."""
-    likely, other = (replace(explanation(effect, gain, by_run), further=np.pad(gains, (0, TESTS - 2))) for effect, gain, by_run, gains
-                     in ((EncoderScale(1), 1546.0, [0.0] * 6, scale), (RotorInertia(1), 1504.0, [7.0] * 6, rotor)))
+    likely, other = (replace(explanation(effect, gain, by_run), further=np.pad(gains, (0, TESTS - 2)))
+                     for effect, gain, by_run, gains in ((EncoderScale(1), 1546.0, [0.0] * 6, scale),
+                                                         (RotorInertia(1), 1504.0, [7.0] * 6, rotor)))
     assert names(indistinguishable_set([likely, other])) == told
 
 
