@@ -70,7 +70,7 @@ HIDDEN = 1e-5
 """Candidates whose information after projection is below this share are not tested; nor are combinations of sizes. A
 fitted size of which the other parameters leave less is not determined."""
 REPLICATED_SAMPLES = 24_000
-"""Samples that the replicates of the discover runs have in all, at least."""
+"""Samples, about, that the replicates of the discover runs have in all; of each run there are two at least."""
 WHOLE_RUNS = 8
 """Replicates of a run whose free runs over the whole of it say what noise leaves."""
 DRAWS = 400
