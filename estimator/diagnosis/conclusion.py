@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 from daq import FloatArray
 from estimator.diagnosis.context import Explanation
 from estimator.diagnosis.decision_rule import ALPHA, DRAWS, EDGE, RUNS, SUFFICES
-from estimator.diagnosis.error_table import about_zero, floor_of, sensors_of
+from estimator.diagnosis.error_table import ErrorTable, about_zero, floor_of, sensors_of
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.refit import Model, smooth
 from estimator.diagnosis.residual_signature import signature
@@ -91,6 +91,23 @@ def with_noise(found: Diagnosis, model: Model, floor: FloorNoise) -> Diagnosis:
 def counted_as_noise(joint: int) -> str:
     """End of the warning that says so of the disturbance at a joint."""
     return f"at joint {joint}; it does not depend on the state and counts as noise"
+
+
+def with_blind_sensors(found: Diagnosis, table: ErrorTable | None) -> Diagnosis:
+    """`found` with a warning for each sensor of whose variance noise alone leaves more than SUFFICES in free runs.
+
+    It names the shortest horizon. "Nothing found" is then no promise: an error as large as the motion does not show.
+    """
+    if table is None:
+        return found
+    told: dict[str, str] = {}
+    for (sensor, horizon_s), floor, variance in zip(table.columns, table.unit.floor, table.unit.bound, strict=True):
+        if floor > SUFFICES * variance > 0.0:
+            over = f"{horizon_s:g} s" if np.isfinite(horizon_s) else "whole runs"
+            share = f"{100.0 * floor / variance:.0f} %"
+            told.setdefault(sensor, f"noise alone makes {share} of the variance of {sensor} in free runs over {over}: an "
+                            "error of the simulation does not show there")
+    return replace(found, warnings=(*found.warnings, *told.values()))
 
 
 def changes(now: Mapping[str, tuple[float, float]], reference: Mapping[str, tuple[float, float]]) -> list[str]:

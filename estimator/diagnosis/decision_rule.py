@@ -62,7 +62,7 @@ EDGE = 1.0 + SUFFICES
 
 Of free runs (see `noise_floor`): beyond it explanations are sought even where no term is detected, a nominal model that
 is not explained is `unexplained`, and a cause that leaves more is `partial`. Of a sensor: its fitted noise over what
-the rig declares, or neighbouring samples show. Of a replicate: its sum of squares over its run's own."""
+the rig declares (see `noise_ratios`). Of a replicate: its sum of squares over its run's own."""
 
 # Numerics: the resolution of tests and of simulated noise
 

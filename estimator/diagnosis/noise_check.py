@@ -17,19 +17,25 @@ from estimator.options import accel_level, encoder_level, gyro_level
 from estimator.signals import Channel, encoder_of, imu_channels, white_noise_level
 
 
-def noise_ratios(model: Model) -> dict[Channel, float]:
-    """Channel of an encoder or IMU to its fitted noise over what the rig declares, or neighbouring samples show."""
+def noise_ratios(model: Model) -> dict[Channel, tuple[float, float]]:
+    """Channel of an encoder or IMU to its fitted noise over what is usual for it, and the most that this may be.
+
+    Usual is what the rig declares, up to EDGE times; else what neighbouring samples show, which is itself known to
+    EDGE only.
+    """
     known, problem, noise = model.split.known, model.problem, model.state.noise
-    out: dict[Channel, float] = {}
+    out: dict[Channel, tuple[float, float]] = {}
     for j in map(int, np.flatnonzero(problem.has_encoder)):
-        usual = encoder_level(known, j) or max(1e-12, float(problem.shown.encoder[j]))
-        out[encoder_of(j)] = float(noise.encoder[j]) / usual
+        declared = encoder_level(known, j)
+        usual = declared or max(1e-12, float(problem.shown.encoder[j]))
+        out[encoder_of(j)] = float(noise.encoder[j]) / usual, EDGE if declared else EDGE**2
     for k in range(problem.imu_count):
         levels = (noise.gyro[k], *noise.accel[k])
         known_levels = (gyro_level(known, k), accel_level(known, 0, k), accel_level(known, 1, k))
         for channel, level, readings, declared in zip(imu_channels(k), levels, (problem.gyro[k], *problem.accel[k]),
                                                       known_levels, strict=True):
-            out[channel] = float(level) / (max(1e-12, white_noise_level(readings)) if declared is None else declared)
+            usual = max(1e-12, white_noise_level(readings)) if declared is None else declared
+            out[channel] = float(level) / usual, EDGE**2 if declared is None else EDGE
     return out
 
 
@@ -42,8 +48,8 @@ def in_words(channel: Channel, ratio: float) -> str:
 
 
 def noisy_sensors(model: Model) -> dict[Channel, float]:
-    """Those of `noise_ratios` above EDGE: sensors of motion that are too noisy."""
-    return {channel: ratio for channel, ratio in noise_ratios(model).items() if ratio > EDGE}
+    """Ratios of `noise_ratios` that are larger than they may be: sensors of motion that are too noisy."""
+    return {channel: ratio for channel, (ratio, most) in noise_ratios(model).items() if ratio > most}
 
 
 def with_declared_noise(model: Model) -> Model:

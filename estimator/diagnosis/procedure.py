@@ -127,6 +127,7 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
             if table is not None:
                 error = table.error(NOMINAL)
                 base = replace(base, error=(error, error), probability=probability_of_no_error(table, rng))
+            base = conclusion.with_blind_sensors(base, table)
             return replace(conclusion.nothing(base), mechanism=nominal.split.mechanism)
     known: list[ErrorTable] = []
     if generic is None or generic.split is not context.split:
@@ -273,7 +274,7 @@ def conclude(context: DiagnosisContext, base: Diagnosis, generic: Model | None, 
         if why:
             return conclusion.unexplained(base, nominal, None, why)
         sure = None if table is None else probability_of_no_error(table, rng)
-        return replace(conclusion.nothing(base), probability=sure)
+        return replace(conclusion.nothing(conclusion.with_blind_sensors(base, table)), probability=sure)
     base = replace(base, material=material, budget=budget(decision.table, decision.row, decision.without,
                                                           decision.best[0].model if decision.best else None,
                                                           decision.draws),
@@ -289,7 +290,7 @@ def conclude(context: DiagnosisContext, base: Diagnosis, generic: Model | None, 
     if not hidden:
         base = replace(base, probability=probability_of(decision, material))
     if decision.verdict == "none" and not hidden:
-        return conclusion.nothing(base, best, p)
+        return conclusion.nothing(conclusion.with_blind_sensors(base, decision.table), best, p)
     if decision.verdict in ("none", "unexplained") or best is None:
         return conclusion.unexplained(base, context.nominal, best, hidden or decision.why, rng,
                                       decision.table.unit.noise, p)

@@ -43,7 +43,7 @@ def test_a_sensor_noisier_than_declared_is_named(channel: str, level: float, sai
 
 def test_without_a_declared_level_neighbouring_samples_stand_in() -> None:
     assert set(noise_ratios(model_of({}))) == {GYRO, ACCEL_X, ACCEL_Y, encoder_of(1)}
-    assert told(model_of({}, gyro=0.007)) == [] and "gyro" in told(model_of({}, gyro=0.02))[0]
+    assert told(model_of({}, gyro=0.011)) == [] and "gyro" in told(model_of({}, gyro=0.02))[0]
 
 
 @pytest.mark.parametrize("declared", [{}, DECLARED])
