@@ -104,9 +104,8 @@ def with_blind_sensors(found: Diagnosis, table: ErrorTable | None) -> Diagnosis:
     for (sensor, horizon_s), floor, variance in zip(table.columns, table.unit.floor, table.unit.bound, strict=True):
         if floor > SUFFICES * variance > 0.0:
             over = f"{horizon_s:g} s" if np.isfinite(horizon_s) else "whole runs"
-            share = f"{100.0 * floor / variance:.0f} %"
-            told.setdefault(sensor, f"noise alone makes {share} of the variance of {sensor} in free runs over {over}: an "
-                            "error of the simulation does not show there")
+            share = f"noise alone makes {100.0 * floor / variance:.0f} % of the variance of {sensor}"
+            told.setdefault(sensor, f"{share} in free runs over {over}: an error of the simulation does not show there")
     return replace(found, warnings=(*found.warnings, *told.values()))
 
 
