@@ -17,26 +17,32 @@ from estimator.options import accel_level, encoder_level, gyro_level
 from estimator.signals import Channel, encoder_of, imu_channels, white_noise_level
 
 
+def declared_levels(model: Model) -> dict[Channel, float | None]:
+    """Channel of each encoder and IMU to the noise that the rig declares for it; None where it declares none."""
+    known, problem = model.split.known, model.problem
+    out = {encoder_of(j): encoder_level(known, j) or None for j in map(int, np.flatnonzero(problem.has_encoder))}
+    for k in range(problem.imu_count):
+        levels = gyro_level(known, k), accel_level(known, 0, k), accel_level(known, 1, k)
+        out |= dict(zip(imu_channels(k), levels, strict=True))
+    return out
+
+
 def noise_ratios(model: Model) -> dict[Channel, tuple[float, float]]:
     """Channel of an encoder or IMU to its fitted noise over what is usual for it, and the most that this may be.
 
     Usual is what the rig declares, up to EDGE times; else what neighbouring samples show, which is itself known to
     EDGE only.
     """
-    known, problem, noise = model.split.known, model.problem, model.state.noise
-    out: dict[Channel, tuple[float, float]] = {}
-    for j in map(int, np.flatnonzero(problem.has_encoder)):
-        declared = encoder_level(known, j)
-        usual = declared or max(1e-12, float(problem.shown.encoder[j]))
-        out[encoder_of(j)] = float(noise.encoder[j]) / usual, EDGE if declared else EDGE**2
+    problem, noise = model.problem, model.state.noise
+    fitted = {encoder_of(j): (noise.encoder[j], problem.shown.encoder[j])
+              for j in map(int, np.flatnonzero(problem.has_encoder))}
     for k in range(problem.imu_count):
-        levels = (noise.gyro[k], *noise.accel[k])
-        known_levels = (gyro_level(known, k), accel_level(known, 0, k), accel_level(known, 1, k))
-        for channel, level, readings, declared in zip(imu_channels(k), levels, (problem.gyro[k], *problem.accel[k]),
-                                                      known_levels, strict=True):
-            usual = max(1e-12, white_noise_level(readings)) if declared is None else declared
-            out[channel] = float(level) / usual, EDGE**2 if declared is None else EDGE
-    return out
+        for channel, level, readings in zip(imu_channels(k), (noise.gyro[k], *noise.accel[k]),
+                                            (problem.gyro[k], *problem.accel[k]), strict=True):
+            fitted[channel] = level, white_noise_level(readings)
+    declared = declared_levels(model)
+    return {channel: (float(level) / (declared[channel] or max(1e-12, float(shown))),
+                      EDGE**2 if declared[channel] is None else EDGE) for channel, (level, shown) in fitted.items()}
 
 
 def in_words(channel: Channel, ratio: float) -> str:

@@ -31,7 +31,7 @@ from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, SUFFICES, SURE, WIDTH
 from estimator.diagnosis.error_budget import budget, generic_extension
 from estimator.diagnosis.error_table import ErrorTable, known_errors, measure_errors
-from estimator.diagnosis.noise_check import in_words, noisy_sensors, with_declared_noise
+from estimator.diagnosis.noise_check import declared_levels, in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.probability import probability_of, probability_of_no_error
 from estimator.diagnosis.refit import (
@@ -201,20 +201,23 @@ def hidden_motion(model: Model, material: float, rng: np.random.Generator) -> st
     """The sensor whose noise hides motion, in words; empty without one.
 
     A sensor noisier than declared is a fault of the simulation only if the model with the declared noise predicts the
-    held-out runs materially better or worse, or cannot be fitted.
+    held-out runs materially better or worse, or cannot be fitted. The noise that neighbouring samples show is no more
+    than a guess: that of a sensor without a declared noise must predict them better.
     """
     noisy = noisy_sensors(model)
     if not noisy:
         return ""
     text = in_words(*max(noisy.items(), key=lambda one: one[1]))
+    levels = declared_levels(model)
+    declared, better, worse = any(levels[channel] is not None for channel in noisy), (1, 0), (0, 1)
     try:
         models = [model, with_declared_noise(model)]
         table = measure_errors(models, model, rng.integers(2**63, size=len(model.split.confirm)))
     except (FitError, np.linalg.LinAlgError):
-        return text
+        return text if declared else ""
     draws = table.draws(rng)
-    differs = max(table.lowers(a, b, material, draws, b) for a, b in ((0, 1), (1, 0))) >= SURE
-    return text if differs else ""
+    differs = max(table.lowers(a, b, material, draws, b) for a, b in ((better, worse) if declared else (better,)))
+    return text if differs >= SURE else ""
 
 
 def nominal_errors(context: DiagnosisContext, floor: FloorNoise, rng: np.random.Generator) -> ErrorTable | None:
