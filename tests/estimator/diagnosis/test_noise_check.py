@@ -15,7 +15,6 @@ from estimator.errors import FitError
 from estimator.likelihood.noise import Noise
 from estimator.model.mechanism import leg2
 from estimator.signals import ACCEL_X, ACCEL_Y, GYRO, encoder_of
-from tests.estimator.diagnosis.test_verdict import table_of
 
 DECLARED = {"torque_nm": 0.02, "encoder_rad": 2e-4, "gyro_radps": 0.005, "accel_mps2": 0.05}
 
@@ -66,10 +65,13 @@ def test_a_sensor_that_is_noisier_than_its_neighbouring_samples_is_listed(declar
 def test_a_noisy_sensor_hides_motion_by_what_its_usual_noise_predicts(
         levels: dict[str, float], fitted: float, usual: float, hides: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Errors of free runs with the noise as fitted and with that which is usual for the sensor."""
+    errors = np.array([fitted, usual])
+    table = SimpleNamespace(draws=lambda rng: None, lowers=lambda model, than, by, draws, of: float(
+        errors[than] - errors[model] > by * errors[of]))
     model = model_of(levels, encoder=0.002)
     model.split.confirm = (0, 1)
     monkeypatch.setattr(procedure, "with_declared_noise", lambda _: object())
-    monkeypatch.setattr(procedure, "measure_errors", lambda *_: table_of(fitted, usual))
+    monkeypatch.setattr(procedure, "measure_errors", lambda *_: table)
     assert bool(procedure.hidden_motion(model, MATERIAL, np.random.default_rng(0))) is hides
 
     def diverges(*_: Any) -> None:
