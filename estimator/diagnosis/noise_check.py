@@ -23,7 +23,7 @@ def declared_levels(model: Model) -> dict[Channel, float | None]:
     out = {encoder_of(j): encoder_level(known, j) or None for j in map(int, np.flatnonzero(problem.has_encoder))}
     for k in range(problem.imu_count):
         levels = gyro_level(known, k), accel_level(known, 0, k), accel_level(known, 1, k)
-        out |= dict(zip(imu_channels(k), levels, strict=True))
+        out |= {channel: level or None for channel, level in zip(imu_channels(k), levels, strict=True)}
     return out
 
 
