@@ -141,7 +141,8 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
           hold_shapes: bool = False, hold_limits: bool = True) -> Model:
     """Full non-linear fit of `start`'s runs with `effects` at their starting sizes; keeps `noise` if given.
 
-    `hold_shapes` estimates the sizes alone; `hold_limits` fixes shapes that start at a limit of their range. Raises
+    `hold_shapes` estimates the sizes alone; `hold_limits` fixes shapes that start at a limit of their range. Where the
+    nominal fit did not converge, beta stays at least squares for effects with which it does not either. Raises
     `FitError`.
     """
     split = start.split
@@ -157,9 +158,14 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
         held = np.array([hold_shapes or s.discrete for s in effect.shapes], dtype=bool)
         free[place.stop - len(effect.shapes) : place.stop] = ~(held | effect.at_limits(size) if hold_limits else held)
     floors = None if noise is not None else split.floors(problem, state.beta[:p])
-    state = iterate(problem, state, free, split.options, floors, limit)
+    begin, held, unknown = state, free.copy(), np.isinf(start.state.covariance[:p, :p]).any()
+    held[:p] = False
+    state = iterate(problem, begin, free, split.options, floors, limit)
     if floors is not None and mistaken_torques(problem, state, floors):
-        raise FitError("the fit takes the torque for noise")
+        if not unknown or not held.any():
+            raise FitError("the fit takes the torque for noise")
+        state = iterate(problem, begin, held, split.options, floors, limit)
+        state.covariance[:p, :p][np.ix_(free[:p], free[:p])] = np.inf
     return Model(split, tuple(e for e, _ in effects), converge_runs(split, problem, state), problem)
 
 

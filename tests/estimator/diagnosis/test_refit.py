@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
+from estimator.diagnosis import refit as fits
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.refit import Model, begin_afresh, converge_runs, fit_nominal, misfit, refit, smooth
 from estimator.diagnosis.residual_signature import signature
@@ -18,6 +19,7 @@ from estimator.effects import Effect
 from estimator.effects.drive import TorqueDelay, TorqueRipple
 from estimator.effects.friction import LoadDependentFriction, PreslidingFriction
 from estimator.effects.structure import Backlash, JointElasticity
+from estimator.errors import FitError
 from estimator.fitting import converge_motion
 from estimator.likelihood.extended_likelihood import ExtendedProblem, Stage
 from estimator.likelihood.free_run import free_run
@@ -134,6 +136,25 @@ def test_a_few_steps_end_at_the_likeliest_motion() -> None:
     again = replace(model, state=converge_motion(model.problem, model.state))
     assert misfit(model) == pytest.approx(misfit(again), abs=1.0)
     assert misfit(replace(model, state=replace(model.state, x=nominal.state.x))) > misfit(model) + 100.0
+
+
+def test_an_effect_is_sought_at_the_nominal_parameters_where_no_fit_of_them_converges(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    """A servo's leg against a stiff stop takes its torque for noise with every effect, and with none."""
+    case = drawn("torque_delay")
+    split = split_runs(record(case, {}, 0.008), leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
+    nominal, delay = fit_nominal(split), [(TorqueDelay(), np.zeros(1))]
+    monkeypatch.setattr(fits, "mistaken_torques", lambda *_: [1])
+    with pytest.raises(FitError, match="torque for noise"):
+        refit(nominal, delay)
+    beta = np.ravel(case.leg.beta())
+    unknown = replace(nominal, state=replace(nominal.state, beta=beta, covariance=np.full((9, 9), np.inf)))
+    model = refit(unknown, delay)
+    assert np.array_equal(model.state.beta[:9], beta)
+    assert model.sizes()[0] == pytest.approx(0.008, abs=2e-3)
+    assert np.isinf(model.std()[:9]).all() and 0.0 < model.std()[9] < 1e-3
+    further = refit(model, [*zip(model.effects, model.sizes())])  # grown sets begin there
+    assert np.array_equal(further.state.beta[:9], beta)
 
 
 def test_no_run_changes_the_motion_of_another() -> None:
