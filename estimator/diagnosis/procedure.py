@@ -47,7 +47,7 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
-from estimator.diagnosis.search import Progress, Promise, fit_likeliest, grown, search
+from estimator.diagnosis.search import Progress, Promise, fit_likeliest, grown, one_more, search
 from estimator.diagnosis.structure import with_structure
 from estimator.diagnosis.verdict import NOMINAL, by_error, decide, first_of_each
 from estimator.effects import Effect, SensorTimeSkew, battery, library
@@ -297,18 +297,19 @@ def conclude(context: DiagnosisContext, base: Diagnosis, generic: Model | None, 
     if decision.verdict in ("none", "unexplained") or best is None:
         return conclusion.unexplained(base, context.nominal, best, hidden or decision.why, rng,
                                       decision.table.unit.noise, p)
-    if decision.more is not None:
-        base = replace(base, immaterial=minor_causes(context, base, decision.more, best))
+    base = replace(base, immaterial=also_present(context, best, base))
     indistinguishable = [with_clock(context, best), *decision.best[1:]]
     return conclusion.finding(base, context.nominal, indistinguishable, p, rng, decision.verdict == "partial",
                               decision.table.unit.noise)
 
 
-def minor_causes(context: DiagnosisContext, found: Diagnosis, more: Explanation, best: Explanation
-                 ) -> tuple[Cause, ...]:
-    """Causes of `more` in addition to those of `best`."""
+def also_present(context: DiagnosisContext, best: Explanation, found: Diagnosis) -> tuple[Cause, ...]:
+    """The effect that is present in addition to those of `best`, though not material; empty without one."""
+    more = one_more(context, best)
+    if more is None:
+        return ()
     added = [e for e in more.model.effects if e.key not in keys_of(best)]
-    p = chance_of(context, more, more.gain_over_parent, added)
+    p = chance_of(context, more, more.gain, added)
     places = {(e.name, None if e.joint is None else e.joint + 1) for e in added}
     return tuple(c for c in conclusion.causes_of(more, p, found) if (c.effect, c.joint) in places)
 

@@ -77,12 +77,20 @@ class ScoreTests:
 
     def size(self, columns: NDArray[np.intp]) -> FloatArray:
         """One-step estimate of the sizes of these columns."""
+        return self._sizes(columns, self.score[columns])
+
+    def explained(self, column: int, columns: NDArray[np.intp]) -> float:
+        """Share (0 to 1) of what `column` explains that `columns` explain, too: a squared multiple correlation."""
+        own, common = self.information[column, column], self.information[columns, column]
+        return float(self._sizes(columns, common) @ common / own) if own > 0.0 else 0.0
+
+    def _sizes(self, columns: NDArray[np.intp], score: FloatArray) -> FloatArray:
+        """Sizes of these columns for their `score`, without combinations that the data hardly show."""
         information = self.information[np.ix_(columns, columns)]
         scale = np.sqrt(np.maximum(self.before[columns], 1e-300))
         values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
         good = values > np.maximum(HIDDEN, 1e-8 * values[-1])
-        projected = vectors[:, good].T @ (self.score[columns] / scale)
-        return np.asarray((vectors[:, good] / values[good]) @ projected / scale)
+        return np.asarray((vectors[:, good] / values[good]) @ (vectors[:, good].T @ (score / scale)) / scale)
 
     def p_value(self, columns: NDArray[np.intp]) -> float:
         """p-value of the gain under no effect: F with the scatter's degrees of freedom."""

@@ -17,9 +17,10 @@ import numpy as np
 from daq import FloatArray
 from estimator.diagnosis.assessment import assess, assess_answers, without
 from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, keys_of, seated
-from estimator.diagnosis.decision_rule import GROWN, MATERIAL, MOST_EFFECTS, WIDTH
+from estimator.diagnosis.decision_rule import GROWN, MOST_EFFECTS, SUFFICES, WIDTH
+from estimator.diagnosis.model_comparison import is_close
 from estimator.diagnosis.presence import admissible, presence, undetermined
-from estimator.diagnosis.refit import Model, deviance, misfit, misfit_by_run, refit, short_errors
+from estimator.diagnosis.refit import Model, deviance, misfit, misfit_by_run, refit, short_errors, smooth
 from estimator.diagnosis.score_statistics import ScoreTests
 from estimator.effects import Effect
 from estimator.errors import FitError
@@ -255,34 +256,62 @@ def reduced(context: DiagnosisContext, explanations: Sequence[Explanation]) -> l
 
 
 def exchanged(context: DiagnosisContext, tests: ScoreTests, found: Sequence[Explanation]) -> list[Explanation]:
-    """The likeliest set of each number of effects with one effect after the other changed for each that it resembles,
-    as far as that is not among those `found`."""
+    """The likeliest set of each number of effects with one effect after the other changed for each that can replace it,
+    as far as that is not among those `found`; of each number those that are the likeliest after a few steps."""
     known = {keys_of(e) for e in found}
-    shapes, starts = best_shapes(context, tests), []
+    shapes, chosen = best_shapes(context, tests), []
     for count in sorted({len(k) for k in known}):
         best = max((e for e in found if len(e.model.effects) == count), key=lambda e: e.gain)
-        pairs = pairs_of(best.model)
+        pairs, starts = pairs_of(best.model), []
         for k, effect in enumerate(best.model.effects):
             own = next(i for i in shapes if context.candidates[i].effect.key == effect.key)
             for i in shapes:
                 other = context.candidates[i].effect
                 keys = keys_of(best) - {effect.key} | {other.key}
-                if len(keys) == count and keys not in known and resemble(context, tests, own, i):
+                if len(keys) == count and keys not in known and replaces(context, tests, i, own):
                     known.add(keys)
                     changed = [*pairs[:k], (other, start_size(context, tests, i)), *pairs[k + 1 :]]
                     starts.append((context.nominal, changed))
-    fits = fit_sets(context, starts) if starts else []
-    return without(assess_answers(context, fits, found), found)
+        chosen += tried(context, starts)
+    return without(assess_answers(context, fit_sets(context, chosen), found), found) if chosen else []
 
 
-def resemble(context: DiagnosisContext, tests: ScoreTests, i: int, k: int) -> bool:
-    """Whether the effects of two candidates are of one `Effect.equivalence_class` at one joint, or nearly collinear."""
-    one, other = context.candidates[i].effect, context.candidates[k].effect
-    if one.equivalence_class and one.equivalence_class == other.equivalence_class:
-        return None in (one.joint, other.joint) or one.joint == other.joint
-    a, b = context.columns[i][0], context.columns[k][0]
-    information = tests.information
-    return bool(information[a, b] ** 2 > (1.0 - MATERIAL) * information[a, a] * information[b, b] > 0.0)
+def replaces(context: DiagnosisContext, tests: ScoreTests, other: int, own: int) -> bool:
+    """Whether the effect of candidate `other` can stand for that of `own`.
+
+    Both are of one `Effect.equivalence_class` at one joint, or the sizes of `other` explain more than SUFFICES of what
+    the first size of `own` explains. An eccentric encoder has an offset, too, and the offset alone leaves little that
+    free runs show.
+    """
+    one, two = context.candidates[own].effect, context.candidates[other].effect
+    if one.equivalence_class and one.equivalence_class == two.equivalence_class:
+        return None in (one.joint, two.joint) or one.joint == two.joint
+    return tests.explained(context.columns[own][0], context.columns[other][: two.defining]) > SUFFICES
+
+
+def one_more(context: DiagnosisContext, best: Explanation) -> Explanation | None:
+    """The likeliest set of `best` and one more effect, with its gain over `best`; None without one that is told apart.
+
+    It must make each held-out run likelier, too, under the noise levels of each.
+    """
+    if not best.has_residual:
+        return None
+    fits = assess(context, fit_sets(context, grown(context, [best])[:WIDTH]))
+    own, scatter = deviance(best.model), best.left.scatter
+    sets = [replace(e, gain=(own - deviance(e.model)) / scatter, by_run=np.zeros(0)) for e in fits if admissible(e)]
+    most = max(sets, key=lambda e: e.gain, default=None)
+    if (most is None or most.gain <= context.material(context.split.discover)
+            or any(is_close(e, most) for e in sets if e is not most)):
+        return None
+    gains = [run_deviance(best.model, k) - run_deviance(most.model, k) for k in context.split.confirm]
+    return most if min(gains) > 0.0 else None
+
+
+def run_deviance(model: Model, run: int) -> float:
+    """-2 log likelihood of a held-out run under the model's noise levels, up to a constant that all models share."""
+    one = smooth(model, run)
+    noise = one.state.noise
+    return one.misfit(noise) + 2.0 * one.problem.log_volume(noise)
 
 
 def start_size(context: DiagnosisContext, tests: ScoreTests, i: int) -> FloatArray:

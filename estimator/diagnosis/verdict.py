@@ -62,8 +62,6 @@ class Decision:
     """Why the closest explanation is not accepted."""
     turns: tuple[Turn, ...] = ()
     """Rotations over the other runs, where the held-out ones were inconclusive."""
-    more: Explanation | None = None
-    """The likeliest with one more effect, which is present but not material."""
     possible: tuple[tuple[Explanation, int], ...] = ()
     """Admissible explanations and their rows in the table of the held-out runs"""
     unturned: Decision | None = None
@@ -144,8 +142,7 @@ def ask(context: DiagnosisContext, begin: Decision, what: tuple[Sequence[Explana
     table = extend_errors(table, [*pieces, *([extended] if extended is not None else [])])
     table = over_floor(table, extended or best[0].model, rng)
     return replace(begin, best=tuple(best), table=table, row=row, without=tuple(range(first, first + len(pieces))),
-                   with_generic=first + len(pieces) if extended is not None else row, terms=extended or best[0].model,
-                   more=with_minor(possible, best[0], row, table, begin.draws))
+                   with_generic=first + len(pieces) if extended is not None else row, terms=extended or best[0].model)
 
 
 def pruned(context: DiagnosisContext, asked: Decision, possible: Sequence[tuple[Explanation, int]], material: float,
@@ -336,18 +333,6 @@ def likeliest(among: Sequence[tuple[Explanation, int]], table: ErrorTable, mater
     lowest = min((k for _, k in among), key=table.error)
     best = indistinguishable_set([o for o, k in among if table.lowers(lowest, k, material, draws, than) < SURE])
     return best, next(k for o, k in among if o is best[0])
-
-
-def with_minor(possible: Sequence[tuple[Explanation, int]], best: Explanation, row: int, table: ErrorTable,
-               draws: NDArray[np.intp]) -> Explanation | None:
-    """The likeliest with one more effect than `best` that makes every run likelier and surely reduces the error.
-
-    It is not material: `choose` has decided that.
-    """
-    count = len(best.model.effects) + 1
-    more = [o for o, k in possible if keys_of(best) < keys_of(o) and len(o.model.effects) == count and np.all(
-        table.agreement[k] > table.agreement[row]) and table.lowers(k, row, 0.0, draws, NOMINAL) >= SURE]
-    return max(more, key=lambda o: o.gain, default=None)
 
 
 def is_material(table: ErrorTable, model: int, than: int, material: float, draws: NDArray[np.intp],

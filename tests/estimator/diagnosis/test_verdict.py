@@ -25,7 +25,6 @@ from estimator.diagnosis.verdict import (
     second_cause,
     shortfall,
     shortlisted,
-    with_minor,
 )
 from estimator.errors import FitError
 
@@ -239,15 +238,6 @@ def test_a_second_cause_is_measured_by_what_the_first_leaves_however_large_that_
         assert choose([(single, 1), (pair, 2)], table, MATERIAL, table.draws(np.random.default_rng(1))) == ([pair], 2)
     table = table_of(6.9, 3.7, 1.4, agreement=[[0, 0], [900, 900], [700, 800]])  # less likely with it
     assert choose([(single, 1), (pair, 2)], table, MATERIAL, table.draws(np.random.default_rng(1))) == ([single], 1)
-
-
-def test_a_present_but_immaterial_second_effect_is_reported() -> None:
-    single, pair = explained(10_000.0, "spring"), explained(10_900.0, "spring", "delay")
-    table = table_of(9.0, 1.24, 1.18)
-    draws, both = table.draws(np.random.default_rng(1)), [(single, 1), (pair, 2)]
-    assert choose(both, table, MATERIAL, draws) == ([single], 1) and with_minor(both, single, 1, table, draws) is pair
-    worse = table_of(9.0, 1.24, 1.18, agreement=[[0, 0], [900, 900], [990, 890]])  # one run is less likely with it
-    assert with_minor(both, single, 1, worse, draws) is None
 
 
 def test_the_split_rotates_for_a_second_cause_only_where_it_may_be_material() -> None:
