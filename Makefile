@@ -58,7 +58,7 @@ bench: $(STAMP)
 
 # What `legid diagnose` names, every family of cases from fresh seeds: an hour. FAMILIES="servo geared" takes these alone.
 # EFFECTS=none,drag or SEEDS=401,405: only cases with such names, of these seeds; the page is then build/evidence/causes.md.
-# MINUTES=0 ANSWERS=FOLDER: the page anew from the answers of an earlier call.
+# RUNS_AT_ONCE=1: each diagnosis on all cores, for times. MINUTES=0 ANSWERS=FOLDER: the page anew from the answers of an earlier call.
 evidence: $(STAMP)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.evidence blind.causes \
 		--minutes $(or $(MINUTES),60) --seed $(or $(SEED),2000) --at-once $(or $(RUNS_AT_ONCE),2) \

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from estimator.diagnosis.decision_rule import MATERIAL
-from estimator.parallel import worker_pool
+from estimator.parallel import cores, worker_pool
 from experiments.studies import machine
 from tests.evidence.blind.page import COLUMNS, answer_file, read, tables
 from tests.evidence.blind.plan import FAMILIES, PlannedCase, choose, here, one_round, plan
@@ -30,8 +30,9 @@ from tests.support.paths import REAL
 SEED, MINUTES, AT_ONCE = 2000, 60.0, 2
 
 
-def answer(case: PlannedCase, folder: Path) -> dict[str, Any]:
-    """Make a case and have it diagnosed; the diagnosis JSON, which is kept. A maker that raises is a missing answer."""
+def answer(case: PlannedCase, folder: Path, share: int = 1) -> dict[str, Any]:
+    """Make a case and have it diagnosed on `share` cores; the diagnosis JSON, which is kept. A maker that raises is a
+    missing answer."""
     cases, out = (folder / case.family / name for name in ("cases", "diagnoses"))
     cases.mkdir(parents=True, exist_ok=True)
     out.mkdir(parents=True, exist_ok=True)
@@ -41,7 +42,7 @@ def answer(case: PlannedCase, folder: Path) -> dict[str, Any]:
         found = failed(f"not made: {type(error).__name__}: {error}")
         keep(found, case, out)
         return found
-    return diagnose(case, cases, out)
+    return diagnose(case, cases, out, share=share)
 
 
 def answer_all(cases: Iterable[PlannedCase], folder: Path, minutes: float, at_once: int) -> None:
@@ -61,7 +62,7 @@ def answer_all(cases: Iterable[PlannedCase], folder: Path, minutes: float, at_on
     with worker_pool(at_once, "fork") as pool:
         try:
             for case in takewhile(lambda _: time.monotonic() < began + 60.0 * minutes, left):
-                under_way[pool.submit(answer, case, folder)] = case
+                under_way[pool.submit(answer, case, folder, cores() if at_once == 1 else 1)] = case
                 if len(under_way) == at_once:
                     take(wait(under_way, return_when=FIRST_COMPLETED).done)
             take(wait(under_way).done)
@@ -136,7 +137,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--effects", default="", help="comma-separated parts of names: only cases that have one of "
                                                       "them, each with SEED or SEEDS")
     parser.add_argument("--seeds", type=parse_seeds, help="N or A-B, several after commas: these instead of rounds")
-    parser.add_argument("--at-once", type=int, default=AT_ONCE, help="diagnoses side by side, each on one core")
+    parser.add_argument("--at-once", type=int, default=AT_ONCE,
+                        help="diagnoses side by side, each on one core; one alone on all")
     parser.add_argument("--answers", type=Path, default=FOLDER / "causes" / source_hash().hex()[:12],
                         help="folder that keeps them; that of this program by default")
     parser.add_argument("--out", type=Path, required=True, help="the page")

@@ -79,7 +79,7 @@ def test_a_case_s_name_says_what_is_in_it(family: str, hidden: str, kind: str, e
 
 
 def put(folder: Path, case: PlannedCase, verdict: str, found: list[str], before: float | None, crashed: str = "",
-        size: float = 0.0, sure: float | None = None) -> PlannedCase:
+        size: float = 0.0, sure: float | None = None, listed: tuple[str, ...] = ()) -> PlannedCase:
     """An answer, and the truth that the case's name tells, its size 1.0."""
     for name in ("cases", "diagnoses"):
         (folder / case.family / name).mkdir(parents=True, exist_ok=True)
@@ -89,7 +89,7 @@ def put(folder: Path, case: PlannedCase, verdict: str, found: list[str], before:
              for c in found]
     answer_file(case, folder).write_text(json.dumps({
         "verdict": verdict, "causes": named, "error": None if before is None else {"before": before, "after": 1.0},
-        "probability": sure,
+        "probability": sure, "immaterial": [{"effect": e, "joint": None, "size": []} for e in listed],
         "bench": {"wall_s": 10.0, "cpu_s": 9.0, "crashed": bool(crashed), "said": crashed}}))
     return case
 
@@ -109,7 +109,9 @@ def hand_made(folder: Path) -> list[PlannedCase]:
         one("servo", "gyro_bias", 7, "named", ["gyro_scale"], 1.05),
         one("servo", "gyro_bias", 8, "fit_failed", [], None, crashed="killed"),
         one("pairs", "gyro_scale+encoder_offset", 1, "named", ["gyro_scale", "encoder_offset"], 8.0, size=1.0),
-        one("pairs", "gyro_scale+encoder_offset", 2, "named", ["gyro_scale"], 8.0),
+        one("pairs", "gyro_scale+encoder_offset", 2, "named", ["gyro_scale"], 8.0, listed=("encoder_offset",)),
+        one("pairs", "gyro_scale+encoder_offset", 3, "named", ["gyro_scale"], 8.0, listed=("gyro_bias",)),
+        one("pairs", "gyro_scale+encoder_offset", 4, "none", [], 1.1, listed=("gyro_scale", "encoder_offset")),
         one("outside", "outside_worm", 1, "unexplained", ["gyro_scale"], 3.0),
         one("outside", "outside_worm", 2, "partial", ["gyro_scale"], 3.0),
         one("outside", "outside_worm", 3, "none", [], 1.4), one("outside", "outside_worm", 4, "none", [], 1.6),
@@ -120,7 +122,8 @@ def hand_made(folder: Path) -> list[PlannedCase]:
 def test_every_column_counts_what_its_title_says(tmp_path: Path) -> None:
     answers = read(hand_made(tmp_path), tmp_path)
     assert [rate(answers, column.count) for column in COLUMNS] == [
-        Rate(1, 3), Rate(2, 6), Rate(3, 6), Rate(1, 6), Rate(1, 6), Rate(1, 2), Rate(2, 6), Rate(2, 6), Rate(1, 5)]
+        Rate(1, 3), Rate(2, 6), Rate(3, 6), Rate(1, 6), Rate(1, 6), Rate(1, 4), Rate(2, 4), Rate(2, 6), Rate(2, 6),
+        Rate(1, 5)]
     assert sizes(answers) == Rate(3, 4)
     assert [a.case.name for a in answers if a.right] == [
         "none-1", "gyro_bias-1", "gyro_bias-2", "gyro_bias-6", "gyro_scale+encoder_offset-1", "outside_worm-1",
@@ -131,15 +134,17 @@ def test_the_page_has_each_count_and_every_case_that_is_not_right(tmp_path: Path
     cases = hand_made(tmp_path)
     text = "\n".join(causes.page(cases, tmp_path, "`make evidence`", LEGS, 2))
     rows = [line for line in text.splitlines() if line.startswith("| servo |")]
-    assert "1/3 = 33.3 %" in rows[0] and rows[0].count("/6 = ") == 4 and rows[0].count("| - |") == 2
+    assert "1/3 = 33.3 %" in rows[0] and rows[0].count("/6 = ") == 4 and rows[0].count("| - |") == 3
     assert "| above 5 | 0/1" in text and "| up to 1.5 | 1/4" in text and "| not stated | 0/1" in text
-    assert "singles that are not material 1 of 2, pairs 0 of 2. Cases without an answer: 2." in text
-    assert "8 of 19 are right" in text and "| servo | none-3 | fit_failed (not done after 900 s) | - | - |" in text
+    assert "singles that are not material 1 of 2, pairs 0 of 4." in text
+    assert "Of 2 effects listed as present together with a name 1 were put in" in text
+    assert "Cases without an answer: 2." in text
+    assert "8 of 21 are right" in text and "| servo | none-3 | fit_failed (not done after 900 s) | - | - |" in text
     assert "| outside | outside_worm-2 | gyro_scale + ? | 3.00 | 1.00 |" in text
-    assert rows[0].startswith("| servo | **1/3 = ") and "| pairs | - | - | - | - | - | **1/2 = " in text
+    assert rows[0].startswith("| servo | **1/3 = ") and "| pairs | - | - | - | - | - | **1/4 = " in text
     assert "| all | 3/4 = 75.0 % (30.1 to 95.4) | 10, 10, 10 | 9, 9, 9 |" in text
     listed = text.partition("## Cases that are not right")[2]
-    assert listed.count("\n| ") == 2 + 11 and "gyro_bias-6" not in listed
+    assert listed.count("\n| ") == 2 + 13 and "gyro_bias-6" not in listed
     prose = [line for line in text.splitlines() if not line.startswith(("|", "#"))]
     assert len(" ".join(prose).split()) < 400
     assert "healthy: no alarm 1/3; material singles: named exactly 2/6" in causes._result(text)
