@@ -47,9 +47,18 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
-from estimator.diagnosis.search import Progress, Promise, fit_likeliest, grown, one_more, search
+from estimator.diagnosis.search import (
+    Progress,
+    Promise,
+    fit_likeliest,
+    grown,
+    imitates,
+    present_too,
+    search,
+    with_one_more,
+)
 from estimator.diagnosis.structure import with_structure
-from estimator.diagnosis.verdict import NOMINAL, by_error, decide, first_of_each
+from estimator.diagnosis.verdict import IMITATES, NOMINAL, by_error, decide, first_of_each, unnamed
 from estimator.effects import Effect, SensorTimeSkew, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, describe_smoothing_velocity
@@ -278,6 +287,11 @@ def conclude(context: DiagnosisContext, base: Diagnosis, generic: Model | None, 
             return conclusion.unexplained(base, nominal, None, why)
         sure = None if table is None else probability_of_no_error(table, rng)
         return replace(conclusion.nothing(conclusion.with_blind_sensors(base, table)), probability=sure)
+    more: list[Explanation] = []
+    if decision.verdict in ("named", "partial"):
+        more = with_one_more(context, decision.best[0])
+        if imitates(context, decision.best[0], more):
+            decision = unnamed(decision, generic, material, IMITATES)
     base = replace(base, material=material, budget=budget(decision.table, decision.row, decision.without,
                                                           decision.best[0].model if decision.best else None,
                                                           decision.draws),
@@ -297,15 +311,15 @@ def conclude(context: DiagnosisContext, base: Diagnosis, generic: Model | None, 
     if decision.verdict in ("none", "unexplained") or best is None:
         return conclusion.unexplained(base, context.nominal, best, hidden or decision.why, rng,
                                       decision.table.unit.noise, p)
-    base = replace(base, immaterial=also_present(context, best, base))
+    base = replace(base, immaterial=minor_causes(context, base, present_too(context, best, more), best))
     indistinguishable = [with_clock(context, best), *decision.best[1:]]
     return conclusion.finding(base, context.nominal, indistinguishable, p, rng, decision.verdict == "partial",
                               decision.table.unit.noise)
 
 
-def also_present(context: DiagnosisContext, best: Explanation, found: Diagnosis) -> tuple[Cause, ...]:
-    """The effect that is present in addition to those of `best`, though not material; empty without one."""
-    more = one_more(context, best)
+def minor_causes(context: DiagnosisContext, found: Diagnosis, more: Explanation | None, best: Explanation
+                 ) -> tuple[Cause, ...]:
+    """Causes of `more` in addition to those of `best`."""
     if more is None:
         return ()
     added = [e for e in more.model.effects if e.key not in keys_of(best)]

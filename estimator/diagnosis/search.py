@@ -289,22 +289,42 @@ def replaces(context: DiagnosisContext, tests: ScoreTests, other: int, own: int)
     return tests.explained(context.columns[own][0], context.columns[other][: two.defining]) > SUFFICES
 
 
-def one_more(context: DiagnosisContext, best: Explanation) -> Explanation | None:
-    """The likeliest set of `best` and one more effect, with its gain over `best`; None without one that is told apart.
+def with_one_more(context: DiagnosisContext, best: Explanation) -> list[Explanation]:
+    """Sets of `best` and one of the effects of the largest scores, each with its gain over `best`; the likeliest first.
+
+    Empty where `best` leaves nothing detectable.
+    """
+    if not best.has_residual:
+        return []
+    fits = assess(context, fit_sets(context, grown(context, [best])[:WIDTH]))
+    own, scatter = deviance(best.model), best.left.scatter
+    found = [replace(e, gain=(own - deviance(e.model)) / scatter, by_run=np.zeros(0)) for e in fits]
+    return sorted(found, key=lambda e: -e.gain)
+
+
+def imitates(context: DiagnosisContext, best: Explanation, more: Sequence[Explanation]) -> bool:
+    """Whether `best` explains less than SUFFICES of what it and one further term explain together, by likelihood.
+
+    Further: the likeliest of `more`, fitted, or any candidate by its score. The nominal model and `best` have the noise
+    levels of their own fits.
+    """
+    gain = (context.deviance - deviance(best.model)) / best.left.scatter
+    left = max([float(best.further.max(initial=0.0)), *(e.gain for e in more)])
+    return gain < SUFFICES * (gain + left)
+
+
+def present_too(context: DiagnosisContext, best: Explanation, more: Sequence[Explanation]) -> Explanation | None:
+    """The likeliest admissible one of `more` sets than `best`; None without one that is told apart from the others.
 
     It must make each held-out run likelier, too, under the noise levels of each.
     """
-    if not best.has_residual:
+    sets = [e for e in more if admissible(e)]
+    if not sets or sets[0].gain <= context.material(context.split.discover):
         return None
-    fits = assess(context, fit_sets(context, grown(context, [best])[:WIDTH]))
-    own, scatter = deviance(best.model), best.left.scatter
-    sets = [replace(e, gain=(own - deviance(e.model)) / scatter, by_run=np.zeros(0)) for e in fits if admissible(e)]
-    most = max(sets, key=lambda e: e.gain, default=None)
-    if (most is None or most.gain <= context.material(context.split.discover)
-            or any(is_close(e, most) for e in sets if e is not most)):
+    if any(is_close(e, sets[0]) for e in sets[1:]):
         return None
-    gains = [run_deviance(best.model, k) - run_deviance(most.model, k) for k in context.split.confirm]
-    return most if min(gains) > 0.0 else None
+    gains = [run_deviance(best.model, k) - run_deviance(sets[0].model, k) for k in context.split.confirm]
+    return sets[0] if min(gains) > 0.0 else None
 
 
 def run_deviance(model: Model, run: int) -> float:

@@ -33,6 +33,7 @@ NOMINAL = 0
 """Row of the nominal model in the table of errors."""
 
 GENERIC_ALONE = "generic terms reduce the error, but it does not"
+IMITATES = "what one further effect or generic term explains of the readings is more than what it explains"
 UNCHANGED = "it does not reduce the free-run error of the held-out runs"
 UNSURE = ("it reduces the free-run error of the held-out runs, but not significantly, or not on every run, or without "
           "a larger likelihood")
@@ -233,13 +234,21 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
     elif table.error(row) > 1.0 + material and table.excess(row) > SUFFICES * table.excess(NOMINAL):
         why = "it explains less than half of the error"
     if why:
-        return replace(asked, verdict="unexplained", why=why) if whole > EDGE else without_cause(nothing)
+        return unnamed(asked, generic, material, why)
     if whole <= EDGE and not all(is_material(table, row, k, material, draws) for k in asked.without):
         return nothing  # several faults, not each of which is material alone
     beyond = table.error(row) > max(EDGE, 1.0 + material * whole)
     if beyond or is_material(table, more, row, material, draws, NOMINAL):  # of the whole
         return replace(asked, verdict="partial")
     return asked
+
+
+def unnamed(asked: Decision, generic: Model | None, material: float, why: str) -> Decision:
+    """`asked` without a name, for the reason `why`: `unexplained`, or `none` where the error is within the noise."""
+    if asked.table.error(NOMINAL) > EDGE:
+        return replace(asked, verdict="unexplained", why=why)
+    structure = is_material(asked.table, asked.own, NOMINAL, material, asked.draws)
+    return without_cause(replace(asked, verdict="none", terms=generic if structure else None))
 
 
 def without_cause(asked: Decision) -> Decision:

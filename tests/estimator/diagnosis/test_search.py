@@ -272,9 +272,9 @@ def test_an_effect_is_exchanged_for_one_that_replaces_it(monkeypatch: pytest.Mon
     assert [[e.key for e, _ in start] for _, start in asked] == [["friction"]]
 
 
-def one_more(monkeypatch: pytest.MonkeyPatch, gains: dict[str, float], held_out: float = 1.0, **further: float
-             ) -> set[str]:
-    """What `search.one_more` adds to a spring; `held_out`: of one held-out run, the share of that gain."""
+def with_one_more(monkeypatch: pytest.MonkeyPatch, gains: dict[str, float], held_out: float = 1.0, **further: float
+                  ) -> tuple[Any, Explanation, list[Explanation]]:
+    """A spring and what is found in addition to it; `held_out`: of one held-out run, the share of that gain."""
     spring = explained(9000.0, "spring")
     context = Context({name: 100.0 for name in gains})
     monkeypatch.setattr(context, "material", lambda _: 120.0, raising=False)
@@ -287,19 +287,35 @@ def one_more(monkeypatch: pytest.MonkeyPatch, gains: dict[str, float], held_out:
     monkeypatch.setattr(search, "pairs_of", lambda model: [(e, np.zeros(1)) for e in model.effects])
     monkeypatch.setattr(search, "fit_sets", fits)
     monkeypatch.setattr(search, "run_deviance", lambda model, run: model.deviance * (held_out if run == 6 else 1.0))
-    found = search.one_more(cast(Any, context), spring)
+    return context, spring, search.with_one_more(cast(Any, context), spring)
+
+
+def present_too(*given: Any, **more: Any) -> set[str]:
+    found = search.present_too(*with_one_more(*given, **more))
     return set() if found is None else set(keys_of(found) - {"spring"})
 
 
 def test_an_effect_that_every_held_out_run_shows_is_present_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """A torque 6 ms late with a spring: the free-run error falls from 1.003 floors by nothing."""
-    assert one_more(monkeypatch, {"delay": 4230.0, "ripple": 400.0}) == {"delay"}
-    assert one_more(monkeypatch, {"delay": 4230.0}, held_out=-1.0) == set()  # one run is less likely with it
-    assert one_more(monkeypatch, {"delay": 100.0}) == set()  # too little to look at
-    assert one_more(monkeypatch, {"tilt": 4230.0, "bias": 4228.0}) == set()  # not told apart
-    assert one_more(monkeypatch, {"tilt": 4230.0, "bias": 4100.0}, tilt=300.0, bias=500.0) == set()  # by what both lack
+    assert present_too(monkeypatch, {"delay": 4230.0, "ripple": 400.0}) == {"delay"}
+    assert present_too(monkeypatch, {"delay": 4230.0}, held_out=-1.0) == set()  # one run is less likely with it
+    assert present_too(monkeypatch, {"delay": 100.0}) == set()  # too little to look at
+    assert present_too(monkeypatch, {"tilt": 4230.0, "bias": 4228.0}) == set()  # not told apart
+    assert present_too(monkeypatch, {"tilt": 4230.0, "bias": 4100.0}, tilt=300.0, bias=500.0) == set()
     plain = replace(explained(9.0, "spring"), has_residual=False)
-    assert search.one_more(cast(Any, Context({"delay": 4230.0})), plain) is None
+    assert search.with_one_more(cast(Any, Context({"delay": 4230.0})), plain) == []
+
+
+def test_what_one_further_effect_explains_more_than_is_an_imitation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An encoder's offset that the library lacked: an eccentricity gained 20,820, a spring with it 26,249 more."""
+    for gain, imitated in ((8999.0, False), (9001.0, True)):
+        context, spring, more = with_one_more(monkeypatch, {"stiffness": gain})
+        assert search.imitates(context, spring, more) is imitated
+    context, spring, _ = with_one_more(monkeypatch, {"delay": 1.0})
+    dead_band = replace(spring, further=np.array([9001.0]))  # a generic term, by its score
+    assert search.imitates(context, dead_band, []) and not search.imitates(context, spring, [])
+    context.deviance = -9100.0  # the nominal model is likelier
+    assert search.imitates(context, spring, [])
 
 
 def test_gains_are_those_over_the_likeliest_smaller_set() -> None:
