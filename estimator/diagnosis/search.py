@@ -256,8 +256,10 @@ def reduced(context: DiagnosisContext, explanations: Sequence[Explanation]) -> l
 
 
 def exchanged(context: DiagnosisContext, tests: ScoreTests, found: Sequence[Explanation]) -> list[Explanation]:
-    """The likeliest set of each number of effects with one effect after the other changed for each that can replace it,
-    as far as that is not among those `found`; of each number those that are the likeliest after a few steps."""
+    """Sets that differ from the likeliest of each number of effects by one effect, changed for one that can replace it.
+
+    Without those among the `found`, and of each number those alone that are the likeliest after a few steps.
+    """
     known = {keys_of(e) for e in found}
     shapes, chosen = best_shapes(context, tests), []
     for count in sorted({len(k) for k in known}):
@@ -309,19 +311,23 @@ def imitates(context: DiagnosisContext, best: Explanation, more: Sequence[Explan
     levels of their own fits.
     """
     gain = (context.deviance - deviance(best.model)) / best.left.scatter
-    left = max([float(best.further.max(initial=0.0)), *(e.gain for e in more)])
-    return gain < SUFFICES * (gain + left)
+    return explains_less(gain, best.further, *(e.gain for e in more))
+
+
+def explains_less(gain: float, further: FloatArray, *more: float) -> bool:
+    """Whether this gain is less than SUFFICES of it and the largest of the `further` ones together."""
+    return gain < SUFFICES * (gain + max(float(further.max(initial=0.0)), *more, 0.0))
 
 
 def present_too(context: DiagnosisContext, best: Explanation, more: Sequence[Explanation]) -> Explanation | None:
     """The likeliest admissible one of `more` sets than `best`; None without one that is told apart from the others.
 
-    It must make each held-out run likelier, too, under the noise levels of each.
+    It must make each held-out run likelier, too, under the noise levels of each, and must not imitate another term.
     """
     sets = [e for e in more if admissible(e)]
     if not sets or sets[0].gain <= context.material(context.split.discover):
         return None
-    if any(is_close(e, sets[0]) for e in sets[1:]):
+    if explains_less(sets[0].gain, sets[0].further) or any(is_close(e, sets[0]) for e in sets[1:]):
         return None
     gains = [run_deviance(best.model, k) - run_deviance(sets[0].model, k) for k in context.split.confirm]
     return sets[0] if min(gains) > 0.0 else None

@@ -244,7 +244,7 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
 
 
 def unnamed(asked: Decision, generic: Model | None, material: float, why: str) -> Decision:
-    """`asked` without a name, for the reason `why`: `unexplained`, or `none` where the error is within the noise."""
+    """`asked`, its name refused for the reason `why`: `unexplained`, or `none` where the error is within the noise."""
     if asked.table.error(NOMINAL) > EDGE:
         return replace(asked, verdict="unexplained", why=why)
     structure = is_material(asked.table, asked.own, NOMINAL, material, asked.draws)
