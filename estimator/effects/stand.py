@@ -9,7 +9,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.effects.base import BodyEffect, Perturbation, Shape, Size, View
 from estimator.model import Mechanism, Parameter
-from estimator.signals import GYRO, Channel, imu_channels, total
+from estimator.signals import GYRO, Channel, causal, imu_channels, total
 
 FAR = 1000.0
 """Metres of the base's motion for a radian of the body that stands for it in a simulation."""
@@ -107,11 +107,9 @@ def _moments(mechanism: Mechanism, beta: FloatArray) -> FloatArray:
 
 def _filtered(parts: list[FloatArray], numerator: FloatArray, k: float, size: FloatArray) -> FloatArray:
     """Each part, from rest, through numerator / (s^2 + 2 zeta omega s + omega^2)."""
-    from scipy.signal import lfilter
-
     omega = 2 * np.pi * size[1]
     denominator = k * k * SECOND + 2.0 * size[2] * omega * k * FIRST + omega**2 * NONE
-    return np.concatenate([lfilter(numerator, denominator, part) for part in parts])
+    return np.concatenate([causal(part, numerator, denominator) for part in parts])
 
 
 def differenced(x: FloatArray, dt_s: float) -> FloatArray:

@@ -17,6 +17,7 @@ from daq import FloatArray
 from estimator.likelihood.noise import Noise
 from estimator.model import Mechanism
 from estimator.numerics import BlockTridiagonal
+from estimator.signals import causal
 
 OFF = 1e-3
 """Level at a joint without a disturbance, as a share of its white noise: so small, and the equations stay definite."""
@@ -68,20 +69,16 @@ class Process(NamedTuple):
         sums of processes); b and the innovation's variance s follow from b s = a white^2 and
         (1 + b^2) s = step + (1 + a^2) white^2.
         """
-        from scipy.signal import lfilter
-
         a, w = float(self.decay[joint]), white**2
         half = 0.5 * (float(self.step[joint]) + w * (1.0 + a * a))
         b = a * w / (half + np.sqrt(half**2 - (a * w) ** 2))
-        return np.asarray(lfilter([1.0, -a], [1.0, -b], error))
+        return causal(error, np.array([1.0, -a]), np.array([1.0, -b]))
 
     def draw(self, count: int, joint: int, rng: np.random.Generator) -> FloatArray:
         """(count,) one joint's process [N m]."""
-        from scipy.signal import lfilter
-
         w = np.sqrt(self.step[joint]) * rng.normal(size=count)
         w[0] = np.sqrt(self.first[joint]) * rng.normal()
-        return np.asarray(lfilter([1.0], [1.0, -self.decay[joint]], w))
+        return causal(w, np.ones(1), np.array([1.0, -self.decay[joint]]))
 
     def add(self, chain: BlockTridiagonal, e: FloatArray, ends: NDArray[np.int64], sign: float = 1.0) -> None:
         """Add the rows of all joints to the last n latents of `chain`, `sign` times."""
@@ -119,4 +116,4 @@ def expected_score(mechanism: Mechanism, q: FloatArray, beta: FloatArray, freedo
 def _places(ends: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First sample of each segment, and the samples that begin an interval."""
     begin = np.concatenate([[0], ends[:-1]])
-    return begin, np.setdiff1d(np.arange(ends[-1] - 1), ends[:-1] - 1)
+    return begin, np.delete(np.arange(ends[-1] - 1), ends[:-1] - 1)

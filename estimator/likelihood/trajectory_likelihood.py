@@ -86,7 +86,7 @@ class LatentProblem:
         self.ends = np.cumsum(lengths)
         self.total = int(self.ends[-1])
         refuse_too_long(self.total, self.block, 1 + mechanism.p)
-        self.left = np.setdiff1d(np.arange(self.total - 1), self.ends[:-1] - 1)
+        self.left = np.delete(np.arange(self.total - 1), self.ends[:-1] - 1)
         """Samples that begin an interval."""
         self.dt = 1.0 / signals[0].rate_hz
         self.collocation = Collocation(mechanism, self.dt, hold)

@@ -11,7 +11,7 @@ from estimator.signals.channels import (
     imu_channels,
     torque_of,
 )
-from estimator.signals.filters import encoder_level, lowpass, quantum, white_noise_level
+from estimator.signals.filters import causal, encoder_level, lowpass, quantum, white_noise_level
 from estimator.signals.imu import (
     IMU_COLUMNS,
     accelerometer,
@@ -40,7 +40,7 @@ from estimator.signals.steps import SINCE, Touchdowns, cut_steps, find_touchdown
 __all__ = [
     "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "SINCE", "STANCE", "Channel", "Kind", "Kinematics",
     "SignalSet", "Touchdowns", "accelerometer", "accelerometer_at", "accelerometer_slopes", "angle_column", "by_run",
-    "cut_steps", "differentiate", "encoder_level", "encoder_of", "find_touchdowns", "imu_channels", "imu_columns",
+    "causal", "cut_steps", "differentiate", "encoder_level", "encoder_of", "find_touchdowns", "imu_channels", "imu_columns",
     "imu_readings", "is_plain", "lowpass", "paper_differences", "predicted_columns", "quantum", "sight",
     "split_signals", "tilt", "torque_column", "torque_of", "total", "white_noise_level",
 ]

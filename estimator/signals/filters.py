@@ -31,13 +31,10 @@ def _sections(order: int, share: float) -> FloatArray:
 
 @cache
 def _pass() -> Kernel:
-    """Kernel that filters rows y (c, n) by sections (s, 5) in place, with steady state at each row's first value."""
+    """Kernel that filters rows y (c, n) by sections (s, 5) in place, from rest."""
 
     def run(y: Any, sections: Any) -> None:
         for i in range(y.shape[0]):
-            start = y[i, 0]
-            for k in range(y.shape[1]):
-                y[i, k] -= start
             for s in range(sections.shape[0]):
                 b0, b1, b2, a1, a2 = (sections[s, 0], sections[s, 1], sections[s, 2], sections[s, 3], sections[s, 4])
                 first, second = 0.0, 0.0
@@ -47,8 +44,6 @@ def _pass() -> Kernel:
                     first = b1 * x - a1 * out + second
                     second = b2 * x - a2 * out
                     y[i, k] = out
-            for k in range(y.shape[1]):
-                y[i, k] += start
 
     return Kernel(run, "f2 f2", exact=True)
 
@@ -67,12 +62,25 @@ def lowpass(x: FloatArray, cutoff_hz: float | None, rate_hz: float, order: int =
     live = flat.any(axis=1)
     y = flat[live]
     y = np.concatenate([2.0 * y[:, :1] - y[:, pad:0:-1], y, 2.0 * y[:, -1:] - y[:, -2:-pad - 2:-1]], axis=1)
-    for _ in range(2):  # forward, then backward
+    for _ in range(2):  # forward, then backward, each with steady state at its first value
+        start = y[:, :1].copy()
+        y -= start
         _pass()(y, sections)
-        y = np.ascontiguousarray(y[:, ::-1])
+        y = np.ascontiguousarray((y + start)[:, ::-1])
     out = np.zeros(flat.shape)
     out[live] = y[:, pad : pad + x.shape[0]]
     return out.T.reshape(x.shape)
+
+
+def causal(x: FloatArray, numerator: FloatArray, denominator: FloatArray) -> FloatArray:
+    """x (n,) through numerator / denominator, polynomials in 1/z of at most second order, from rest.
+
+    SciPy's `lfilter` does the same, but its import takes 0.4 s.
+    """
+    b, a = (np.pad(part, (0, 3 - len(part))) / denominator[0] for part in (numerator, denominator))
+    y = np.array(x, dtype=np.float64)[None]
+    _pass()(y, np.array([[*b, *a[1:]]]))
+    return y[0]
 
 
 def central_difference(x: FloatArray, dt_s: float, spacing: int = 1) -> FloatArray:

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, lfilter, sosfiltfilt
 
-from estimator.signals import lowpass
+from estimator.signals import causal, lowpass
 
 
 @pytest.mark.parametrize("order", range(1, 9))
@@ -16,3 +16,12 @@ def test_it_is_scipys(order: int, cutoff_hz: float) -> None:
     sos = butter(order, cutoff_hz, output="sos", fs=100.0)
     known = sosfiltfilt(sos, x, axis=0, padlen=int(3 * 100.0 / cutoff_hz))
     np.testing.assert_allclose(lowpass(x, cutoff_hz, 100.0, order), known, rtol=0.0, atol=1e-9 * np.abs(x).max())
+
+
+@pytest.mark.parametrize(("numerator", "denominator"), [([1.0], [1.0, -0.9]), ([1.0, -0.5], [2.0, -1.9]),
+                                                        ([3.0, -6.0, 3.0], [5.0, -9.0, 4.5])])
+def test_the_causal_filter_is_scipys(numerator: list[float], denominator: list[float]) -> None:
+    x = np.random.default_rng(0).normal(size=700)
+    known = lfilter(numerator, denominator, x)
+    found = causal(x, np.array(numerator), np.array(denominator))
+    np.testing.assert_allclose(found, known, rtol=0.0, atol=1e-12 * np.abs(known).max())
