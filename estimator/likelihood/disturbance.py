@@ -44,9 +44,8 @@ class Process(NamedTuple):
 
     def squares(self, e: FloatArray, ends: NDArray[np.int64]) -> FloatArray:
         """(n,) weighted squares of e (N, n): of its steps, and of its first value in each segment up to `ends`."""
-        begin, left = _places(ends)
-        steps = e[left + 1] - self.decay * e[left]
-        return np.asarray(np.sum(steps**2, axis=0) / self.step + np.sum(e[begin] ** 2, axis=0) / self.first)
+        steps = _within(ends)[:, None] * (e[1:] - self.decay * e[:-1])
+        return np.asarray(np.sum(steps**2, axis=0) / self.step + np.sum(e[_begins(ends)] ** 2, axis=0) / self.first)
 
     def log_determinant(self, ends: NDArray[np.int64]) -> float:
         """log det of the covariance of all steps and first values."""
@@ -82,18 +81,19 @@ class Process(NamedTuple):
 
     def add(self, chain: BlockTridiagonal, e: FloatArray, ends: NDArray[np.int64], sign: float = 1.0) -> None:
         """Add the rows of all joints to the last n latents of `chain`, `sign` times."""
-        (begin, left), n = _places(ends), e.shape[1]
+        begin, within, n = _begins(ends), _within(ends), e.shape[1]
         diagonal, lower, right = chain.diagonal, chain.lower, chain.right[:, :, 0]
         for j in range(n):
-            k, a, w, first = chain.block - n + j, self.decay[j], sign / self.step[j], sign / self.first[j]
-            steps = w * (e[left + 1, j] - a * e[left, j])
-            diagonal[left + 1, k, k] += w
-            diagonal[left, k, k] += a * a * w
-            lower[left, k, k] -= a * w
-            right[left + 1, k] += steps
-            right[left, k] -= a * steps
-            diagonal[begin, k, k] += first
-            right[begin, k] += first * e[begin, j]
+            k, a, weight, first = chain.block - n + j, self.decay[j], sign / self.step[j] * within, sign / self.first[j]
+            steps = weight * (e[1:, j] - a * e[:-1, j])
+            own, score = np.append(a * a * weight, 0.0), np.append(-a * steps, 0.0)
+            own[1:] += weight
+            score[1:] += steps
+            own[begin] += first
+            score[begin] += first * e[begin, j]
+            diagonal[:, k, k] += own
+            lower[:, k, k] -= a * weight
+            right[:, k] += score
 
 
 def expected_score(mechanism: Mechanism, q: FloatArray, beta: FloatArray, freedom: FloatArray) -> FloatArray:
@@ -113,7 +113,13 @@ def expected_score(mechanism: Mechanism, q: FloatArray, beta: FloatArray, freedo
                      for one in np.eye(mechanism.p)])
 
 
-def _places(ends: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First sample of each segment, and the samples that begin an interval."""
-    begin = np.concatenate([[0], ends[:-1]])
-    return begin, np.delete(np.arange(ends[-1] - 1), ends[:-1] - 1)
+def _begins(ends: NDArray[np.int64]) -> NDArray[np.int64]:
+    """First sample of each segment."""
+    return np.concatenate([[0], ends[:-1]])
+
+
+def _within(ends: NDArray[np.int64]) -> FloatArray:
+    """(N - 1,) 1 between neighbouring samples of one segment, 0 between segments."""
+    out = np.ones(int(ends[-1]) - 1)
+    out[ends[:-1] - 1] = 0.0
+    return out

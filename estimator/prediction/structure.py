@@ -6,12 +6,15 @@ regression on splines predicts each run from the others (leave-one-run-out cross
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.numerics import Kernel
 
 KNOTS, PAIR_KNOTS = 10, 5
 """Knots of the splines of one variable, and of each variable of a pair."""
@@ -37,50 +40,65 @@ def state_columns(q: FloatArray, v: FloatArray, others: FloatArray, ends: NDArra
     """
     which = taken(len(q))
     q, v, ends = q[which], v[which], -(-ends // (which.step or 1))
-    stopped = [_stopped(q, width, ends) for width in np.ptp(q, axis=0) * np.array(WIDTHS)[:, None]]
     every = np.column_stack([q, v, others[which]]).T
-    single = [_hats(x, KNOTS) for x in every]
-    pairs = [np.einsum("ni,nj->nij", a, b).reshape(len(a), -1)
-             for a, b in combinations([_hats(x, PAIR_KNOTS) for x in every], 2)]
-    directed = [_hats(x, KNOTS) * np.sign(rate)[:, None] for x, rate in zip(q.T, v.T)]
-    return np.concatenate([*single, *pairs, *directed, *stopped], axis=1)
+    single, coarse = [_hats(x, KNOTS) for x in every], [_hats(x, PAIR_KNOTS) for x in every]
+    pairs = [(a[:, :, None] * b[:, None]).reshape(len(a), -1) for a, b in combinations(coarse, 2)]
+    directed = [hats * np.sign(rate)[:, None] for hats, rate in zip(single, v.T)]
+    return np.concatenate([*single, *pairs, *directed, _stopped(q, ends)], axis=1)
 
 
 def _hats(x: FloatArray, knots: int) -> FloatArray:
     """(N, knots) linear splines with knots at even quantiles of x (N,)."""
     at = np.unique(np.quantile(x, np.linspace(0.0, 1.0, knots)))
-    return np.stack([np.interp(x, at, row) for row in np.eye(at.size)], axis=-1)
+    out, row = np.zeros((x.size, at.size)), np.arange(x.size)
+    if at.size == 1:
+        return out + 1.0
+    cell = np.clip(np.searchsorted(at, x, side="right") - 1, 0, at.size - 2)
+    share = (x - at[cell]) / (at[cell + 1] - at[cell])
+    out[row, cell], out[row, cell + 1] = 1.0 - share, share
+    return out
 
 
-def _stopped(angles: FloatArray, width: FloatArray, ends: NDArray[np.int64]) -> FloatArray:
-    """(N, n) the part of each angle's way since it last turned, at most `width` (n,)."""
+def _stopped(angles: FloatArray, ends: NDArray[np.int64]) -> FloatArray:
+    """(N, 3 n) the part of each angle's way since it last turned, at most each of `WIDTHS`."""
     step = np.diff(angles, axis=0, prepend=angles[:1])
     step[ends[:-1]] = 0.0
-    out, now = np.empty_like(angles), np.zeros_like(width)
-    for k, move in enumerate(step):
-        now = np.minimum(np.maximum(now + move, -width), width)
-        out[k] = now
+    out = np.tile(step, len(WIDTHS))
+    _stop()(out, np.outer(WIDTHS, np.ptp(angles, axis=0)).ravel())
     return out
+
+
+@cache
+def _stop() -> Kernel:
+    """Kernel that makes of steps (N, c), in place, their sum within -width and width (c,)."""
+
+    def run(steps: Any, width: Any) -> None:
+        for c in range(width.size):
+            now = 0.0
+            for k in range(steps.shape[0]):
+                now = min(max(now + steps[k, c], -width[c]), width[c])
+                steps[k, c] = now
+
+    return Kernel(run, "f2 f1", exact=True)
 
 
 def predict_runs(residuals: FloatArray, columns: FloatArray, run: NDArray[np.intp]) -> FloatArray:
     """(N, J) the residuals of each run as predicted from the others, each with the ridge penalty best over all runs."""
     which = np.unique(run)
-    columns = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
+    count, joints = residuals.shape
+    scale = 1.0 / np.maximum(np.sqrt(np.einsum("nb,nb->b", columns, columns) / count), 1e-12)
     parts = [(columns[run == k], residuals[run == k]) for k in which]
-    grams, rights = np.stack([a.T @ a for a, _ in parts]), np.stack([a.T @ y for a, y in parts])
-    solved = [np.linalg.eigh(grams.sum(axis=0) - one) for one in grams]
-    best, least = np.zeros_like(residuals), np.full(residuals.shape[1], np.inf)
-    for ridge in RIDGES:
-        out = np.empty_like(residuals)
-        for k, (values, vectors) in enumerate(solved):
-            own, count = run == which[k], len(residuals) - len(parts[k][1])
-            onto = vectors.T @ (rights.sum(axis=0) - rights[k])
-            out[own] = parts[k][0] @ (vectors @ (onto / (np.maximum(values, 0.0) + ridge * count)[:, None]))
-        errors = np.sum((residuals - out) ** 2, axis=0)
-        better = errors < least
-        best[:, better], least[better] = out[:, better], errors[better]
-    return best
+    grams = np.stack([a.T @ a for a, _ in parts]) * np.outer(scale, scale)
+    rights = np.stack([scale[:, None] * (a.T @ y) for a, y in parts])
+    out = np.empty((count, RIDGES.size, joints))
+    for k, (a, y) in enumerate(parts):
+        values, vectors = np.linalg.eigh(grams.sum(axis=0) - grams[k])
+        onto = vectors.T @ (rights.sum(axis=0) - rights[k])
+        shrunk = onto[:, None] / (np.maximum(values, 0.0)[:, None] + RIDGES * (count - len(y)))[:, :, None]
+        out[run == which[k]] = (a @ (scale[:, None] * (vectors @ shrunk.reshape(len(values), -1)))).reshape(
+            len(a), RIDGES.size, joints)
+    best = np.argmin(np.sum((residuals[:, None] - out) ** 2, axis=0), axis=0)
+    return out[:, best, np.arange(joints)]
 
 
 def repeated_share(residuals: FloatArray, columns: FloatArray, run: NDArray[np.intp]) -> FloatArray:
