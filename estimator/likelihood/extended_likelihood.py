@@ -31,7 +31,7 @@ from estimator.likelihood.normal_equations import Extra, Latents, Linearised, Re
 from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.likelihood.weighted_residuals import WeightedResiduals
 from estimator.model import ACCEL, ANGLE, GAUSS, RATE, Mechanism, mean_sign, smooth_sign
-from estimator.signals import GYRO, Channel, SignalSet, encoder_of, lowpass, torque_of
+from estimator.signals import GYRO, Channel, SignalSet, encoder_of, imu_columns, torque_of
 
 SLOW_HZ = 12.0
 SLOW_SHARE = 0.12
@@ -76,6 +76,7 @@ class ExtendedProblem(LatentProblem):
                  ) -> None:
         super().__init__(signals, mechanism, hold, disturbed)
         self.stage, self.effects, self.candidates = stage, tuple(effects), tuple(candidates)
+        self._signals = tuple(signals)
         lengths = np.diff(np.concatenate([[0], self.ends]))
         index = np.concatenate([np.arange(k) for k in lengths]) * self.dt
         which = np.repeat(np.arange(len(lengths)), lengths)
@@ -131,16 +132,17 @@ class ExtendedProblem(LatentProblem):
 
     @cached_property
     def _measured(self) -> Record:
-        def slow(x: FloatArray, cutoff_hz: float) -> FloatArray:
-            return np.concatenate([lowpass(part, cutoff_hz, 1.0 / self.dt) for part in np.split(x, self.ends[:-1])])
+        def slow(column: str, cutoff_hz: float) -> FloatArray:
+            return np.concatenate([s.low_passed(column, cutoff_hz) for s in self._signals])
 
         with_encoder = [int(j) for j in np.flatnonzero(self.has_encoder)]
         readings = {torque_of(j): self.torque[:, j] for j in range(self.n)}
         readings |= {encoder_of(j): self.angles[:, j] for j in with_encoder}
-        low_passed = {torque_of(j): slow(self.torque[:, j], SLOW_SHARE / self.dt) for j in range(self.n)}
+        torques = np.ascontiguousarray(slow("torque", SLOW_SHARE / self.dt).T)
+        low_passed = {torque_of(j): torque for j, torque in enumerate(torques)}
         readings |= self.imu_readings()
         if self.has_imu:
-            low_passed[GYRO] = slow(self.gyro[0], SLOW_HZ)
+            low_passed[GYRO] = slow(imu_columns(0)[0], SLOW_HZ)
         derivatives = {j: self._derivatives(self.angles[:, j]) for j in with_encoder}
         return Record(readings, low_passed, {j: rate for j, (rate, _) in derivatives.items()},
                       {j: acceleration for j, (_, acceleration) in derivatives.items()})

@@ -93,7 +93,9 @@ class LatentProblem:
         self.torque = np.concatenate([s.torque for s in signals])
         self.between: FloatArray | None = None
         """(n, 2, K) torque at the Gauss points beyond what the latents at samples give."""
-        self.curve(self.torque)
+        if hold == "smooth":
+            slow = [s.low_passed("torque", CURVED * s.rate_hz) for s in signals]
+            self.between = self.collocation.between(np.concatenate(slow), self.ends)
         self.angles = np.concatenate([s.angles for s in signals])
         spread = [s.spread for s in signals if s.spread is not None]
         self.spread = np.concatenate(spread) if spread else None
@@ -382,7 +384,7 @@ class LatentProblem:
             out["gyro"] = point.residuals["gyro"] + np.array([total(turned, joints) for joints in self.turned_by])
             by_beta = np.zeros(point.accel.shape[3] - self.block)
             by_beta[0], by_beta[1 + index] = 1.0, step_beta
-            out["accel"] = (point.accel_rows @ step[:, :, None])[..., 0] + point.accel[..., self.block :] @ by_beta
+            out["accel"] = np.einsum("snab,nb->sna", point.accel_rows, step) + point.accel[..., self.block :] @ by_beta
         if point.extra is not None:
             size = np.zeros(len(point.gradient_beta))
             size[index] = step_beta

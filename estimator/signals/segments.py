@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -38,6 +39,18 @@ class SignalSet:
     is the same throughout."""
     exchanged: bool = False
     """Of a walker's step, whether leg 2 stands: `Mechanism.exchanged` joints have changed places."""
+
+    def low_passed(self, column: str, cutoff_hz: float) -> FloatArray:
+        """(n, joints) the "torque", or (n,) a column of an IMU, low-passed: once for all problems of these samples."""
+        key = column, cutoff_hz
+        if key not in self._kept:
+            values = self.torque if column == "torque" else self.imu[column]
+            self._kept[key] = lowpass(values, cutoff_hz, self.rate_hz)
+        return self._kept[key]
+
+    @cached_property
+    def _kept(self) -> dict[tuple[str, float], FloatArray]:
+        return {}
 
 
 def by_run(signals: Sequence[SignalSet]) -> list[tuple[str, list[SignalSet], slice]]:
