@@ -71,9 +71,12 @@ class ErrorTable:
 
     def error(self, model: int, blocks: NDArray[np.intp] | None = None) -> float:
         """Root mean square of a model's error over all columns, inf where it is no number; 1 is noise alone."""
-        values = self.values[model] if blocks is None else self.values[model][blocks]
-        found = float(np.sqrt(values.mean()))
-        return found if np.isfinite(found) else np.inf
+        return float(self.errors(model, np.arange(self.values.shape[1]) if blocks is None else blocks))
+
+    def errors(self, model: int, draws: NDArray[np.intp]) -> FloatArray:
+        """(...) the same for each draw of blocks (..., B)."""
+        found = np.sqrt(self.values[model].mean(axis=-1)[draws].mean(axis=-1))
+        return np.where(np.isfinite(found), found, np.inf)
 
     def excess(self, model: int, blocks: NDArray[np.intp] | None = None) -> float:
         """Mean square beyond noise alone."""
@@ -89,7 +92,8 @@ class ErrorTable:
 
         All three errors are of the same resampling, because one diverging piece can be most of the error.
         """
-        return float(np.mean([self.error(than, d) - self.error(model, d) > by * self.error(of, d) for d in draws]))
+        with np.errstate(invalid="ignore"):  # of two that diverge neither errs less
+            return float(np.mean(self.errors(than, draws) - self.errors(model, draws) > by * self.errors(of, draws)))
 
     def raises(self, model: int, than: int, by: float, of: int) -> bool:
         """Whether any run's error is more with `model` than with `than` by the share `by` of that of the model `of`

@@ -55,10 +55,9 @@ def share_of_stated(asked: Decision, material: float) -> float:
     tempered = np.array([1.0 + margin(e, most) / LEAST_APART for e in sets])
     log_odds = np.array([e.gain - most.gain for e in sets]) / (2.0 * tempered)
     own = np.array([keys_of(e) in stated for e in sets])
-    shares = []
-    for d in asked.draws:
-        errors = np.array([asked.table.error(row, d) for row in rows])
-        near = errors <= errors.min() + material * asked.table.error(NOMINAL, d)
+    shares, nominal = [], asked.table.errors(NOMINAL, asked.draws)
+    for errors, whole in zip(np.stack([asked.table.errors(row, asked.draws) for row in rows], axis=1), nominal):
+        near = errors <= errors.min() + material * whole
         weights = np.exp(np.where(near, log_odds - log_odds[near].max(), -np.inf))
         shares.append(weights[own].sum() / weights.sum())
     return float(np.mean(shares))
@@ -66,13 +65,15 @@ def share_of_stated(asked: Decision, material: float) -> float:
 
 def share_without_cause(asked: Decision, material: float) -> float:
     """Share of the resamplings in which no set reduces the error by a material amount."""
-    return float(np.mean([all(asked.table.error(row, d) >= (1.0 - material) * asked.table.error(NOMINAL, d)
-                              for _, row in asked.possible) for d in asked.draws]))
+    table, draws = asked.table, asked.draws
+    least = (1.0 - material) * table.errors(NOMINAL, draws)
+    stays = [table.errors(row, draws) >= least for _, row in asked.possible]
+    return float(np.mean(np.all([np.ones(least.shape, dtype=bool), *stays], axis=0)))
 
 
 def probability_of_no_error(table: ErrorTable, rng: np.random.Generator) -> float:
     """Share (0 to 1) of resamplings whose nominal error stays within the noise: `none` where no effect is detected."""
-    return float(np.mean([table.error(NOMINAL, d) <= EDGE for d in table.draws(rng)]))
+    return float(np.mean(table.errors(NOMINAL, table.draws(rng)) <= EDGE))
 
 
 def resampled(table: ErrorTable, blocks: NDArray[np.intp]) -> ErrorTable:
