@@ -308,8 +308,10 @@ def imitates(context: DiagnosisContext, best: Explanation, more: Sequence[Explan
     """Whether `best` explains less than SUFFICES of what it and one further term explain together, by likelihood.
 
     Further: the likeliest of `more`, fitted, or any candidate by its score. The nominal model and `best` have the noise
-    levels of their own fits.
+    levels of their own fits. An admissible one of `more` that leaves nothing detectable is a second cause.
     """
+    if any(admissible(e) and not e.has_residual for e in more):
+        return False
     gain = (context.deviance - deviance(best.model)) / best.left.scatter
     return explains_less(gain, best.further, *(e.gain for e in more))
 

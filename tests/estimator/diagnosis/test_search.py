@@ -315,6 +315,8 @@ def test_what_one_further_effect_explains_more_than_is_an_imitation(monkeypatch:
     context, spring, _ = with_one_more(monkeypatch, {"delay": 1.0})
     dead_band = replace(spring, further=np.array([9001.0]))  # a generic term, by its score
     assert search.imitates(context, dead_band, []) and not search.imitates(context, spring, [])
+    context, spring, more = with_one_more(monkeypatch, {"scale": 9001.0})
+    assert not search.imitates(context, spring, [replace(e, has_residual=False) for e in more])  # a second cause
     context.deviance = -9100.0  # the nominal model is likelier
     assert search.imitates(context, spring, [])
 
