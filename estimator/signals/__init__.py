@@ -40,7 +40,7 @@ from estimator.signals.steps import SINCE, Touchdowns, cut_steps, find_touchdown
 __all__ = [
     "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "SINCE", "STANCE", "Channel", "Kind", "Kinematics",
     "SignalSet", "Touchdowns", "accelerometer", "accelerometer_at", "accelerometer_slopes", "angle_column", "by_run",
-    "causal", "cut_steps", "differentiate", "encoder_level", "encoder_of", "find_touchdowns", "imu_channels", "imu_columns",
-    "imu_readings", "is_plain", "lowpass", "paper_differences", "predicted_columns", "quantum", "sight",
-    "split_signals", "tilt", "torque_column", "torque_of", "total", "white_noise_level",
+    "causal", "cut_steps", "differentiate", "encoder_level", "encoder_of", "find_touchdowns", "imu_channels",
+    "imu_columns", "imu_readings", "is_plain", "lowpass", "paper_differences", "predicted_columns", "quantum",
+    "sight", "split_signals", "tilt", "torque_column", "torque_of", "total", "white_noise_level",
 ]
