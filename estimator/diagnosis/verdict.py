@@ -33,7 +33,7 @@ NOMINAL = 0
 """Row of the nominal model in the table of errors."""
 
 GENERIC_ALONE = "generic terms reduce the error, but it does not"
-IMITATES = "what one further effect or generic term explains of the readings is more than what it explains"
+IMITATES = "one further effect or generic term explains more of the readings than it does"
 UNCHANGED = "it does not reduce the free-run error of the held-out runs"
 UNSURE = ("it reduces the free-run error of the held-out runs, but not significantly, or not on every run, or without "
           "a larger likelihood")
