@@ -68,7 +68,7 @@ class Decision:
     unturned: Decision | None = None
     """The same on the held-out runs alone, where the split rotated."""
     judged: Decision | None = None
-    """The same with its best explanation before the verdict was passed"""
+    """The same with its best explanation before the verdict was passed; None where a name was refused."""
 
     @property
     def compared(self) -> tuple[tuple[tuple[str, ...], float], ...]:
@@ -246,9 +246,9 @@ def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
 def unnamed(asked: Decision, generic: Model | None, material: float, why: str) -> Decision:
     """`asked`, its name refused for the reason `why`: `unexplained`, or `none` where the error is within the noise."""
     if asked.table.error(NOMINAL) > EDGE:
-        return replace(asked, verdict="unexplained", why=why)
+        return replace(asked, verdict="unexplained", why=why, judged=None)
     structure = is_material(asked.table, asked.own, NOMINAL, material, asked.draws)
-    return without_cause(replace(asked, verdict="none", terms=generic if structure else None))
+    return without_cause(replace(asked, verdict="none", terms=generic if structure else None, judged=None))
 
 
 def without_cause(asked: Decision) -> Decision:

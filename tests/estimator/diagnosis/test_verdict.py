@@ -25,6 +25,7 @@ from estimator.diagnosis.verdict import (
     second_cause,
     shortfall,
     shortlisted,
+    unnamed,
 )
 from estimator.errors import FitError
 
@@ -325,6 +326,16 @@ def test_a_name_that_leaves_more_than_it_takes_away_is_refused(after: float, exp
     best = explained(900.0, "spring")
     asked = Decision("named", (best,), table, 1, (), 1, 0, best.model, table.draws(np.random.default_rng(1)))
     assert judge(asked, None, MATERIAL).verdict == expected
+
+
+@pytest.mark.parametrize(("before", "expected"), [(1.4, "none"), (1.6, "unexplained")])
+def test_a_refused_name_is_unexplained_beyond_the_noise_alone(before: float, expected: str) -> None:
+    best = explained(900.0, "skew")
+    asked = Decision("named", (best,), table_of(before, 1.05, 1.0), 1, (), 1, 2, best.model,
+                     np.random.default_rng(1).integers(0, BLOCKS, (9, BLOCKS)))
+    found = unnamed(replace(asked, judged=asked), best.model, MATERIAL, "it imitates")
+    assert found.verdict == expected and found.judged is None and found.best == ((best,) if before > 1.5 else ())
+    assert expected == "none" or found.why == "it imitates"
 
 
 @pytest.mark.parametrize(("before", "one", "other", "expected"), [
