@@ -331,7 +331,10 @@ def present_too(context: DiagnosisContext, best: Explanation, more: Sequence[Exp
         return None
     if explains_less(sets[0].gain, sets[0].further) or any(is_close(e, sets[0]) for e in sets[1:]):
         return None
-    gains = [run_deviance(best.model, k) - run_deviance(sets[0].model, k) for k in context.split.confirm]
+    try:
+        gains = [run_deviance(best.model, k) - run_deviance(sets[0].model, k) for k in context.split.confirm]
+    except FitError:  # a check that cannot be made has failed
+        return None
     return sets[0] if min(gains) > 0.0 else None
 
 

@@ -303,6 +303,9 @@ def test_an_effect_that_every_held_out_run_shows_is_present_too(monkeypatch: pyt
     assert present_too(monkeypatch, {"tilt": 4230.0, "bias": 4228.0}) == set()  # not told apart
     assert present_too(monkeypatch, {"tilt": 4230.0, "bias": 4100.0}, tilt=300.0, bias=500.0) == set()
     assert present_too(monkeypatch, {"play": 4230.0}, play=4231.0) == set()  # as an arm's: another term explains more
+    given = with_one_more(monkeypatch, {"delay": 4230.0})
+    monkeypatch.setattr(search, "run_deviance", lambda *_: (_ for _ in ()).throw(FitError("no smoother")))
+    assert search.present_too(*given) is None
     plain = replace(explained(9.0, "spring"), has_residual=False)
     assert search.with_one_more(cast(Any, Context({"delay": 4230.0})), plain) == []
 
