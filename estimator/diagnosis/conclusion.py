@@ -373,6 +373,22 @@ def causes_of(explanation: Explanation, p_value: float, found: Diagnosis) -> lis
     return out
 
 
+def with_minor(found: Diagnosis, best: Explanation, more: Explanation, p_value: float) -> Diagnosis:
+    """`found` with the causes of `more` in addition to those of `best` as immaterial ones, with this p-value.
+
+    And with a warning for each size of `best` that is out of its interval in `more`.
+    """
+    own = {(c.effect, c.joint): {s.name: s for s in c.size} for c in causes_of(best, p_value, found)}
+    every = causes_of(more, p_value, found)
+    minor = tuple(c for c in every if (c.effect, c.joint) not in own)
+    told = " and ".join(label(c.effect, c.joint) for c in minor)
+    moved = [(c, s) for c in every for s in c.size if (one := own.get((c.effect, c.joint), {}).get(s.name)) is not None
+             and not one.ci95[0] <= s.value <= one.ci95[1]]
+    warnings = [f"the {s.name.replace('_', ' ')} of {label(c.effect, c.joint)} is {s.value:.3g} with {told} in the "
+                "model, too; its interval does not allow for that" for c, s in moved]
+    return replace(found, immaterial=minor, warnings=(*found.warnings, *warnings))
+
+
 def undetermined_sizes(explanation: Explanation) -> list[str]:
     """Each size that these runs do not determine, with its effect, in words."""
     model = explanation.model

@@ -44,7 +44,7 @@ from estimator.diagnosis.refit import (
     score_discover,
     tests_of,
 )
-from estimator.diagnosis.result import CandidateScore, Cause, Diagnosis
+from estimator.diagnosis.result import CandidateScore, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
 from estimator.diagnosis.search import (
@@ -311,21 +311,13 @@ def conclude(context: DiagnosisContext, base: Diagnosis, generic: Model | None, 
     if decision.verdict in ("none", "unexplained") or best is None:
         return conclusion.unexplained(base, context.nominal, best, hidden or decision.why, rng,
                                       decision.table.unit.noise, p)
-    base = replace(base, immaterial=minor_causes(context, base, present_too(context, best, more), best))
+    minor = present_too(context, best, more)
+    if minor is not None:
+        added = [e for e in minor.model.effects if e.key not in keys_of(best)]
+        base = conclusion.with_minor(base, best, minor, chance_of(context, minor, minor.gain, added))
     indistinguishable = [with_clock(context, best), *decision.best[1:]]
     return conclusion.finding(base, context.nominal, indistinguishable, p, rng, decision.verdict == "partial",
                               decision.table.unit.noise)
-
-
-def minor_causes(context: DiagnosisContext, found: Diagnosis, more: Explanation | None, best: Explanation
-                 ) -> tuple[Cause, ...]:
-    """Causes of `more` in addition to those of `best`."""
-    if more is None:
-        return ()
-    added = [e for e in more.model.effects if e.key not in keys_of(best)]
-    p = chance_of(context, more, more.gain, added)
-    places = {(e.name, None if e.joint is None else e.joint + 1) for e in added}
-    return tuple(c for c in conclusion.causes_of(more, p, found) if (c.effect, c.joint) in places)
 
 
 def with_clock(context: DiagnosisContext, explanation: Explanation) -> Explanation:

@@ -12,13 +12,13 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from daq.dataset import Dataset
-from estimator.diagnosis import refit
+from estimator.diagnosis import conclusion, refit
 from estimator.diagnosis.conclusion import base
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.error_table import extend_errors, measure_errors
 from estimator.diagnosis.procedure import diagnose
 from estimator.diagnosis.refit import fit_nominal
-from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.result import Cause, Diagnosis, SizeEstimate
 from estimator.diagnosis.score_statistics import RunScore, own_inflation, project
 from estimator.effects import classes, library
 from estimator.effects.drive import TorqueOffset
@@ -276,3 +276,22 @@ def test_rows_that_are_measured_later_have_the_weights_of_the_first(runs: tuple[
     again = extend_errors(table, [nominal])
     assert again.agreement[1] == pytest.approx(0.0, abs=1e-3)
     assert again.error(1) == pytest.approx(again.error(0), rel=1e-4)  # a motion settles to a tenth of its objective
+
+
+def test_a_size_that_a_minor_cause_moves_out_of_its_interval_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A spring of 0.35 N m/rad with a torque 6 ms late: 0.394 [0.387, 0.401] without the delay, 0.370 with it."""
+    def cause(effect: str, joint: int | None, name: str, value: float, half: float) -> Cause:
+        size = SizeEstimate(name, "1", value, (value - half, value + half))
+        return Cause(effect, joint, "", (size,), 1e-12, 9.0, ())
+
+    stated = {"best": [cause("joint_stiffness", 2, "stiffness", 0.394, 0.007)]}
+    monkeypatch.setattr(conclusion, "causes_of", lambda of, *_: stated[of])
+    best: Any = "best"
+    for value, moved in ((0.370, True), (0.395, False)):
+        stated["more"] = [cause("joint_stiffness", 2, "stiffness", value, 0.005),
+                          cause("torque_delay", None, "delay", 0.005, 3e-4)]
+        more: Any = "more"
+        found = conclusion.with_minor(Diagnosis("named", "", warnings=("first",)), best, more, 1e-9)
+        assert [c.effect for c in found.immaterial] == ["torque_delay"] and found.warnings[0] == "first"
+        assert [w for w in found.warnings if "stiffness of joint stiffness at joint 2 is 0.37 with torque delay" in w
+                ] == list(found.warnings[1:]) and len(found.warnings) == 1 + moved
