@@ -30,8 +30,7 @@ MATERIAL = 0.1
 """Material: the smallest relative reduction of the free-run rms error that counts (`--material`).
 
 Its square is the least gain a sample of an effect that is looked at: smaller ones can be significant in long records
-(microseconds of skew, a per mille of scale) and change no simulation. An effect is tried in another's place where that
-leaves less than this share of its information."""
+(microseconds of skew, a per mille of scale) and change no simulation."""
 
 # Which models are tried
 
@@ -53,8 +52,9 @@ probability, and by this share of what the runs have for and against it."""
 SUFFICES = 0.5
 """Least share of the explainable error that the named causes must explain; otherwise they imitate something else.
 
-Explainable: by listed effects and generic terms together. For `partial` also the least share of the mean square error
-beyond noise. A cause is said to be confusable with an effect that explains as much of what it explains."""
+Explainable: by listed effects and generic terms together. The same share holds for what they explain of the readings,
+by likelihood. For `partial` it is also the least share of the mean square error beyond noise. An effect that explains
+as much of what a cause explains is tried in its place, and the cause is said to be confusable with it."""
 GENERIC_TERMS = 4
 """Most generic terms, which represent what the library does not list."""
 EDGE = 1.0 + SUFFICES

@@ -78,9 +78,7 @@ class LatentProblem:
 
     def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, disturbed: bool = False) -> None:
         keep_pages()
-        self.mechanism = mechanism
-        self.n = mechanism.n
-        self.disturbed = disturbed
+        self.mechanism, self.n, self.disturbed = mechanism, mechanism.n, disturbed
         self.block = (4 if disturbed else 3) * mechanism.n
         lengths = [len(s.time_s) for s in signals]
         self.ends = np.cumsum(lengths)
