@@ -133,7 +133,8 @@ def compare(outcomes: Sequence[Outcome], answers: Mapping[str, Mapping[str, Any]
     """The page's rates and rows: what is said of every spoilt record beside what is said of the same one untouched;
     `answers` are the diagnosis JSONs by case."""
     plain = {o.truth["name"].split(".")[0]: o for o in outcomes if not o.hidden}
-    rows, found, sized = [], [], []
+    rows, sized = [], []
+    by_record: dict[str, list[bool]] = {}
     for o in outcomes:
         if not o.hidden:
             continue
@@ -145,14 +146,16 @@ def compare(outcomes: Sequence[Outcome], answers: Mapping[str, Mapping[str, Any]
         size, told = next(iter(o.hidden[0]["sizes"].values()), None), _size(o, o.hidden[0])
         already = size_before(answers[before.truth["name"]], o.hidden[0])
         inside = None if told is None or size is None else bool(told[1] <= size + already <= told[2])
-        found.append(is_found(o, before, inside))
+        by_record.setdefault(record, []).append(is_found(o, before, inside))
         sized += [] if inside is None else [inside]
         put_in = "-" if size is None else f"{already:.3g} + {size:.3g}"
         size_found = "-" if told is None else f"{told[0]:.3g} [{told[1]:.3g}, {told[2]:.3g}]"
         error = answers[o.truth["name"]].get("error")
         errors = "-" if not error else f"{error['before']:.2f}, {error['after']:.2f}"
         rows.append(f"| {record} | {fault} | {before.said} | {o.said} | {put_in} | {size_found} | {errors} |")
+    found = [one for own in by_record.values() for one in own]
     return ["| | measured |", "| --- | --- |", f"| named or in the set | {Rate(sum(found), len(found))} |",
+            *(f"| of these on {one} | {Rate(sum(own), len(own))} |" for one, own in sorted(by_record.items())),
             f"| size inside its 95 % interval | {Rate(sum(sized), len(sized))} |", "",
             "| record | fault | untouched | spoilt | there + put in | found | rms error before, after |",
             "| --- | --- | --- | --- | --- | --- | --- |", *rows]

@@ -85,7 +85,8 @@ def put(folder: Path, case: PlannedCase, verdict: str, found: list[str], before:
         (folder / case.family / name).mkdir(parents=True, exist_ok=True)
     (folder / case.family / "cases" / f"{case.name}.truth.json").write_text(json.dumps({"name": case.name, "effects": [
         {"effect": e, "joint": None, "also": [], "sizes": {"level": 1.0}} for e in case.effects]}))
-    named = [{"effect": c, "joint": None, "size": [{"name": "level", "unit": "1", "ci95": [size - 0.5, size + 0.5]}]}
+    interval = [size - 0.5, size + 0.5]
+    named = [{"effect": c, "joint": None, "size": [{"name": "level", "unit": "1", "value": size, "ci95": interval}]}
              for c in found]
     answer_file(case, folder).write_text(json.dumps({
         "verdict": verdict, "causes": named, "error": None if before is None else {"before": before, "after": 1.0},
@@ -232,3 +233,12 @@ def test_a_small_call_makes_diagnoses_and_writes_the_page(tmp_path: Path, monkey
     text = (tmp_path / "page.md").read_text()
     assert "`make evidence EFFECTS=none_w SEEDS=3 FAMILIES=\"geared\" RUNS_AT_ONCE=1`" in text
     assert ": 1 of 1 chosen cases." in text and "| geared |" in text
+
+
+def test_records_alone_have_a_page_of_their_own(tmp_path: Path) -> None:
+    cases = [put(tmp_path, PlannedCase(RECORDS, name, 1), *told, size=1.0) for name, *told in (
+        ("a0.untouched", "none", [], 1.0), ("a0.torque_delay", "named", ["torque_delay"], 2.0),
+        ("a0.encoder_scale", "none", [], 1.2))]
+    text = "\n".join(causes.page(cases, tmp_path, "`make evidence`", [RECORDS], 2))
+    assert text.startswith("# Faults put into real records\n") and "Simulators" not in text
+    assert "| of these on a0 | 1/2 = 50.0 %" in text
