@@ -59,12 +59,13 @@ bench: $(STAMP)
 # What `legid diagnose` names, every family of cases from fresh seeds: an hour. FAMILIES="servo geared" takes these alone.
 # FAMILIES=records alone: docs/evidence/real-records.md.
 # EFFECTS=none,drag or SEEDS=401,405: only cases with such names, of these seeds; the page is then build/evidence/causes.md.
-# RUNS_AT_ONCE=1: each diagnosis on all cores, for times. MINUTES=0 ANSWERS=FOLDER: the page anew from the answers of an earlier call.
+# RUNS_AT_ONCE=1: each diagnosis on all cores, for times.
+# MINUTES=0 ANSWERS=FOLDER: the page anew from the answers of an earlier call.
 evidence: $(STAMP)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.evidence blind.causes \
 		--minutes $(or $(MINUTES),60) --seed $(or $(SEED),2000) --at-once $(or $(RUNS_AT_ONCE),2) \
 		$(if $(FAMILIES),--families $(FAMILIES)) $(if $(EFFECTS),--effects $(EFFECTS)) $(if $(SEEDS),--seeds $(SEEDS)) \
-		$(if $(ANSWERS),--answers $(ANSWERS)) --out $(if $(EFFECTS)$(SEEDS),build/evidence,docs/evidence)/$(if $(FAMILIES:records=),causes,$(if $(FAMILIES),real-records,causes)).md
+		$(if $(ANSWERS),--answers $(ANSWERS)) --out $(if $(EFFECTS)$(SEEDS),build/evidence,docs/evidence)/$(if $(filter-out records,$(or $(FAMILIES),all)),causes,real-records).md
 
 soak: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence soak --out docs/evidence/soak.md

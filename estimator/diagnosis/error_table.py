@@ -7,7 +7,7 @@ the model reads out of the sensors under which these runs are likeliest. Its zer
 IMU's some milliradians apart, and nothing moves by that. So the run's mean error of that angle does not count.
 
 The smoother holds the noise of the nominal fit, so that all explanations have the same weights. Errors of a sensor that
-a user reads are those of `estimator.prediction` (see `conclusion.measure_gain`).
+a user reads are those of `estimator.prediction` (see `gain.measure_gain`).
 """
 
 from __future__ import annotations

@@ -31,6 +31,7 @@ from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, SUFFICES, SURE, WIDTH
 from estimator.diagnosis.error_budget import budget, generic_extension
 from estimator.diagnosis.error_table import ErrorTable, known_errors, measure_errors
+from estimator.diagnosis.further_effect import imitates, present_too, with_one_more
 from estimator.diagnosis.noise_check import declared_levels, in_words, noisy_sensors, with_declared_noise
 from estimator.diagnosis.noise_floor import noise_floor
 from estimator.diagnosis.probability import probability_of, probability_of_no_error
@@ -47,16 +48,7 @@ from estimator.diagnosis.refit import (
 from estimator.diagnosis.result import CandidateScore, Diagnosis
 from estimator.diagnosis.rotation import account
 from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
-from estimator.diagnosis.search import (
-    Progress,
-    Promise,
-    fit_likeliest,
-    grown,
-    imitates,
-    present_too,
-    search,
-    with_one_more,
-)
+from estimator.diagnosis.search import Progress, Promise, fit_likeliest, grown, search
 from estimator.diagnosis.structure import with_structure
 from estimator.diagnosis.verdict import IMITATES, NOMINAL, by_error, decide, first_of_each, unnamed
 from estimator.effects import Effect, SensorTimeSkew, battery, library

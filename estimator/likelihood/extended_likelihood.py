@@ -76,7 +76,6 @@ class ExtendedProblem(LatentProblem):
                  ) -> None:
         super().__init__(signals, mechanism, hold, disturbed)
         self.stage, self.effects, self.candidates = stage, tuple(effects), tuple(candidates)
-        self._signals = tuple(signals)
         lengths = np.diff(np.concatenate([[0], self.ends]))
         index = np.concatenate([np.arange(k) for k in lengths]) * self.dt
         which = np.repeat(np.arange(len(lengths)), lengths)

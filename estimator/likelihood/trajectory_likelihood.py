@@ -91,9 +91,8 @@ class LatentProblem:
         self.torque = np.concatenate([s.torque for s in signals])
         self.between: FloatArray | None = None
         """(n, 2, K) torque at the Gauss points beyond what the latents at samples give."""
-        if hold == "smooth":
-            slow = [s.low_passed("torque", CURVED * s.rate_hz) for s in signals]
-            self.between = self.collocation.between(np.concatenate(slow), self.ends)
+        self._signals = tuple(signals)
+        self.curve()
         self.angles = np.concatenate([s.angles for s in signals])
         spread = [s.spread for s in signals if s.spread is not None]
         self.spread = np.concatenate(spread) if spread else None
@@ -114,11 +113,12 @@ class LatentProblem:
         self.gyro, self.accel = shown[:, 0].copy(), shown[:, 1:].copy()
         """(S, N), (S, 2, N) of S IMUs"""
 
-    def curve(self, u: FloatArray) -> None:
-        """Take the curve of the torque between samples from u (N, n), slow as it is, if the hold has one."""
+    def curve(self, u: FloatArray | None = None) -> None:
+        """Take the curve between samples from the slow part of u (N, n), by default the measured torque, if held so."""
         if self.collocation.hold == "smooth":
             rate = 1.0 / self.dt
-            slow = [lowpass(part, CURVED * rate, rate) for part in np.split(u, self.ends[:-1])]
+            slow = ([s.low_passed("torque", CURVED * rate) for s in self._signals] if u is None else
+                    [lowpass(part, CURVED * rate, rate) for part in np.split(u, self.ends[:-1])])
             self.between = self.collocation.between(np.concatenate(slow), self.ends)
 
     def with_stiction(self, known: FloatArray | None) -> Self:

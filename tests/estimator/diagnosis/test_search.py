@@ -2,71 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from estimator.diagnosis import assessment, procedure, search
 from estimator.diagnosis.context import NO_TESTS, Explanation, keys_of, seated
 from estimator.diagnosis.decision_rule import GROWN, MATERIAL, WIDTH
 from estimator.errors import FitError
-
-
-@dataclass(frozen=True)
-class Named:
-    key: str
-    strict: bool = True
-    equivalence_class: str = ""
-    joint: int | None = None
-    starts: tuple[tuple[float, ...], ...] = ()
-
-    def at_limits(self, size: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return size > 0.0
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """As much of a model as a search looks at."""
-
-    effects: tuple[Named, ...]
-    deviance: float
-    at_limit: bool = False
-
-    def sizes(self) -> list[Any]:
-        return [np.array([float(self.at_limit)]) for _ in self.effects]
-
-
-@dataclass
-class Context:
-    """As much of a context: `gains` of each candidate, as the scores of any model foresee it."""
-
-    gains: dict[str, float] = field(default_factory=dict)
-    starts: dict[str, tuple[tuple[float, ...], ...]] = field(default_factory=dict)
-    deviance: float = 0.0
-    short_errors: Any = None
-    nominal: Fitted = field(default_factory=lambda: Fitted((), 0.0))
-    split: Any = field(default_factory=lambda: SimpleNamespace(confirm=(1, 6), workers=1))
-    held: dict[Any, Any] = field(default_factory=dict)
-    whole: dict[Any, Any] = field(default_factory=dict)
-
-    @property
-    def candidates(self) -> list[Any]:
-        return [SimpleNamespace(effect=Named(key, starts=self.starts.get(key, ()))) for key in self.gains]
-
-    def gain(self, tests: object, i: int) -> float:
-        return list(self.gains.values())[i]
-
-
-def fitted(gain: float, *effects: str) -> Any:
-    return Fitted(tuple(map(Named, effects)), -gain)
-
-
-def explained(gain: float, *effects: str) -> Explanation:
-    return Explanation(fitted(gain, *effects), gain, replace(NO_TESTS, inflation=np.ones(1)))
+from tests.support.stated_fits import Context, Fitted, Named, explained, fitted
 
 
 @pytest.fixture(autouse=True)
@@ -270,58 +217,6 @@ def test_an_effect_is_exchanged_for_one_that_replaces_it(monkeypatch: pytest.Mon
     found = [explained(9.0, "spring"), explained(8.0, "offset")]
     assert search.exchanged(cast(Any, context), NO_TESTS, found) == []
     assert [[e.key for e, _ in start] for _, start in asked] == [["friction"]]
-
-
-def with_one_more(monkeypatch: pytest.MonkeyPatch, gains: dict[str, float], held_out: float = 1.0, **further: float
-                  ) -> tuple[Any, Explanation, list[Explanation]]:
-    """A spring and what is found in addition to it; `held_out`: of one held-out run, the share of that gain."""
-    spring = explained(9000.0, "spring")
-    context = Context({name: 100.0 for name in gains})
-    monkeypatch.setattr(context, "material", lambda _: 120.0, raising=False)
-    context.split.discover = (0,)
-
-    def fits(_: object, starts: Any) -> list[Explanation]:
-        return [replace(explained(9000.0 + gains[key], "spring", key), further=np.array([further.get(key, 0.0)]))
-                for _, start in starts for key in (start[-1][0].key,)]
-
-    monkeypatch.setattr(search, "pairs_of", lambda model: [(e, np.zeros(1)) for e in model.effects])
-    monkeypatch.setattr(search, "fit_sets", fits)
-    monkeypatch.setattr(search, "run_deviance", lambda model, run: model.deviance * (held_out if run == 6 else 1.0))
-    return context, spring, search.with_one_more(cast(Any, context), spring)
-
-
-def present_too(*given: Any, **more: Any) -> set[str]:
-    found = search.present_too(*with_one_more(*given, **more))
-    return set() if found is None else set(keys_of(found) - {"spring"})
-
-
-def test_an_effect_that_every_held_out_run_shows_is_present_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A torque 6 ms late with a spring: the free-run error falls from 1.003 floors by nothing."""
-    assert present_too(monkeypatch, {"delay": 4230.0, "ripple": 400.0}) == {"delay"}
-    assert present_too(monkeypatch, {"delay": 4230.0}, held_out=-1.0) == set()  # one run is less likely with it
-    assert present_too(monkeypatch, {"delay": 100.0}) == set()  # too little to look at
-    assert present_too(monkeypatch, {"tilt": 4230.0, "bias": 4228.0}) == set()  # not told apart
-    assert present_too(monkeypatch, {"tilt": 4230.0, "bias": 4100.0}, tilt=300.0, bias=500.0) == set()
-    assert present_too(monkeypatch, {"play": 4230.0}, play=4231.0) == set()  # as an arm's: another term explains more
-    given = with_one_more(monkeypatch, {"delay": 4230.0})
-    monkeypatch.setattr(search, "run_deviance", lambda *_: (_ for _ in ()).throw(FitError("no smoother")))
-    assert search.present_too(*given) is None
-    plain = replace(explained(9.0, "spring"), has_residual=False)
-    assert search.with_one_more(cast(Any, Context({"delay": 4230.0})), plain) == []
-
-
-def test_what_one_further_effect_explains_more_than_is_an_imitation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An encoder's offset that the library lacked: an eccentricity gained 20,820, a spring with it 26,249 more."""
-    for gain, imitated in ((8999.0, False), (9001.0, True)):
-        context, spring, more = with_one_more(monkeypatch, {"stiffness": gain})
-        assert search.imitates(context, spring, more) is imitated
-    context, spring, _ = with_one_more(monkeypatch, {"delay": 1.0})
-    dead_band = replace(spring, further=np.array([9001.0]))  # a generic term, by its score
-    assert search.imitates(context, dead_band, []) and not search.imitates(context, spring, [])
-    context, spring, more = with_one_more(monkeypatch, {"scale": 9001.0})
-    assert not search.imitates(context, spring, [replace(e, has_residual=False) for e in more])  # a second cause
-    context.deviance = -9100.0  # the nominal model is likelier
-    assert search.imitates(context, spring, [])
 
 
 def test_gains_are_those_over_the_likeliest_smaller_set() -> None:

@@ -236,9 +236,10 @@ def test_a_small_call_makes_diagnoses_and_writes_the_page(tmp_path: Path, monkey
 
 
 def test_records_alone_have_a_page_of_their_own(tmp_path: Path) -> None:
-    cases = [put(tmp_path, PlannedCase(RECORDS, name, 1), *told, size=1.0) for name, *told in (
-        ("a0.untouched", "none", [], 1.0), ("a0.torque_delay", "named", ["torque_delay"], 2.0),
-        ("a0.encoder_scale", "none", [], 1.2))]
+    told: list[tuple[str, str, list[str]]] = [
+        ("untouched", "none", []), ("torque_delay", "named", ["torque_delay"]), ("encoder_scale", "none", [])]
+    cases = [put(tmp_path, PlannedCase(RECORDS, f"a0.{fault}", 1), verdict, found, 1.2, size=1.0)
+             for fault, verdict, found in told]
     text = "\n".join(causes.page(cases, tmp_path, "`make evidence`", [RECORDS], 2))
     assert text.startswith("# Faults put into real records\n") and "Simulators" not in text
     assert "| of these on a0 | 1/2 = 50.0 %" in text
