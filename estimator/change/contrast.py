@@ -23,8 +23,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq import FloatArray
-from estimator.change.scores import Score
 from estimator.change.structure import Structure
+from estimator.score import Score, total
 
 SINGULAR = 1e-9
 """Square of a pivot of Cholesky's factor below which a matrix of unit diagonal is inverted by its eigenvalues."""
@@ -61,11 +61,6 @@ class Contrast:
 def seen(runs: Sequence[Score], structure: Structure) -> list[Score]:
     """Score and information of each run, its own structure integrated out."""
     return [Score(*structure.seen(run)) for run in runs]
-
-
-def total(parts: Sequence[Score]) -> Score:
-    """The sum of their scores and informations."""
-    return Score(np.sum([p.score for p in parts], axis=0), np.sum([p.information for p in parts], axis=0))
 
 
 def contrast(test: Score, reference: Score, structure: Structure) -> Contrast:

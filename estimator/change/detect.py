@@ -9,17 +9,16 @@ from dataclasses import replace
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator.change.contrast import Contrast, contrast, difference, seen, total
+from estimator.change.contrast import Contrast, contrast, difference, seen
 from estimator.change.free_runs import error_levels, larger_error
 from estimator.change.groups import groups_of
 from estimator.change.noise import compare_noise, levels_of, with_noise
 from estimator.change.reference import Reference, require_runs
 from estimator.change.result import Change, LevelChange
-from estimator.change.scores import ReferenceFit, Score, fit_reference, noisiness, score_run
+from estimator.change.scores import ReferenceFit, fit_reference, noisiness, score_run
 from estimator.change.structure import find_structure
 from estimator.change.verdict import (
     AGAINST,
-    ALPHA,
     SESSIONS,
     Fold,
     Scored,
@@ -31,6 +30,7 @@ from estimator.change.verdict import (
 from estimator.errors import FitError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
+from estimator.score import ALPHA, Score, total
 
 STEPS = 2
 """Times that a change is estimated anew, at the model with the change of before."""

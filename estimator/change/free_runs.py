@@ -14,9 +14,10 @@ import numpy as np
 from daq import Dataset, FloatArray
 from estimator.change.noise import LogLevels, compare_noise
 from estimator.change.result import LevelChange
-from estimator.change.scores import ReferenceFit, Score
+from estimator.change.scores import ReferenceFit
 from estimator.errors import FitError
 from estimator.prediction import SHORT_S, Predictor, predict_run, smooth, tabulate
+from estimator.score import Score, total
 
 
 def error_levels(fit: ReferenceFit, runs: Sequence[Dataset], scores: Sequence[Score] = ()) -> LogLevels:
@@ -62,8 +63,6 @@ def _without(fit: ReferenceFit, scores: Sequence[Score], k: int) -> FloatArray:
     """(p,) parameters of the fit to all runs but the k-th; a friction at its bound of zero stays there."""
     moved = np.flatnonzero(fit.free & (fit.beta != 0.0))
     others = [s for j, s in enumerate(scores) if j != k]
-    whole = Score(np.sum([s.score[moved] for s in others], axis=0),
-                  np.sum([s.information[np.ix_(moved, moved)] for s in others], axis=0))
     beta = fit.beta.copy()
-    beta[moved] += whole.size()
+    beta[moved] += total([s.of(moved) for s in others]).size()
     return beta

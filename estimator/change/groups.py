@@ -11,9 +11,10 @@ from daq import FloatArray
 from estimator.change.contrast import Contrast
 from estimator.change.payload import NAMES, UNITS, body_basis, fit_body, link_lengths
 from estimator.change.result import Kind
-from estimator.change.scores import ReferenceFit, Score
+from estimator.change.scores import ReferenceFit
 from estimator.effects import Effect
 from estimator.model import has_bodies
+from estimator.score import Score
 
 KINDS: dict[str, Kind] = {"sensors": "sensors", "stand": "environment"}
 """Module of an effect -> kind of change; effects of other modules are changes of timing or of mechanics."""

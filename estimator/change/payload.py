@@ -12,8 +12,8 @@ from itertools import product
 import numpy as np
 
 from daq import FloatArray
-from estimator.change.scores import HIDDEN, Score
 from estimator.model import Mechanism, body_values, carried, has_bodies, rigid_parameters
+from estimator.score import HIDDEN, Score
 
 NAMES = ("mass", "first_moment", "inertia")
 UNITS = ("kg", "kg m", "kg m^2")

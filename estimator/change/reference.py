@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq import Dataset
-from estimator.change.contrast import seen, total
+from estimator.change.contrast import seen
 from estimator.change.free_runs import error_levels
 from estimator.change.noise import LogLevels, levels_of
-from estimator.change.scores import ReferenceFit, Score, fit_reference, score_run
+from estimator.change.scores import ReferenceFit, fit_reference, score_run
 from estimator.change.structure import Structure, find_structure
 from estimator.errors import FitError
 from estimator.model import Mechanism
 from estimator.options import FitOptions
+from estimator.score import Score, total
 
 FEWEST_RUNS = 2
 

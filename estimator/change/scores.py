@@ -14,13 +14,10 @@ from estimator.errors import FitError
 from estimator.fitting import between_samples, free_mask, iterate, noise_floors, start_state
 from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage, State
 from estimator.model import Mechanism
-from estimator.numerics import eliminate
 from estimator.options import FitOptions
 from estimator.prediction import smooth_under
+from estimator.score import Score, score_at
 from estimator.signals import SignalSet, split_signals
-
-HIDDEN = 1e-6
-"""Share of a column's information below which nothing is left of it."""
 
 
 @dataclass(frozen=True)
@@ -55,68 +52,6 @@ class ReferenceFit:
         every = [candidate.effect for candidate in self.candidates for _ in range(candidate.width)]
         return [k for k, effect in enumerate(every, self.mechanism.p)
                 if isinstance(effect, EncoderOffset) and effect.joint in self.options.encoder_zeros]
-
-
-@dataclass(frozen=True)
-class Score:
-    """Score and information over all columns, as the quadratic that the log likelihood is near a model; of a run at
-    the reference model, its motion eliminated: parameters first, then candidates."""
-
-    score: FloatArray
-    """(m,)"""
-    information: FloatArray
-    """(m, m)"""
-
-    def along(self, basis: FloatArray) -> Score:
-        """Score of the k sizes that move all columns by `basis` (m, k) each."""
-        return Score(basis.T @ self.score, basis.T @ self.information @ basis)
-
-    def gain(self) -> float:
-        """Fall of -2 log likelihood by the likeliest size of all columns."""
-        return float(self.size() @ self.score)
-
-    def predicted_gain(self, others: Score) -> float:
-        """Fall of -2 log predictive density by sizes that `others` give, with their uncertainty; no change has zero.
-
-        With J and r the information and score of `others`, I and s those of this one:
-        (r + s)^T (J + I)^-1 (r + s) - r^T J^-1 r + log(|J| / |J + I|).
-        """
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.information) + np.diag(others.information), 1e-300))
-        known = others.information * np.outer(scale, scale) + HIDDEN * np.eye(scale.size)
-        both = known + self.information * np.outer(scale, scale)
-        r, every = scale * others.score, scale * (others.score + self.score)
-        return float(every @ np.linalg.solve(both, every) - r @ np.linalg.solve(known, r)
-                     + np.linalg.slogdet(known)[1] - np.linalg.slogdet(both)[1])
-
-    def without(self, basis: FloatArray) -> Score:
-        """The same with the sizes along `basis` (m, k) fitted and projected out; columns of which nothing is left are
-        zero."""
-        carry = self.information @ basis @ self.along(basis).covariance()
-        left = self.information - carry @ basis.T @ self.information
-        score = self.score - carry @ (basis.T @ self.score)
-        gone = np.diag(left) < HIDDEN * np.diag(self.information)
-        score[gone], left[gone], left[:, gone] = 0.0, 0.0, 0.0
-        return Score(score, left)
-
-    def size(self) -> FloatArray:
-        """(m,) generalised least squares."""
-        return np.asarray(self.covariance() @ self.score)
-
-    @property
-    def scale(self) -> FloatArray:
-        """(m,) root of each column's own information."""
-        return np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-
-    @property
-    def correlation(self) -> FloatArray:
-        """(m, m) information of columns in units of their own."""
-        return np.asarray(self.information / np.outer(self.scale, self.scale))
-
-    def covariance(self) -> FloatArray:
-        """(m, m) of the sizes."""
-        scale = self.scale
-        square = np.outer(scale, scale)
-        return np.asarray(np.linalg.pinv(self.information / square, HIDDEN, hermitian=True) / square)
 
 
 def fit_reference(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, gear_ratio: float
@@ -169,14 +104,12 @@ def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None, shif
     beta = np.concatenate([fit.beta + moved[: m.p], *sizes])
     state = smooth_under(problem, State(begin.x, beta, noise or fit.noise, np.zeros((beta.size, beta.size))))
     wide = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio, fit.candidates, present)
-    point = wide.linearise(state.x, state.beta, state.noise)
-    product = eliminate(point.chain).product()
-    own = np.r_[: m.p, beta.size : len(point.gradient_beta)]
-    score = (product[1:, 0] - point.gradient_beta)[own]
-    information = (point.corner - product[1:, 1:])[np.ix_(own, own)]
-    if not (np.isfinite(score).all() and np.isfinite(information).all()):
+    found = score_at(wide, state)
+    found = found.of(np.r_[: m.p, beta.size : found.score.size])
+    if not (np.isfinite(found.score).all() and np.isfinite(found.information).all()):
         raise FitError(f"{data.name}: the reference model cannot follow this run")
-    return Score(score + information @ moved, information).without(np.eye(moved.size)[:, fit.loose])
+    found = replace(found, score=found.score + found.information @ moved)
+    return found.without(np.eye(moved.size)[:, fit.loose])
 
 
 def _present(fit: ReferenceFit, shift: FloatArray) -> tuple[list[Effect], list[FloatArray]]:

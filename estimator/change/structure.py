@@ -23,14 +23,14 @@ from typing import NamedTuple
 import numpy as np
 
 from daq import FloatArray
-from estimator.change.scores import Score
+from estimator.score import ALPHA, Score
 
 PRIOR_RUNS = 8
 """Degrees of freedom that the variance shared by all columns adds; the true variance differs from column to column."""
 SMALLEST = 1e-9
 """Eigenvalues of a run's information below this share of the largest one are dropped."""
-DRIFT_ALPHA, RUNS_A_DRIFT = 0.01, 2
-"""p-value over all columns below which one drifts, and the runs that each drift needs: few do not determine many."""
+RUNS_A_DRIFT = 2
+"""Runs that each drift needs: few do not determine many."""
 RANGE = (-20.0, 20.0)
 """Of log variances"""
 STEP = 3.0
@@ -118,7 +118,7 @@ def find_structure(sessions: Sequence[Sequence[Score]], parameters: int) -> Stru
     unit = 1.0 / np.maximum(information, 1e-300)
     rows = [_rows(runs, np.sqrt(unit)) for runs in sessions]
     # a variance at its bound of zero: half of its likelihood ratios are zero
-    enough = 0.5 * float(chi2.isf(2.0 * DRIFT_ALPHA / unit.size, 1))
+    enough = 0.5 * float(chi2.isf(2.0 * ALPHA / unit.size, 1))
     misfit, found = _fit(rows, parameters, _Variances(1.0, 0.1, np.zeros(0), ()))
     while RUNS_A_DRIFT * (len(found.where) + 1) <= sum(map(len, rows)):
         k, variance, gain = _likeliest_drift([_restricted(runs, parameters, found) for runs in rows])

@@ -14,12 +14,11 @@ from estimator.change.contrast import Contrast
 from estimator.change.groups import Group
 from estimator.change.payload import fieller
 from estimator.change.result import Change, ChangedCause, Detectable, HeldOut, LevelChange, Size
-from estimator.change.scores import HIDDEN, ReferenceFit, Score
+from estimator.change.scores import ReferenceFit
 from estimator.change.structure import Structure
 from estimator.errors import FitError
+from estimator.score import ALPHA, HIDDEN, Score
 
-ALPHA = 0.01
-"""p-value, over all candidates tried, below which something changed."""
 POWER = 0.8
 RIVAL = 6.0
 """Fall of -2 log likelihood below which two candidates are not told apart. Each further size must gain as much."""

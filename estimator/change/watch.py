@@ -26,12 +26,13 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from daq import Dataset, FloatArray
-from estimator.change.contrast import Contrast, contrast, seen, total
+from estimator.change.contrast import Contrast, contrast, seen
 from estimator.change.groups import Group, groups_of
 from estimator.change.reference import Reference
-from estimator.change.scores import HIDDEN, Score, score_run
+from estimator.change.scores import score_run
 from estimator.change.structure import PRIOR_RUNS
 from estimator.errors import FitError
+from estimator.score import HIDDEN, Score, total
 
 BLOCK_S = 5.0
 WINDOWS = (1, 2, 4, 8)
@@ -113,7 +114,7 @@ class Watch:
         for w, blocks in enumerate(WINDOWS):
             if blocks > len(self.recent):
                 break
-            own = _together([score for _, score in self.recent[-blocks:]])
+            own = total([score for _, score in self.recent[-blocks:]])
             best = min(best, (*self._likeliest(self._contrast(own, self.reference.known), w), blocks))
         p_value, k, blocks = best
         group = self.groups[k]
@@ -179,13 +180,13 @@ class Watch:
     def calibrate(self, runs: Sequence[Dataset]) -> None:
         """Set `scale` by the reference `runs`, each against the others. Raises `FitError`."""
         every = [[score_run(self.reference.fit, part) for part in blocks_of(run)] for run in runs]
-        wholes = seen([_together(parts) for parts in every], self.reference.structure)
+        wholes = seen([total(parts) for parts in every], self.reference.structure)
         for w, blocks in enumerate(WINDOWS):
             means = []
             for k, parts in enumerate(every):
                 others = total(wholes[:k] + wholes[k + 1 :])
                 ends = range(min(blocks, len(parts)), len(parts) + 1)
-                means.append(np.mean([self._gains(self._contrast(_together(parts[max(end - blocks, 0) : end]), others))
+                means.append(np.mean([self._gains(self._contrast(total(parts[max(end - blocks, 0) : end]), others))
                                       for end in ends], axis=0) / self.width)
             self.scale[w] = np.maximum(1.0, (PRIOR_RUNS + np.sum(means, axis=0)) / (PRIOR_RUNS + len(means)))
 
@@ -205,7 +206,3 @@ def blocks_of(run: Dataset) -> Iterator[Dataset]:
     edges = np.linspace(0, len(run), count + 1).round().astype(int)
     for begin, end in pairwise(edges):
         yield run.part(slice(int(begin), int(end)))
-
-
-def _together(parts: Sequence[Score]) -> Score:
-    return Score(np.sum([p.score for p in parts], axis=0), np.sum([p.information for p in parts], axis=0))

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.diagnosis.context import NO_TESTS, DiagnosisContext, Explanation, detected, keys_of
+from daq import FloatArray
+from estimator.diagnosis.context import DiagnosisContext, Explanation, detected, keys_of
 from estimator.diagnosis.model_comparison import LEAST_APART
 from estimator.diagnosis.presence import admissible
 from estimator.diagnosis.refit import Model, bootstrap_scores, score_discover, tests_of
-from estimator.diagnosis.score_statistics import RunScore, determined, own_inflation
 from estimator.errors import FitError
+from estimator.score import NO_TESTS, Score, determined, own_inflation
 
 
 def assess_answers(context: DiagnosisContext, sets: Sequence[Explanation], others: Sequence[Explanation] = ()
@@ -50,7 +51,7 @@ def assess(context: DiagnosisContext, explanations: Sequence[Explanation]) -> li
     return [assessed(context, e, next(own), next(biases)) if e.left is NO_TESTS else e for e in explanations]
 
 
-def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[RunScore]) -> list[RunScore]:
+def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[Score]) -> list[FloatArray]:
     """Bias of the `scores` of sets of as many effects as `model` has, one a discover run, own sizes left out.
 
     It is simulated for the first of them. Where it cannot be, it is that of the nominal model.
@@ -61,30 +62,21 @@ def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[RunScore])
             bias = bootstrap_scores(model, context.candidates, scores, context.rng)
         except FitError:
             return context.bias
-        context.biases[count] = [drop_size_entries(r, model) for r in bias]
+        own = np.arange(model.problem.mechanism.p, model.problem.parameter_count)
+        context.biases[count] = [np.delete(one, own) for one in bias]
     return context.biases[count]
 
 
-def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequence[RunScore], bias: Sequence[RunScore]
-             ) -> Explanation:
+def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequence[Score],
+             bias: Sequence[FloatArray]) -> Explanation:
     """Explanation with its `scores` on the discover runs."""
     model = explanation.model
-    left = tests_of(model, scores, [insert_size_entries(b, model) for b in bias])
+    p = model.problem.mechanism.p
+    own = [p] * (model.problem.parameter_count - p)
+    left = tests_of(model, scores, [np.insert(one, own, 0.0) for one in bias])
     free = np.diag(model.state.covariance) > 0.0
     keys = keys_of(explanation)
     further = np.array([0.0 if c.effect.key in keys else context.gain(left, i)
                         for i, c in enumerate(context.candidates)])
     return replace(explanation, left=left, has_residual=detected(context, left, keys), further=further,
                    inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free))
-
-
-def drop_size_entries(score: RunScore, model: Model) -> RunScore:
-    """Without the entries of the model's own sizes; `insert_size_entries` puts them back, as zeros."""
-    own = np.arange(model.problem.mechanism.p, model.problem.parameter_count)
-    return RunScore(np.delete(score.score, own), np.delete(np.delete(score.information, own, 0), own, 1))
-
-
-def insert_size_entries(score: RunScore, model: Model) -> RunScore:
-    """The bias of a run of the nominal model as one of `model`, which has more parameters."""
-    p = model.problem.mechanism.p
-    return RunScore(np.insert(score.score, [p] * (model.problem.parameter_count - p), 0.0), score.information)

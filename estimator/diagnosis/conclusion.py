@@ -9,18 +9,18 @@ import numpy as np
 from scipy.special import stdtrit
 
 from estimator.diagnosis.context import Explanation
-from estimator.diagnosis.decision_rule import ALPHA, EDGE, RUNS, SUFFICES
+from estimator.diagnosis.decision_rule import EDGE, SUFFICES
 from estimator.diagnosis.error_table import ErrorTable
 from estimator.diagnosis.gain import in_pieces, measure_gain
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
 from estimator.diagnosis.refit import Model
 from estimator.diagnosis.residual_signature import signature
 from estimator.diagnosis.result import Cause, Diagnosis, Remainder, SizeEstimate
-from estimator.diagnosis.score_statistics import least_sigmas
 from estimator.effects import GenericReading, GenericTorque, Shape, Size
 from estimator.errors import FitError
 from estimator.fitting import disturbance_levels, imu_levels, torque_levels
 from estimator.prediction import FloorNoise, white_noise
+from estimator.score import ALPHA, RUNS, least_sigmas
 
 NO_GAP = ("free runs over whole runs do not show the gain: noise alone gives about the error of the nominal model. "
           "The evidence for the extension is the likelihood of the held-out runs")

@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import ALPHA, MATERIAL
+from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.diagnosis.noise_check import noise_dominated
 from estimator.diagnosis.refit import Model, begin_afresh, deviance, short_errors
-from estimator.diagnosis.score_statistics import RunScore, ScoreTests
 from estimator.likelihood import Candidate
-
-NO_TESTS = ScoreTests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0))
+from estimator.score import ALPHA, NO_TESTS, ScoreTests
 
 
 @dataclass(frozen=True)
@@ -74,10 +72,11 @@ class DiagnosisContext:
     columns: list[NDArray[np.intp]]
     named: int
     """The first so many candidates are of the library."""
-    bias: list[RunScore]
+    bias: list[FloatArray]
+    """(m,) of each discover run, see `bootstrap_scores`"""
     nominal: Model
     rng: np.random.Generator
-    biases: dict[int, list[RunScore]] = field(default_factory=dict)
+    biases: dict[int, list[FloatArray]] = field(default_factory=dict)
     """Number of effects to the `bias` of sets of so many; see assessment.bias_of"""
     held: dict[tuple[int, bytes], Model] = field(default_factory=dict)
     """Start of a fit to its end with shapes held, as far as another step may want it again, and ..."""

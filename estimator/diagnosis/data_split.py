@@ -9,13 +9,14 @@ from itertools import pairwise
 import numpy as np
 
 from daq import Dataset, FloatArray
-from estimator.diagnosis.decision_rule import LEAST_S, RUNS
+from estimator.diagnosis.decision_rule import LEAST_S
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import noise_floors, require_scale
 from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage
 from estimator.model import Mechanism
 from estimator.options import FitOptions, accel_level, encoder_level, gyro_level, torque_level
+from estimator.score import RUNS
 from estimator.signals import SignalSet, split_signals
 
 HELD_OUT = (1, 2)

@@ -13,19 +13,15 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.prediction import SHORT_S
+from estimator.score import RUNS
 
 # The runs
 
-RUNS = 8
-"""Runs that a diagnosis wants. Fewer give a warning, and a single one is cut into so many segments. The scatter between
-runs that all columns share weighs as much as so many runs of a column's own."""
 LEAST_S = RUNS * SHORT_S
 """Shortest data that are diagnosed, all runs together [s]: each segment of a single run is a swing."""
 
 # What is detected
 
-ALPHA = 0.01
-"""p-value, over all candidates tried, below which something is there."""
 MATERIAL = 0.1
 """Material: the smallest relative reduction of the free-run rms error that counts (`--material`).
 
@@ -66,9 +62,6 @@ the rig declares (see `noise_ratios`). Of a replicate: its sum of squares over i
 
 # Numerics: the resolution of tests and of simulated noise
 
-HIDDEN = 1e-5
-"""Candidates whose information after projection is below this share are not tested; nor are combinations of sizes. A
-fitted size of which the other parameters leave less is not determined."""
 REPLICATED_SAMPLES = 24_000
 """Samples, about, that the replicates of the discover runs have in all; of each run there are two at least."""
 WHOLE_RUNS = 8

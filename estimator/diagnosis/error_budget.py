@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.diagnosis.context import DiagnosisContext, p_of
-from estimator.diagnosis.decision_rule import ALPHA, GENERIC_TERMS
+from estimator.diagnosis.decision_rule import GENERIC_TERMS
 from estimator.diagnosis.error_table import ErrorTable
 from estimator.diagnosis.refit import Model, refit
 from estimator.diagnosis.result import BudgetRow
-from estimator.diagnosis.score_statistics import ScoreTests
 from estimator.diagnosis.search import start_size
 from estimator.errors import FitError
+from estimator.score import ALPHA, ScoreTests
 
 GENERIC_STEPS = 12
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.diagnosis.context import Explanation
-from estimator.diagnosis.score_statistics import least_sigmas
+from estimator.score import least_sigmas
 
 
 def admissible(explanation: Explanation) -> bool:

@@ -28,7 +28,7 @@ from estimator.diagnosis.context import (
     p_of,
 )
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.decision_rule import ALPHA, EDGE, MATERIAL, SUFFICES, SURE, WIDTH
+from estimator.diagnosis.decision_rule import EDGE, MATERIAL, SUFFICES, SURE, WIDTH
 from estimator.diagnosis.error_budget import budget, generic_extension
 from estimator.diagnosis.error_table import ErrorTable, known_errors, measure_errors
 from estimator.diagnosis.further_effect import imitates, present_too, with_one_more
@@ -47,7 +47,6 @@ from estimator.diagnosis.refit import (
 )
 from estimator.diagnosis.result import CandidateScore, Diagnosis
 from estimator.diagnosis.rotation import account
-from estimator.diagnosis.score_statistics import RunScore, ScoreTests, columns_of
 from estimator.diagnosis.search import Progress, Promise, fit_likeliest, grown, search
 from estimator.diagnosis.structure import with_structure
 from estimator.diagnosis.verdict import IMITATES, NOMINAL, by_error, decide, first_of_each, unnamed
@@ -60,6 +59,7 @@ from estimator.numerics import jit
 from estimator.options import AUTO, FitOptions
 from estimator.parallel import cores
 from estimator.prediction import FloorNoise
+from estimator.score import ALPHA, ScoreTests, columns_of
 
 
 def diagnose(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, *, gear_ratio: float = 1.0,
@@ -141,7 +141,7 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
 
 
 def scored(split: RunSplit, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,
-           bias: Sequence[RunScore] = ()) -> tuple[DiagnosisContext, ScoreTests]:
+           bias: Sequence[FloatArray] = ()) -> tuple[DiagnosisContext, ScoreTests]:
     """The nominal fit and the scores of `candidates` at it, less their `bias`, which is simulated if it is not given.
 
     Raises `FitError`."""
@@ -153,7 +153,7 @@ def scored(split: RunSplit, candidates: list[Candidate], named: int, rng: np.ran
         try:
             bias = bootstrap_scores(nominal, candidates, scores, rng)
         except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
-            bias = [RunScore(np.zeros_like(s.score), s.information) for s in scores]
+            bias = [np.zeros_like(s.score) for s in scores]
     context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng)
     return context, tests_of(nominal, scores, bias)
 

@@ -10,7 +10,6 @@ import numpy as np
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
 from estimator.diagnosis.decision_rule import EDGE, REPLICATED_SAMPLES
-from estimator.diagnosis.score_statistics import RunScore, ScoreTests, project, score_alone, score_run
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import (
@@ -35,6 +34,7 @@ from estimator.prediction import (
     simulate_run,
     smooth_under,
 )
+from estimator.score import Score, ScoreTests, project, score_alone, score_at
 from estimator.signals import SignalSet
 
 SMOOTHING_STEPS = 12
@@ -257,20 +257,20 @@ def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequen
                        replace(state, noise=state.noise.levels()))
 
 
-def score_discover(model: Model, candidates: Sequence[Candidate]) -> list[RunScore]:
+def score_discover(model: Model, candidates: Sequence[Candidate]) -> list[Score]:
     """Scores of `candidates` at `model`, one a discover run."""
     split, states = model.split, run_states(model)
 
-    def scored(k: int) -> RunScore:
+    def scored(k: int) -> Score:
         problem = split.problem([split.discover[k]], model.problem.stage.angle_range, model.effects, candidates)
-        return score_run(problem, states[k])
+        return score_at(problem, states[k])
 
     return parallel_map(scored, len(states), split.workers)
 
 
-def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequence[RunScore],
-                     rng: np.random.Generator) -> list[RunScore]:
-    """Mean score of replicates of the model, one a discover run: the bias of `scores` when nothing is wrong.
+def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequence[Score],
+                     rng: np.random.Generator) -> list[FloatArray]:
+    """(m,) mean score of replicates of the model, one a discover run: the bias of `scores` when nothing is wrong.
 
     A replicate that the model fits worse than the run itself was not simulated well, and is left out; a run without
     any has the bias of the others. Raises `FitError` where there is none at all.
@@ -294,23 +294,21 @@ def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequ
         return np.mean(found, axis=0) if found else None
 
     means = parallel_map(bootstrap_bias, len(states), split.workers)
-    good = [RunScore(mean, s.information) for mean, s in zip(means, scores) if mean is not None]
+    good = [(mean, np.diag(s.information)) for mean, s in zip(means, scores) if mean is not None]
     if not good:
         raise FitError("every bootstrap replicate of the model differs too much from its run")
-    return [pooled_bias(good, s) if mean is None else RunScore(mean, s.information) for mean, s in zip(means, scores)]
+    return [pooled_bias(good, s) if mean is None else mean for mean, s in zip(means, scores)]
 
 
-def pooled_bias(bias: Sequence[RunScore], run: RunScore) -> RunScore:
-    """Mean bias of other runs, scaled column by column to what this run informs of, but not enlarged.
+def pooled_bias(bias: Sequence[tuple[FloatArray, FloatArray]], run: Score) -> FloatArray:
+    """(m,) mean bias of other runs, scaled column by column to what this run informs of, but not enlarged.
 
     A run that never reaches a stop says nothing of it, and has no bias about it either.
     """
-    score = np.mean([b.score for b in bias], axis=0)
-    known = np.mean([np.diag(b.information) for b in bias], axis=0)
-    share = np.clip(np.diag(run.information) / np.maximum(known, 1e-100), 0.0, 1.0)
-    return RunScore(score * share, run.information)
+    score, known = np.mean(bias, axis=0)
+    return np.asarray(score * np.clip(np.diag(run.information) / np.maximum(known, 1e-100), 0.0, 1.0))
 
 
-def tests_of(model: Model, runs: Sequence[RunScore], bias: Sequence[RunScore] | None = None) -> ScoreTests:
+def tests_of(model: Model, runs: Sequence[Score], bias: Sequence[FloatArray] | None = None) -> ScoreTests:
     """Efficient tests with the model's own parameters projected out."""
     return project(runs, model.problem.parameter_count, bias)

@@ -20,11 +20,11 @@ from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shap
 from estimator.diagnosis.decision_rule import GROWN, MOST_EFFECTS, SUFFICES, WIDTH
 from estimator.diagnosis.presence import admissible, presence, undetermined
 from estimator.diagnosis.refit import Model, deviance, misfit, misfit_by_run, refit, short_errors
-from estimator.diagnosis.score_statistics import ScoreTests
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.likelihood import State
 from estimator.parallel import parallel_map
+from estimator.score import ScoreTests
 
 Progress = Callable[[str, float], None]
 Start = list[tuple[Effect, FloatArray]]

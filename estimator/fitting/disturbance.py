@@ -21,15 +21,14 @@ import numpy as np
 from daq import FloatArray
 from estimator.fitting.gauss_newton import TORQUE_SHARE, most_noise
 from estimator.fitting.initial_guess import noise_floors
-from estimator.fitting.run_scatter import student_quantile
 from estimator.fitting.shooting import SEGMENT_S
 from estimator.fitting.shooting_segments import Segments, filtered_motion
-from estimator.fitting.warm_start import LEAST_SEGMENT, cut
 from estimator.likelihood import LatentProblem, Latents, Noise, Process, State
 from estimator.model import Mechanism
 from estimator.numerics import BlockTridiagonal, Swept, eliminate
 from estimator.options import FitOptions
-from estimator.signals import SignalSet
+from estimator.score import student_quantile
+from estimator.signals import LEAST_SEGMENT, SignalSet, cut
 
 TIME_CONSTANTS = (3.0, 10.0, 40.0, 160.0)
 """Time constants that are screened, in samples."""

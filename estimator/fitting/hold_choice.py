@@ -26,11 +26,10 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import DIVERGED, newton_step
-from estimator.fitting.warm_start import LEAST_SEGMENT, cut
 from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.model import HOLDS, Mechanism
 from estimator.numerics import eliminate
-from estimator.signals import SignalSet
+from estimator.signals import LEAST_SEGMENT, SignalSet, cut
 
 FIRST = "smooth"
 """The hold of the fit at whose noise levels the others are compared."""

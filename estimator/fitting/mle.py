@@ -33,18 +33,17 @@ from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.noise_levels import colour, disturbance_levels, imu_levels, independence, torque_levels
-from estimator.fitting.omitted_effects import omitted_effects
-from estimator.fitting.prior import Known, prior_at, prior_values
+from estimator.fitting.omitted_effects import omitted_effects, small_effects, with_candidates
+from estimator.fitting.prior import prior_at, prior_values
 from estimator.fitting.profile_likelihood import Searched, known_noise, search, suits
 from estimator.fitting.run_levels import run_noise
-from estimator.fitting.run_scatter import agreement_of
-from estimator.fitting.run_scores import score_runs
 from estimator.fitting.warm_start import from_excerpt
 from estimator.fitting.wls import free_mask
 from estimator.likelihood import BatchProblem, ExtendedProblem, LatentProblem, Latents, Noise, Records, Stage, State
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
 from estimator.result import TWO_SIDED, FitResult, Trajectory
+from estimator.score import agreement_of, score_runs
 from estimator.signals import SignalSet, angle_column, predicted_columns, split_signals
 
 CONFLICT_STEPS = 20
@@ -73,10 +72,9 @@ def fit_mle(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptio
     if state.converged and skew is None:  # runs' scores, and so the intervals, hold at the likeliest motion alone
         state = converge_motion(problem, state)
     result = result_of(problem, signals, mechanism, options, state, free, time.perf_counter() - start)
-    result = _with_agreement(result, problem, signals, state, free, skew, options.prior)
-    if options.seeks_omitted and result.converged:
-        with suppress(np.linalg.LinAlgError):  # a segment that alone determines nothing at all
-            result = replace(result, omitted=omitted_effects(result, problem, signals, state, free, skew))
+    if result.converged:  # else there is no optimum to ask at
+        with suppress(np.linalg.LinAlgError):  # a run that alone determines nothing at all
+            result = _with_scores(result, problem, signals, state, free, skew, options)
     known = prior_values(result.mechanism, options.prior, result.beta, result.covariance)
     result = replace(result, prior=known, prior_conflict=_conflict(problem, state, result, free, options))
     result = replace(result, wall_s=time.perf_counter() - start)
@@ -228,22 +226,19 @@ def _skewed(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, distu
     return ExtendedProblem(signals, mechanism, hold, stage, (SensorTimeSkew(),), disturbed=disturbed)
 
 
-def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
-                    free: NDArray[np.bool_], skew: float | None, prior: Known) -> FitResult:
-    """`result` with what its runs disagree about in its covariance. A fit that did not converge has no optimum to
-    ask at."""
-    if not result.converged:
-        return result
-    make = LatentProblem if skew is None else _skewed
-    beta, free = (state.beta, free) if skew is None else (np.append(state.beta, skew), np.append(free, True))
-    try:
-        scores = score_runs(signals, lambda own: make(own, result.mechanism, result.hold, problem.disturbed), problem,
-                            state, beta)
-        known = prior_at(result.mechanism, prior, result.beta).information if prior else None
-        covariance, agreement = agreement_of(scores, beta, result.covariance, free, known)
-    except np.linalg.LinAlgError:  # a run that alone determines nothing at all
-        return result
-    return replace(result, covariance=covariance, agreement=agreement)
+def _with_scores(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
+                 free: NDArray[np.bool_], skew: float | None, options: FitOptions) -> FitResult:
+    """`result` with what its runs disagree about in its covariance and, where asked for, with the effects that it
+    lacks: both from one score of each run."""
+    if skew is not None:
+        problem, free = _skewed(signals, result.mechanism, result.hold, problem.disturbed), np.append(free, True)
+        state = replace(state, beta=np.append(state.beta, skew))
+    candidates = small_effects(problem) if options.seeks_omitted else ()
+    scores = score_runs(signals, lambda own: with_candidates(problem, signals, own, state, candidates), problem, state)
+    known = prior_at(result.mechanism, options.prior, result.beta).information if options.prior else None
+    covariance, agreement = agreement_of(scores.of(np.arange(free.size)), state.beta, result.covariance, free, known)
+    result = replace(result, covariance=covariance, agreement=agreement)
+    return replace(result, omitted=omitted_effects(result, scores, free, candidates))
 
 
 def state_of(found: Searched, record: int, noise: Noise) -> State:

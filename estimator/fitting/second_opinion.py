@@ -28,13 +28,13 @@ from estimator.errors import FitError
 from estimator.fitting.admissibility import faults
 from estimator.fitting.fit import estimate
 from estimator.fitting.identifiability import undetermined
-from estimator.fitting.run_scatter import student_quantile
 from estimator.fitting.shooting import ENOUGH_RUNS, SEGMENT_S, Shot, shoot
 from estimator.fitting.shooting_segments import Segments, filtered_motion
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import MOST_DISAGREEMENT, Combination, Finding, FitResult, HeldOut, SecondOpinion
+from estimator.score import student_quantile
 from estimator.signals import split_signals
 
 LEAST_GAIN = 0.01

@@ -31,11 +31,11 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.errors import FitError
-from estimator.fitting.run_scatter import robust_covariance
 from estimator.fitting.shooting_segments import Linear, Segments
 from estimator.model import Mechanism
 from estimator.numerics import pseudo_inverse
 from estimator.result import TWO_SIDED
+from estimator.score import robust_covariance
 from estimator.signals import SignalSet, by_run
 
 SEGMENT_S = 1.0

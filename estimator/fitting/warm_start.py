@@ -7,7 +7,6 @@ the whole record then needs only the last few. An excerpt that shows too little 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors
 from estimator.likelihood import LatentProblem, Latents, State
 from estimator.options import FitOptions
-from estimator.signals import SignalSet
+from estimator.signals import LEAST_SEGMENT, SignalSet, cut
 
 SHARE = 8
 """The excerpt is one part in so many, ..."""
@@ -26,8 +25,6 @@ LEAST = 400
 """... but no fewer samples than these, and ..."""
 WORTH = 3
 """... no more than one part in so many: a record that has fewer is fitted as it is."""
-LEAST_SEGMENT = 100
-"""Samples of a segment that is worth taking part in an excerpt."""
 STEPS = 15
 """Most steps that are spent on an excerpt."""
 OUTLIER = 4.0
@@ -78,10 +75,3 @@ def excerpt(problem: LatentProblem, signals: Sequence[SignalSet], x: Latents) ->
         found.append((i, slice(first, first + size)))
     taken = sum(where.stop - where.start for _, where in found)
     return found if taken >= LEAST and taken * WORTH <= problem.total else []
-
-
-def cut(signals: SignalSet, where: slice) -> SignalSet:
-    """The samples `where` of a segment."""
-    return replace(signals, time_s=signals.time_s[where], angles=signals.angles[where], torque=signals.torque[where],
-                   imu={name: values[where] for name, values in signals.imu.items()},
-                   spread=None if signals.spread is None else signals.spread[where])

@@ -25,10 +25,12 @@ from estimator.signals.imu import (
 )
 from estimator.signals.orientation import Kinematics, sight
 from estimator.signals.segments import (
+    LEAST_SEGMENT,
     STANCE,
     SignalSet,
     angle_column,
     by_run,
+    cut,
     differentiate,
     is_plain,
     paper_differences,
@@ -38,9 +40,10 @@ from estimator.signals.segments import (
 from estimator.signals.steps import SINCE, Touchdowns, cut_steps, find_touchdowns
 
 __all__ = [
-    "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "SINCE", "STANCE", "Channel", "Kind", "Kinematics",
-    "SignalSet", "Touchdowns", "accelerometer", "accelerometer_at", "accelerometer_slopes", "angle_column", "by_run",
-    "causal", "cut_steps", "differentiate", "encoder_level", "encoder_of", "find_touchdowns", "imu_channels",
-    "imu_columns", "imu_readings", "is_plain", "lowpass", "paper_differences", "predicted_columns", "quantum",
-    "sight", "split_signals", "tilt", "torque_column", "torque_of", "total", "white_noise_level",
+    "ACCEL_X", "ACCEL_Y", "GYRO", "IMU_CHANNELS", "IMU_COLUMNS", "LEAST_SEGMENT", "SINCE", "STANCE", "Channel",
+    "Kind", "Kinematics", "SignalSet", "Touchdowns", "accelerometer", "accelerometer_at", "accelerometer_slopes",
+    "angle_column", "by_run", "causal", "cut", "cut_steps", "differentiate", "encoder_level", "encoder_of",
+    "find_touchdowns", "imu_channels", "imu_columns", "imu_readings", "is_plain", "lowpass", "paper_differences",
+    "predicted_columns", "quantum", "sight", "split_signals", "tilt", "torque_column", "torque_of", "total",
+    "white_noise_level",
 ]

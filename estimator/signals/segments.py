@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,8 @@ from estimator.signals.filters import central_difference, lowpass
 from estimator.signals.imu import IMU_COLUMNS, imu_columns, tilt
 from estimator.signals.orientation import Kinematics, sight, with_imus
 
+LEAST_SEGMENT = 100
+"""Samples of a segment that says something by itself."""
 STANCE = "stance"
 """Column of a walker's record: which leg is on the ground."""
 
@@ -51,6 +53,13 @@ class SignalSet:
     @cached_property
     def _kept(self) -> dict[tuple[str, float], FloatArray]:
         return {}
+
+
+def cut(signals: SignalSet, where: slice) -> SignalSet:
+    """The samples `where` of a segment."""
+    return replace(signals, time_s=signals.time_s[where], angles=signals.angles[where], torque=signals.torque[where],
+                   imu={name: values[where] for name, values in signals.imu.items()},
+                   spread=None if signals.spread is None else signals.spread[where])
 
 
 def by_run(signals: Sequence[SignalSet]) -> list[tuple[str, list[SignalSet], slice]]:

@@ -9,8 +9,9 @@ from msgspec import structs
 
 from daq import FloatArray, InputError
 from estimator import FitOptions
-from estimator.change import LogLevels, Reference, Score, Structure, known_reference
+from estimator.change import LogLevels, Reference, Structure, known_reference
 from estimator.likelihood import Noise
+from estimator.score import Score
 from experiments.models.effect_library import known_effects
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import MechanismSettings, Model, ReferenceValues

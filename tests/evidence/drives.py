@@ -29,8 +29,8 @@ from drivers.mock import EmulatorLink
 from drivers.mock.moteus_drive import MockMoteus
 from drivers.moteus_drive import QUERY
 from estimator import FitOptions, fit
-from estimator.fitting.run_scatter import student_quantile
 from estimator.model import leg2
+from estimator.score import student_quantile
 from experiments.cli import main as legid
 from experiments.emulation import LegBody, record_emulated, rig_with_drive
 from experiments.exchange import load_any_run

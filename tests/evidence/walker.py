@@ -21,7 +21,6 @@ import numpy as np
 
 from daq import Dataset, FloatArray
 from daq.runs import write_csv
-from estimator.fitting.cramer_rao import fisher_information, inverse_information
 from estimator.likelihood import Noise
 from estimator.model import biped3
 from estimator.signals import find_touchdowns
@@ -29,6 +28,7 @@ from experiments.cli.main import main as legid
 from experiments.studies import machine
 from tests.evidence.kept import kept
 from tests.evidence.registry import Evidence
+from tests.support.cramer_rao import fisher_information, inverse_information
 from tests.support.walker_plant import (
     Gait,
     Law,

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnosis.context import NO_TESTS, Explanation
+from estimator.diagnosis.context import Explanation
+from estimator.score import NO_TESTS
 
 
 @dataclass(frozen=True)

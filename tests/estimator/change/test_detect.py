@@ -11,13 +11,13 @@ import pytest
 
 from daq import Dataset, load_rig
 from estimator.change import Change, Reference, compare_sessions, detect_change, learn_reference
-from estimator.change.contrast import Contrast, contrast, seen, total
-from estimator.change.scores import Score
+from estimator.change.contrast import Contrast, contrast, seen
 from estimator.change.structure import Structure, find_structure
 from estimator.change.verdict import replicates
 from estimator.errors import FitError
 from estimator.model import leg2
 from estimator.options import FitOptions
+from estimator.score import Score, total
 from experiments.session import prepare
 from experiments.workflows.change import find_change
 from tests.evidence.blind.records import RECORDS, RIGS

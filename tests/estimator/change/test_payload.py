@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from estimator.change.payload import body_basis, fieller, fit_body, link_lengths
-from estimator.change.scores import Score
 from estimator.model import biped3, joint1, leg2
+from estimator.score import Score
 from tests.support.changed_leg import loaded
 from tests.support.mujoco_leg import random_leg
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.change.scores import Score
 from estimator.change.structure import _restricted, _rows, _Run, _Variances, find_structure
+from estimator.score import Score
 
 
 def known_runs() -> list[_Run]:

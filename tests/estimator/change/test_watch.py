@@ -10,11 +10,11 @@ import pytest
 
 from daq import Dataset
 from estimator.change import Watch, start_watch, watch
-from estimator.change.contrast import seen, total
+from estimator.change.contrast import seen
 from estimator.change.groups import Group
-from estimator.change.scores import Score
 from estimator.change.structure import find_structure
 from estimator.errors import FitError
+from estimator.score import Score, total
 from tests.evidence import watch as study
 from tests.evidence.blind.stickslip import MAKERS
 

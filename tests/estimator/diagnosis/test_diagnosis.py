@@ -19,7 +19,6 @@ from estimator.diagnosis.error_table import extend_errors, measure_errors
 from estimator.diagnosis.procedure import diagnose
 from estimator.diagnosis.refit import fit_nominal
 from estimator.diagnosis.result import Cause, Diagnosis, SizeEstimate
-from estimator.diagnosis.score_statistics import RunScore, own_inflation, project
 from estimator.effects import classes, library
 from estimator.effects.drive import TorqueOffset
 from estimator.effects.friction import LoadDependentFriction
@@ -32,6 +31,7 @@ from estimator.likelihood.state import State
 from estimator.model.mechanism import joint1, leg2
 from estimator.options import FitOptions
 from estimator.prediction.replicate import draw_replicate
+from estimator.score import Score, own_inflation, project
 from estimator.signals.segments import SignalSet, split_signals
 from tests.support.mujoco_leg import Leg, record
 
@@ -186,7 +186,7 @@ def test_what_the_parameters_imitate_has_no_smallest_size() -> None:
     for _ in range(4):  # column 1 is column 0 twice, column 2 is its own
         rows = rng.normal(size=(50, 2))
         jacobian = np.column_stack([rows[:, 0], 2.0 * rows[:, 0], rows[:, 1]])
-        runs.append(RunScore(jacobian.T @ rng.normal(size=50), jacobian.T @ jacobian))
+        runs.append(Score(jacobian.T @ rng.normal(size=50), jacobian.T @ jacobian))
     tests = project(runs, 1)
     assert tests.detectable(0, 0.01, 0.0) == np.inf
     assert 0.0 < tests.detectable(1, 0.01, 0.0) < 1.0
@@ -205,7 +205,7 @@ def test_intervals_hold_where_noise_lasts_longer_than_a_sample() -> None:
         inverse = np.linalg.inv(information.sum(axis=0))
         error = inverse @ np.einsum("rki,rk->i", rows, noise)
         left = noise - rows @ error
-        scores = [RunScore(rows[r].T @ left[r], information[r]) for r in range(6)]
+        scores = [Score(rows[r].T @ left[r], information[r]) for r in range(6)]
         inflation = own_inflation(scores, np.ones(2, dtype=bool), 1.0)
         std = np.sqrt(np.diag(inverse))
         missed += np.abs(error) > student.isf(0.025, 13.0) * np.sqrt(inflation) * std
@@ -255,8 +255,9 @@ def test_a_replicate_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
         rng = np.random.default_rng(3)
         means.append(refit.bootstrap_scores(nominal, candidates, scores, rng))
     for k in range(1, count):
-        assert means[1][k].score == pytest.approx(means[0][k].score, rel=1e-5)
-    assert means[1][0].score == pytest.approx(refit.pooled_bias(means[0][1:], scores[0]).score, rel=1e-5)
+        assert means[1][k] == pytest.approx(means[0][k], rel=1e-5)
+    others = [(mean, np.diag(s.information)) for mean, s in zip(means[0][1:], scores[1:])]
+    assert means[1][0] == pytest.approx(refit.pooled_bias(others, scores[0]), rel=1e-5)
     bad[:] = names
     with pytest.raises(FitError, match="replicate"):
         refit.bootstrap_scores(nominal, candidates, scores, np.random.default_rng(3))

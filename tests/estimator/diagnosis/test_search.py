@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis import assessment, procedure, search
-from estimator.diagnosis.context import NO_TESTS, Explanation, keys_of, seated
+from estimator.diagnosis.context import Explanation, keys_of, seated
 from estimator.diagnosis.decision_rule import GROWN, MATERIAL, WIDTH
 from estimator.errors import FitError
+from estimator.score import NO_TESTS
 from tests.support.stated_fits import Context, Fitted, Named, explained, fitted
 
 

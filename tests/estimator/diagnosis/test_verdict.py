@@ -15,7 +15,6 @@ from estimator.diagnosis.decision_rule import MATERIAL
 from estimator.diagnosis.error_budget import budget
 from estimator.diagnosis.error_table import ErrorTable, _bounded
 from estimator.diagnosis.result import Diagnosis
-from estimator.diagnosis.score_statistics import ScoreTests
 from estimator.diagnosis.verdict import (
     Decision,
     choose,
@@ -28,9 +27,10 @@ from estimator.diagnosis.verdict import (
     unnamed,
 )
 from estimator.errors import FitError
+from estimator.score import NO_TESTS
 
 BLOCKS, RUNS = 20, 2
-NOTHING_LEFT = ScoreTests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.ones(1), 1.0, np.zeros(0))
+NOTHING_LEFT = replace(NO_TESTS, inflation=np.ones(1))
 
 
 def table_of(*errors: float, agreement: list[list[float]] | None = None, seed: int = 0) -> ErrorTable:

@@ -12,18 +12,20 @@ from scipy.stats import chi2
 from daq.dataset import Dataset, FloatArray
 from estimator.fitting.fit import fit
 from estimator.fitting.mle import fit_mle
-from estimator.fitting.run_scatter import (
-    DISAGREE,
+from estimator.model.mechanism import leg2
+from estimator.options import FitOptions
+from estimator.result import FitResult
+from estimator.score.run_scatter import (
     agreement_of,
+    arrays,
     homogeneity,
     random_effects,
     robust_covariance,
     student_quantile,
 )
-from estimator.fitting.run_scores import RunScores
-from estimator.model.mechanism import leg2
-from estimator.options import FitOptions
-from estimator.result import FitResult
+from estimator.score.run_scores import RunScores
+from estimator.score.score import Score
+from estimator.score.score_tests import ALPHA
 from tests.support.mujoco_leg import Leg, record
 
 SIGMA = 0.5
@@ -43,7 +45,8 @@ def scored(designs: list[FloatArray], readings: list[FloatArray]) -> tuple[RunSc
     covariance = np.linalg.inv(information.sum(axis=0))
     beta = covariance @ sum(x.T @ y for x, y in zip(designs, readings)) / SIGMA**2
     score = np.array([x.T @ (y - x @ beta) for x, y in zip(designs, readings)]) / SIGMA**2
-    return RunScores(tuple(f"run{k}" for k in range(len(designs))), score, information), beta, covariance
+    return (RunScores(tuple(f"run{k}" for k in range(len(designs))), tuple(map(Score, score, information))), beta,
+            covariance)
 
 
 def test_intervals_are_those_of_cr2_by_residuals() -> None:
@@ -86,7 +89,7 @@ def test_runs_that_agree_cost_nothing_beyond_chance_and_others_are_covered() -> 
         half = np.sqrt(np.diag(wide)) * (agreement.quantile if agreement.disagree else 1.96)
         inside.append(np.abs(found - beta) < half)
         inside_alone.append(np.abs(found - beta) < 1.96 * np.sqrt(np.diag(covariance)))
-    assert told / 400 < 3.0 * DISAGREE
+    assert told / 400 < 3.0 * ALPHA
     assert np.mean(inside_alone, axis=0)[1:].max() < 0.6
     assert np.mean(inside, axis=0).min() > 0.9
 
@@ -108,7 +111,8 @@ def test_one_parameter_that_differs_is_not_lost_among_many() -> None:
     for _ in range(100):
         scores, found, covariance = scored(*regression(rng, [60] * 5, scatter, beta))
         root = np.linalg.cholesky(covariance)
-        q += homogeneity(scores.score @ root, root.T @ scores.information @ root) < DISAGREE
+        score, information = arrays(scores.scores)
+        q += homogeneity(score @ root, root.T @ information @ root) < ALPHA
         both += agreement_of(scores, found, covariance, np.ones(20, dtype=bool))[1].disagree
     assert both >= 1.2 * q
 
@@ -146,7 +150,7 @@ def test_one_run_cannot_tell_and_parameters_that_are_given_stay_out() -> None:
     rng = np.random.default_rng(5)
     designs, readings = regression(rng, [40, 30, 20], np.array([2.0, 2.0]), np.array([1.0, 1.0]))
     scores, beta, covariance = scored(designs, readings)
-    one = RunScores(scores.runs[:1], scores.score[:1], scores.information[:1])
+    one = RunScores(scores.runs[:1], scores.scores[:1])
     assert agreement_of(one, beta, covariance, np.ones(2, dtype=bool))[1].p_value is None
     covariance[:, 1] = covariance[1] = 0.0
     wide, found = agreement_of(scores, beta, covariance, np.array([True, False]))
@@ -178,7 +182,7 @@ def test_a_leg_whose_friction_changes_is_found_out_and_another_is_not(changing: 
     rng = np.random.default_rng(611)
     same = fitted([record(leg, rng, seconds=8.0, name=f"run{k}.csv") for k in range(3)])
     assert same.agreement is not None and not same.agreement.disagree
-    assert same.agreement.p_value is not None and same.agreement.p_value > DISAGREE
+    assert same.agreement.p_value is not None and same.agreement.p_value > ALPHA
     assert same.ci95() == pytest.approx(same.beta[:, None] + 1.959964 * np.outer(same.std, [-1.0, 1.0]))
 
 

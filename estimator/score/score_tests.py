@@ -16,36 +16,14 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtrc, fdtri  # scipy.stats takes a second more to import
 
 from daq import FloatArray
-from estimator.diagnosis.decision_rule import ALPHA, HIDDEN, RUNS
-from estimator.likelihood import Candidate, ExtendedProblem, State, weighted_residuals_after
-from estimator.numerics import eliminate, pseudo_inverse
+from estimator.numerics import pseudo_inverse
+from estimator.score.score import HIDDEN, Score, total
 
-
-@dataclass(frozen=True)
-class RunScore:
-    """Score and information of one run for nuisance parameters, then candidate columns."""
-
-    score: FloatArray
-    """(m,)"""
-    information: FloatArray
-    """(m, m)"""
-
-
-def score_run(problem: ExtendedProblem, state: State) -> RunScore:
-    """Score and information of the problem's candidates at the smoothed motion in `state`."""
-    point = problem.linearise(state.x, state.beta, state.noise)
-    product = eliminate(point.chain).product()
-    return RunScore(product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:])
-
-
-def score_alone(problem: ExtendedProblem, state: State) -> FloatArray:
-    """`score_run` without the information, for a third of the time."""
-    plain = problem.without_candidates()
-    point = plain.linearise(state.x, state.beta, state.noise)
-    step = eliminate(point.chain.first(1)).solution(np.ones(1))
-    own = np.asarray(point.chain.flat_right(slice(1, None)).T @ step.ravel() - point.gradient_beta)
-    weighted = weighted_residuals_after(plain, state.x, state.beta[: plain.mechanism.p], state.noise, point, -step)
-    return np.concatenate([own, -problem.candidate_gradient(state.x, state.beta, weighted)])
+ALPHA = 0.01
+"""p-value, over all that is tested together, below which something is there."""
+RUNS = 8
+"""Runs whose scatter is known well. The scatter that all columns share weighs as much as so many runs of a column's
+own."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +42,8 @@ class ScoreTests:
     """Degrees of freedom of `inflation`."""
     before: FloatArray
     """(c,) information before the nuisance parameters were projected out."""
+    carry: FloatArray
+    """(nuisance, c) by how much a size moves the nuisance parameters, with the opposite sign"""
 
     @property
     def scatter(self) -> float:
@@ -105,30 +85,28 @@ class ScoreTests:
         return float(np.sqrt(needed / self.information[column, column]))
 
 
-def project(runs: Sequence[RunScore], nuisance: int, bias: Sequence[RunScore] | None = None) -> ScoreTests:
+def project(runs: Sequence[Score], nuisance: int, bias: Sequence[FloatArray] | None = None) -> ScoreTests:
     """Efficient scores with the first `nuisance` parameters projected out over all `runs`.
 
-    `bias`, if given, holds for each run the mean score of replicates of the fitted model, which is subtracted.
+    `bias`, if given, holds for each run the mean score (m,) of replicates of the fitted model, which is subtracted.
     """
-    total = np.sum([r.information for r in runs], axis=0)
-    carry = pseudo_inverse(total[:nuisance, :nuisance]) @ total[:nuisance, nuisance:]
-    by_run, informations = [], []
-    for i, r in enumerate(runs):
-        s = r.score - bias[i].score if bias is not None else r.score
-        by_run.append(s[nuisance:] - carry.T @ s[:nuisance])
+    whole = total(runs).information
+    carry = pseudo_inverse(whole[:nuisance, :nuisance]) @ whole[:nuisance, nuisance:]
+    score = np.array([r.score for r in runs]) - (0.0 if bias is None else np.array(bias))
+    scores, informations = score[:, nuisance:] - score[:, :nuisance] @ carry, []
+    for r in runs:
         cross = r.information[nuisance:, :nuisance] @ carry
         informations.append(r.information[nuisance:, nuisance:] - cross - cross.T
                             + carry.T @ r.information[:nuisance, :nuisance] @ carry)
-    scores, information = np.array(by_run), np.array(informations)
-    hidden = np.einsum("rcc->c", information) < HIDDEN * np.diag(total)[nuisance:]
+    information, before = np.array(informations), np.diag(whole)[nuisance:].copy()
+    hidden = np.einsum("rcc->c", information) < HIDDEN * before
     scores[:, hidden] = 0.0
     information[:, hidden], information[:, :, hidden] = 0.0, 0.0
-    pooled = information.sum(axis=0)
     inflation, freedom = _inflation(scores, np.einsum("rcc->rc", information))
-    return ScoreTests(scores, scores.sum(axis=0), pooled, inflation, freedom, np.diag(total)[nuisance:].copy())
+    return ScoreTests(scores, scores.sum(axis=0), information.sum(axis=0), inflation, freedom, before, carry)
 
 
-def own_inflation(runs: Sequence[RunScore], free: NDArray[np.bool_], least: float) -> FloatArray:
+def own_inflation(runs: Sequence[Score], free: NDArray[np.bool_], least: float) -> FloatArray:
     """(m,) variance inflation of the model's first m parameters: their scatter between runs over that of white noise.
 
     Only `free` parameters; shrunk to their median, which is at least `least`. Efficient score of one parameter, with C
@@ -144,14 +122,14 @@ def own_inflation(runs: Sequence[RunScore], free: NDArray[np.bool_], least: floa
     return out
 
 
-def determined(runs: Sequence[RunScore], free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def determined(runs: Sequence[Score], free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(m,) whether these runs determine each of the model's first m parameters; of `free` ones only.
 
     The others must leave a share 1 / (I_kk C_kk) of its information I_kk above HIDDEN; C is the pooled inverse of I.
     """
     out = np.zeros(free.size, dtype=bool)
     which = np.flatnonzero(free)
-    information = np.sum([r.information[np.ix_(which, which)] for r in runs], axis=0)
+    information = total([r.of(which) for r in runs]).information
     out[which] = np.diag(information) * np.diag(pseudo_inverse(information)) < 1.0 / HIDDEN
     return out
 
@@ -171,13 +149,11 @@ def _inflation(scores: FloatArray, own: FloatArray, least: float = 1.0) -> tuple
     return np.maximum(inflation, 1.0), float(RUNS + runs - 1)
 
 
+NO_TESTS = ScoreTests(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), 1.0, np.zeros(0), np.zeros((0, 0)))
+"""Tests of nothing."""
+
+
 def least_sigmas(tests: int) -> float:
     """Standard deviations (no unit) that the largest of so many normal errors exceeds with probability ALPHA, or
     less (Bonferroni)."""
     return float(np.sqrt(chdtri(1, ALPHA / max(1, tests))))
-
-
-def columns_of(candidates: Sequence[Candidate]) -> list[NDArray[np.intp]]:
-    """Column numbers of each candidate."""
-    stops = np.cumsum([c.width for c in candidates])
-    return [np.arange(b - c.width, b) for c, b in zip(candidates, stops)]

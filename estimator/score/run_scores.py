@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from daq import FloatArray
-from estimator.fitting.warm_start import LEAST_SEGMENT, cut
-from estimator.likelihood import LatentProblem, Latents, Noise, State
-from estimator.numerics import eliminate
-from estimator.signals import SignalSet, by_run
+from estimator.likelihood import LatentProblem, State
+from estimator.score.score import Score, score_at
+from estimator.signals import LEAST_SEGMENT, SignalSet, by_run, cut
 
 MOST_SEGMENTS, FEWEST_SEGMENTS = 24, 8
 """Segments of a single run that vote like runs: fewer cannot tell their scatter."""
@@ -22,41 +22,33 @@ Problem = Callable[[list[SignalSet]], LatentProblem]
 
 
 class RunScores(NamedTuple):
-    """Score and information of R runs at one point, the motion eliminated."""
+    """Scores of R runs at one point, or of the segments of a single one."""
 
     runs: tuple[str, ...]
     """Their names; of segments their times."""
-    score: FloatArray
-    """(R, m) derivative of each run's log-likelihood by the parameters"""
-    information: FloatArray
-    """(R, m, m)"""
+    scores: tuple[Score, ...]
+    """(R,); none of a single run that is too short"""
     unit: Literal["run", "segment"] = "run"
     """What is scored: runs, or segments of one run."""
 
+    def of(self, columns: NDArray[np.intp]) -> RunScores:
+        """Scores of these `columns` alone."""
+        return self._replace(scores=tuple(one.of(columns) for one in self.scores))
 
-def score_runs(signals: Sequence[SignalSet], problem_of: Problem, fitted: LatentProblem, state: State,
-               beta: FloatArray) -> RunScores:
-    """Score and information of each run of `signals` at `state` and beta (m,); of a single run of each of its parts.
+
+def score_runs(signals: Sequence[SignalSet], problem_of: Problem, fitted: LatentProblem, state: State) -> RunScores:
+    """Score of each run of `signals` at `state`; of a single run of each of its segments.
 
     `problem_of` returns the problem of some gap-free segments, as `fitted` is that of all. The scores of runs add up to
-    that of the fit; parts lose the equation of motion between them. Costs one Gauss-Newton step.
+    that of the fit; segments lose the equation of motion between them. Costs one Gauss-Newton step.
     """
-    found = []
     parts = by_run(signals)
-    for run, own, where in parts if len(parts) > 1 else segments(signals, fitted, state):
-        found.append((run, *score_at(problem_of(own), state.x.of(where), beta, state.noise.at(where))))
+    found = [(run, score_at(problem_of(own), replace(state, x=state.x.of(where), noise=state.noise.at(where))))
+             for run, own, where in (parts if len(parts) > 1 else segments(signals, fitted, state))]
     if not found:
-        return RunScores((parts[0][0],), np.zeros((1, beta.size)), np.zeros((1, beta.size, beta.size)))
-    runs, score, information = zip(*found, strict=True)
-    return RunScores(runs, np.array(score), np.array(information), "run" if len(parts) > 1 else "segment")
-
-
-def score_at(problem: LatentProblem, x: Latents, beta: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
-    """Score (m,) and information (m, m) of a problem at one point, the motion eliminated."""
-    as_it_is = np.full(problem.n, np.inf)  # no bound on a run's misfit
-    point = problem.linearise(x, beta, noise, predicted_misfit=as_it_is)
-    product = eliminate(point.chain).product()
-    return product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:]
+        return RunScores((parts[0][0],), ())
+    names, scores = zip(*found, strict=True)
+    return RunScores(names, scores, "run" if len(parts) > 1 else "segment")
 
 
 def segments(signals: Sequence[SignalSet], fitted: LatentProblem, state: State

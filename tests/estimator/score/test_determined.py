@@ -15,7 +15,6 @@ from estimator.diagnosis.context import DiagnosisContext, Explanation, keys_of
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.model_comparison import indistinguishable_set
 from estimator.diagnosis.presence import admissible, undetermined
-from estimator.diagnosis.score_statistics import RunScore, determined
 from estimator.diagnosis.search import fit_sets, reduced
 from estimator.effects import Effect
 from estimator.effects.base import Points, View
@@ -24,6 +23,7 @@ from estimator.effects.structure import JointStiffness
 from estimator.likelihood import Candidate
 from estimator.model import leg2
 from estimator.options import FitOptions
+from estimator.score import Score, determined
 from tests.support.mujoco_leg import Leg, record
 
 
@@ -81,6 +81,6 @@ def test_sizes_are_determined_where_the_other_columns_leave_information() -> Non
         rows: Any = rng.normal(size=(50, 4))
         rows[:, 1] = rows[:, 0] + 1e-4 * rows[:, 1]  # a share of 1e-8 is its own
         rows[:, 3] = rows[:, 2] + 0.1 * rows[:, 3]  # a share of 0.01
-        runs.append(RunScore(np.zeros(4), rows.T @ rows))
+        runs.append(Score(np.zeros(4), rows.T @ rows))
     assert determined(runs, np.ones(4, dtype=bool)).tolist() == [False, False, True, True]
     assert determined(runs, np.array([True, False, True, True])).tolist() == [True, False, True, True]

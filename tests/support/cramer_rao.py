@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from daq import FloatArray
-from estimator.likelihood import LatentProblem, Latents, Noise
+from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.model import Mechanism
-from estimator.numerics import eliminate
+from estimator.score import score_at
 from estimator.signals import SignalSet, imu_columns
 
 
@@ -33,8 +33,7 @@ def fisher_information(mechanism: Mechanism, beta: FloatArray, q: FloatArray, qd
     imu = {name: np.zeros(len(q)) for k in range(noise.gyro.size) for name in imu_columns(k)}
     signals = SignalSet("truth", rate_hz, np.arange(len(q)) / rate_hz, angles, torque, imu)
     problem = LatentProblem([signals], mechanism, hold)
-    point = problem.linearise(Latents(q, qd, torque), beta, noise)
-    return np.asarray(point.corner - eliminate(point.chain).product()[1:, 1:], dtype=np.float64)
+    return score_at(problem, State(Latents(q, qd, torque), beta, noise, np.zeros((beta.size, beta.size)))).information
 
 
 def inverse_information(information: FloatArray) -> FloatArray:

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from daq.dataset import Dataset
-from estimator.diagnosis.context import NO_TESTS
 from estimator.diagnosis.data_split import RunSplit, split_runs
 from estimator.diagnosis.refit import Model, fit_nominal, refit, run_states
-from estimator.diagnosis.score_statistics import least_sigmas, score_alone, score_run
 from estimator.effects import Effect, battery, classes, library
 from estimator.likelihood import Candidate
 from estimator.model import leg2
 from estimator.options import FitOptions
+from estimator.score import NO_TESTS, least_sigmas, score_alone, score_at
 from tests.support.mujoco_leg import Leg, record
 
 NAMED: dict[str, type[Effect]] = {kind.name: kind for kind in classes()}
@@ -52,7 +51,7 @@ def test_scores_alone_equal_those_with_the_information(nominal: tuple[RunSplit, 
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     candidates += [Candidate(e) for e in battery(split.mechanism, split.has_imu)]
     problem = split.problem([split.discover[0]], model.problem.stage.angle_range, model.effects, candidates)
-    found = score_run(problem, state)
+    found = score_at(problem, state)
     spread = np.sqrt(np.maximum(np.diag(found.information), 1e-12))
     assert np.max(np.abs(found.score) / spread) > 1.0  # there is something to compare
     np.testing.assert_allclose(score_alone(problem, state) / spread, found.score / spread, atol=1e-7)

@@ -7,7 +7,7 @@ covariance I_r - I_r H^-1 I_r:
 - Cochran's Q = sum s_r' I_r^-1 s_r is chi-squared with the sum of the ranks of I_r less that of H for its degrees of
   freedom (Cochran, Biometrics 10, 1954, for several parameters at once). What runs disagree about is often one
   parameter, lost in a sum over all: each one's variance in J below, over that in H^-1, is asked as well. Where the
-  least of these probabilities, times their number, is below `DISAGREE`, runs disagree, else nothing changes.
+  least of these probabilities, times their number, is below `ALPHA`, runs disagree, else nothing changes.
 - The scores' own scatter then makes the covariance, J = H^-1/2 (sum a_r a_r') H^-1/2, where a_r = (1 - B_r)^-1/2
   H^-1/2 s_r and B_r = H^-1/2 I_r H^-1/2: the cluster-robust covariance with the correction CR2, without bias where runs
   agree, and quantiles of Student's t with degrees of freedom by Satterthwaite (Bell and McCaffrey, Survey Methodology
@@ -19,18 +19,19 @@ covariance I_r - I_r H^-1 I_r:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.fitting.run_scores import RunScores
 from estimator.numerics import inverse_root, pseudo_inverse
 from estimator.result import TWO_SIDED, RunAgreement
+from estimator.score.run_scores import RunScores
+from estimator.score.score import Score
+from estimator.score.score_tests import ALPHA
 
-DISAGREE = 0.01
-"""Probability that runs which agree scatter as much, below which they count as disagreeing."""
 LEAST_SHARE = 1e-6
 """Of what all runs know of a direction: a run that holds less says nothing of it, and runs that leave less to all
 others have no second witness."""
@@ -53,11 +54,11 @@ def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, fr
     """
     own_std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     index = np.flatnonzero(free)
-    if len(scores.runs) < 2 or not index.size:
+    if len(scores.scores) < 2 or not index.size:
         return covariance, RunAgreement(scores.runs, None, own_std)
-    information = scores.information[:, index[:, None], index]
+    score, information = arrays(scores.scores)
+    score, information = score[:, index], information[:, index[:, None], index]
     root = inverse_root(information.sum(axis=0))
-    score = scores.score[:, index]
     score = score - information @ (root @ (root.T @ score.sum(axis=0)))  # what is left of steps not taken
     white, share = score @ root, root.T @ information @ root
     adjust, outer = _adjusted(white, share)
@@ -65,7 +66,7 @@ def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, fr
     freedom = _freedom(root, share, adjust)
     p_value = probability_of_scatter(homogeneity(white, share), robust**2 / np.maximum(np.sum(root**2, axis=1), 1e-300),
                                      freedom)
-    if p_value >= DISAGREE:
+    if p_value >= ALPHA:
         return covariance, RunAgreement(scores.runs, p_value, own_std, unit=scores.unit)
 
     p = len(covariance)
@@ -89,6 +90,11 @@ def agreement_of(scores: RunScores, beta: FloatArray, covariance: FloatArray, fr
     scatter[at] = effects.scatter[kept]
     seen[at] = (effects.unsure < SEEN * effects.scatter**2)[kept]
     return wide, RunAgreement(scores.runs, p_value, own_std, True, quantile, mean, scatter, by_run, seen, scores.unit)
+
+
+def arrays(scores: Sequence[Score]) -> tuple[FloatArray, FloatArray]:
+    """Scores (R, m) and informations (R, m, m) of R runs."""
+    return np.array([one.score for one in scores]), np.array([one.information for one in scores])
 
 
 def robust_covariance(score: FloatArray, information: FloatArray) -> tuple[FloatArray, FloatArray]:
