@@ -1,9 +1,9 @@
-"""`DiagnosisContext`: what its steps share: split runs, candidates, nominal model, and when a gain counts."""
+"""`DiagnosisContext`: candidates, the nominal model and the tests of both; scores of what a model leaves."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,77 +11,55 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import MATERIAL
+from estimator.diagnosis.decision_rule import GENERIC_TERMS, MATERIAL
+from estimator.diagnosis.explanation import Explanation, admissible, outperforms
+from estimator.diagnosis.model import (
+    Model,
+    begin_afresh,
+    bootstrap_scores,
+    deviance,
+    fit_nominal,
+    predicted_train,
+    refit,
+    score_train,
+    tests_of,
+)
 from estimator.diagnosis.noise_check import noise_dominated
-from estimator.diagnosis.refit import Model, begin_afresh, deviance, short_errors
+from estimator.diagnosis.result import CandidateScore
+from estimator.effects import Effect
+from estimator.errors import FitError
 from estimator.likelihood import Candidate
-from estimator.score import ALPHA, NO_TESTS, ScoreTests
+from estimator.prediction import PredictedRun
+from estimator.score import ALPHA, NO_TESTS, Score, ScoreTests, columns_of, determined, own_inflation
 
-
-@dataclass(frozen=True)
-class Explanation:
-    """One fitted set of effects, and the scores of its residual on the discover runs."""
-
-    model: Model
-    gain: float
-    """Twice the log likelihood over the nominal model's."""
-    left: ScoreTests = NO_TESTS
-    has_residual: bool = True
-    """Whether its residual has a detectable effect or generic term."""
-    by_run: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """(R,) misfit of each discover run, under the noise levels of those that it was weighed with"""
-    error: float = 1.0
-    """rms error of its free runs over a second on the discover runs, over the nominal model's"""
-    inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """(m,) how much more variance than white noise gives them its parameters have; see `own_inflation`"""
-    determined: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    """(m,) whether these runs determine each of its parameters; see `score_statistics`"""
-    further: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """(K,) gain of each candidate in addition to it; zero for its own effects"""
-    gain_over_parent: float = 0.0
-    """Its gain over the likeliest explanation with one effect less"""
-
-    def covariance(self) -> FloatArray:
-        """(m, m) of the parameters that belong to the leg, from noise and scatter between runs."""
-        model, width = self.model, self.model.width
-        spread = np.sqrt(self.inflation[:width])
-        return np.outer(spread, spread) * model.state.covariance[:width, :width]
-
-
-def seated(found: Sequence[Explanation], most: int) -> list[Explanation]:
-    """The first `most` of explanations, the likeliest first; the last place is for the one that simulates best.
-
-    What is likeliest can be a sensor's small fault, which every sample shows and no simulation feels.
-    """
-    first, best = list(found[:most]), simulates_best(found)
-    return first if best is None or any(best is e for e in first) else [*first[: most - 1], best]
-
-
-def simulates_best(found: Sequence[Explanation]) -> Explanation | None:
-    """The one with the least error of free runs, of those without a shape at a limit where it is another thing."""
-    answers = [e for e in found if not any(effect.strict and effect.at_limits(size).any()
-                                           for effect, size in zip(e.model.effects, e.model.sizes()))]
-    return min(answers, key=lambda e: e.error, default=None)
+Progress = Callable[[str, float], None]
+Start = list[tuple[Effect, FloatArray]]
+"""Effects with the sizes at which a fit begins."""
+GENERIC_STEPS = 12
+"""Most steps of a fit with generic terms."""
 
 
 @dataclass
 class DiagnosisContext:
-    """State that all steps share."""
+    """What the steps of a search share: candidates and how they are tested, and the nominal model."""
 
     candidates: list[Candidate]
     columns: list[NDArray[np.intp]]
     named: int
     """The first so many candidates are of the library."""
     bias: list[FloatArray]
-    """(m,) of each discover run, see `bootstrap_scores`"""
+    """(m,) of each train run, see `bootstrap_scores`"""
     nominal: Model
     rng: np.random.Generator
+    share: float = MATERIAL
+    """Least relative reduction of the free-run error that counts"""
     biases: dict[int, list[FloatArray]] = field(default_factory=dict)
-    """Number of effects to the `bias` of sets of so many; see assessment.bias_of"""
-    held: dict[tuple[int, bytes], Model] = field(default_factory=dict)
-    """Start of a fit to its end with shapes held, as far as another step may want it again, and ..."""
-    whole: dict[tuple[int, bytes], Model] = field(default_factory=dict)
-    """... to its end with shapes free; see `search.key_of`"""
+    """Number of effects to the `bias` of sets of so many; see `bias_of`"""
+    held: dict[bytes, Model] = field(default_factory=dict)
+    """Start of a fit from the nominal model to its end with shapes held, as far as one was made before the search,
+    and ..."""
+    whole: dict[bytes, Model] = field(default_factory=dict)
+    """... with shapes free; see `search.key_of`"""
 
     @property
     def split(self) -> RunSplit:
@@ -99,9 +77,9 @@ class DiagnosisContext:
         return deviance(self.nominal)
 
     @cached_property
-    def short_errors(self) -> FloatArray:
-        """(C,) of the nominal model, see `refit.short_errors`."""
-        return short_errors(self.nominal)
+    def predicted(self) -> tuple[PredictedRun, ...]:
+        """(R,) free runs of the nominal model on the train runs."""
+        return predicted_train(self.nominal)
 
     @cached_property
     def noise_dominated(self) -> str:
@@ -119,21 +97,34 @@ class DiagnosisContext:
             return 0.0
         return tests.gain(columns)
 
-    def material(self, which: Sequence[int]) -> float:
-        """Least gain that counts on these runs."""
-        return MATERIAL**2 * sum(len(s.time_s) for s in self.split.signals(which))
+    @property
+    def least_gain(self) -> float:
+        """Least gain on the train runs that counts."""
+        return MATERIAL**2 * self.nominal.problem.total
+
+
+def scored(split: RunSplit, candidates: list[Candidate], named: int, rng: np.random.Generator, say: Progress,
+           bias: Sequence[FloatArray] = ()) -> tuple[DiagnosisContext, ScoreTests]:
+    """The nominal fit and the scores of `candidates` at it, less their `bias`, which is simulated if it is not given.
+
+    Raises `FitError`."""
+    nominal = fit_nominal(split)
+    say("scoring the library", 0.15)
+    scores = score_train(nominal, candidates)
+    if not bias:
+        say("simulating bootstrap replicates", 0.2)
+        try:
+            bias = bootstrap_scores(nominal, candidates, scores, rng)
+        except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
+            bias = [np.zeros_like(s.score) for s in scores]
+    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng)
+    return context, tests_of(nominal, scores, bias)
 
 
 def detected(context: DiagnosisContext, tests: ScoreTests, own: frozenset[str] = frozenset()) -> bool:
     """Whether anything is there, named or not, that none of a model's `own` effects is."""
-    least = context.material(context.split.discover)
-    return any(context.gain(tests, i) > least and p_of(context, tests, i) < ALPHA
+    return any(context.gain(tests, i) > context.least_gain and p_of(context, tests, i) < ALPHA
                for i, c in enumerate(context.candidates) if c.effect.key not in own)
-
-
-def keys_of(explanation: Explanation) -> frozenset[str]:
-    """Its effects."""
-    return frozenset(e.key for e in explanation.model.effects)
 
 
 def p_of(context: DiagnosisContext, tests: ScoreTests, i: int) -> float:
@@ -151,3 +142,124 @@ def best_shapes(context: DiagnosisContext, tests: ScoreTests, skip: Sequence[str
         if key not in skip and (key not in best or context.gain(tests, i) > context.gain(tests, best[key])):
             best[key] = i
     return sorted(best.values(), key=lambda i: -context.gain(tests, i))
+
+
+def start_size(context: DiagnosisContext, tests: ScoreTests, i: int) -> FloatArray:
+    """One-step sizes of candidate i, with its shape; zero for sizes that do not define it."""
+    effect, shape = context.candidates[i].effect, context.candidates[i].shape
+    size = np.zeros(len(effect.sizes))
+    size[: effect.defining] = tests.size(context.columns[i][: effect.defining])
+    if effect.positive:  # a bad nominal fit can mislead even the sign
+        size[0] = abs(size[0])
+    return np.concatenate([size, shape])
+
+
+def rank(context: DiagnosisContext, tests: ScoreTests) -> tuple[CandidateScore, ...]:
+    """Every effect of the library as scored."""
+    out = []
+    for i in best_shapes(context, tests):
+        effect, columns = context.candidates[i].effect, context.columns[i]
+        detectable = tests.detectable(int(columns[0]), ALPHA / context.trials, context.least_gain)
+        out.append(CandidateScore(effect.name, None if effect.joint is None else effect.joint + 1,
+                          float(np.sqrt(max(context.gain(tests, i), 0.0))), p_of(context, tests, i),
+                          float(tests.size(columns)[0]), max(detectable, effect.open_size(context.split.clock_bound_s)),
+                          context.split.mechanism.unit(effect.sizes[0].unit)))
+    return tuple(out)
+
+
+def separability(context: DiagnosisContext, tests: ScoreTests) -> tuple[tuple[str, ...], FloatArray]:
+    """Cosines between what the best shapes of the library would add, nominal parameters projected out."""
+    order = best_shapes(context, tests)[:14]
+    first = np.array([context.columns[i][0] for i in order])
+    information = tests.information[np.ix_(first, first)]
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    return tuple(context.candidates[i].effect.key for i in order), information / np.outer(scale, scale)
+
+
+def generic_extension(context: DiagnosisContext, model: Model, left: ScoreTests) -> Model | None:
+    """`model` with the generic terms of the largest gain on its residual, fitted together.
+
+    None where no term is significant, or where they cannot be fitted.
+    """
+    chosen: list[int] = []
+    for _ in range(GENERIC_TERMS):
+        known = left.gain(_columns(context, chosen)) if chosen else 0.0
+        gains = {i: left.gain(_columns(context, [*chosen, i])) - known
+                 for i in range(context.named, context.trials) if i not in chosen}
+        best = max(gains, key=lambda i: gains[i])
+        if gains[best] < context.least_gain or (not chosen and p_of(context, left, best) > ALPHA):
+            break
+        chosen.append(best)
+    if not chosen:
+        return None
+    start = list(zip(model.effects, model.sizes()))
+    start += [(context.candidates[i].effect, start_size(context, left, i)) for i in chosen]
+    for count in range(len(start), len(model.effects), -1):  # fewer where all together do not converge
+        try:
+            return refit(model, start[:count], GENERIC_STEPS)
+        except (FitError, np.linalg.LinAlgError):
+            continue
+    return None
+
+
+def _columns(context: DiagnosisContext, which: Sequence[int]) -> NDArray[np.intp]:
+    return np.concatenate([context.columns[i] for i in which])
+
+
+def assess_answers(context: DiagnosisContext, sets: Sequence[Explanation], others: Sequence[Explanation] = ()
+                   ) -> list[Explanation]:
+    """Those of `sets` that can be an answer, assessed, with the assessed `others`; the likeliest first.
+
+    A set is no answer where an admissible one of as many effects is likelier, whatever one further effect would change
+    of that, and simulates better, too.
+    """
+    found = list(others)
+    for e in sorted(sets, key=lambda e: -e.gain):
+        if not any(outperforms(o, e) and admissible(o) for o in found):
+            found += assess(context, [e])
+    return sorted(found, key=lambda e: -e.gain)
+
+
+def without(sets: Sequence[Explanation], others: Sequence[Explanation]) -> list[Explanation]:
+    """Those of `sets` whose models are not among those of the `others`."""
+    return [e for e in sets if not any(e.model is o.model for o in others)]
+
+
+def assess(context: DiagnosisContext, explanations: Sequence[Explanation]) -> list[Explanation]:
+    """Each with the scores of what it leaves on the train runs, less their bias; as it is where it has them."""
+    new = [e.model for e in explanations if e.left is NO_TESTS]
+    every = [score_train(m, context.candidates) for m in new]
+    biases = iter([bias_of(context, m, scores) for m, scores in zip(new, every)])
+    own = iter(every)
+    return [assessed(context, e, next(own), next(biases)) if e.left is NO_TESTS else e for e in explanations]
+
+
+def bias_of(context: DiagnosisContext, model: Model, scores: Sequence[Score]) -> list[FloatArray]:
+    """Bias of the `scores` of sets of as many effects as `model` has, one a train run, own sizes left out.
+
+    It is simulated for the first of them. Where it cannot be, it is that of the nominal model.
+    """
+    count = len(model.effects)
+    if count not in context.biases:
+        try:
+            bias = bootstrap_scores(model, context.candidates, scores, context.rng)
+        except FitError:
+            return context.bias
+        own = np.arange(model.problem.mechanism.p, model.problem.parameter_count)
+        context.biases[count] = [np.delete(one, own) for one in bias]
+    return context.biases[count]
+
+
+def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequence[Score],
+             bias: Sequence[FloatArray]) -> Explanation:
+    """Explanation with its `scores` on the train runs."""
+    model = explanation.model
+    p = model.problem.mechanism.p
+    own = [p] * (model.problem.parameter_count - p)
+    left = tests_of(model, scores, [np.insert(one, own, 0.0) for one in bias])
+    free = np.diag(model.state.covariance) > 0.0
+    keys = explanation.keys
+    further = np.array([0.0 if c.effect.key in keys else context.gain(left, i)
+                        for i, c in enumerate(context.candidates)])
+    return replace(explanation, left=left, has_residual=detected(context, left, keys), further=further,
+                   inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free))

@@ -1,4 +1,4 @@
-"""`RunSplit`: the runs of a diagnosis, split once into fit, screen and confirm."""
+"""`RunSplit`: the runs of a diagnosis, split into train runs, of which all is made, and test runs, which judge it."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ class RunSplit:
     runs: tuple[tuple[SignalSet, ...], ...]
     starts_s: tuple[float, ...]
     """Session time at which each run starts, pauses left out."""
-    fit: tuple[int, ...]
-    screen: tuple[int, ...]
-    confirm: tuple[int, ...]
+    train: tuple[int, ...]
+    """Runs on which anything may be looked at more than once"""
+    test: tuple[int, ...]
+    """Runs that nothing sees before the search has ended"""
     gear_ratio: float
     single: bool
     """One run only, cut by time: weaker evidence, for its parts are not independent."""
@@ -50,9 +51,10 @@ class RunSplit:
     """Run to `Noise.stiction`, as the nominal model has it: all explanations are compared on the same weights."""
 
     @property
-    def discover(self) -> tuple[int, ...]:
-        """Runs on which anything may be looked at more than once."""
-        return tuple(sorted(self.fit + self.screen))
+    def inner(self) -> tuple[int, ...]:
+        """Train runs that stand for test runs while the search goes on: the next fold."""
+        return next((fold for fold in folds(len(self.runs)) if fold != self.test and set(fold) <= set(self.train)),
+                    self.train)
 
     @property
     def has_imu(self) -> bool:
@@ -100,8 +102,8 @@ class RunSplit:
 
 
 def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions,
-                 gear_ratio: float = 1.0, workers: int = 1) -> RunSplit:
-    """Split runs given in the order of recording: of four neighbours in excitation two fit, one screens, one confirms.
+               gear_ratio: float = 1.0, workers: int = 1) -> RunSplit:
+    """Split runs given in the order of recording: of four neighbours in excitation three train, and one tests.
 
     Raises `FitError` where there is too little.
     """
@@ -120,23 +122,27 @@ def split_runs(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOp
                        "better eight runs of 20 s")
     starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
     order = by_excitation(runs)
-    groups = held_out(len(order))
-    confirm = groups[0]
-    screen = [k for k in range(len(order)) if k % 4 == 3 - HELD_OUT[k // 4 % 2] and k not in confirm]
-    fit = [k for k in range(len(order)) if k not in confirm and k not in screen]
+    test = folds(len(order))[0]
+    train = tuple(k for k in range(len(order)) if k not in test)
     return RunSplit(mechanism, options, tuple(datasets[i].name for i in order), tuple(runs[i] for i in order),
                     tuple(float(starts[i]) for i in order),
-                   tuple(fit), tuple(screen), tuple(confirm), gear_ratio, single,
-                   max(d.clock_bound_s for d in datasets), known, workers)
+                    train, test, gear_ratio, single,
+                    max(d.clock_bound_s for d in datasets), known, workers)
 
 
-def held_out(count: int) -> list[tuple[int, ...]]:
-    """Groups of held-out runs for a rotation, as indices by falling excitation; the first are the confirm runs.
+def folds(count: int) -> list[tuple[int, ...]]:
+    """Groups of test runs for a rotation, as indices by falling excitation; the first are those of the split.
 
     Each group has one of every four neighbours.
     """
     groups = [tuple(k for k in range(count) if k % 4 == (HELD_OUT[k // 4 % 2] + turn) % 4) for turn in range(4)]
     return [g for g in groups if g] if groups[0] else [(count - 1,), *((k,) for k in range(count - 1))]
+
+
+def turned(split: RunSplit, test: tuple[int, ...]) -> RunSplit:
+    """The same runs with other `test` runs, in one process; stiction is found anew."""
+    train = tuple(k for k in range(len(split.runs)) if k not in test)
+    return replace(split, train=train, test=test, workers=1, stiction={})
 
 
 def by_excitation(runs: Sequence[Sequence[SignalSet]]) -> list[int]:

@@ -63,7 +63,7 @@ the rig declares (see `noise_ratios`). Of a replicate: its sum of squares over i
 # Numerics: the resolution of tests and of simulated noise
 
 REPLICATED_SAMPLES = 24_000
-"""Samples, about, that the replicates of the discover runs have in all; of each run there are two at least."""
+"""Samples, about, that the replicates of the train runs have in all; of each run there are two at least."""
 WHOLE_RUNS = 8
 """Replicates of a run whose free runs over the whole of it say what noise leaves."""
 DRAWS = 400

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.diagnosis.decision_rule import EDGE
-from estimator.diagnosis.refit import Model, refit
+from estimator.diagnosis.model import Model, refit
 from estimator.fitting import TORQUE_SHARE, mistaken_torques
 from estimator.options import accel_level, encoder_level, gyro_level
 from estimator.signals import Channel, encoder_of, imu_channels, white_noise_level

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq import FloatArray
-from estimator.diagnosis.refit import Model
+from estimator.diagnosis.model import Model
 from estimator.fitting import Disturbance, MarginalLikelihood, disturbance_likelihood, find_disturbance, of_noise
 from estimator.likelihood import ExtendedProblem
 from estimator.options import FitOptions
@@ -36,10 +36,10 @@ def noise_floor(model: Model) -> FloorNoise:
 
 def _coloured(model: Model) -> FloorNoise:
     split, state = model.split, model.state
-    signals = split.signals(split.discover)
+    signals = split.signals(split.train)
 
     def disturbed(parts: Sequence[SignalSet]) -> ExtendedProblem:
-        return split.problem(split.discover, model.problem.stage.angle_range, model.effects, signals=parts,
+        return split.problem(split.train, model.problem.stage.angle_range, model.effects, signals=parts,
                              disturbed=True)
 
     likelihood = disturbance_likelihood(signals, model.problem, state, disturbed)

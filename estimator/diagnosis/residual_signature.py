@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq import FloatArray
-from estimator.diagnosis.refit import Model
+from estimator.diagnosis.model import Model
 from estimator.diagnosis.result import Signature
 from estimator.effects import Axis, Effect, View
 from estimator.signals import Channel

@@ -36,7 +36,7 @@ class Cause:
     size: tuple[SizeEstimate, ...]
     p_value: float
     gain: float
-    """Twice the log likelihood that it gains on the discover runs, over the scatter."""
+    """Twice the log likelihood that it gains on the train runs, over the scatter."""
     confusable_with: tuple[str, ...]
 
 
@@ -59,7 +59,7 @@ class CandidateScore:
 
 @dataclass(frozen=True)
 class SensorGain:
-    """Free-run rms error of one sensor on the confirm runs, as `legid validate` gives it."""
+    """Free-run rms error of one sensor on the test runs, as `legid validate` gives it."""
 
     before: float
     """Infinite where the nominal simulation diverges"""
@@ -70,7 +70,7 @@ class SensorGain:
 
 @dataclass(frozen=True)
 class ShortRuns:
-    """Errors on the confirm runs where each is simulated in pieces, every one from the motion that was fitted there."""
+    """Errors on the test runs where each is simulated in pieces, every one from the motion that was fitted there."""
 
     horizon_s: float
     sensors: Mapping[str, SensorGain]
@@ -80,7 +80,7 @@ class ShortRuns:
 
 @dataclass(frozen=True)
 class Signature:
-    """Residual of one cause against its natural variable on the discover runs, before and after."""
+    """Residual of one cause against its natural variable on the train runs, before and after."""
 
     title: str
     x_label: str
@@ -99,7 +99,7 @@ class Signature:
 
 @dataclass(frozen=True)
 class Trace:
-    """One confirm run over time: measured, simulated before and after."""
+    """One test run over time: measured, simulated before and after."""
 
     run: str
     time_s: FloatArray
@@ -167,7 +167,7 @@ class Diagnosis:
     extended_std: Mapping[str, float] = field(default_factory=dict)
     not_testable: Mapping[str, str] = field(default_factory=dict)
     runs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """fit, screen, confirm to run names"""
+    """Train runs as `fit`, test runs as `confirm`; `screen` is empty"""
     warnings: tuple[str, ...] = ()
     next_experiment: str = ""
     separability: tuple[tuple[str, ...], FloatArray] = ((), np.zeros((0, 0)))

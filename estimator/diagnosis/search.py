@@ -9,26 +9,35 @@ fails where the smaller model is far off, the other where a fit begins with a wr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
 
 from daq import FloatArray
-from estimator.diagnosis.assessment import assess, assess_answers, without
-from estimator.diagnosis.context import DiagnosisContext, Explanation, best_shapes, keys_of, seated
-from estimator.diagnosis.decision_rule import GROWN, MOST_EFFECTS, SUFFICES, WIDTH
-from estimator.diagnosis.presence import admissible, presence, undetermined
-from estimator.diagnosis.refit import Model, deviance, misfit, misfit_by_run, refit, short_errors
-from estimator.effects import Effect
+from estimator.diagnosis.context import (
+    DiagnosisContext,
+    Progress,
+    Start,
+    assess,
+    assess_answers,
+    best_shapes,
+    start_size,
+    without,
+)
+from estimator.diagnosis.decision_rule import EDGE, GROWN, MOST_EFFECTS, SUFFICES, WIDTH
+from estimator.diagnosis.error_table import NOMINAL, ErrorTable, judged, train_floor
+from estimator.diagnosis.explanation import Explanation, admissible, presence, seated, undetermined
+from estimator.diagnosis.model import Model, deviance, misfit, misfit_by_run, predicted_train, refit
+from estimator.diagnosis.noise_floor import noise_floor
 from estimator.errors import FitError
 from estimator.likelihood import State
 from estimator.parallel import parallel_map
+from estimator.prediction import SHORT_S, FloorNoise, PredictedRun, tabulate, together
 from estimator.score import ScoreTests
 
-Progress = Callable[[str, float], None]
-Start = list[tuple[Effect, FloatArray]]
-"""Effects with the sizes at which a fit begins."""
 FIRST_STEPS, HELD_STEPS = 2, 12
 """Most steps of a fit with shapes held: of those that are tried, and of those that are fitted to the end."""
 FREE_STEPS = 24
@@ -46,28 +55,29 @@ class Promise(NamedTuple):
     """A set of more effects can be."""
 
 
-def search(context: DiagnosisContext, tests: ScoreTests, say: Progress,
-           promise: Callable[[Sequence[Explanation]], Promise]) -> list[Explanation]:
+def search(context: DiagnosisContext, tests: ScoreTests, generic: Model | None, say: Progress) -> list[Explanation]:
     """Explanations, the likeliest first, each set of effects once, weighed under the noise levels of the best.
 
     More sets of a size are tried while the errors `promise` that another can be materially better, and larger ones
-    while one of the best leaves something detectable, too.
+    while one of the best leaves something detectable, too. No test run is looked at.
     """
     found: list[Explanation] = []
     parents = [Explanation(context.nominal, 0.0, tests)]
+    noise = None if generic is None else noise_floor(generic)
     for count in range(1, MOST_EFFECTS + 1):
         say(f"fitting sets of {count}", 0.3 + 0.15 * count)
         starts = grown(context, parents)
         fits = fit_sets(context, starts[:WIDTH])
         best = assess_answers(context, fits)
-        if not best or promise([*found, *best]).better:  # noise levels can hide what a wrong effect leaves
+        if not best or promise(context, [*found, *best], noise).better:  # noise can hide what a wrong effect leaves
             fits += fit_sets(context, tried(context, starts[WIDTH:]))
             best = assess_answers(context, without(fits, best), best)
         if not best:
             break
         parents = seated(best, WIDTH)
         found += [*best, *reduced(context, parents)]
-        if count == MOST_EFFECTS or not any(e.has_residual for e in parents) or not promise(found).larger:
+        if (count == MOST_EFFECTS or not any(e.has_residual for e in parents)
+                or not promise(context, found, noise).larger):
             break
         rest = assess(context, without(fits, best))  # a cause of several can be far from the likeliest single one
         parents = seated(sorted([*best, *rest], key=lambda e: -e.gain), WIDTH)
@@ -77,9 +87,76 @@ def search(context: DiagnosisContext, tests: ScoreTests, say: Progress,
     return weigh(context, possible(found + exchanged(context, tests, found)))
 
 
+def promise(context: DiagnosisContext, found: Sequence[Explanation], noise: FloorNoise | None) -> Promise:
+    """Whether other sets of effects, and larger ones, than those `found` can be materially better, by the train runs.
+
+    The least error must leave room for that above the `noise` floor, which is that of the nominal model with generic
+    terms: a wrong effect counts what it leaves as a disturbance. None: the floor of the best of `found`. For larger
+    sets the last effect must have reduced the error by a good part of the material amount; a second effect is tried
+    without that, too, where the error is larger than a disturbance explains.
+    """
+    best = by_error(first_of_each(found))
+    try:
+        table = train_table(context, best, floor_of_best(context, best, noise))
+    except FitError:
+        return Promise(True, True)
+    counts = np.array([0, *(len(e.model.effects) for e in best)])
+    errors = np.array([table.error(k) for k in range(len(counts))])
+    last, before = errors[counts == counts.max()].min(), errors[counts < counts.max()].min()
+    least = min(last, before)
+    better = bool(least * (1.0 - context.share) > 1.0)
+    return Promise(better, better and bool((counts.max() == 1 and least > EDGE)
+                                           or last < before * (1.0 - SUFFICES * context.share)))
+
+
+class TrainFloor(NamedTuple):
+    """What noise leaves of the free runs of one model on the train runs."""
+
+    unit: Model
+    floors: list[FloatArray]
+
+
+def floor_of_best(context: DiagnosisContext, best: Sequence[Explanation], noise: FloorNoise | None) -> TrainFloor:
+    """The floor of the first of `best` that can be simulated, else of the nominal model, with this `noise`, by default
+    its own. Raises `FitError` where none can."""
+    for model in [*(e.model for e in best), context.nominal]:
+        with suppress(FitError):
+            return TrainFloor(model, train_floor(model, noise or noise_floor(model), context.rng))
+    raise FitError("every simulation of the train runs diverges")
+
+
+def train_table(context: DiagnosisContext, found: Sequence[Explanation], floor: TrainFloor) -> ErrorTable:
+    """Errors of the nominal model and of `found`, in this order, on the train runs, in units of the `floor`."""
+    runs = [reduce(together, each) for each in zip(context.predicted, *(e.predicted for e in found))]
+    return judged(floor.unit, runs, floor.floors, range(1 + len(found)), context.rng)
+
+
 def possible(found: Sequence[Explanation]) -> list[Explanation]:
     """The `admissible` ones, or all without any: a set that is no answer sets neither noise levels nor scatter."""
     return [e for e in found if admissible(e)] or list(found)
+
+
+def by_error(options: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations by rising error of free runs over a second on the train runs; inadmissible ones last.
+
+    The first gives the noise that is the unit: the likeliest can be a small fault of a sensor, which takes for noise
+    what the simulation lacks.
+    """
+    return sorted(options, key=lambda o: (not admissible(o), o.error))
+
+
+def first_of_each(options: Sequence[Explanation]) -> list[Explanation]:
+    """The first of each number of effects, the fewest effects first."""
+    counts = sorted({len(o.model.effects) for o in options})
+    return [o for n in counts for o in seated([o for o in options if len(o.model.effects) == n], WIDTH)]
+
+
+def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
+    """The likeliest explanations, of each number of effects at least `WIDTH`, and each set of effects once."""
+    every = sorted(options, key=lambda o: -o.gain)
+    ranked = [o for k, o in enumerate(every) if not any(o.keys == e.keys for e in every[:k])]
+    first = first_of_each(ranked)
+    return [*first, *(o for o in ranked if not any(o is f for f in first))][: MOST_EFFECTS * WIDTH]
 
 
 def grown(context: DiagnosisContext, parents: Sequence[Explanation]) -> list[tuple[Model, Start]]:
@@ -114,16 +191,30 @@ def tried(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> l
 def fit_sets(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> list[Explanation]:
     """The sets of `starts`, from a model and sizes each, fitted to the end, the likeliest first."""
     every = _each(context, [s for _, s in starts], lambda k: fit_whole(context, *starts[k]))
-    fitted = [m for m in every if m is not None]
-    errors = parallel_map(lambda k: short_errors(fitted[k]), len(fitted), context.split.workers)
-    return sorted((Explanation(m, context.deviance - deviance(m), error=relative(e, context.short_errors))
-                   for m, e in zip(fitted, errors)), key=lambda e: -e.gain)
+    return explained(context, [m for m in every if m is not None])
+
+
+def explained(context: DiagnosisContext, models: Sequence[Model]) -> list[Explanation]:
+    """Explanations by `models`, with their free runs on the train runs; the likeliest first."""
+    runs = parallel_map(lambda k: predicted_train(models[k]), len(models), context.split.workers)
+    found = [Explanation(m, context.deviance - deviance(m), error=relative_error(context.predicted, own), predicted=own)
+             for m, own in zip(models, runs)]
+    return sorted(found, key=lambda e: -e.gain)
+
+
+def relative_error(nominal: Sequence[PredictedRun], runs: Sequence[PredictedRun]) -> float:
+    """rms error of free runs over SHORT_S over the nominal model's, sensors alike; inf where both diverge."""
+    table = tabulate([together(a, b) for a, b in zip(nominal, runs, strict=True)], NOMINAL, every_horizon=True)
+    ratios = [np.divide(table.rms(1, c, SHORT_S), table.rms(NOMINAL, c, SHORT_S)) ** 2
+              for c, read in zip(table.channels, table.read) if read]
+    return float(np.sqrt(np.mean(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf))))
 
 
 def fit_likeliest(context: DiagnosisContext, starts: Sequence[tuple[Model, Start]]) -> Model | None:
-    """The set of `starts` that is the likeliest with its shapes held, fitted to the end; None without any."""
+    """The set of `starts`, all from the nominal model, that is the likeliest with its shapes held, fitted to the end;
+    None without any."""
     every = _each(context, [s for _, s in starts], lambda k: fit_held(context, *starts[k], HELD_STEPS))
-    held = {key_of(begin, start): m for (begin, start), m in zip(starts, every) if m is not None}
+    held = {key_of(start): m for (_, start), m in zip(starts, every) if m is not None}
     context.held.update(held)
     if not held:
         return None
@@ -132,9 +223,9 @@ def fit_likeliest(context: DiagnosisContext, starts: Sequence[tuple[Model, Start
     return context.whole[likeliest]
 
 
-def key_of(begin: Model, start: Start) -> tuple[int, bytes]:
-    """Key of a start of a fit: the model whose motion it has, its effects and their sizes."""
-    return id(begin), b" ".join(effect.key.encode() + size.tobytes() for effect, size in start)
+def key_of(start: Start) -> bytes:
+    """Key of a start of a fit: its effects and their sizes."""
+    return b" ".join(effect.key.encode() + size.tobytes() for effect, size in start)
 
 
 def unlike(models: Iterable[Model]) -> list[Model]:
@@ -161,7 +252,7 @@ def _each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[[int
 
     def model_of(start: Start, state: State) -> Model:
         effects = tuple(e for e, _ in start)
-        return Model(split, effects, state, split.problem(split.discover, angle_range, effects))
+        return Model(split, effects, state, split.problem(split.train, angle_range, effects))
 
     return [None if state is None else model_of(start, state)
             for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers))]
@@ -183,7 +274,7 @@ def fit_held(context: DiagnosisContext, begin: Model, start: Start, steps: int) 
 
 def fit_whole(context: DiagnosisContext, begin: Model, start: Start) -> Model | None:
     """A fit with shapes held, then free, as far as `context` has none from this start; None where it fails."""
-    key = key_of(begin, start)
+    key = key_of(start) if begin is context.nominal else b""
     if key in context.whole:
         return context.whole[key]
     held = context.held.get(key) or fit_held(context, begin, start, HELD_STEPS)
@@ -259,7 +350,7 @@ def exchanged(context: DiagnosisContext, tests: ScoreTests, found: Sequence[Expl
 
     Without those among the `found`, and of each number those alone that are the likeliest after a few steps.
     """
-    known = {keys_of(e) for e in found}
+    known = {e.keys for e in found}
     shapes, chosen = best_shapes(context, tests), []
     for count in sorted({len(k) for k in known}):
         best = max((e for e in found if len(e.model.effects) == count), key=lambda e: e.gain)
@@ -268,7 +359,7 @@ def exchanged(context: DiagnosisContext, tests: ScoreTests, found: Sequence[Expl
             own = next(i for i in shapes if context.candidates[i].effect.key == effect.key)
             for i in shapes:
                 other = context.candidates[i].effect
-                keys = keys_of(best) - {effect.key} | {other.key}
+                keys = best.keys - {effect.key} | {other.key}
                 if len(keys) == count and keys not in known and replaces(context, tests, i, own):
                     known.add(keys)
                     changed = [*pairs[:k], (other, start_size(context, tests, i)), *pairs[k + 1 :]]
@@ -290,22 +381,12 @@ def replaces(context: DiagnosisContext, tests: ScoreTests, other: int, own: int)
     return tests.explained(context.columns[own][0], context.columns[other][: two.defining]) > SUFFICES
 
 
-def start_size(context: DiagnosisContext, tests: ScoreTests, i: int) -> FloatArray:
-    """One-step sizes of candidate i, with its shape; zero for sizes that do not define it."""
-    effect, shape = context.candidates[i].effect, context.candidates[i].shape
-    size = np.zeros(len(effect.sizes))
-    size[: effect.defining] = tests.size(context.columns[i][: effect.defining])
-    if effect.positive:  # a bad nominal fit can mislead even the sign
-        size[0] = abs(size[0])
-    return np.concatenate([size, shape])
-
-
 def weigh(context: DiagnosisContext, found: Sequence[Explanation]) -> list[Explanation]:
     """The likeliest fit of each set of effects, with its gain over the nominal model under the noise of the best, over
     the scatter between runs; the most likely first."""
     first: dict[frozenset[str], Explanation] = {}
     for e in sorted(found, key=lambda e: -e.gain):
-        first.setdefault(keys_of(e), e)
+        first.setdefault(e.keys, e)
     best = list(first.values())
     if not best:
         return []
@@ -327,17 +408,17 @@ def weigh(context: DiagnosisContext, found: Sequence[Explanation]) -> list[Expla
     assert plain is not None
     out = [replace(e, gain=(plain[0] - own[0]) / best[0].left.scatter, by_run=own[1])
            for e, own in zip(best, others) if own is not None]
-    out.sort(key=lambda e: -e.gain)
-    return [with_parent(e, out) for e in out]
+    return sorted(out, key=lambda e: -e.gain)
 
 
-def with_parent(explanation: Explanation, found: Sequence[Explanation]) -> Explanation:
-    """`explanation` with its gain over the likeliest of `found` that has one effect less."""
-    keys = keys_of(explanation)
-    smaller = [e for e in found if keys_of(e) < keys and len(e.model.effects) == len(keys) - 1]
-    return replace(explanation, gain_over_parent=explanation.gain - max((e.gain for e in smaller), default=0.0))
+def with_one_more(context: DiagnosisContext, best: Explanation) -> list[Explanation]:
+    """Sets of `best` and one of the effects of the largest scores, each with its gain over `best`; the likeliest first.
 
-
-def relative(squares: FloatArray, nominal: FloatArray) -> float:
-    """rms of errors over the nominal model's, sensors alike; inf where both diverge."""
-    return float(np.sqrt(np.mean(np.nan_to_num(squares / nominal, nan=np.inf, posinf=np.inf))))
+    Empty where `best` leaves nothing detectable.
+    """
+    if not best.has_residual:
+        return []
+    fits = assess(context, fit_sets(context, grown(context, [best])[:WIDTH]))
+    own, scatter = deviance(best.model), best.left.scatter
+    found = [replace(e, gain=(own - deviance(e.model)) / scatter, by_run=np.zeros(0)) for e in fits]
+    return sorted(found, key=lambda e: -e.gain)

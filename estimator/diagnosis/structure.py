@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.diagnosis.conclusion import counted_as_noise
-from estimator.diagnosis.refit import Model
+from estimator.diagnosis.account import counted_as_noise
+from estimator.diagnosis.model import Model
 from estimator.diagnosis.result import Diagnosis
 from estimator.errors import FitError
 from estimator.prediction import Predictor, RunSignals, find_structure

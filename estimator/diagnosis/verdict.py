@@ -1,379 +1,345 @@
-"""`decide`: the accepted explanation and its residual, by errors on the held-out runs."""
+"""`decide`: the verdict on what the train runs chose, by its errors on runs that chose nothing.
+
+It fits nothing, simulates nothing and draws nothing: it is a function of a table and of which model is in which row.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.diagnosis.assessment import assess
-from estimator.diagnosis.context import DiagnosisContext, Explanation, keys_of, seated
-from estimator.diagnosis.decision_rule import EDGE, MOST_EFFECTS, SUFFICES, SURE, WIDTH
-from estimator.diagnosis.error_budget import generic_extension
-from estimator.diagnosis.error_table import (
-    ErrorTable,
-    choose_rows,
-    extend_errors,
-    known_errors,
-    measure_errors,
-    with_floor,
+from estimator.diagnosis.decision_rule import EDGE, SUFFICES, SURE
+from estimator.diagnosis.error_table import NOMINAL, ErrorTable
+from estimator.diagnosis.explanation import (
+    LEAST_APART,
+    Explanation,
+    indistinguishable_set,
+    margin,
+    nested,
+    set_apart,
 )
-from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.noise_floor import noise_floor
-from estimator.diagnosis.presence import admissible
-from estimator.diagnosis.refit import Model, deviance, refit
-from estimator.diagnosis.rotation import Turn, rotate
-from estimator.effects import GenericReading, GenericTorque
-from estimator.errors import FitError
 from estimator.verdicts import Verdict
 
-NOMINAL = 0
-"""Row of the nominal model in the table of errors."""
-
 GENERIC_ALONE = "generic terms reduce the error, but it does not"
+GENERIC_MORE = "generic terms reduce the error more than it does"
+HALF = "it explains less than half of the error"
 IMITATES = "one further effect or generic term explains more of the readings than it does"
+NOT_PRESENT = "a defining size is not significant, or has an impossible sign"
 UNCHANGED = "it does not reduce the free-run error of the held-out runs"
 UNSURE = ("it reduces the free-run error of the held-out runs, but not significantly, or not on every run, or without "
           "a larger likelihood")
 
 
 @dataclass(frozen=True)
+class Answer:
+    """An explanation that the train runs chose, and the rows of its models."""
+
+    best: tuple[Explanation, ...]
+    """With those that cannot be told apart from it, the likeliest first"""
+    row: int
+    """Of the first"""
+    without: tuple[int, ...]
+    """Of the first without each of its effects, where it has several"""
+    with_generic: int
+    """Of the first with generic terms; its own where none is significant"""
+    imitates: bool = False
+    """Whether one further effect or generic term explains more of the readings than it does"""
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A model whose noise may hide motion, and the same with the noise that its sensors are known to have."""
+
+    row: int
+    declared: int | None
+    """Row of the second; None where it cannot be fitted"""
+    text: str
+    """The sensor in words"""
+    stated: bool
+    """Whether the rig declares that noise; what neighbouring samples show is no more than a guess."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """What the search found, by rows of a table whose first is the nominal model."""
+
+    own: int
+    """Of the nominal model with generic terms; NOMINAL where none is significant"""
+    answer: Answer | None = None
+    """None where no set of effects is admissible"""
+    second: Answer | None = None
+    """One effect more, which lowers the error of the train runs by a material amount, too"""
+    minor: tuple[Explanation, int] | None = None
+    """One effect more, which only the readings show, and its row"""
+    rivals: tuple[tuple[Explanation, int], ...] = ()
+    """Other admissible sets of as many effects"""
+    closest: Explanation | None = None
+    """Where there is no answer: the likeliest set, whose effects are not all present"""
+    hidden: tuple[Hidden, ...] = ()
+    dominated: str = ""
+    """Why nothing found does not mean that nothing is wrong; empty where it does"""
+
+    @property
+    def core(self) -> tuple[int, ...]:
+        """Rows without which no verdict can be passed, in rising order: not those of rivals and of a minor cause."""
+        answers = [a for a in (self.answer, self.second) if a is not None]
+        rows = {NOMINAL, self.own, *(r for a in answers for r in (a.row, a.with_generic, *a.without))}
+        return tuple(sorted(rows | {r for h in self.hidden for r in (h.row, h.declared) if r is not None}))
+
+
+Terms = Literal["", "nominal", "answer"]
+
+
+@dataclass(frozen=True)
 class Decision:
-    """The accepted explanation, by the errors in `table`."""
+    """The verdict and what it rests on."""
 
     verdict: Verdict
     """Not `one_of`, which `named` becomes with several `best`."""
-    best: tuple[Explanation, ...]
-    """Accepted explanations, the likeliest first; for `unexplained` the closest, for `none` a present but small one."""
-    table: ErrorTable
-    row: int
-    """Row of the first of `best` in the table; NOMINAL where there is none"""
-    without: tuple[int, ...]
-    """Row of the same without each of its effects, where it has several"""
-    with_generic: int
-    """Row of the same with generic terms; its own where none is significant"""
-    own: int
-    """Row of the nominal model with generic terms; NOMINAL where there are none"""
-    terms: Model | None
-    """The model with generic terms whose first one tells where the residual is"""
-    draws: NDArray[np.intp]
+    answer: Answer | None = None
+    """Accepted; for `unexplained` the closest, for `none` a present but small one"""
     why: str = ""
-    """Why the closest explanation is not accepted."""
-    turns: tuple[Turn, ...] = ()
-    """Rotations over the other runs, where the held-out ones were inconclusive."""
-    possible: tuple[tuple[Explanation, int], ...] = ()
-    """Admissible explanations and their rows in the table of the held-out runs"""
-    unturned: Decision | None = None
-    """The same on the held-out runs alone, where the split rotated."""
-    judged: Decision | None = None
-    """The same with its best explanation before the verdict was passed; None where a name was refused."""
+    """Why the closest explanation is not accepted"""
+    terms: Terms = ""
+    """Whose generic terms tell where the residual is: those with the nominal model, or those with the answer"""
+    refused: bool = False
+    """Whether a name was refused: no probability is stated of such an answer"""
+    open: bool = False
+    """Whether these runs leave it open, so that every run should be a test run once"""
+    minor: Explanation | None = None
+    """The answer with an effect that each test run shows, too"""
 
     @property
-    def compared(self) -> tuple[tuple[tuple[str, ...], float], ...]:
-        """Keys of the effects and error of every model of listed effects alone, the least error first."""
-        errors: dict[tuple[str, ...], float] = {}
-        for row, model in enumerate(self.table.models):
-            keys = tuple(sorted(e.key for e in model.named))
-            if keys and not any(isinstance(e, GenericTorque | GenericReading) for e in model.named):
-                errors[keys] = min(self.table.error(row), errors.get(keys, np.inf))
-        return tuple(sorted(errors.items(), key=lambda one: one[1]))
+    def best(self) -> Explanation | None:
+        """The first of the accepted explanations."""
+        return None if self.answer is None else self.answer.best[0]
+
+    def same_as(self, other: Decision) -> bool:
+        """Whether the other states the same: `partial` states that its causes are present, as `named` does."""
+        alike = ("named", "partial") if self.verdict == "partial" else (self.verdict,)
+        return other.verdict in alike and _keys(self.answer) == _keys(other.answer)
 
 
-def decide(context: DiagnosisContext, generic: Model | None, options: Sequence[Explanation], material: float,
-           rng: np.random.Generator, known: Sequence[ErrorTable] = ()) -> Decision | None:
-    """The verdict by errors on the confirm runs, which no fit has used; some of the errors are `known` already.
+def _keys(answer: Answer | None) -> frozenset[str]:
+    return frozenset() if answer is None else answer.best[0].keys
 
-    None where neither a listed effect nor a generic term could be fitted. Raises `FitError` where every free run
-    diverges.
-    """
-    shortlist = by_error(shortlisted(options))
-    if not shortlist and generic is None:
-        return None
-    models = [context.nominal, *(o.model for o in shortlist), *([generic] if generic is not None else [])]
-    possible = [(o, k) for k, o in enumerate(shortlist, 1) if admissible(o)]
-    table = measure_together(context, models, [NOMINAL, *(k for _, k in possible)], rng, known)
-    draws = table.draws(rng)
-    own = len(models) - 1 if generic is not None else NOMINAL
-    if not possible:
-        table = over_floor(table, generic or context.nominal, rng)
-        structure = is_material(table, own, NOMINAL, material, draws)
-        why = "a defining size is not significant, or has an impossible sign"
-        asked = Decision("none", (), table, NOMINAL, (), NOMINAL, own, generic if structure else None, draws)
-        if table.error(NOMINAL) <= EDGE:
-            return replace(asked, judged=asked)
-        return replace(asked, verdict="unexplained", best=tuple(shortlist[:1]) if structure else (),
-                       row=int(structure), terms=generic, why=why)
-    begin = Decision("named", (), table, NOMINAL, (), NOMINAL, own, generic, draws, possible=tuple(possible))
-    asked = pruned(context, ask(context, begin, choose(possible, table, material, draws), possible, rng), possible,
-                   material, rng)
-    found = passed(asked, generic, material)
-    # a large residual must show on all runs, not on the held-out ones only
-    if found.verdict == "partial" or (found.verdict != "named"
-                                      and is_open(asked.table, asked.row, NOMINAL, material, draws)):
-        turned = turn_runs(context, asked, rng)
-        found = found if turned is None else passed(turned[0], generic, material)
-    if found.verdict != "named":
+
+def decide(table: ErrorTable, family: Family, material: float) -> Decision:
+    """The verdict by the errors in `table`; `material` is the least relative reduction that counts."""
+    found = _decide(table, family, material)
+    if found.verdict != "none":
         return found
-    second = second_cause(possible, asked, material)
-    if second is None:
-        return found
-    more = turn_runs(context, ask(context, asked, second, possible, rng), rng, [asked.row])
-    if more is None:
-        return found
-    both, place = more
-    if not is_material(both.table, both.row, place[asked.row], material, both.draws):
-        return found
-    both = passed(both, generic, material)
-    return both if both.verdict in ("named", "partial") else found
+    row = NOMINAL if found.answer is None else found.answer.row
+    hidden = next((h for h in family.hidden if h.row == row), None)
+    why = ""
+    if hidden is not None and hides(table, hidden, material):
+        why = hidden.text
+    elif family.answer is None and family.dominated:
+        why = family.dominated
+    return replace(found, verdict="unexplained", why=why, refused=True) if why else found
 
 
-def ask(context: DiagnosisContext, begin: Decision, what: tuple[Sequence[Explanation], int],
-        possible: Sequence[tuple[Explanation, int]], rng: np.random.Generator) -> Decision:
-    """`begin` with explanations that cannot be told apart, and errors of the first without each effect and with generic
-    terms.
-
-    `what` has the explanations and the row of the first. Units are the noise floor of the largest model.
-    """
-    (best, row), table = what, begin.table
-    extended = generic_extension(context, best[0].model, best[0].left)
-    pieces = without_each(context, best[0].model)
-    first = len(table.models)
-    table = extend_errors(table, [*pieces, *([extended] if extended is not None else [])])
-    table = over_floor(table, extended or best[0].model, rng)
-    return replace(begin, best=tuple(best), table=table, row=row, without=tuple(range(first, first + len(pieces))),
-                   with_generic=first + len(pieces) if extended is not None else row, terms=extended or best[0].model)
-
-
-def pruned(context: DiagnosisContext, asked: Decision, possible: Sequence[tuple[Explanation, int]], material: float,
-           rng: np.random.Generator) -> Decision:
-    """`asked` without effects whose removal does not raise the error by a material amount, the least of them first.
-
-    What explains an error within the noise floor stays whole: there a set says that there are several small faults.
-    """
-    while asked.without and asked.table.error(NOMINAL) > EDGE:
-        table, best = asked.table, asked.best[0]
-        row = min(asked.without, key=table.error)
-        if table.error(row) - table.error(asked.row) > material * table.error(row):
-            break
-        model = table.models[row]
-        loss = (deviance(model) - deviance(best.model)) / best.left.scatter
-        smaller = assess(context, [Explanation(model, best.gain - loss, by_run=best.by_run)])[0]
-        same = [(o, k) for o, k in possible if len(o.model.effects) == len(model.effects)
-                and keys_of(o) != keys_of(smaller)]
-        what = likeliest([(smaller, row), *same], table, material, NOMINAL, asked.draws)
-        asked = ask(context, asked, what, possible, rng)
-    return asked
+def _decide(table: ErrorTable, family: Family, material: float) -> Decision:
+    answer = family.answer
+    if answer is None:
+        return without_answer(table, family, material)
+    found = judge(table, family, answer, material)
+    # a large residual must show on all runs, not on these alone
+    unsure = found.verdict == "partial" or (found.verdict != "named"
+                                            and is_open(table, answer.row, NOMINAL, material))
+    second = family.second
+    if found.verdict == "named" and second is not None:
+        unsure = unsure or is_open(table, second.row, answer.row, material)
+        if is_material(table, second.row, answer.row, material):
+            both = judge(table, family, second, material)
+            found = both if both.verdict in ("named", "partial") else found
+    if family.minor is not None and found.answer is answer and found.verdict in ("named", "partial"):
+        minor, row = family.minor
+        gains = table.agreement[row] - table.agreement[answer.row]
+        if np.all(gains[np.isfinite(gains)] > 0.0):  # of the runs on which it was simulated
+            found = replace(found, minor=minor)
+    return replace(found, open=unsure)
 
 
-def over_floor(table: ErrorTable, model: Model, rng: np.random.Generator) -> ErrorTable:
-    """`table` in units of the noise floor of `model`, with its coloured disturbances; unchanged where that diverges."""
-    try:
-        return with_floor(table, noise_floor(model), rng.integers(2**63, size=int(table.runs.max()) + 1))
-    except (FitError, np.linalg.LinAlgError):
-        return table
-
-
-def second_cause(possible: Sequence[tuple[Explanation, int]], asked: Decision, material: float
-                 ) -> tuple[list[Explanation], int] | None:
-    """Likeliest explanations with one more effect than `asked`, and the row of the first; None without any.
-
-    The effect must be possibly material: the error falls by as much, but not significantly on the held-out runs.
-    """
-    table, row = asked.table, asked.row
-    count, held = len(asked.best[0].model.effects) + 1, [keys_of(o) for o in asked.best]
-    more = [(o, k) for o, k in possible if len(o.model.effects) == count and any(h < keys_of(o) for h in held)
-            and table.error(row) - table.error(k) > material * table.error(row)
-            and is_open(table, k, row, material, asked.draws)]
-    return likeliest(more, table, material, row, asked.draws) if more else None
-
-
-def turn_runs(context: DiagnosisContext, asked: Decision, rng: np.random.Generator, also: Sequence[int] = ()
-              ) -> tuple[Decision, dict[int, int]] | None:
-    """`asked` with errors on all runs, each held out once, and old row -> new row of its table and of `also`.
-
-    None where a model cannot be fitted or simulated.
-    """
-    table = asked.table
-    held = [k for k, m in enumerate(table.models) if m is table.unit.reference or m is table.unit.smoother]
-    rows = list(dict.fromkeys([NOMINAL, asked.row, *asked.without, asked.with_generic, asked.own, *also, *held]))
-    turned = rotate(context.split, choose_rows(table, rows), rng)
-    if turned is None:
-        return None
-    place = {k: rows.index(k) for k in rows}
-    return replace(asked, table=turned[0], row=place[asked.row], without=tuple(place[k] for k in asked.without),
-                   with_generic=place[asked.with_generic], own=place[asked.own], draws=turned[0].draws(rng),
-                   turns=turned[1], unturned=asked), place
-
-
-def passed(asked: Decision, generic: Model | None, material: float) -> Decision:
-    """The verdict of `judge`, with what was judged."""
-    return replace(judge(asked, generic, material), judged=asked)
-
-
-def judge(asked: Decision, generic: Model | None, material: float) -> Decision:
-    """The verdict on the best explanation of `asked`, by its table alone.
-
-    `generic` is the nominal model with generic terms.
-    """
-    table, row, more, own, draws = asked.table, asked.row, asked.with_generic, asked.own, asked.draws
+def without_answer(table: ErrorTable, family: Family, material: float) -> Decision:
+    """The verdict where no listed effect is an answer."""
     whole = table.error(NOMINAL)
-    structure = is_material(table, own, NOMINAL, material, draws)
-    nothing = replace(asked, verdict="none", terms=generic if structure else None)
-    if not is_material(table, row, NOMINAL, material, draws):
+    structure = is_material(table, family.own, NOMINAL, material)
+    terms: Terms = "nominal" if structure else ""
+    if whole <= EDGE:
+        return Decision("none", terms=terms)
+    why = f"the free-run error is {whole:.1f} times that of noise alone" if family.closest is None else NOT_PRESENT
+    return Decision("unexplained", why=why, terms="nominal" if family.own else "")
+
+
+def judge(table: ErrorTable, family: Family, answer: Answer, material: float) -> Decision:
+    """The verdict on one answer."""
+    row, more, own = answer.row, answer.with_generic, family.own
+    whole = table.error(NOMINAL)
+    structure = is_material(table, own, NOMINAL, material)
+    terms: Terms = "nominal" if structure else ""
+    enough = suffices(table, row)
+    if not (enough or is_material(table, row, NOMINAL, material)):
         if whole > EDGE:
-            return (replace(asked, verdict="unexplained", terms=generic, why=GENERIC_ALONE) if structure else
-                    replace(asked, verdict="unexplained", why=shortfall(table, row, material)))
-        small = table.lowers(row, NOMINAL, 0.0, draws, NOMINAL) >= SURE and bool(np.all(table.agreement[row] > 0.0))
-        return nothing if small else without_cause(nothing)
+            return Decision("unexplained", answer, GENERIC_ALONE if structure else shortfall(table, row, material),
+                            terms)
+        small = table.lowers(row, NOMINAL, 0.0, NOMINAL) >= SURE and bool(np.all(table.agreement[row] > 0.0))
+        return Decision("none", answer if small else None, terms=terms)
     left = table.error(row) - min(table.error(more), table.error(own) if own else np.inf)
     why = ""
     if (whole - table.error(row)) < SUFFICES * (whole - table.error(row) + max(left, 0.0)):
-        why = "generic terms reduce the error more than it does"
+        why = GENERIC_MORE
     elif table.error(row) > 1.0 + material and table.excess(row) > SUFFICES * table.excess(NOMINAL):
-        why = "it explains less than half of the error"
-    if why:
-        return unnamed(asked, generic, material, why)
-    if whole <= EDGE and not all(is_material(table, row, k, material, draws) for k in asked.without):
-        return nothing  # several faults, not each of which is material alone
+        why = HALF
+    elif answer.imitates:
+        why = IMITATES
+    if why and not enough:
+        if whole > EDGE:
+            return Decision("unexplained", answer, why, terms, refused=True)
+        return Decision("none", terms=terms, refused=True)
+    if whole <= EDGE and not all(is_material(table, row, k, material) for k in answer.without):
+        return Decision("none", answer, terms=terms)  # several faults, not each of which is material alone
     beyond = table.error(row) > max(EDGE, 1.0 + material * whole)
-    if beyond or is_material(table, more, row, material, draws, NOMINAL):  # of the whole
-        return replace(asked, verdict="partial")
-    return asked
+    partial = beyond or is_material(table, more, row, material, NOMINAL)  # of the whole
+    return Decision("partial" if partial else "named", answer, terms="answer" if partial else "")
 
 
-def unnamed(asked: Decision, generic: Model | None, material: float, why: str) -> Decision:
-    """`asked`, its name refused for the reason `why`: `unexplained`, or `none` where the error is within the noise."""
-    if asked.table.error(NOMINAL) > EDGE:
-        return replace(asked, verdict="unexplained", why=why, judged=None)
-    structure = is_material(asked.table, asked.own, NOMINAL, material, asked.draws)
-    return without_cause(replace(asked, verdict="none", terms=generic if structure else None, judged=None))
+def suffices(table: ErrorTable, row: int) -> bool:
+    """Whether a model explains nearly all of an error that is large, and leaves no more than noise may: then no other
+    rule refuses it."""
+    whole = table.error(NOMINAL)
+    return (whole > EDGE and table.error(row) <= EDGE
+            and table.excess(row) <= (1.0 - SURE) * table.excess(NOMINAL))
 
 
-def without_cause(asked: Decision) -> Decision:
-    """`asked` without an explanation."""
-    return replace(asked, best=(), row=NOMINAL, without=())
+def hides(table: ErrorTable, hidden: Hidden, material: float) -> bool:
+    """Whether a sensor that is noisier than it is known to be hides motion.
 
-
-def is_open(table: ErrorTable, model: int, than: int, material: float, draws: NDArray[np.intp]) -> bool:
-    """Whether it is inconclusive that `model` reduces the error of `than` by a material amount.
-
-    The runs must be likelier with `model`.
+    It does if the model with the known noise predicts materially better, or, where the rig declares it, worse. A model
+    that cannot be fitted with a declared noise hides motion, too.
     """
-    could = table.lowers(model, than, material, draws, than) > 1.0 - SURE
-    return bool(could and table.agreement[model].sum() > table.agreement[than].sum())
+    if hidden.declared is None:
+        return hidden.stated
+    better, worse = (hidden.declared, hidden.row), (hidden.row, hidden.declared)
+    asked = (better, worse) if hidden.stated else (better,)
+    return max(table.lowers(a, b, material, b) for a, b in asked) >= SURE
 
 
-def measure_together(context: DiagnosisContext, models: Sequence[Model], smoothers: Sequence[int],
-                     rng: np.random.Generator, known: Sequence[ErrorTable] = ()) -> ErrorTable:
-    """Errors of `models`, the nominal one first, in units of the noise of the first that can be simulated.
-
-    The smoother of one of `smoothers` supplies the pivot angle. Errors in `known` tables are reused. Raises `FitError`
-    if no model can be simulated.
-    """
-    table = known_errors(known, models)
-    if table is not None:
-        return table
-    seeds = rng.integers(2**63, size=len(context.split.confirm))
-    for reference in models[1:]:
-        try:
-            return measure_errors(models, reference, seeds, smoothers)
-        except FitError:
-            continue
-    return measure_errors(models, models[NOMINAL], seeds, smoothers)
-
-
-def shortlisted(options: Sequence[Explanation]) -> list[Explanation]:
-    """The likeliest explanations, of each number of effects at least `WIDTH`, and each set of effects once."""
-    every = sorted(options, key=lambda o: -o.gain)
-    ranked = [o for k, o in enumerate(every) if not any(keys_of(o) == keys_of(e) for e in every[:k])]
-    first = first_of_each(ranked)
-    return [*first, *(o for o in ranked if not any(o is f for f in first))][: MOST_EFFECTS * WIDTH]
-
-
-def first_of_each(options: Sequence[Explanation]) -> list[Explanation]:
-    """The first of each number of effects, the fewest effects first."""
-    counts = sorted({len(o.model.effects) for o in options})
-    return [o for n in counts for o in seated([o for o in options if len(o.model.effects) == n], WIDTH)]
-
-
-def by_error(options: Sequence[Explanation]) -> list[Explanation]:
-    """Explanations by rising error of free runs on the discover runs; inadmissible ones last.
-
-    The first gives the noise that is the unit: the likeliest can be a small fault of a sensor, which takes for noise
-    what the simulation lacks.
-    """
-    return sorted(options, key=lambda o: (not admissible(o), o.error))
-
-
-def choose(possible: Sequence[tuple[Explanation, int]], table: ErrorTable, material: float, draws: NDArray[np.intp]
+def choose(possible: Sequence[tuple[Explanation, int]], table: ErrorTable, material: float
            ) -> tuple[list[Explanation], int]:
     """The smallest set of effects that no larger set improves by a material amount, with its equivalents, and its row.
 
     A larger set is compared with the best smaller one. If no improvement is significant, the errors decide.
     """
-    def surely(model: int, than: int) -> bool:
-        return is_material(table, model, than, material, draws)
+    counts = sorted({len(o.model.effects) for o, _ in possible})
 
-    def likely(model: int, than: int) -> bool:
-        return table.error(than) - table.error(model) > material * table.error(than)
+    def surely(k: int, row: int) -> bool:
+        return is_material(table, k, row, material)
+
+    def likely(k: int, row: int) -> bool:
+        return table.falls(k, row, material)
 
     for better in (surely, likely):
         best: list[Explanation] = []
         row = NOMINAL
-        for count in sorted({len(o.model.effects) for o, _ in possible}):
-            found, k = likeliest([(o, k) for o, k in possible if len(o.model.effects) == count], table, material, row,
-                                 draws)
+        for count in counts:
+            found, k = likeliest([(o, k) for o, k in possible if len(o.model.effects) == count], table, material, row)
             if better(k, row):
                 best, row = found, k
         if best:
             return best, row
-    fewest = min(len(o.model.effects) for o, _ in possible)
-    return likeliest([(o, k) for o, k in possible if len(o.model.effects) == fewest], table, material, NOMINAL, draws)
+    return likeliest([(o, k) for o, k in possible if len(o.model.effects) == counts[0]], table, material, NOMINAL)
 
 
-def likeliest(among: Sequence[tuple[Explanation, int]], table: ErrorTable, material: float, than: int,
-              draws: NDArray[np.intp]) -> tuple[list[Explanation], int]:
+def likeliest(among: Sequence[tuple[Explanation, int]], table: ErrorTable, material: float, than: int
+              ) -> tuple[list[Explanation], int]:
     """The likeliest of those that do not surely err materially more than the best, with its equivalents, and its row.
 
     Material is a share of the error of the model `than`.
     """
     lowest = min((k for _, k in among), key=table.error)
-    best = indistinguishable_set([o for o, k in among if table.lowers(lowest, k, material, draws, than) < SURE])
+    best = indistinguishable_set([o for o, k in among if table.lowers(lowest, k, material, than) < SURE])
     return best, next(k for o, k in among if o is best[0])
 
 
-def is_material(table: ErrorTable, model: int, than: int, material: float, draws: NDArray[np.intp],
-            of: int | None = None) -> bool:
+def is_material(table: ErrorTable, model: int, than: int, material: float, of: int | None = None) -> bool:
     """Whether error(than) - error(model) > material * error(of), significantly; `of` is by default `than`.
 
     In addition no run's error may rise by as much, and the runs together must be likelier with `model`.
     """
     of = than if of is None else of
-    falls = table.error(than) - table.error(model) > material * table.error(of)
-    if model == than or not falls or table.raises(model, than, material, of):
+    if model == than or not table.falls(model, than, material, of) or table.raises(model, than, material, of):
         return False
-    return bool(table.lowers(model, than, material, draws, of) >= SURE
-                and table.agreement[model].sum() > table.agreement[than].sum())
+    return table.lowers(model, than, material, of) >= SURE and table.likelier(model, than)
+
+
+def is_open(table: ErrorTable, model: int, than: int, material: float) -> bool:
+    """Whether it is inconclusive that `model` reduces the error of `than` by a material amount.
+
+    The runs must be likelier with `model`.
+    """
+    return table.lowers(model, than, material, than) > 1.0 - SURE and table.likelier(model, than)
 
 
 def shortfall(table: ErrorTable, model: int, material: float) -> str:
     """Why `model` is not material: the error does not fall by `material`, or not significantly."""
-    falls = table.error(NOMINAL) - table.error(model) > material * table.error(NOMINAL)
-    return UNSURE if falls else UNCHANGED
+    return UNSURE if table.falls(model, NOMINAL, material) else UNCHANGED
 
 
-def without_each(context: DiagnosisContext, model: Model) -> list[Model]:
-    """The model without each of its effects; empty for fewer than two effects."""
-    pairs = list(zip(model.effects, model.sizes()))
-    if len(pairs) < 2:
-        return []
-    out = []
-    for k in range(len(pairs)):
-        try:
-            out.append(refit(model, [*pairs[:k], *pairs[k + 1 :]]))
-        except (FitError, np.linalg.LinAlgError):
-            return []
-    return out
+def probability_of(decision: Decision, table: ErrorTable, family: Family, first: ErrorTable, material: float
+                   ) -> float | None:
+    """Probability (0 to 1) that the answer is true if its causes are among the effects that were tried.
 
+    It is that the stated causes are exactly those present; for `one_of` that one of the sets is; for `partial` that the
+    listed causes are present; for `none` that nothing material is. None for `unexplained`, which names no cause.
+
+        P = mean_d 1{V(d) = V} * mean_d [sum_A w_s(d) / sum_s w_s(d)]
+        w_s(d) = 1{E_s(d) <= min_t E_t(d) + m E_0(d)} exp(-(G - G_s) / (2 T_s)),  T_s = 1 + L_s / L_0
+
+    d is a resampling of the blocks of `table`, V(d) what is decided on it; in the second factor of those of the `first`
+    test runs. E_s(d) is the free-run error of the set s, 0 the nominal model and m the material
+    share. A has the stated sets, and s counts all sets of as many effects. G_s is their gain, G the largest. T_s
+    tempers the likelihood by what both models have wrong: L_s is the `margin` of s and L_0 LEAST_APART. So a set at the
+    limit of a tie has the odds (1 - SURE) / SURE. For `none` the second factor is mean_d 1{min_s E_s(d) >= (1 - m)
+    E_0(d)} over all sets s.
+    """
+    if decision.refused or decision.verdict not in ("none", "named", "partial"):
+        return None
+    same = np.mean([decision.same_as(decide(table.resampled(d), family, material)) for d in range(len(table.draws))])
+    if decision.verdict == "none" or decision.answer is None:
+        return float(same) * share_without_cause(first, family, material)
+    return float(same) * share_of_stated(first, decision.answer, family.rivals, material)
+
+
+def share_of_stated(table: ErrorTable, stated: Answer, rivals: Sequence[tuple[Explanation, int]], material: float
+                    ) -> float:
+    """Share of the stated sets in the weights w_s(d) of `probability_of`, a mean over the resamplings.
+
+    A set that is a stated one with another size of zero, as a spring without stiffness is an offset, is no rival.
+    """
+    keys = {e.keys for e in stated.best}
+    count = len(stated.best[0].model.effects)
+    others = [(e, row) for e, row in rivals if len(e.model.effects) == count and e.keys != stated.best[0].keys
+              and (e.keys in keys or set_apart(e) or not any(nested(best, e) for best in stated.best))]
+    sets, rows = zip(*[(stated.best[0], stated.row), *others])
+    most = max(sets, key=lambda e: e.gain)
+    tempered = np.array([1.0 + margin(e, most) / LEAST_APART for e in sets])
+    log_odds = np.array([e.gain - most.gain for e in sets]) / (2.0 * tempered)
+    own = np.array([e.keys in keys for e in sets])
+    shares, nominal = [], table.errors(NOMINAL, table.draws)
+    for errors, whole in zip(np.stack([table.errors(row, table.draws) for row in rows], axis=1), nominal):
+        near = errors <= errors.min() + material * whole
+        weights = np.exp(np.where(near, log_odds - log_odds[near].max(), -np.inf))
+        shares.append(weights[own].sum() / weights.sum())
+    return float(np.mean(shares))
+
+
+def share_without_cause(table: ErrorTable, family: Family, material: float) -> float:
+    """Share of the resamplings in which no set reduces the error by a material amount."""
+    least = (1.0 - material) * table.errors(NOMINAL, table.draws)
+    rows = [row for _, row in family.rivals] + ([] if family.answer is None else [family.answer.row])
+    stays = [table.errors(row, table.draws) >= least for row in rows]
+    return float(np.mean(np.all([np.ones(least.shape, dtype=bool), *stays], axis=0)))

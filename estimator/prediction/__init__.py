@@ -37,7 +37,7 @@ from estimator.prediction.smoothing import (
     smooth_under,
 )
 from estimator.prediction.structure import repeated_share, state_columns, taken
-from estimator.prediction.table import BLOCK_S, PredictionTable, Ratio, tabulate
+from estimator.prediction.table import BLOCK_S, PredictionTable, Ratio, tabulate, together
 from estimator.prediction.torque_regression import LearntTorque
 from estimator.prediction.validation import Validation, validations_of
 from estimator.prediction.walking import StepsAhead, WalkAhead, Whole, walk_ahead
@@ -78,6 +78,7 @@ __all__ = [
     "state_columns",
     "tabulate",
     "taken",
+    "together",
     "validations_of",
     "walk_ahead",
     "where_of",

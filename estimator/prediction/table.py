@@ -128,14 +128,14 @@ class PredictionTable:
 
     def joined_with(self, other: PredictionTable) -> PredictionTable:
         """Table with the models of `other` after these. Both are of the same runs."""
-        runs = tuple(_together(a, b) for a, b in zip(self.runs, other.runs, strict=True))
+        runs = tuple(together(a, b) for a, b in zip(self.runs, other.runs, strict=True))
         return replace(self, runs=runs, squares=np.concatenate([self.squares, other.squares]),
                        samples=np.minimum(self.samples, other.samples), read=self.read & other.read,
                        kept=np.concatenate([self.kept, other.kept]),
                        residual=np.concatenate([self.residual, other.residual]))
 
 
-def _together(a: PredictedRun, b: PredictedRun) -> PredictedRun:
+def together(a: PredictedRun, b: PredictedRun) -> PredictedRun:
     return replace(a, smoothed=np.concatenate([a.smoothed, b.smoothed]), bands=(*a.bands, *b.bands),
                    simulated=np.concatenate([a.simulated, b.simulated]), lost=np.concatenate([a.lost, b.lost]),
                    misfits=np.concatenate([a.misfits, b.misfits]),
@@ -167,13 +167,16 @@ def paired_ratio(a: FloatArray, b: FloatArray, run: NDArray[np.intp]) -> Ratio:
     return Ratio(value, (float(value * np.exp(-half)), float(value * np.exp(half))))
 
 
-def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None) -> PredictionTable:
+def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None, *, about_mean: bool = False,
+             every_horizon: bool = False) -> PredictionTable:
     """The table of `runs`. The `smoother` is by default the model under which they are likeliest.
 
-    Horizons that no segment exceeds are left out: they are as the whole.
+    Without `every_horizon` those that no segment exceeds are left out: they are as the whole. `about_mean`: the error
+    of an angle that no sensor reads is about its mean over the run. Its zero is no reading: two models read the IMU's
+    some milliradians apart, and nothing moves by that.
     """
     first, longest = runs[0], max(r.longest_s for r in runs)
-    horizons = tuple(h for h in first.horizons_s if np.isinf(h) or h < longest)
+    horizons = tuple(h for h in first.horizons_s if np.isinf(h) or h < longest or every_horizon)
     if smoother is None:
         smoother = int(np.argmin(sum(r.misfits for r in runs)))
     which = [first.horizons_s.index(h) for h in horizons]
@@ -191,7 +194,14 @@ def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None) -> Predi
             return np.moveaxis(found / samples, -1, -2)
 
     simulated = [np.where(np.isnan(x := r.simulated[:, which]), np.inf, x) for r in runs]
-    squares = means([x - y for x, y in zip(simulated, compared)])
+    errors = [x - y for x, y in zip(simulated, compared)]
+    if about_mean:
+        unread = ~read & (np.arange(read.size) < runs[0].residual_torque.shape[-1])
+        for one in errors:
+            with np.errstate(invalid="ignore"):  # of what diverges
+                one[:, :, unread] -= one[:, :, unread].mean(axis=-1, keepdims=True)
+            np.copyto(one, np.inf, where=np.isnan(one))
+    squares = means(errors)
     kept = means([_kept(r, which) - y for r, y in zip(runs, compared)])
     residual = means([r.smoothed - y for r, y in zip(runs, compared)])
     every = np.concatenate(compared, axis=1)

@@ -1,4 +1,5 @@
-"""Fits of the runs of a session with any set of effects, and the scores of all other effects."""
+"""`Model`: a fit of the train runs with any set of effects; its motion of any run, its noise, its scores of all others.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.diagnosis.data_split import RunSplit
-from estimator.diagnosis.decision_rule import EDGE, REPLICATED_SAMPLES
+from estimator.diagnosis.decision_rule import DECIDING_S, EDGE, REPLICATED_SAMPLES
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import (
@@ -26,7 +27,8 @@ from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, Sta
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
 from estimator.prediction import (
-    SHORT_S,
+    PredictedRun,
+    Predictor,
     SmoothedRun,
     draw_replicate,
     per_value,
@@ -45,7 +47,7 @@ FIRST = 12
 
 @dataclass(frozen=True)
 class Model:
-    """A fitted set of effects (none: the nominal model) on the discover runs of a split."""
+    """A fitted set of effects (none: the nominal model) on the train runs of a split."""
 
     split: RunSplit
     effects: tuple[Effect, ...]
@@ -78,17 +80,17 @@ class Model:
 
 
 def fit_nominal(split: RunSplit) -> Model:
-    """Nominal fit of the discover runs. Raises `FitError`.
+    """Nominal fit of the train runs. Raises `FitError`.
 
     If the model takes the torque for noise, or does not converge, the fit starts again from slow motion. If that fails
     too, beta is least squares on filtered motion, with infinite variances; only motion and noise levels are estimated.
     """
-    signals = split.signals(split.discover)
+    signals = split.signals(split.train)
     n = split.mechanism.n
     free, beta = free_mask(split.mechanism, split.options)
     held = np.zeros_like(free)
     for begin, steps in ((start_state, (free,)), (gentle_start, (held, free)), (start_state, (held,))):
-        blank = split.problem(split.discover, np.zeros((n, 2)))
+        blank = split.problem(split.train, np.zeros((n, 2)))
         state = begin(blank, signals, split.mechanism, split.options, free, beta)
         floors = split.floors(blank, state.beta)
         try:
@@ -102,20 +104,20 @@ def fit_nominal(split: RunSplit) -> Model:
     rest = blank.stiction(state.noise)
     if not np.isfinite(state.beta).all() or rest is None or not np.isfinite(state.x.q).all():
         raise FitError("the nominal fit does not converge, so its residual cannot be tested")
-    lengths = [sum(len(s.time_s) for s in split.runs[i]) for i in split.discover]
-    split = split.with_stiction(dict(zip(split.discover, np.split(rest, np.cumsum(lengths)[:-1]))))
+    lengths = [sum(len(s.time_s) for s in split.runs[i]) for i in split.train]
+    split = split.with_stiction(dict(zip(split.train, np.split(rest, np.cumsum(lengths)[:-1]))))
     state = converge_motion(blank.with_stiction(rest), replace(state, noise=state.noise.levels()))
     if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    found = Model(split, (), state, split.problem(split.discover, angle_range))
-    return replace(found, split=split.with_stiction(stiction_of_confirm(found)))
+    found = Model(split, (), state, split.problem(split.train, angle_range))
+    return replace(found, split=split.with_stiction(stiction_of_test(found)))
 
 
-def stiction_of_confirm(model: Model) -> dict[int, FloatArray]:
-    """Confirm run to `Noise.stiction` as the model has it, of runs of which it is not known; without those that it
+def stiction_of_test(model: Model) -> dict[int, FloatArray]:
+    """Test run to `Noise.stiction` as the model has it, of runs of which it is not known; without those that it
     cannot be fitted to."""
-    unknown = [run for run in model.split.confirm if run not in model.split.stiction]
+    unknown = [run for run in model.split.test if run not in model.split.stiction]
 
     def found(k: int) -> FloatArray | None:
         try:
@@ -131,7 +133,7 @@ def stiction_of_confirm(model: Model) -> dict[int, FloatArray]:
 def begin_afresh(nominal: Model) -> Model:
     """`nominal` with motion, beta and noise levels as a fit would start from them."""
     split = nominal.split
-    signals = split.signals(split.discover)
+    signals = split.signals(split.train)
     free, beta = free_mask(split.mechanism, split.options)
     state = gentle_start(nominal.problem, signals, split.mechanism, split.options, free, beta)
     return replace(nominal, state=state)
@@ -146,7 +148,7 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
     `FitError`.
     """
     split = start.split
-    problem = split.problem(split.discover, start.problem.stage.angle_range, [e for e, _ in effects])
+    problem = split.problem(split.train, start.problem.stage.angle_range, [e for e, _ in effects])
     p = split.mechanism.p
     parameters = np.concatenate([start.state.beta[:p], *[s for _, s in effects]])
     x = start.state.x
@@ -170,12 +172,12 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
 
 
 def converge_runs(split: RunSplit, problem: ExtendedProblem, state: State) -> State:
-    """`state` with the likeliest motion of each discover run, sought by steps of its own: a run in which a joint
+    """`state` with the likeliest motion of each train run, sought by steps of its own: a run in which a joint
     reverses close to a sample shortens no other run's steps. Raises `FitError`."""
     if problem.stiction(state.noise) is None:
         return converge_motion(problem, state)
     found, begin = [], 0
-    for i in split.discover:
+    for i in split.train:
         here = slice(begin, begin + sum(len(s.time_s) for s in split.runs[i]))
         own = split.problem([i], problem.stage.angle_range, problem.effects)
         found.append(converge_motion(own, replace(state, x=state.x.of(here), noise=state.noise.at(here))).x)
@@ -185,12 +187,12 @@ def converge_runs(split: RunSplit, problem: ExtendedProblem, state: State) -> St
 
 
 def likeliest_smoothing_velocity(model: Model, stated: Mechanism) -> Mechanism:
-    """`stated` with the friction smoothing velocities estimated on the discover runs together with `model`'s effects.
+    """`stated` with the friction smoothing velocities estimated on the train runs together with `model`'s effects.
 
     Without the effects a larger smoothing velocity absorbs part of them. Raises `FitError`.
     """
     split = replace(model.split, mechanism=stated, stiction={})
-    problem = split.problem(split.discover, model.problem.stage.angle_range, model.effects)
+    problem = split.problem(split.train, model.problem.stage.angle_range, model.effects)
     state = model.state
     free = np.ones(state.beta.size, dtype=bool)
     free[: stated.p] = free_mask(stated, split.options)[0]
@@ -206,25 +208,21 @@ def misfit(model: Model) -> float:
 
 
 def misfit_by_run(model: Model) -> FloatArray:
-    """(R,) the same for each discover run at the model's state."""
+    """(R,) the same for each train run at the model's state."""
     split, out = model.split, []
-    for i, state in zip(split.discover, run_states(model)):
+    for i, state in zip(split.train, run_states(model)):
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
         out.append(problem.motion_equations(state.x, state.beta, state.noise).objective)
     return np.array(out)
 
 
-def short_errors(model: Model) -> FloatArray:
-    """(C,) mean squared error of each sensor in free runs over SHORT_S on the discover runs; inf where they diverge."""
-    split, total = model.split, 0.0
-    for i, state in zip(split.discover, run_states(model)):
+def predicted_train(model: Model) -> tuple[PredictedRun, ...]:
+    """Free runs of each train run from the fitted motion, at the horizons `DECIDING_S`."""
+    split, found = model.split, []
+    for i, state in zip(split.train, run_states(model)):
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
-        found = predict_run([SmoothedRun(split.names[i], tuple(split.runs[i]), problem, state)], [SHORT_S],
-                            misfits=False)
-        squares = (found.simulated[0, 0] - found.measured) ** 2
-        squares = squares[~np.isnan(found.measured).all(axis=1)]
-        total = total + np.where(np.isnan(squares), np.inf, squares).sum(axis=1)
-    return np.asarray(total)
+        found.append(predict_run([SmoothedRun(split.names[i], tuple(split.runs[i]), problem, state)], DECIDING_S))
+    return tuple(found)
 
 
 def deviance(model: Model) -> float:
@@ -233,9 +231,9 @@ def deviance(model: Model) -> float:
 
 
 def run_states(model: Model) -> list[State]:
-    """The discover fit's state cut into runs."""
+    """The fit's state cut into runs."""
     split, out, begin = model.split, [], 0
-    for i in split.discover:
+    for i in split.train:
         length = sum(len(s.time_s) for s in split.runs[i])
         where = slice(begin, begin + length)
         x = model.state.x
@@ -257,12 +255,19 @@ def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequen
                        replace(state, noise=state.noise.levels()))
 
 
-def score_discover(model: Model, candidates: Sequence[Candidate]) -> list[Score]:
-    """Scores of `candidates` at `model`, one a discover run."""
+def as_predictor(model: Model) -> Predictor:
+    """The model as `estimator.prediction` takes it, without what is uncertain of these records alone."""
+    split = model.split
+    return Predictor(split.mechanism, split.options.hold, model.state.beta[: model.width], model.named,
+                     angle_range=model.problem.stage.angle_range, gear_ratio=split.gear_ratio)
+
+
+def score_train(model: Model, candidates: Sequence[Candidate]) -> list[Score]:
+    """Scores of `candidates` at `model`, one a train run."""
     split, states = model.split, run_states(model)
 
     def scored(k: int) -> Score:
-        problem = split.problem([split.discover[k]], model.problem.stage.angle_range, model.effects, candidates)
+        problem = split.problem([split.train[k]], model.problem.stage.angle_range, model.effects, candidates)
         return score_at(problem, states[k])
 
     return parallel_map(scored, len(states), split.workers)
@@ -270,7 +275,7 @@ def score_discover(model: Model, candidates: Sequence[Candidate]) -> list[Score]
 
 def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequence[Score],
                      rng: np.random.Generator) -> list[FloatArray]:
-    """(m,) mean score of replicates of the model, one a discover run: the bias of `scores` when nothing is wrong.
+    """(m,) mean score of replicates of the model, one a train run: the bias of `scores` when nothing is wrong.
 
     A replicate that the model fits worse than the run itself was not simulated well, and is left out; a run without
     any has the bias of the others. Raises `FitError` where there is none at all.
@@ -280,7 +285,7 @@ def bootstrap_scores(model: Model, candidates: Sequence[Candidate], scores: Sequ
     count = max(2, REPLICATED_SAMPLES // model.problem.total)
 
     def bootstrap_bias(k: int) -> FloatArray | None:
-        i, own = split.discover[k], np.random.default_rng(seeds[k])
+        i, own = split.train[k], np.random.default_rng(seeds[k])
         problem = split.problem([i], model.problem.stage.angle_range, model.effects)
         found, worst = [], EDGE * per_value(problem, states[k])
         staged = None if split.mechanism.passive else simulate_run(problem, states[k], own)

@@ -1,4 +1,4 @@
-"""The account of a diagnosis: sizes with intervals, sentences, warnings, and what to draw."""
+"""The account of a diagnosis: verdict in words, sizes with intervals, gain, budget, warnings, and what to draw."""
 
 from __future__ import annotations
 
@@ -6,25 +6,114 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import stdtrit
+from numpy.typing import NDArray
+from scipy.special import fdtrc, stdtrit
 
-from estimator.diagnosis.context import Explanation
+from daq import FloatArray
+from estimator.diagnosis.context import DiagnosisContext
 from estimator.diagnosis.decision_rule import EDGE, SUFFICES
-from estimator.diagnosis.error_table import ErrorTable
+from estimator.diagnosis.error_table import NOMINAL, ErrorTable
+from estimator.diagnosis.explanation import Explanation
+from estimator.diagnosis.family import FittedFamily
 from estimator.diagnosis.gain import in_pieces, measure_gain
+from estimator.diagnosis.model import Model
 from estimator.diagnosis.noise_check import in_words, noisy_sensors
-from estimator.diagnosis.refit import Model
 from estimator.diagnosis.residual_signature import signature
-from estimator.diagnosis.result import Cause, Diagnosis, Remainder, SizeEstimate
-from estimator.effects import GenericReading, GenericTorque, Shape, Size
+from estimator.diagnosis.result import BudgetRow, Cause, Diagnosis, Remainder, Rotation, SizeEstimate
+from estimator.diagnosis.verdict import Answer, Decision
+from estimator.effects import Effect, GenericReading, GenericTorque, Shape, Size
 from estimator.errors import FitError
 from estimator.fitting import disturbance_levels, imu_levels, torque_levels
-from estimator.prediction import FloorNoise, white_noise
+from estimator.prediction import FloorNoise
 from estimator.score import ALPHA, RUNS, least_sigmas
 
 NO_GAP = ("free runs over whole runs do not show the gain: noise alone gives about the error of the nominal model. "
           "The evidence for the extension is the likelihood of the held-out runs")
+NEXT_UNEXPLAINED = ("Record slow motion, fast motion, holds and a free swing as separate runs: the missing effect is "
+                    "larger in one of them. You can add an effect as a file.")
 UNSURE_GAP = "free runs over whole runs do not show whether the extension helps: the interval of its gain includes zero"
+
+
+def describe(context: DiagnosisContext, base: Diagnosis, family: FittedFamily, decision: Decision, table: ErrorTable,
+             first: ErrorTable, rotations: tuple[Rotation, ...], probability: float | None, rng: np.random.Generator
+             ) -> Diagnosis:
+    """The diagnosis of a decision by its `table`; the `first` one has the test runs alone."""
+    best, nominal = decision.best, context.nominal
+    found = replace(base, material=context.share, budget=budget(table, decision.answer), rotations=rotations,
+                    error=(table.error(NOMINAL), table.error(NOMINAL if decision.answer is None else
+                                                             decision.answer.row)),
+                    compared=compared(family, first), probability=probability, remainder=remainder(family, decision))
+    found = with_noise(found, nominal if best is None else best.model, family.noise)
+    p = 1.0 if best is None else chance_of(context, best, best.gain, best.model.effects)
+    if decision.verdict == "none":
+        return nothing(with_blind_sensors(found, first), best, p)
+    if decision.verdict == "unexplained" or decision.answer is None:
+        return unexplained(found, nominal, best, decision.why, rng, family.noise, p)
+    if decision.minor is not None and best is not None:
+        added = [e for e in decision.minor.model.effects if e.key not in best.keys]
+        found = with_minor(found, best, decision.minor, chance_of(context, decision.minor, decision.minor.gain, added))
+    told = [family.account_of(decision.answer.best[0]), *decision.answer.best[1:]]
+    return finding(found, nominal, told, p, rng, decision.verdict == "partial", family.noise)
+
+
+def undecided(found: Diagnosis, why: str) -> Diagnosis:
+    """Verdict `unexplained` where no error could be measured."""
+    return replace(found, verdict="unexplained", sentence=f"The model is wrong, and no listed effect explains the "
+                   f"error: {why}.", next_experiment=NEXT_UNEXPLAINED)
+
+
+def chance_of(context: DiagnosisContext, explanation: Explanation, gain: float, effects: Sequence[Effect]) -> float:
+    """p-value, over all that were tried, of the gain that `effects` of an explanation make."""
+    count = sum(len(e.sizes) for e in effects)
+    return max(1e-12, min(1.0, float(fdtrc(count, explanation.left.freedom, max(gain, 0.0) / count)) * context.trials))
+
+
+def compared(family: FittedFamily, first: ErrorTable) -> tuple[tuple[tuple[str, ...], float], ...]:
+    """Keys of the effects and error of every model of listed effects alone, the least error first."""
+    errors: dict[tuple[str, ...], float] = {}
+    noisy = {hidden.declared for hidden in family.rows.hidden}
+    for row, model in enumerate(family.models):
+        keys = tuple(sorted(e.key for e in model.named))
+        if keys and row not in noisy and not any(isinstance(e, GenericTorque | GenericReading) for e in model.named):
+            errors[keys] = min(first.error(row), errors.get(keys, np.inf))
+    return tuple(sorted(errors.items(), key=lambda one: one[1]))
+
+
+def remainder(family: FittedFamily, decision: Decision) -> Remainder | None:
+    """Place of the residual that the decision tells of; None without one."""
+    if decision.terms == "":
+        return None
+    answer = decision.answer
+    row = family.rows.own if decision.terms == "nominal" or answer is None else answer.with_generic
+    return remainder_of(family.models[row])
+
+
+def budget(table: ErrorTable, answer: Answer | None) -> tuple[BudgetRow, ...]:
+    """Shares of the mean squared error beyond noise alone: of each effect of the `answer`,
+    of what is left, and what noise alone would be. What several effects take away together is shared out by what is
+    missing without each. Empty where there is nothing beyond noise."""
+
+    row, without = (0, ()) if answer is None else (answer.row, answer.without)
+
+    def shares(blocks: NDArray[np.intp] | None) -> FloatArray:
+        excess = table.excess(0, blocks)
+        if excess <= 0.0:
+            return np.full(3 + len(without or ([row] if row else [])), np.nan)
+        closed = (table.error(0, blocks) ** 2 - table.error(row, blocks) ** 2) / excess
+        each = np.array([max(table.error(k, blocks) ** 2 - table.error(row, blocks) ** 2, 1e-12) for k in without])
+        causes = closed * each / each.sum() if len(each) else np.array([closed] if row else [])
+        return np.array([1.0, *causes, 1.0 - closed, 1.0 / excess])
+
+    point = shares(None)
+    if np.isnan(point).any():
+        return ()
+    spread = np.array([shares(d) for d in table.draws])
+    low, high = np.nanquantile(spread, [0.025, 0.975], axis=0)
+    named = () if answer is None else answer.best[0].model.named
+    parts = [("nominal", None), *(("cause", e) for e in named), ("remainder", None), ("noise", None)]
+    return tuple(BudgetRow(what, float(value), (float(a), float(b)), None if e is None else e.name,
+                           None if e is None or e.joint is None else e.joint + 1)
+                 for (what, e), value, a, b in zip(parts, point, low, high))
 
 
 def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tuple[float, float]] | None) -> Diagnosis:
@@ -43,7 +132,7 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
                         "motion and have no intervals")
     if reference:
         warnings += changes(dict(zip(names, zip(nominal.state.beta, std))), reference)
-    groups = {"fit": split.fit, "screen": split.screen, "confirm": split.confirm}
+    groups: dict[str, tuple[int, ...]] = {"fit": split.train, "screen": (), "confirm": split.test}
     noise = nominal.state.noise
     levels = torque_levels(noise, split.mechanism)
     if np.isfinite(noise.encoder).any():
@@ -51,7 +140,7 @@ def base(nominal: Model, refused: Mapping[str, str], reference: Mapping[str, tup
     if split.has_imu:
         levels |= imu_levels(noise)
     return Diagnosis(
-        "none", "", confirm_runs=tuple(split.names[i] for i in split.confirm), not_testable=dict(refused),
+        "none", "", confirm_runs=tuple(split.names[i] for i in split.test), not_testable=dict(refused),
         nominal=dict(zip(names, map(float, nominal.state.beta))), nominal_std=dict(zip(names, map(float, std))),
         runs={k: tuple(split.names[i] for i in v) for k, v in groups.items()}, warnings=tuple(warnings), noise=levels,
         angle_range=nominal.problem.stage.angle_range)
@@ -80,15 +169,13 @@ def counted_as_noise(joint: int) -> str:
     return f"at joint {joint}; it does not depend on the state and counts as noise"
 
 
-def with_blind_sensors(found: Diagnosis, table: ErrorTable | None) -> Diagnosis:
+def with_blind_sensors(found: Diagnosis, table: ErrorTable) -> Diagnosis:
     """`found` with a warning for each sensor of whose variance noise alone leaves more than SUFFICES in free runs.
 
     It names the shortest horizon. "Nothing found" is then no promise: an error as large as the motion does not show.
     """
-    if table is None:
-        return found
     told: dict[str, str] = {}
-    for (sensor, horizon_s), floor, variance in zip(table.columns, table.unit.floor, table.unit.bound, strict=True):
+    for (sensor, horizon_s), floor, variance in zip(table.columns, table.floor, table.bound, strict=True):
         if floor > SUFFICES * variance > 0.0:
             over = f"{horizon_s:g} s" if np.isfinite(horizon_s) else "whole runs"
             share = f"noise alone makes {100.0 * floor / variance:.0f} % of the variance of {sensor}"
@@ -160,30 +247,28 @@ def nothing(found: Diagnosis, small: Explanation | None = None, p_value: float =
 
 
 def unexplained(found: Diagnosis, nominal: Model, best: Explanation | None, why: str,
-                rng: np.random.Generator | None = None, noise: FloorNoise | None = None, p_value: float = 1.0
-                ) -> Diagnosis:
+                rng: np.random.Generator, noise: FloorNoise, p_value: float = 1.0) -> Diagnosis:
     """Verdict `unexplained`: the closest explanation, if any, is kept with its p-value, but not named as a finding."""
     sentence = f"The model is wrong, and no listed effect explains the error: {why}."
     causes: tuple[Cause, ...] = ()
     if best is not None:
         causes = tuple(causes_of(best, p_value, found))
-        found = with_gain(found, nominal, best, noise or white_noise(best.model.state.noise), rng)
+        found = with_gain(found, nominal, best, noise, rng)
         sentence = (f"The model is wrong, and no listed effect explains the error. The closest, "
                     f"{' with '.join(label(c.effect, c.joint) for c in causes)}, does not suffice: {why}.")
     return replace(found, verdict="unexplained", sentence=sentence, causes=causes, effects=(),
-                   next_experiment="Record slow motion, fast motion, holds and a free swing as separate runs: the "
-                   "missing effect is larger in one of them. You can add an effect as a file.")
+                   next_experiment=NEXT_UNEXPLAINED)
 
 
 def finding(found: Diagnosis, nominal: Model, indistinguishable: Sequence[Explanation], p_value: float,
-            rng: np.random.Generator, partial: bool = False, noise: FloorNoise | None = None) -> Diagnosis:
+            rng: np.random.Generator, partial: bool, noise: FloorNoise) -> Diagnosis:
     """Verdict `named`, or `one_of` where several explanations fit alike; `partial` where the residual is material."""
     best = indistinguishable[0]
     lacking = undetermined_sizes(best)
     if lacking:
         found = replace(found, warnings=(*found.warnings, f"these runs do not determine {' and '.join(lacking)}: other "
                                          "sizes or parameters can replace them"))
-    found = with_gain(found, nominal, best, noise or white_noise(best.model.state.noise), rng)
+    found = with_gain(found, nominal, best, noise, rng)
     causes = {c.effect + str(c.joint): c for t in indistinguishable for c in causes_of(t, p_value, found)}
     rivals = [causes_of(t, p_value, found) for t in indistinguishable]
     if len(indistinguishable) == 1:
@@ -214,7 +299,7 @@ def _where(found: Diagnosis) -> str:
 
 
 def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorNoise,
-              rng: np.random.Generator | None) -> Diagnosis:
+              rng: np.random.Generator) -> Diagnosis:
     """`found` with the gain over the floor of `noise`, the extended parameters and the pictures of `best`."""
     model, mechanism = best.model, best.model.split.mechanism
     p, names = mechanism.p, mechanism.names
@@ -226,12 +311,12 @@ def with_gain(found: Diagnosis, nominal: Model, best: Explanation, noise: FloorN
         extended_covariance=covariance,
         signatures=tuple(s for e in model.named if (s := signature(nominal, model, e)) is not None))
     try:
-        gain = measure_gain(nominal, model, rng or np.random.default_rng(0), noise)
+        gain = measure_gain(nominal, model, rng, noise)
     except FitError as error:
         return replace(found, warnings=(*found.warnings, f"the gain could not be measured: {error}"))
     if gain.ci95 is None or gain.ci95[0] <= 0.0:
         unsure = () if found.rotations else (NO_GAP if gain.closed is None else UNSURE_GAP,)  # all runs have said
-        found = replace(found, warnings=(*found.warnings, *unsure), short=in_pieces(nominal, model, noise))
+        found = replace(found, warnings=(*found.warnings, *unsure), short=in_pieces(nominal, model, noise, rng))
     return replace(found, sensors=gain.sensors, gap_closed=gain.closed, gap_closed_ci95=gain.ci95,
                    torque_rms_nm=gain.torque, traces=gain.traces)
 

@@ -1,0 +1,185 @@
+"""`Explanation`: a fitted set of effects; whether each effect is present, and which explanations these runs tell apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import FloatArray
+from estimator.diagnosis.decision_rule import SURE
+from estimator.diagnosis.model import Model
+from estimator.prediction import PredictedRun
+from estimator.score import NO_TESTS, ScoreTests, least_sigmas
+
+LEAST_APART = 2.0 * float(np.log(SURE / (1.0 - SURE)))
+"""Difference in gain at which one explanation has the probability SURE, of two."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One fitted set of effects, and the scores of its residual on the train runs."""
+
+    model: Model
+    gain: float
+    """Twice the log likelihood over the nominal model's."""
+    left: ScoreTests = NO_TESTS
+    has_residual: bool = True
+    """Whether its residual has a detectable effect or generic term."""
+    by_run: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(R,) misfit of each train run, under the noise levels of those that it was weighed with"""
+    error: float = 1.0
+    """rms error of its free runs over a second on the train runs, over the nominal model's, sensors alike"""
+    inflation: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(m,) how much more variance than white noise gives them its parameters have; see `own_inflation`"""
+    determined: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    """(m,) whether these runs determine each of its parameters; see `estimator.score`"""
+    further: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(K,) gain of each candidate in addition to it; zero for its own effects"""
+    predicted: tuple[PredictedRun, ...] = ()
+    """(R,) its free runs on the train runs"""
+
+    @property
+    def keys(self) -> frozenset[str]:
+        """Its effects."""
+        return frozenset(e.key for e in self.model.effects)
+
+    def covariance(self) -> FloatArray:
+        """(m, m) of the parameters that belong to the leg, from noise and scatter between runs."""
+        model, width = self.model, self.model.width
+        spread = np.sqrt(self.inflation[:width])
+        return np.outer(spread, spread) * model.state.covariance[:width, :width]
+
+
+def seated(found: Sequence[Explanation], most: int) -> list[Explanation]:
+    """The first `most` of explanations, the likeliest first; the last place is for the one that simulates best.
+
+    What is likeliest can be a sensor's small fault, which every sample shows and no simulation feels.
+    """
+    first, best = list(found[:most]), simulates_best(found)
+    return first if best is None or any(best is e for e in first) else [*first[: most - 1], best]
+
+
+def simulates_best(found: Sequence[Explanation]) -> Explanation | None:
+    """The one with the least error of free runs, of those without a shape at a limit where it is another thing."""
+    answers = [e for e in found if not any(effect.strict and effect.at_limits(size).any()
+                                           for effect, size in zip(e.model.effects, e.model.sizes()))]
+    return min(answers, key=lambda e: e.error, default=None)
+
+
+def admissible(explanation: Explanation) -> bool:
+    """Whether each of its effects is significant, with a possible sign."""
+    return all(presence(explanation))
+
+
+def presence(explanation: Explanation) -> list[bool]:
+    """For each effect, whether a defining size is significant, no size has an impossible sign, and shapes are in range.
+
+    A gear of zero compliance with friction and inertia of its motor is no elastic gear.
+    """
+    out = []
+    for k, (effect, size) in enumerate(zip(explanation.model.named, explanation.model.sizes())):
+        counts = significant(explanation, k)
+        below = size[: effect.positive] < 0.0
+        wrong = (below & counts[: effect.positive]).any() or (effect.strict and effect.at_limits(size).any())
+        out.append(bool(counts[: effect.defining].any() and not wrong))
+    return out
+
+
+def undetermined(explanation: Explanation) -> list[bool]:
+    """For each effect, whether the other effects and the nominal parameters replace all its defining sizes."""
+    model = explanation.model
+    return [not explanation.determined[here][: len(effect.sizes)][: effect.defining].any()
+            for effect, here in zip(model.named, model.places())]
+
+
+def significant(explanation: Explanation, which: int) -> NDArray[np.bool_]:
+    """For each size of one effect, whether it is determined and differs from zero by `least_sigmas`.
+
+    These allow for its scatter between runs, as its interval does, and for that of all tests.
+    """
+    model = explanation.model
+    here = model.places()[which]
+    std = (np.sqrt(np.maximum(explanation.inflation, explanation.left.scatter)) * model.std())[here]
+    least = least_sigmas(explanation.further.size)
+    counts = explanation.determined[here] & (np.abs(model.sizes()[which]) > least * std)
+    return np.asarray(counts[: len(model.effects[which].sizes)])
+
+
+def outperforms(one: Explanation, other: Explanation) -> bool:
+    """Whether `one`, assessed, has as many effects as the `other`, a smaller error, and a larger gain beyond any tie:
+    the `margin` of the other is at most the largest gain that one further effect adds to this one."""
+    return (len(one.model.effects) == len(other.model.effects) and one.error < other.error
+            and one.gain - other.gain > one.left.scatter * (one.further.max(initial=0.0) + LEAST_APART))
+
+
+def indistinguishable_set(adequate: Sequence[Explanation]) -> list[Explanation]:
+    """The best of explanations by equally many effects, and those that are not told apart from it.
+
+    The most likely stands for all, unless it leaves something detectable and another does not.
+    """
+    most, *others = sorted(adequate, key=lambda o: -o.gain)
+    near = [most, *(o for o in others if is_close(o, most))]
+    best = next((o for o in near if not o.has_residual), most)
+    return distinguishable([best, *(o for o in near if o is not best and
+                             (not o.has_residual or best.has_residual or equivalent(o, best)))])
+
+
+def is_close(other: Explanation, most: Explanation) -> bool:
+    """Whether these runs do not tell `other` from the `most` likely with the probability SURE.
+
+    Two explanations that are D apart in gain have the odds exp(-(D - L) / 2), L their `margin`. Or more than a share
+    1 - SURE of the differences between them, run by run, is in favour of `other`.
+    """
+    worse = other.by_run - most.by_run
+    return bool(most.gain - other.gain <= margin(other, most) + LEAST_APART
+                or np.maximum(-worse, 0.0).sum() > (1.0 - SURE) * np.abs(worse).sum())
+
+
+def margin(other: Explanation, most: Explanation) -> float:
+    """Gain by which one further effect, listed or generic, would bring `other` nearer to the `most` likely.
+
+        L = max_k min(g_k(other) - g_k(most), g_k(most))
+
+    g_k is the gain of effect k in addition to each. It counts no more than in addition to the most likely: what
+    explains nothing there only imitates that one.
+    """
+    imitated = np.minimum(other.further - most.further, most.further)
+    return float(imitated.max(initial=0.0))
+
+
+def equivalent(one: Explanation, other: Explanation) -> bool:
+    """Whether two explanations differ by effects of one group only."""
+    keys = {e.key for e in one.model.effects} & {e.key for e in other.model.effects}
+    first, second = (sorted(e.equivalence_class or e.key for e in o.model.effects if e.key not in keys)
+                     for o in (one, other))
+    return first == second
+
+
+def distinguishable(near: list[Explanation]) -> list[Explanation]:
+    """Explanations that remain after effects of one group are told apart by their `Effect.distinguishing_size`.
+
+    If the best has a significant one, those without it are removed. Otherwise explanations that equal another one with
+    fewer sizes are removed: a spring of zero stiffness equals a torque offset.
+    """
+    best, others = near[0], near[1:]
+    if set_apart(best):
+        return [best, *(o for o in others if not equivalent(o, best) or set_apart(o))]
+    plain = [o for o in near if all(e.distinguishing_size is None for e in o.model.effects if e.equivalence_class)]
+    return [o for o in near if set_apart(o) or any(o is p for p in plain) or not any(nested(p, o) for p in plain)]
+
+
+def set_apart(explanation: Explanation) -> bool:
+    """Whether an effect of a group has a significant distinguishing size."""
+    return any(e.equivalence_class and e.distinguishing_size is not None
+               and significant(explanation, k)[e.distinguishing_size]
+               for k, e in enumerate(explanation.model.effects))
+
+
+def nested(plain: Explanation, other: Explanation) -> bool:
+    """Whether `plain` is `other` with a distinguishing size of zero: the first of its effect, all else equal."""
+    return equivalent(plain, other) and any(e.equivalence_class and e.distinguishing_size == 0
+                                            for e in other.model.effects)
