@@ -32,8 +32,7 @@ from experiments.models import known_effects
 SCHEMA = "legid.excitation/1"
 INDEX = "session.json"
 TURN = 4
-"""Of four runs in turn a diagnosis fits two, screens one and keeps one for confirmation."""
-PARTS = ("fit", "screen", "fit", "confirm")
+"""Kinds of plans that follow each other: of as many runs alike in excitation a diagnosis holds one out."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +51,6 @@ class SessionPlan:
 
     file: str
     kind: PlanKind
-    part: str
-    """fit | screen | confirm"""
     candidate: Candidate
 
 
@@ -160,7 +157,7 @@ def plan_session(bench: Bench, band: Band, search: Search, choice: Choice, runs:
             candidate = shaped(bench, kind, time_s, search, i)
         if candidate is None:
             raise WorkError(f"no plan of the kind {kind!r} keeps the limits; widen [limits]")
-        plans.append(SessionPlan(f"{i + 1:02d}-{kind}.csv", kind, PARTS[i % TURN], candidate))
+        plans.append(SessionPlan(f"{i + 1:02d}-{kind}.csv", kind, candidate))
     return PlannedSession(tuple(plans), designs[0], choice)
 
 
@@ -186,7 +183,7 @@ def session_document(found: PlannedSession, rig: str, model: str, margin: float)
     return {
         "schema": SCHEMA, "rig": rig, "model": model, "margin": margin,
         "chosen": list(found.choice.reasons), "by_hand": list(found.choice.by_hand),
-        "plans": [{"file": p.file, "kind": p.kind, "what": KINDS[p.kind].what, "part": p.part,
+        "plans": [{"file": p.file, "kind": p.kind, "what": KINDS[p.kind].what,
                    "seconds": p.candidate.plan.duration_s, "peaks": p.candidate.peaks,
                    "std": dict(zip(names, p.candidate.std.tolist()))} for p in found.plans],
         "session": {"seconds": sum(p.candidate.plan.duration_s for p in found.plans),
@@ -202,7 +199,7 @@ def session_text(found: PlannedSession, folder: Path) -> str:
     lines = [*found.choice.reasons, *(f"by hand: {text}" for text in found.choice.by_hand), ""]
     for p in found.plans:
         peak = ", ".join(f"{name} {value:.3g}" for name, value in p.candidate.peaks.items())
-        lines.append(f"{p.file:<14}  {p.part:<7}  {peak}")
+        lines.append(f"{p.file:<14}  {peak}")
     after, before = standard_errors(found.information), standard_errors(found.before)
     minutes = sum(p.candidate.plan.duration_s for p in found.plans) / 60.0
     told = ", ".join(f"{name} {100 * s / abs(b):.2g} %" for name, s, b in zip(found.design.names, after,

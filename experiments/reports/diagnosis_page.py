@@ -320,6 +320,6 @@ def _untestable(found: Diagnosis) -> Section:
 
 
 def _runs(found: Diagnosis) -> Section:
-    uses = {"fit": "fitted", "screen": "fitted, and used to choose", "confirm": "held out, opened once at the end"}
-    rows = [[uses[group], ", ".join(names)] for group, names in found.runs.items() if names]
+    uses = {"fit": "fitted; all causes were chosen by them", "confirm": "held out until the causes were chosen"}
+    rows = [[use, ", ".join(found.runs[group])] for group, use in uses.items() if found.runs.get(group)]
     return Section("Runs", (), [Table(["use", "runs"], rows)] if rows else ())

@@ -163,15 +163,14 @@ def session(folder: Path, name: str, *more: str) -> dict:
     return json.loads((folder / name / "session.json").read_text())
 
 
-def test_a_session_has_every_kind_in_every_part(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Parts as `estimator.diagnosis.data_split` splits runs; each plan within the limits by the prior, none twice."""
+def test_a_session_has_every_kind_in_each_quarter(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each plan within the limits by the prior, none twice."""
     found = session(folder, "usual")
     assert "condition number before" in capsys.readouterr().out
     plans = found["plans"]
     assert len(plans) == 16 and found["session"]["seconds"] == pytest.approx(16 * SECONDS)
-    for part, where in {"fit": (0, 2), "screen": (1,), "confirm": (3,)}.items():
-        runs = [p for i, p in enumerate(plans) if i % 4 in where]
-        assert {p["part"] for p in runs} == {part}
+    for quarter in range(4):
+        runs = plans[quarter::4]
         assert {p["kind"] for p in runs} == {"large", "ramps", "small", "swing"}
     torques = [tuple(read_plan(folder / "usual" / p["file"]).torque_nm) for p in plans]
     assert len(set(torques)) == 16
