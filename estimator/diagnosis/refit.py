@@ -23,7 +23,7 @@ from estimator.fitting import (
     start_motion,
     start_state,
 )
-from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
+from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
 from estimator.prediction import (
@@ -50,7 +50,7 @@ class Model:
     split: RunSplit
     effects: tuple[Effect, ...]
     state: State
-    problem: ExtendedProblem
+    problem: LatentProblem
     nuisances: int = 0
     """The last so many effects are uncertainties of these records (a clock's), not of the leg."""
 
@@ -169,7 +169,7 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
     return Model(split, tuple(e for e, _ in effects), converge_runs(split, problem, state), problem)
 
 
-def converge_runs(split: RunSplit, problem: ExtendedProblem, state: State) -> State:
+def converge_runs(split: RunSplit, problem: LatentProblem, state: State) -> State:
     """`state` with the likeliest motion of each discover run, sought by steps of its own: a run in which a joint
     reverses close to a sample shortens no other run's steps. Raises `FitError`."""
     if problem.stiction(state.noise) is None:

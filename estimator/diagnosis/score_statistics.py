@@ -17,7 +17,7 @@ from scipy.special import chdtri, fdtrc, fdtri  # scipy.stats takes a second mor
 
 from daq import FloatArray
 from estimator.diagnosis.decision_rule import ALPHA, HIDDEN, RUNS
-from estimator.likelihood import Candidate, ExtendedProblem, State, weighted_residuals_after
+from estimator.likelihood import Candidate, LatentProblem, State, weighted_residuals_after
 from estimator.numerics import eliminate, pseudo_inverse
 
 
@@ -31,14 +31,14 @@ class RunScore:
     """(m, m)"""
 
 
-def score_run(problem: ExtendedProblem, state: State) -> RunScore:
+def score_run(problem: LatentProblem, state: State) -> RunScore:
     """Score and information of the problem's candidates at the smoothed motion in `state`."""
     point = problem.linearise(state.x, state.beta, state.noise)
     product = eliminate(point.chain).product()
     return RunScore(product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:])
 
 
-def score_alone(problem: ExtendedProblem, state: State) -> FloatArray:
+def score_alone(problem: LatentProblem, state: State) -> FloatArray:
     """`score_run` without the information, for a third of the time."""
     plain = problem.without_candidates()
     point = plain.linearise(state.x, state.beta, state.noise)

@@ -25,7 +25,7 @@ from estimator.fitting.run_scatter import student_quantile
 from estimator.fitting.shooting import SEGMENT_S
 from estimator.fitting.shooting_segments import Segments, filtered_motion
 from estimator.fitting.warm_start import LEAST_SEGMENT, cut
-from estimator.likelihood import LatentProblem, Latents, Noise, Process, State
+from estimator.likelihood import LatentProblem, Latents, Noise, Process, State, add_reading
 from estimator.model import Mechanism
 from estimator.numerics import BlockTridiagonal, Swept, eliminate
 from estimator.options import FitOptions
@@ -94,13 +94,8 @@ class MarginalLikelihood:
         weight = sign / p.torque_variance(noise)
         process = Process.of(noise, p.dt)
         process.add(chain, self.e, p.ends, sign)
-        for j in range(n):
-            u, e = 2 * n + j, 3 * n + j
-            for row, other in ((u, e), (e, u)):
-                chain.diagonal[:, row, row] += weight[:, j]
-                chain.diagonal[:, row, other] += weight[:, j]
-                chain.right[:, row, 0] += weight[:, j] * self.residual[:, j]
-        return sign * float(process.squares(self.e, p.ends).sum()) + float(np.vdot(weight, self.residual**2))
+        squares = sum(add_reading(chain, (2 * n + j, 3 * n + j), weight[:, j], self.residual[:, j]) for j in range(n))
+        return sign * float(process.squares(self.e, p.ends).sum()) + squares
 
     def __call__(self, found: Disturbance) -> float:
         """log p up to a constant; -inf where the equations cannot be solved."""
@@ -128,7 +123,7 @@ def disturbed_problem(signals: Sequence[SignalSet], plain: LatentProblem) -> Lat
     """The problem `plain` of the same `signals`, with a disturbance at every joint."""
     if plain.disturbed:
         return plain
-    return LatentProblem(signals, plain.mechanism, plain.collocation.hold, disturbed=True)
+    return LatentProblem(signals, plain.mechanism, plain.collocation.hold).with_disturbance()
 
 
 def disturbance_likelihood(signals: Sequence[SignalSet], problem: LatentProblem, state: State,
@@ -142,7 +137,7 @@ def disturbance_likelihood(signals: Sequence[SignalSet], problem: LatentProblem,
     parts = [cut(s, slice(0, max(LEAST_SEGMENT, round(share * len(s.time_s))))) for s in signals]
     starts = problem.ends - [len(s.time_s) for s in signals]
     where = np.concatenate([start + np.arange(len(s.time_s)) for s, start in zip(parts, starts, strict=True)])
-    own = (LatentProblem(parts, problem.mechanism, problem.collocation.hold, disturbed=True) if disturbed is None
+    own = (LatentProblem(parts, problem.mechanism, problem.collocation.hold).with_disturbance() if disturbed is None
            else disturbed(parts))
     stiction = problem.stiction(state.noise)
     own = own.with_stiction(None if stiction is None else stiction[where])

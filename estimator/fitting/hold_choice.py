@@ -71,8 +71,7 @@ def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State
     x = state.x.of(index)
     runners = {}
     for hold in HOLDS:
-        problem = LatentProblem(parts, mechanism, hold)
-        problem.curve(x.u)
+        problem = LatentProblem(parts, mechanism, hold).curved_by(x.u)
         runners[hold] = _Runner(problem, x, state.beta.copy(), state.noise.at(index), np.flatnonzero(free))
     found = {hold: runner.step() for hold, runner in runners.items()}
     ahead = max(found.values()) - LOST

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
-from estimator.effects import SensorTimeSkew
+from estimator.effects import Effect, SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting.disturbance import (
     alike,
@@ -41,7 +41,7 @@ from estimator.fitting.run_scatter import agreement_of
 from estimator.fitting.run_scores import score_runs
 from estimator.fitting.warm_start import from_excerpt
 from estimator.fitting.wls import free_mask
-from estimator.likelihood import BatchProblem, ExtendedProblem, LatentProblem, Latents, Noise, Records, Stage, State
+from estimator.likelihood import BatchProblem, LatentProblem, Latents, Noise, Records, State
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
 from estimator.result import TWO_SIDED, FitResult, Trajectory
@@ -199,7 +199,7 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
     the lines stay as they are, and there is no skew.
     """
-    wide = _skewed(signals, problem.mechanism, options.hold, problem.disturbed)
+    wide = _like(problem, signals, (SensorTimeSkew(),))
     again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
     again = iterate(wide, again, np.append(free, True), options, floors)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
@@ -221,11 +221,10 @@ def _late(skew_s: float) -> str:
     return f"{abs(skew_s) * 1e6:.0f} us {'late' if skew_s >= 0.0 else 'early'}"
 
 
-def _skewed(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, disturbed: bool) -> ExtendedProblem:
-    """The likelihood with one parameter more, by which the IMU is late [s]."""
-    blank = (0.0,) * len(signals)
-    stage = Stage((0,) * len(signals), blank, blank, np.zeros((mechanism.n, 2)))
-    return ExtendedProblem(signals, mechanism, hold, stage, (SensorTimeSkew(),), disturbed=disturbed)
+def _like(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequence[Effect] = ()) -> LatentProblem:
+    """The likelihood of other segments as `problem` has it, with effects that need no `Stage`."""
+    found = LatentProblem(signals, problem.mechanism, problem.collocation.hold, effects=effects)
+    return found.with_disturbance() if problem.disturbed else found
 
 
 def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
@@ -234,11 +233,10 @@ def _with_agreement(result: FitResult, problem: LatentProblem, signals: list[Sig
     ask at."""
     if not result.converged:
         return result
-    make = LatentProblem if skew is None else _skewed
+    effects = () if skew is None else (SensorTimeSkew(),)
     beta, free = (state.beta, free) if skew is None else (np.append(state.beta, skew), np.append(free, True))
     try:
-        scores = score_runs(signals, lambda own: make(own, result.mechanism, result.hold, problem.disturbed), problem,
-                            state, beta)
+        scores = score_runs(signals, lambda own: _like(problem, own, effects), problem, state, beta)
         known = prior_at(result.mechanism, prior, result.beta).information if prior else None
         covariance, agreement = agreement_of(scores, beta, result.covariance, free, known)
     except np.linalg.LinAlgError:  # a run that alone determines nothing at all

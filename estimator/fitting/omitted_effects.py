@@ -17,7 +17,7 @@ from scipy.special import fdtrc
 from daq import FloatArray
 from estimator.effects import Effect, SensorTimeSkew, library
 from estimator.fitting.run_scores import score_at, segments
-from estimator.likelihood import Candidate, ExtendedProblem, LatentProblem, Stage, State
+from estimator.likelihood import Candidate, LatentProblem, Stage, State
 from estimator.numerics import pseudo_inverse
 from estimator.result import MOST_DISAGREEMENT, FitResult, OmittedEffect
 from estimator.signals import SignalSet
@@ -45,11 +45,11 @@ def omitted_effects(result: FitResult, problem: LatentProblem, signals: Sequence
     names = list(dict.fromkeys(one.run for one in signals))
     reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
 
-    def extended(some: Sequence[SignalSet]) -> ExtendedProblem:
+    def extended(some: Sequence[SignalSet]) -> LatentProblem:
         begin = tuple(float(one.time_s[0]) for one in some)
         stage = Stage(tuple(names.index(one.run) for one in some), begin, begin, reach)
-        return ExtendedProblem(some, problem.mechanism, problem.collocation.hold, stage, own, candidates,
-                               problem.disturbed)
+        found = LatentProblem(some, problem.mechanism, problem.collocation.hold, stage, own, candidates)
+        return found.with_disturbance() if problem.disturbed else found
 
     parts = segments(signals, problem, state)
     if not parts:
