@@ -1,7 +1,7 @@
 """The likelihood of a motion: normal equations, nominal and with effects, batches, free runs."""
 
 from estimator.likelihood.batch_likelihood import BatchProblem, Point, Records
-from estimator.likelihood.disturbance import Process
+from estimator.likelihood.disturbance import OFF, Process
 from estimator.likelihood.dry_friction import REST_SPREAD, held_variance
 from estimator.likelihood.effective_samples import effective_samples
 from estimator.likelihood.free_run import LOST_RAD, FreeRun, free_run, pieces, read_motion
@@ -17,7 +17,7 @@ from estimator.likelihood.stiction import draw_stiction, find_smoothing, find_st
 from estimator.likelihood.weighted_residuals import weighted_residuals_after
 
 __all__ = [
-    "LOST_RAD", "REST_SPREAD", "BatchProblem", "Candidate", "FreeRun", "LatentProblem", "Latents", "Linearised",
+    "LOST_RAD", "OFF", "REST_SPREAD", "BatchProblem", "Candidate", "FreeRun", "LatentProblem", "Latents", "Linearised",
     "MeasuredRuns", "Noise", "NoiseScale", "Point", "Process", "Records", "Stage", "State", "add_reading",
     "compile_kernels", "draw_stiction", "effective_samples", "find_smoothing", "find_stiction", "free_run",
     "held_variance", "pieces", "read_motion", "slack_of", "unit_scale", "weighted_residuals_after",
