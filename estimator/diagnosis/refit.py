@@ -15,7 +15,9 @@ from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import (
     MAX_ITERATIONS,
+    Policies,
     converge_motion,
+    descend,
     free_mask,
     gentle_start,
     iterate,
@@ -195,7 +197,7 @@ def likeliest_smoothing_velocity(model: Model, stated: Mechanism) -> Mechanism:
     free = np.ones(state.beta.size, dtype=bool)
     free[: stated.p] = free_mask(stated, split.options)[0]
     floors = split.floors(problem, state.beta[: stated.p])
-    found = iterate(problem, state, free, split.options, floors, SMOOTHING_STEPS, seeks_smoothing=True)
+    found = descend(problem, state, free, Policies.of(split.options, floors, seeks_smoothing=True), SMOOTHING_STEPS)
     return problem.smoothed_over(found.smoothing).mechanism
 
 

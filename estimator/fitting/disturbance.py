@@ -20,8 +20,8 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from daq import FloatArray
-from estimator.fitting.gauss_newton import TORQUE_SHARE, most_noise
 from estimator.fitting.initial_guess import noise_floors
+from estimator.fitting.noise_update import TORQUE_SHARE, most_noise
 from estimator.fitting.run_scatter import student_quantile
 from estimator.fitting.shooting import SEGMENT_S
 from estimator.fitting.shooting_segments import Segments, filtered_motion

@@ -27,7 +27,7 @@ from estimator.fitting.disturbance import (
     of_noise,
     predicts_worse,
 )
-from estimator.fitting.gauss_newton import iterate
+from estimator.fitting.gauss_newton import Policies, descend, iterate
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
@@ -152,7 +152,7 @@ def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
     else:
         state = replace(near, noise=near.noise.levels(), converged=False)
         floors = noise_floors(problem, mechanism, near.beta)
-    state = iterate(problem, state, free, options, floors, seeks_smoothing=seeks_smoothing, levels_by_run=True)
+    state = descend(problem, state, free, Policies.of(options, floors, seeks_smoothing, levels_by_run=True))
     _refuse_collapse(problem, state, mechanism)
     return problem.smoothed_over(state.smoothing), state
 
@@ -179,7 +179,7 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
         state = State(x, state.beta, found.put(state.noise), state.covariance, misfit=state.misfit)
         try:
             floors = noise_floors(problem, problem.mechanism, state.beta)
-            state = iterate(problem, state, free, options, floors, levels_by_run=True)
+            state = descend(problem, state, free, Policies.of(options, floors, levels_by_run=True))
         except FitError:
             return plain
         if not state.converged:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.dataset import Dataset
-from estimator.fitting import gauss_newton
+from estimator.fitting import iterate, stopping
 from estimator.fitting.fit import fit
 from estimator.fitting.initial_guess import start_state
 from estimator.fitting.wls import free_mask
@@ -105,9 +105,9 @@ def test_minimum_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
     leg = Leg(coulomb=(0.0, 0.0))  # dry friction that changes sign beside a sample makes many minima
     run = record(leg, np.random.default_rng(22), seconds=4)
     posed = pose(Recorded(run, leg2(lever_arm=leg.lever), leg.beta(), (leg.m1, leg.m2), leg.l1))
-    monkeypatch.setattr(gauss_newton, "TOLERANCE", 1e-6)
-    monkeypatch.setattr(gauss_newton, "LOOSE", 1e-6)
-    state = gauss_newton.iterate(posed.problem, posed.end, np.ones(9, dtype=bool), OPTIONS, None, 100)  # noise held
+    monkeypatch.setattr(stopping, "TOLERANCE", 1e-6)
+    monkeypatch.setattr(stopping, "LOOSE", 1e-6)
+    state = iterate(posed.problem, posed.end, np.ones(9, dtype=bool), OPTIONS, None, 100)  # noise held
     assert state.converged
     point = posed.problem.linearise(state.x, state.beta, state.noise)
     found = casadi_ipopt.solve(posed, 1e-14)
@@ -121,8 +121,8 @@ def test_a_fit_ends_where_a_stricter_one_does(monkeypatch: pytest.MonkeyPatch) -
     leg = random_leg(rng)
     run, mechanism = record(leg, rng, seconds=60, counts=2048), leg2(lever_arm=leg.lever)
     found = fit([run], mechanism, OPTIONS)
-    monkeypatch.setattr(gauss_newton, "TOLERANCE", 0.002)
-    monkeypatch.setattr(gauss_newton, "LOOSE", 0.002)
+    monkeypatch.setattr(stopping, "TOLERANCE", 0.002)
+    monkeypatch.setattr(stopping, "LOOSE", 0.002)
     strict = fit([run], mechanism, OPTIONS)
     assert found.converged and strict.converged
     assert np.max(np.abs(found.beta - strict.beta) / strict.std) < 0.2
