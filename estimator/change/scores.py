@@ -12,7 +12,7 @@ from daq import Dataset, FloatArray
 from estimator.effects import Effect, EncoderOffset, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, free_mask, iterate, noise_floors, start_state
-from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage, State
+from estimator.likelihood import Candidate, LatentProblem, Noise, Stage, State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.prediction import smooth_under
@@ -126,7 +126,7 @@ def _present(fit: ReferenceFit, shift: FloatArray) -> tuple[list[Effect], list[F
 
 def _problem(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, angle_range: FloatArray,
              gear_ratio: float, candidates: Sequence[Candidate] = (), effects: Sequence[Effect] = ()
-             ) -> ExtendedProblem:
+             ) -> LatentProblem:
     begin = tuple(float(s.time_s[0] - signals[0].time_s[0]) for s in signals)
     stage = Stage((0,) * len(begin), begin, begin, angle_range, gear_ratio)
-    return ExtendedProblem(signals, mechanism, hold, stage, effects, candidates)
+    return LatentProblem(signals, mechanism, hold, stage, effects, candidates)

@@ -13,7 +13,7 @@ from estimator.diagnosis.decision_rule import LEAST_S
 from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import noise_floors, require_scale
-from estimator.likelihood import Candidate, ExtendedProblem, Noise, Stage
+from estimator.likelihood import Candidate, LatentProblem, Noise, Stage
 from estimator.model import Mechanism
 from estimator.options import FitOptions, accel_level, encoder_level, gyro_level, torque_level
 from estimator.score import RUNS
@@ -65,7 +65,7 @@ class RunSplit:
         """0-based joints whose encoders are read."""
         return self.options.encoders_of(self.mechanism.n)
 
-    def floors(self, problem: ExtendedProblem, beta: FloatArray) -> Noise:
+    def floors(self, problem: LatentProblem, beta: FloatArray) -> Noise:
         """Least noise levels of a fit at beta (p,)."""
         least, known = noise_floors(problem, self.mechanism, beta), self.known
         torque, encoder = least.torque.copy(), least.encoder.copy()
@@ -85,14 +85,15 @@ class RunSplit:
 
     def problem(self, which: Sequence[int], angle_range: FloatArray, effects: Sequence[Effect] = (),
                 candidates: Sequence[Candidate] = (), signals: Sequence[SignalSet] | None = None,
-                disturbed: bool = False) -> ExtendedProblem:
+                disturbed: bool = False) -> LatentProblem:
         """Likelihood of these runs; `signals` stand in for their own (a replicate of them, or a part)."""
         run = [i for i in which for _ in self.runs[i]]
         begin = [s.time_s[0] - self.runs[i][0].time_s[0] for i in which for s in self.runs[i]]
         stage = Stage(tuple(run), tuple(self.starts_s[i] + b for i, b in zip(run, begin)), tuple(map(float, begin)),
                       angle_range, self.gear_ratio)
-        problem = ExtendedProblem(self.signals(which) if signals is None else signals, self.mechanism,
-                                  self.options.hold, stage, effects, candidates, disturbed)
+        problem = LatentProblem(self.signals(which) if signals is None else signals, self.mechanism,
+                                self.options.hold, stage, effects, candidates)
+        problem = problem.with_disturbance() if disturbed else problem
         known = [self.stiction[i] for i in which if i in self.stiction]
         return problem.with_stiction(np.concatenate(known)) if len(known) == len(which) else problem
 

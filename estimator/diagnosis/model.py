@@ -15,7 +15,9 @@ from estimator.effects import Effect
 from estimator.errors import FitError
 from estimator.fitting import (
     MAX_ITERATIONS,
+    Policies,
     converge_motion,
+    descend,
     free_mask,
     gentle_start,
     iterate,
@@ -23,7 +25,7 @@ from estimator.fitting import (
     start_motion,
     start_state,
 )
-from estimator.likelihood import Candidate, ExtendedProblem, Latents, Noise, State
+from estimator.likelihood import Candidate, LatentProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.parallel import parallel_map
 from estimator.prediction import (
@@ -52,7 +54,7 @@ class Model:
     split: RunSplit
     effects: tuple[Effect, ...]
     state: State
-    problem: ExtendedProblem
+    problem: LatentProblem
     nuisances: int = 0
     """The last so many effects are uncertainties of these records (a clock's), not of the leg."""
 
@@ -171,7 +173,7 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
     return Model(split, tuple(e for e, _ in effects), converge_runs(split, problem, state), problem)
 
 
-def converge_runs(split: RunSplit, problem: ExtendedProblem, state: State) -> State:
+def converge_runs(split: RunSplit, problem: LatentProblem, state: State) -> State:
     """`state` with the likeliest motion of each train run, sought by steps of its own: a run in which a joint
     reverses close to a sample shortens no other run's steps. Raises `FitError`."""
     if problem.stiction(state.noise) is None:
@@ -197,7 +199,7 @@ def likeliest_smoothing_velocity(model: Model, stated: Mechanism) -> Mechanism:
     free = np.ones(state.beta.size, dtype=bool)
     free[: stated.p] = free_mask(stated, split.options)[0]
     floors = split.floors(problem, state.beta[: stated.p])
-    found = iterate(problem, state, free, split.options, floors, SMOOTHING_STEPS, seeks_smoothing=True)
+    found = descend(problem, state, free, Policies.of(split.options, floors, seeks_smoothing=True), SMOOTHING_STEPS)
     return problem.smoothed_over(found.smoothing).mechanism
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from daq import FloatArray
 from estimator.diagnosis.model import Model
 from estimator.fitting import Disturbance, MarginalLikelihood, disturbance_likelihood, find_disturbance, of_noise
-from estimator.likelihood import ExtendedProblem
+from estimator.likelihood import LatentProblem
 from estimator.options import FitOptions
 from estimator.prediction import FloorNoise, repeated_share, state_columns, taken, white_noise
 from estimator.signals import SignalSet
@@ -38,7 +38,7 @@ def _coloured(model: Model) -> FloorNoise:
     split, state = model.split, model.state
     signals = split.signals(split.train)
 
-    def disturbed(parts: Sequence[SignalSet]) -> ExtendedProblem:
+    def disturbed(parts: Sequence[SignalSet]) -> LatentProblem:
         return split.problem(split.train, model.problem.stage.angle_range, model.effects, signals=parts,
                              disturbed=True)
 

@@ -10,12 +10,13 @@ from estimator.fitting.disturbance import (
 )
 from estimator.fitting.fit import between_samples, fit
 from estimator.fitting.fit_each import fit_each
-from estimator.fitting.gauss_newton import MAX_ITERATIONS, PASSIVE_SHARE, TORQUE_SHARE, iterate, mistaken_torques
+from estimator.fitting.gauss_newton import MAX_ITERATIONS, Policies, descend, iterate
 from estimator.fitting.initial_guess import gentle_start, noise_floors, start_motion, start_state
 from estimator.fitting.latent_motion import converge_motion
 from estimator.fitting.mle import describe_smoothing_velocity
 from estimator.fitting.next_measurement import Measurement, next_measurement
 from estimator.fitting.noise_levels import disturbance_levels, imu_levels, torque_levels
+from estimator.fitting.noise_update import PASSIVE_SHARE, TORQUE_SHARE, mistaken_torques
 from estimator.fitting.profile_likelihood import known_noise
 from estimator.fitting.scale import has_torque, require_scale
 from estimator.fitting.second_opinion import with_second_opinion
@@ -28,8 +29,10 @@ __all__ = [
     "Disturbance",
     "MarginalLikelihood",
     "Measurement",
+    "Policies",
     "between_samples",
     "converge_motion",
+    "descend",
     "describe_smoothing_velocity",
     "design_rows",
     "disturbance_levels",

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.errors import FitError
-from estimator.fitting.gauss_newton import DIVERGED, newton_step
+from estimator.fitting.newton_step import DIVERGED, newton_step
 from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.model import HOLDS, Mechanism
 from estimator.numerics import eliminate
@@ -70,8 +70,7 @@ def choose_hold(signals: Sequence[SignalSet], mechanism: Mechanism, state: State
     x = state.x.of(index)
     runners = {}
     for hold in HOLDS:
-        problem = LatentProblem(parts, mechanism, hold)
-        problem.curve(x.u)
+        problem = LatentProblem(parts, mechanism, hold).curved_by(x.u)
         runners[hold] = _Runner(problem, x, state.beta.copy(), state.noise.at(index), np.flatnonzero(free))
     found = {hold: runner.step() for hold, runner in runners.items()}
     ahead = max(found.values()) - LOST
@@ -103,12 +102,12 @@ class _Runner:
             solved = eliminate(point.chain)
         except np.linalg.LinAlgError:
             return -np.inf
-        latents, step, _, _ = newton_step(point, solved, index)
+        step = newton_step(point, solved, index)
         size = np.linalg.slogdet(problem.mechanism.inertia_matrix(self.x.q[problem.left], self.beta))[1]
         held = (problem.motion_weight(self.noise) * problem.motion_level(self.noise)) ** 2
-        squares = point.objective - solved.product()[0, 0]
-        self.x = self.x.moved(latents)
-        self.beta[index] += step
+        squares = point.objective - step.fall
+        self.x = self.x.moved(step.latents)
+        self.beta[index] += step.beta
         if not (np.isfinite(self.beta).all() and np.isfinite(self.x.q).all()):
             raise FitError(DIVERGED)
         return float(-0.5 * (squares + solved.log_determinant()) + 2.0 * np.sum(size * held.mean(axis=0)))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
-from estimator.effects import SensorTimeSkew
+from estimator.effects import Effect, SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting.disturbance import (
     alike,
@@ -27,7 +27,7 @@ from estimator.fitting.disturbance import (
     of_noise,
     predicts_worse,
 )
-from estimator.fitting.gauss_newton import iterate
+from estimator.fitting.gauss_newton import Policies, descend, iterate
 from estimator.fitting.hold_choice import FIRST, HoldChoice, choose_hold
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors, start_state
@@ -39,7 +39,7 @@ from estimator.fitting.profile_likelihood import Searched, known_noise, search, 
 from estimator.fitting.run_levels import run_noise
 from estimator.fitting.warm_start import from_excerpt
 from estimator.fitting.wls import free_mask
-from estimator.likelihood import BatchProblem, ExtendedProblem, LatentProblem, Latents, Noise, Records, Stage, State
+from estimator.likelihood import BatchProblem, LatentProblem, Latents, Noise, Records, State
 from estimator.model import Mechanism
 from estimator.options import AUTO, FitOptions
 from estimator.result import TWO_SIDED, FitResult, Trajectory
@@ -150,7 +150,7 @@ def _search(signals: list[SignalSet], mechanism: Mechanism, options: FitOptions,
     else:
         state = replace(near, noise=near.noise.levels(), converged=False)
         floors = noise_floors(problem, mechanism, near.beta)
-    state = iterate(problem, state, free, options, floors, seeks_smoothing=seeks_smoothing, levels_by_run=True)
+    state = descend(problem, state, free, Policies.of(options, floors, seeks_smoothing, levels_by_run=True))
     _refuse_collapse(problem, state, mechanism)
     return problem.smoothed_over(state.smoothing), state
 
@@ -177,7 +177,7 @@ def _with_disturbance(problem: LatentProblem, state: State, signals: list[Signal
         state = State(x, state.beta, found.put(state.noise), state.covariance, misfit=state.misfit)
         try:
             floors = noise_floors(problem, problem.mechanism, state.beta)
-            state = iterate(problem, state, free, options, floors, levels_by_run=True)
+            state = descend(problem, state, free, Policies.of(options, floors, levels_by_run=True))
         except FitError:
             return plain
         if not state.converged:
@@ -197,7 +197,7 @@ def _with_skew(problem: LatentProblem, state: State, signals: list[SignalSet], f
     viscous friction several standard deviations. Where the data cannot place the IMU better than the bound does,
     the lines stay as they are, and there is no skew.
     """
-    wide = _skewed(signals, problem.mechanism, options.hold, problem.disturbed)
+    wide = _like(problem, signals, (SensorTimeSkew(),))
     again = State(state.x, np.append(state.beta, 0.0), state.noise, state.covariance)
     again = iterate(wide, again, np.append(free, True), options, floors)
     skew, std = float(again.beta[-1]), float(np.sqrt(again.covariance[-1, -1]))
@@ -219,11 +219,10 @@ def _late(skew_s: float) -> str:
     return f"{abs(skew_s) * 1e6:.0f} us {'late' if skew_s >= 0.0 else 'early'}"
 
 
-def _skewed(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, disturbed: bool) -> ExtendedProblem:
-    """The likelihood with one parameter more, by which the IMU is late [s]."""
-    blank = (0.0,) * len(signals)
-    stage = Stage((0,) * len(signals), blank, blank, np.zeros((mechanism.n, 2)))
-    return ExtendedProblem(signals, mechanism, hold, stage, (SensorTimeSkew(),), disturbed=disturbed)
+def _like(problem: LatentProblem, signals: Sequence[SignalSet], effects: Sequence[Effect] = ()) -> LatentProblem:
+    """The likelihood of other segments as `problem` has it, with effects that need no `Stage`."""
+    found = LatentProblem(signals, problem.mechanism, problem.collocation.hold, effects=effects)
+    return found.with_disturbance() if problem.disturbed else found
 
 
 def _with_scores(result: FitResult, problem: LatentProblem, signals: list[SignalSet], state: State,
@@ -231,7 +230,7 @@ def _with_scores(result: FitResult, problem: LatentProblem, signals: list[Signal
     """`result` with what its runs disagree about in its covariance and, where asked for, with the effects that it
     lacks: both from one score of each run."""
     if skew is not None:
-        problem, free = _skewed(signals, result.mechanism, result.hold, problem.disturbed), np.append(free, True)
+        problem, free = _like(problem, signals, (SensorTimeSkew(),)), np.append(free, True)
         state = replace(state, beta=np.append(state.beta, skew))
     candidates = small_effects(problem) if options.seeks_omitted else ()
     scores = score_runs(signals, lambda own: with_candidates(problem, signals, own, state, candidates), problem, state)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.effects import Effect, library
-from estimator.likelihood import Candidate, ExtendedProblem, LatentProblem, Stage, State
+from estimator.likelihood import Candidate, LatentProblem, Stage, State
 from estimator.result import MOST_DISAGREEMENT, FitResult, OmittedEffect
 from estimator.score import ALPHA, RunScores, columns_of, project
 from estimator.signals import SignalSet
@@ -23,21 +23,20 @@ from estimator.signals import SignalSet
 def small_effects(problem: LatentProblem) -> tuple[Candidate, ...]:
     """Effects of the library that small sizes define, and that are no parameters of `problem` yet."""
     encoders = [int(j) for j in np.flatnonzero(problem.has_encoder)]
-    own = {effect.key for effect in problem.effects} if isinstance(problem, ExtendedProblem) else set()
+    own = {effect.key for effect in problem.effects}
     listed = library(problem.mechanism, problem.has_imu, encoders)[0]
     return tuple(Candidate(effect) for effect in listed if not effect.shapes and effect.key not in own)
 
 
 def with_candidates(problem: LatentProblem, signals: Sequence[SignalSet], some: Sequence[SignalSet], state: State,
-                    candidates: Sequence[Candidate]) -> ExtendedProblem:
+                    candidates: Sequence[Candidate]) -> LatentProblem:
     """The likelihood of `some` of the `signals` of `problem`, with scores of `candidates`."""
     names = list(dict.fromkeys(one.run for one in signals))
     reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
     begin = tuple(float(one.time_s[0]) for one in some)
     stage = Stage(tuple(names.index(one.run) for one in some), begin, begin, reach)
-    own = problem.effects if isinstance(problem, ExtendedProblem) else ()
-    return ExtendedProblem(some, problem.mechanism, problem.collocation.hold, stage, own, candidates,
-                           problem.disturbed)
+    found = LatentProblem(some, problem.mechanism, problem.collocation.hold, stage, problem.effects, candidates)
+    return found.with_disturbance() if problem.disturbed else found
 
 
 def omitted_effects(result: FitResult, scores: RunScores, free: NDArray[np.bool_], candidates: Sequence[Candidate]

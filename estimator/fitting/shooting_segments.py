@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.likelihood import LatentProblem
+from estimator.likelihood import MeasuredRuns
 from estimator.model import Mechanism
 from estimator.numerics import propagate
 from estimator.options import FitOptions
@@ -62,7 +62,7 @@ class Segments:
 
     def __init__(self, signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, seconds: float
                  ) -> None:
-        self.data = LatentProblem(signals, mechanism, hold)
+        self.data = MeasuredRuns(signals, mechanism, hold)
         d = self.data
         self.n, self.state = d.n, 2 * d.n
         edges = [0]

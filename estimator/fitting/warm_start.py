@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import FitError
-from estimator.fitting.gauss_newton import iterate
+from estimator.fitting.gauss_newton import Policies, descend
 from estimator.fitting.identifiability import undetermined
 from estimator.fitting.initial_guess import noise_floors
 from estimator.likelihood import LatentProblem, Latents, State
@@ -45,8 +45,8 @@ def from_excerpt(problem: LatentProblem, signals: Sequence[SignalSet], options: 
     state = State(x, start.beta, start.noise, start.covariance)
     before = from_excerpt(small, chosen, options, free, state, seeks_smoothing) or state
     try:
-        before = iterate(small, before, free, options, noise_floors(small, problem.mechanism, start.beta), STEPS,
-                         rough=True, seeks_smoothing=seeks_smoothing)
+        floors = noise_floors(small, problem.mechanism, start.beta)
+        before = descend(small, before, free, Policies.of(options, floors, seeks_smoothing, rough=True), STEPS)
     except FitError:
         return None
     if not before.converged or undetermined(problem.mechanism, before.beta, before.covariance, free):

@@ -1,7 +1,7 @@
-"""`BatchProblem`: the likelihood of `trajectory_likelihood` of many equally long records at once, each by its own beta.
+"""`BatchProblem`: the likelihood of `latent_problem` of many equally long records at once, each by its own beta.
 
 Encoder path and known noise levels only. Records are laid end to end as one chain of blocks whose couplings
-between records are zero, so that one call does the work of all of them.
+between records are zero, so that one elimination does for all of them.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.likelihood.assembly_numba import add_motion
+from estimator.likelihood.measured_runs import slack_of
 from estimator.likelihood.noise import Noise
-from estimator.likelihood.trajectory_likelihood import slack_of
+from estimator.likelihood.normal_equations import Accumulators, Latents, add_reading
 from estimator.model import Collocation, Mechanism
 from estimator.numerics import BlockTridiagonal, eliminate
 
@@ -65,67 +67,41 @@ class BatchProblem:
             return self._linearise(records, x, beta)
 
     def _linearise(self, records: Records, x: FloatArray, beta: FloatArray) -> Point:
-        m, n, c = self.mechanism, self.n, self.collocation
+        n, c = self.n, self.collocation
         runs, samples, b = x.shape
-        left = np.delete(np.arange(runs * samples), np.s_[samples - 1 :: samples])
-        count = left.size
-        q, v, u = (x[..., k * n : (k + 1) * n].reshape(-1, n) for k in range(3))
-        own = np.repeat(beta, samples - 1, axis=0).T  # (p, K)
-        motion = c.motion(q, v, left)
-        z_raw, slopes = c.terms(motion)
-        z = c.to_joint(z_raw)  # (p, n, 2, K)
-        defect = np.einsum("pK,pigK->igK", own, z) - c.torque(u, left)
+        latents = Latents(*(np.ascontiguousarray(x[..., k : k + n]).reshape(-1, n) for k in range(0, b, n)))
         between = c.between(records.torque.reshape(-1, n), np.arange(1, runs + 1) * samples)
-        if between is not None:
-            defect -= between
-        jac = c.jacobian(slopes, own, motion.angle.shape[1:])  # (n, 2, 4, n, K)
-        rows = np.zeros((count, 2, n, 2, 3, n))  # Gauss point, joint; end of interval, variable, its joint
-        rows[:, :, :, :, :2] = jac.reshape(n, 2, 2, 2, n, count).transpose(5, 1, 0, 2, 3, 4)
-        for i in range(n):
-            rows[:, :, i, :, 2, i] = -c.torque_weights
-        scale = np.tile(1.0 / (slack_of(m) * self.noise.torque), 2)
-        rows = rows.reshape(count, 2 * n, 2 * b) * scale[:, None]
-        columns = np.empty((count, 2 * n, m.p + 1))  # by beta, then the residual itself
-        columns[:, :, :-1] = z.transpose(3, 2, 1, 0).reshape(count, 2 * n, -1) * scale[:, None]
-        columns[:, :, -1] = defect.transpose(2, 1, 0).reshape(count, 2 * n) * scale
-        transposed = rows.swapaxes(1, 2)
-        local = (transposed @ rows).reshape(runs, samples - 1, 2 * b, 2 * b)
-        local_right = (transposed @ columns).reshape(runs, samples - 1, 2 * b, m.p + 1)
-        tall = columns.reshape(runs, -1, m.p + 1)
-        corner = tall.swapaxes(1, 2) @ tall  # (R, p + 1, p + 1), the last entry the defects' sum of squares
-
-        diagonal = np.zeros((runs, samples, b, b))
-        lower = np.zeros((runs, samples, b, b))
-        right = np.zeros((runs, samples, b, m.p + 1))
-        diagonal[:, :-1] = local[..., :b, :b]
-        diagonal[:, 1:] += local[..., b:, b:]
-        lower[:, :-1] = local[..., b:, :b]
-        right[:, :-1] = local_right[..., :b, :]
-        right[:, 1:] += local_right[..., b:, :]
-        objective = corner[:, -1, -1] + self._sample_rows(records, x, diagonal, right)
+        weight = np.repeat(1.0 / (slack_of(self.mechanism) * self.noise.torque)[:, None], samples - 1, axis=1)
+        width = 1 + self.mechanism.p  # right sides: residual, then parameters
+        chain = BlockTridiagonal.zeros(runs * samples, b, width)
+        square = np.zeros((runs, width, width))
+        for r in range(runs):
+            left = slice(r * samples, (r + 1) * samples - 1)
+            intervals = slice(r * (samples - 1), (r + 1) * (samples - 1))
+            accumulators = Accumulators(chain, square[r], np.zeros(n))
+            add_motion(c, latents, beta[r], weight, intervals, left, None, accumulators, between)
+        upper = np.triu(square)
+        square = upper + np.triu(upper, 1).swapaxes(1, 2)
+        objective = square[:, 0, 0] + self._sample_rows(records, latents, chain)
         if not np.isfinite(objective).all():
             raise np.linalg.LinAlgError("the motion left the range of floats")
-        chain = BlockTridiagonal.of(diagonal.reshape(-1, b, b), lower.reshape(-1, b, b)[:-1],
-                                    right.reshape(-1, m.p + 1))
-        solved = eliminate(chain).solutions().reshape(runs, samples * b, m.p + 1)
-        flat = right.reshape(runs, samples * b, m.p + 1)
-        reduced = corner - flat.swapaxes(1, 2) @ solved
-        information = 0.5 * (reduced[:, :-1, :-1] + reduced[:, :-1, :-1].swapaxes(1, 2))
-        decrease = np.einsum("rk,rk->r", flat[:, :, -1], solved[:, :, -1])
-        shape = (runs, samples, b)
-        return Point(objective, -solved[:, :, -1].reshape(shape), decrease,
-                     -solved[:, :, :-1].reshape(*shape, m.p), information, reduced[:, :-1, -1])
+        solved = eliminate(chain)
+        half = chain.flat_right().reshape(runs, samples * b, width)
+        products = half.swapaxes(1, 2) @ half
+        reduced, found = square - products, solved.solutions().reshape(runs, samples, b, width)
+        return Point(objective, -found[..., 0], products[:, 0, 0], -found[..., 1:], reduced[:, 1:, 1:],
+                     reduced[:, 1:, 0])
 
-    def _sample_rows(self, records: Records, x: FloatArray, diagonal: FloatArray, right: FloatArray) -> FloatArray:
+    def _sample_rows(self, records: Records, x: Latents, chain: BlockTridiagonal) -> FloatArray:
         """Add torque and encoder samples; returns their part of the objective (R,)."""
-        n = self.n
-        sigma = np.concatenate([self.noise.encoder, np.full(n, np.inf), self.noise.torque])
-        residual = x - np.concatenate([records.angles, x[..., n : 2 * n], records.torque], axis=-1)
-        weight = np.broadcast_to(1.0 / sigma**2, x.shape)
-        if records.spread is not None:
-            weight = np.concatenate([weight[..., :n] / records.spread**2, weight[..., n:]], axis=-1)
-        index = np.arange(3 * n)
-        diagonal[..., index, index] += weight
-        right[..., -1] += residual * weight
-        total: FloatArray = np.einsum("rkb,rkb->r", residual**2, weight)
+        n, runs = self.n, len(records.angles)
+        total = np.zeros(runs)
+        spread = np.ones((1, n)) if records.spread is None else records.spread.reshape(-1, n)
+        for j in range(n):
+            for column, residual, variance in (
+                    (j, x.q[:, j] - records.angles[..., j].ravel(), (self.noise.encoder[j] * spread[:, j]) ** 2),
+                    (2 * n + j, x.u[:, j] - records.torque[..., j].ravel(), self.noise.torque[j] ** 2)):
+                weight = 1.0 / variance
+                add_reading(chain, (column,), weight, residual)
+                total += (weight * residual**2).reshape(runs, -1).sum(axis=1)
         return total

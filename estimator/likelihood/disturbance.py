@@ -52,6 +52,21 @@ class Process(NamedTuple):
         count = ends.size
         return float(np.sum((ends[-1] - count) * np.log(self.step) + count * np.log(self.first)))
 
+    def score(self, e: FloatArray, own: FloatArray, crossed: FloatArray, ends: NDArray[np.int64]
+              ) -> tuple[FloatArray, FloatArray]:
+        """(n,) derivatives of `squares` + `log_determinant`, in the mean, by the logarithms of the variance s^2 and of
+        the time constant T.
+
+        e (N, n) has variances `own` (N, n), and covariances `crossed` (N - 1, n) between neighbouring samples.
+        """
+        begin, within, count = _begins(ends), _within(ends)[:, None], ends.size
+        square, product = e**2 + own, e[1:] * e[:-1] + crossed
+        later, both, before = ((within * x).sum(axis=0) for x in (square[1:], product, square[:-1]))
+        a, steps, first = self.decay, float(ends[-1] - count), square[begin].sum(axis=0) / self.first
+        left = (later - 2.0 * a * both + a * a * before) / self.step
+        by_decay = 2.0 * (a * before - both) / self.step + (left - steps) * 2.0 * a / -np.expm1(2.0 * np.log(a))
+        return steps + count - left - first, by_decay * a * -np.log(a)
+
     def share(self, white: FloatArray) -> FloatArray:
         """(n,) tr(C (C + white I)^-1) / N: the process's share of a long record's degrees of freedom.
 

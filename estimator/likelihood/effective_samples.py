@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from daq import FloatArray
+from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Linearised
-from estimator.likelihood.trajectory_likelihood import LatentProblem
 
 
 def effective_samples(problem: LatentProblem, point: Linearised, p_diagonal: FloatArray, noise: Noise

@@ -10,7 +10,8 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.effects import BodyEffect, Effect, Laws, SensorEffect, StateEffect, View
-from estimator.likelihood.extended_likelihood import ExtendedProblem, added
+from estimator.likelihood.effect_columns import added
+from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.model import simulate, smooth_sign
@@ -46,7 +47,7 @@ class FreeRun:
     """Pieces that diverged and stay where they began."""
 
 
-def free_run(problem: ExtendedProblem, state: State, drive: FloatArray | None = None,
+def free_run(problem: LatentProblem, state: State, drive: FloatArray | None = None,
              horizon_s: float = np.inf, or_still: bool = False,
              near: tuple[FloatArray, FloatArray] | None = None) -> FreeRun | None:
     """Simulate every segment, or each piece of it of `horizon_s`, from its first state; None where it diverges.
@@ -74,7 +75,7 @@ def free_run(problem: ExtendedProblem, state: State, drive: FloatArray | None = 
     return FreeRun(q, v, readings, plant.lost)
 
 
-def read_motion(problem: ExtendedProblem, state: State) -> dict[Channel, FloatArray]:
+def read_motion(problem: LatentProblem, state: State) -> dict[Channel, FloatArray]:
     """(N,) what each sensor would read, without noise, on the motion in `state`."""
     plant = _Plant(problem, state, problem.motor_torque(state.x, state.beta))
     return _readings(plant, state.x.q, state.x.v, plant.at_samples(state.x.q, state.x.v))
@@ -95,7 +96,7 @@ def _readings(plant: _Plant, q: FloatArray, v: FloatArray, taken: FloatArray) ->
     return readings
 
 
-def pieces(problem: ExtendedProblem, horizon_s: float) -> list[slice]:
+def pieces(problem: LatentProblem, horizon_s: float) -> list[slice]:
     """Segments cut into pieces of about `horizon_s`, of two samples at least."""
     out = []
     for begin, end in zip([0, *problem.ends[:-1]], problem.ends):
@@ -110,7 +111,7 @@ def pieces(problem: ExtendedProblem, horizon_s: float) -> list[slice]:
 class _Plant:
     """What a free run integrates: the mechanism under a torque, with effects that feel the motion."""
 
-    def __init__(self, problem: ExtendedProblem, state: State, u: FloatArray, or_still: bool = False) -> None:
+    def __init__(self, problem: LatentProblem, state: State, u: FloatArray, or_still: bool = False) -> None:
         self.problem, self.start, self.u = problem, state.x, u
         self.beta, sizes = problem.simulated(state.beta)
         self.pairs = list(zip(problem.effects, sizes))

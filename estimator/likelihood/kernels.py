@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model import Mechanism, biped3, joint1, leg2
 from estimator.numerics import eliminate, jit
 from estimator.parallel import cores, parallel_map
@@ -43,7 +43,8 @@ def _use(mechanism: Mechanism, disturbed: bool) -> None:
     shape = (COUNT, mechanism.n)
     imu = {name: rng.normal(size=COUNT) for name in IMU_COLUMNS} if mechanism.lever_arm else {}
     signals = SignalSet("made up", 100.0, np.arange(COUNT) / 100.0, rng.normal(size=shape), rng.normal(size=shape), imu)
-    problem = LatentProblem([signals], mechanism, "linear", disturbed)
+    problem = LatentProblem([signals], mechanism, "linear")
+    problem = problem.with_disturbance() if disturbed else problem
     beta = np.array([3.0 if p.term == "inertia" and p.at[0] == p.at[1] else 0.1 for p in mechanism.parameters])
     ones = np.ones(mechanism.n)
     x = Latents(*rng.normal(size=(3 + disturbed, *shape)))

@@ -1,8 +1,8 @@
-"""Data between a problem and its solver: what effects add at one point, and the normal equations there."""
+"""Data between a problem and its solver: what effects add at one point, the normal equations and residuals there."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
+from estimator.effects import Perturbation
 from estimator.numerics import BlockTridiagonal
 from estimator.signals import Channel
 
@@ -102,3 +103,44 @@ class Linearised:
     def accel_rows(self) -> FloatArray:
         """(S, N, 2, b) accelerometer rows by the latents, a view."""
         return self.accel[..., : self.chain.block]
+
+
+@dataclass(frozen=True)
+class WeightedResiduals:
+    """Residuals over their variances, by the place at which a `Perturbation` adds to them."""
+
+    torque: FloatArray
+    """(n, 2, K) of the equation of motion at the Gauss points [1/(N m)]"""
+    torque_at_samples: FloatArray
+    """(n, N) of the accelerometer, by the torque that its acceleration misses"""
+    readings: Mapping[Channel, FloatArray]
+    """(N,) each"""
+
+    def along(self, added: Perturbation) -> float:
+        """Derivative of half the objective by the amount of what is `added`."""
+        total = 0.0
+        if added.torque is not None and added.torque_at_samples is not None:
+            total = float(np.vdot(self.torque, added.torque) + np.vdot(self.torque_at_samples, added.torque_at_samples))
+        return total + sum(float(self.readings[channel] @ values) for channel, values in added.readings.items()
+                           if channel in self.readings)
+
+
+def add_reading(chain: BlockTridiagonal, columns: Sequence[int], weight: float | FloatArray, residual: FloatArray
+                ) -> float:
+    """Sum of weight times square of a sensor's residual (N,); its rows are added to `chain`.
+
+    The sensor reads the sum of the latents `columns` at each sample; `weight` (N,) is one over its variance, or minus
+    that where rows are taken away.
+    """
+    weighted = weight * residual
+    for column in columns:
+        chain.right[:, column, 0] += weighted
+        for other in columns:
+            chain.diagonal[:, column, other] += weight
+    return float(residual @ weighted)
+
+
+def of_channel(residuals: Mapping[str, FloatArray], channel: Channel) -> FloatArray:
+    """(N,) of a torque, encoder or gyro channel, a view."""
+    found, number = residuals[channel.kind], channel.joint or 0
+    return found[number] if channel.kind == "gyro" else found[:, number]

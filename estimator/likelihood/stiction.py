@@ -12,10 +12,10 @@ from estimator.likelihood.dry_friction import (
     held_variance,
     likeliest_smoothing,
 )
+from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
-from estimator.likelihood.trajectory_likelihood import LatentProblem
 
 KINK = 2.0
 """See `find_stiction`."""

@@ -1,4 +1,4 @@
-"""`WeightedResiduals`: residuals of a motion over their variances, for the score of whatever the model may add.
+"""`weighted_residuals_after`: residuals of a motion over their variances, for the score of whatever may be added.
 
 The derivative of half the objective by the size of something that adds `d` is the sum of weighted residuals times d.
 They serve hundreds of candidates without a row of the normal equations for any.
@@ -6,38 +6,14 @@ They serve hundreds of candidates without a row of the normal equations for any.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 
 from daq import FloatArray
-from estimator.effects import Perturbation
+from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.noise import Noise
-from estimator.likelihood.normal_equations import Latents, Linearised
-from estimator.likelihood.trajectory_likelihood import LatentProblem, of_channel
+from estimator.likelihood.normal_equations import Latents, Linearised, WeightedResiduals, of_channel
 from estimator.model import invert
-from estimator.signals import Channel, accelerometer_slopes, imu_channels, torque_of
-
-
-@dataclass(frozen=True)
-class WeightedResiduals:
-    """Residuals over their variances, by the place at which a `Perturbation` adds to them."""
-
-    torque: FloatArray
-    """(n, 2, K) of the equation of motion at the Gauss points [1/(N m)]"""
-    torque_at_samples: FloatArray
-    """(n, N) of the accelerometer, by the torque that its acceleration misses"""
-    readings: Mapping[Channel, FloatArray]
-    """(N,) each"""
-
-    def along(self, added: Perturbation) -> float:
-        """Derivative of half the objective by the amount of what is `added`."""
-        total = 0.0
-        if added.torque is not None and added.torque_at_samples is not None:
-            total = float(np.vdot(self.torque, added.torque) + np.vdot(self.torque_at_samples, added.torque_at_samples))
-        return total + sum(float(self.readings[channel] @ values) for channel, values in added.readings.items()
-                           if channel in self.readings)
+from estimator.signals import accelerometer_slopes, imu_channels, torque_of
 
 
 def weighted_residuals_after(problem: LatentProblem, x: Latents, beta: FloatArray, noise: Noise, point: Linearised,

@@ -49,11 +49,20 @@ class Swept:
 
     def inverse_diagonal(self) -> FloatArray:
         """Blocks P[k, k] (N, b, b) of P = H^-1."""
+        return self._inverse_blocks(False)[0]
+
+    def inverse_blocks(self) -> tuple[FloatArray, FloatArray]:
+        """Blocks P[k, k] (N, b, b) and P[k, k+1] (N-1, b, b) of P = H^-1."""
+        diagonal, upper = self._inverse_blocks(True)
+        return diagonal, upper[:-1]
+
+    def _inverse_blocks(self, both: bool) -> tuple[FloatArray, FloatArray]:
         c = self.chain
         out = np.empty((len(c.rows), c.block, c.block))
+        upper = np.empty_like(out) if both else np.empty((0, c.block, c.block))
         wide = padded(c.block)
-        _inverse(c.block)(c.rows, c.edge, wide, out, np.zeros((6, c.block, wide)))
-        return out
+        _inverse(c.block)(c.rows, c.edge, wide, out, upper, np.zeros((6, c.block, wide)))
+        return out, upper
 
 
 def eliminate(chain: BlockTridiagonal) -> Swept:
@@ -142,9 +151,12 @@ def _back(b: int) -> Kernel:
 
 @cache
 def _inverse(b: int) -> Kernel:
-    """P[k, k] = V V^T + (V S) P[k+1, k+1] (V S)^T with V = U[k, k]^-1 and S = U[k, k+1]; work (6, b, wide) is zeros."""
+    """P[k, k+1] = -(V S) P[k+1, k+1], P[k, k] = V V^T - P[k, k+1] (V S)^T with V = U[k, k]^-1 and S = U[k, k+1].
 
-    def run(rows: Any, edge: int, wide: int, out: Any, work: Any) -> None:
+    `upper` (N, b, b), or (0, b, b) where it is not wanted, gets P[k, k+1]; work (6, b, wide) is zeros.
+    """
+
+    def run(rows: Any, edge: int, wide: int, out: Any, upper: Any, work: Any) -> None:
         v, vs, a, p, v_turned, vs_turned = work[0], work[1], work[2], work[3], work[4], work[5]
         for k in range(rows.shape[0] - 1, -1, -1):
             here = at(k)
@@ -171,6 +183,9 @@ def _inverse(b: int) -> Kernel:
                 for j in range(b):
                     v_turned[j, i] = v[i, j]
                     vs_turned[j, i] = vs[i, j]
+                if upper.size > 0:
+                    for j in range(b):
+                        upper[here, i, j] = -a[i, j]
             for i in range(b):
                 for j in range(wide):
                     t = 0.0
@@ -180,4 +195,4 @@ def _inverse(b: int) -> Kernel:
                 for j in range(b):
                     out[here, i, j] = p[i, j]
 
-    return Kernel(run, "f3 n n f3 f3")
+    return Kernel(run, "f3 n n f3 f3 f3")

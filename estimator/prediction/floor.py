@@ -10,7 +10,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.errors import FitError
-from estimator.likelihood import ExtendedProblem, Noise, free_run
+from estimator.likelihood import LatentProblem, Noise, free_run
 from estimator.prediction.free_runs import channel_names, rows_of
 from estimator.prediction.replicate import draw_disturbance, draw_replicate, simulate_run
 from estimator.prediction.smoothing import SmoothedRun, smooth_under
@@ -37,7 +37,7 @@ def white_noise(noise: Noise) -> FloorNoise:
 
 
 def floor_errors(one: SmoothedRun, rng: np.random.Generator, horizons_s: Sequence[float],
-                 problem_of: Callable[[Sequence[SignalSet]], ExtendedProblem], noise: FloorNoise | None = None
+                 problem_of: Callable[[Sequence[SignalSet]], LatentProblem], noise: FloorNoise | None = None
                  ) -> FloatArray:
     """(H, C, N) free-run errors of a parametric-bootstrap replicate of the run.
 
@@ -62,7 +62,7 @@ def floor_errors(one: SmoothedRun, rng: np.random.Generator, horizons_s: Sequenc
     raise FitError("the replicates diverge")
 
 
-def _measured(problem: ExtendedProblem, q: FloatArray, v: FloatArray) -> FloatArray:
+def _measured(problem: LatentProblem, q: FloatArray, v: FloatArray) -> FloatArray:
     """(C, N) as the replicate's sensors read; the true motion where it has none."""
     n = problem.n
     out = np.zeros((len(channel_names(problem)), problem.total))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
-from estimator.likelihood import LOST_RAD, ExtendedProblem, FreeRun, free_run, pieces, read_motion
+from estimator.likelihood import LOST_RAD, FreeRun, LatentProblem, free_run, pieces, read_motion
 from estimator.model import simulate
 from estimator.prediction.smoothing import SmoothedRun
 from estimator.result import TWO_SIDED
@@ -96,14 +96,14 @@ def _every(one: SmoothedRun, horizons_s: Sequence[float]) -> list[tuple[FloatArr
     return [found[count] for count in counts]
 
 
-def channel_names(problem: ExtendedProblem) -> tuple[str, ...]:
+def channel_names(problem: LatentProblem) -> tuple[str, ...]:
     """(C,) angles, rates, then the columns of each IMU."""
     m = problem.mechanism
     names = [angle_column(m, j) for j in range(m.n)] + [f"q{j + 1}d" for j in range(m.n)]
     return (*names, *(c for k in range(problem.imu_count) for c in imu_columns(k)))
 
 
-def rows_of(problem: ExtendedProblem, v: FloatArray, readings: Mapping[Channel, FloatArray]) -> FloatArray:
+def rows_of(problem: LatentProblem, v: FloatArray, readings: Mapping[Channel, FloatArray]) -> FloatArray:
     """(C, N) in the order of `channel_names`."""
     angles = [readings[encoder_of(j)] for j in range(problem.n)]
     imu = [readings[c] for k in range(problem.imu_count) for c in imu_channels(k)]
@@ -130,7 +130,7 @@ def _measured(one: SmoothedRun, data: Dataset | None) -> FloatArray:
     return out
 
 
-def _starts(problem: ExtendedProblem, horizon_s: float) -> NDArray[np.intp]:
+def _starts(problem: LatentProblem, horizon_s: float) -> NDArray[np.intp]:
     """(N,) first sample of each sample's piece."""
     parts = pieces(problem, horizon_s)
     return np.repeat([p.start for p in parts], [p.stop - p.start for p in parts]).astype(np.intp)

@@ -9,7 +9,7 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.effects import Effect
-from estimator.likelihood import ExtendedProblem, Stage
+from estimator.likelihood import LatentProblem, Stage
 from estimator.model import Mechanism
 from estimator.signals import SignalSet
 
@@ -34,9 +34,9 @@ class Predictor:
         """Parameters beta (p,)."""
         return self.parameters[: self.mechanism.p]
 
-    def problem(self, signals: Sequence[SignalSet], session_s: float = 0.0) -> ExtendedProblem:
+    def problem(self, signals: Sequence[SignalSet], session_s: float = 0.0) -> LatentProblem:
         """Likelihood of the segments of one run, which begins at `session_s` [s] of its session."""
         begin = tuple(float(s.time_s[0] - signals[0].time_s[0]) for s in signals)
         reach = np.zeros((self.mechanism.n, 2)) if self.angle_range is None else self.angle_range
         stage = Stage((0,) * len(begin), tuple(session_s + b for b in begin), begin, reach, self.gear_ratio)
-        return ExtendedProblem(signals, self.mechanism, self.hold, stage, self.effects)
+        return LatentProblem(signals, self.mechanism, self.hold, stage, self.effects)

@@ -13,11 +13,11 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.errors import FitError
-from estimator.likelihood import ExtendedProblem, FreeRun, Noise, Process, State, draw_stiction, free_run
+from estimator.likelihood import FreeRun, LatentProblem, Noise, Process, State, draw_stiction, free_run
 from estimator.signals import SignalSet, encoder_of, imu_channels, imu_columns, quantum, torque_of
 
 
-def simulate_run(problem: ExtendedProblem, state: State, rng: np.random.Generator,
+def simulate_run(problem: LatentProblem, state: State, rng: np.random.Generator,
                  disturbance: FloatArray | None = None) -> FreeRun:
     """Motion of the model under the torque in `state`; always the same where no joint is passive.
 
@@ -33,7 +33,7 @@ def simulate_run(problem: ExtendedProblem, state: State, rng: np.random.Generato
     return run
 
 
-def draw_replicate(problem: ExtendedProblem, state: State, signals: Sequence[SignalSet], rng: np.random.Generator,
+def draw_replicate(problem: LatentProblem, state: State, signals: Sequence[SignalSet], rng: np.random.Generator,
              run: FreeRun | None = None, disturbance: FloatArray | None = None) -> list[SignalSet]:
     """One synthetic record for each segment in `signals` of `run`, by default a new one.
 
@@ -68,7 +68,7 @@ def draw_replicate(problem: ExtendedProblem, state: State, signals: Sequence[Sig
     return out
 
 
-def draw_disturbance(problem: ExtendedProblem, state: State, rest: FloatArray, rng: np.random.Generator) -> FloatArray:
+def draw_disturbance(problem: LatentProblem, state: State, rest: FloatArray, rng: np.random.Generator) -> FloatArray:
     """(N, n) torque that acts on the joints unmeasured [N m]: the coloured disturbance, and friction near rest.
 
     Of the most that friction leaves open there it is the share `rest` (n,); see `estimator.likelihood.dry_friction`.

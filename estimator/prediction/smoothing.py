@@ -11,7 +11,7 @@ import numpy as np
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting import converge_motion, iterate, noise_floors, start_state
-from estimator.likelihood import ExtendedProblem, Latents, Noise, State
+from estimator.likelihood import LatentProblem, Latents, Noise, State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.prediction.predictor import Predictor
@@ -34,7 +34,7 @@ class SmoothedRun:
     run: str
     signals: tuple[SignalSet, ...]
     """Its gap-free segments"""
-    problem: ExtendedProblem
+    problem: LatentProblem
     state: State
 
     @cached_property
@@ -97,7 +97,7 @@ def _state(x: Latents, parameters: FloatArray, noise: Noise) -> State:
     return State(x, parameters.copy(), noise, np.zeros((parameters.size, parameters.size)))
 
 
-def smooth_under(problem: ExtendedProblem, begin: State, near: bool = False) -> State:
+def smooth_under(problem: LatentProblem, begin: State, near: bool = False) -> State:
     """Likeliest motion of `problem` with the parameters and the noise of `begin` held, sought from the motion in it.
 
     A small model error, enforced at once from far off, does not converge: it comes down by the factors of `SLACK`. A
@@ -120,7 +120,7 @@ def smooth_under(problem: ExtendedProblem, begin: State, near: bool = False) -> 
     return min(tried, key=lambda t: t[0])[1]
 
 
-def _converged(problem: ExtendedProblem, begin: State, path: Sequence[tuple[float, int]]) -> State:
+def _converged(problem: LatentProblem, begin: State, path: Sequence[tuple[float, int]]) -> State:
     """The motion that is reached from `begin` along a path of slacks, of the passive joint and of relaxes laws."""
     noise = begin.noise.levels()
     state = State(begin.x, begin.beta.copy(), noise, begin.covariance)
@@ -135,7 +135,7 @@ def _converged(problem: ExtendedProblem, begin: State, path: Sequence[tuple[floa
     return state
 
 
-def per_value(problem: ExtendedProblem, state: State) -> float:
+def per_value(problem: LatentProblem, state: State) -> float:
     """Sum of squares over samples times channels; inf where it is no number."""
     channels = problem.n + int(problem.has_encoder.sum()) + 3 * problem.imu_count
     value = problem.motion_equations(state.x, state.beta, state.noise).objective / (channels * problem.total)

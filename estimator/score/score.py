@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.likelihood import Candidate, ExtendedProblem, LatentProblem, State, weighted_residuals_after
+from estimator.likelihood import Candidate, LatentProblem, State, weighted_residuals_after
 from estimator.numerics import eliminate
 
 HIDDEN = 1e-5
@@ -102,7 +102,7 @@ def score_at(problem: LatentProblem, state: State) -> Score:
     return Score(product[1:, 0] - point.gradient_beta, point.corner - product[1:, 1:])
 
 
-def score_alone(problem: ExtendedProblem, state: State) -> FloatArray:
+def score_alone(problem: LatentProblem, state: State) -> FloatArray:
     """(m,) the score of `score_at` without the information, for a third of the time."""
     plain = problem.without_candidates()
     point = plain.linearise(state.x, state.beta, state.noise)

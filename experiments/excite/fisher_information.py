@@ -1,7 +1,7 @@
 """Fisher information of a torque plan about the parameters, and its gradient by the torque.
 
 F is the information of the default fit at the prior's own motion: the equation of motion at two Gauss points an
-interval, torque, encoders and gyro as in `trajectory_likelihood`, with one simplification:
+interval, torque, encoders and gyro as in `latent_problem`, with one simplification:
 the accelerometer counts as a
 tilt sensor of sigma_a / g (its lever arm's share is small compared with the gyro's). Latents are eliminated exactly,
 

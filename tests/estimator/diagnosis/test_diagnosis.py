@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from estimator.diagnosis.conclusion import base
+from estimator.diagnosis.refit import fit_nominal
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from daq.dataset import Dataset
 from estimator.diagnosis import conclusion, refit
-from estimator.diagnosis.conclusion import base
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.error_table import extend_errors, measure_errors
 from estimator.diagnosis.procedure import diagnose
-from estimator.diagnosis.refit import fit_nominal
 from estimator.diagnosis.result import Cause, Diagnosis, SizeEstimate
 from estimator.effects import classes, library
 from estimator.effects.drive import TorqueOffset
@@ -25,7 +25,8 @@ from estimator.effects.friction import LoadDependentFriction
 from estimator.effects.sensors import EncoderScale
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import iterate
-from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage, braked, slopes
+from estimator.likelihood import Candidate, LatentProblem, Stage
+from estimator.likelihood.effect_columns import braked, slopes
 from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.model.mechanism import joint1, leg2
@@ -66,7 +67,7 @@ def test_every_effect_vanishes_at_zero_size_and_acts_at_its_scale(runs: tuple[Le
     mechanism = leg2(lever_arm=leg.lever)
     signals = split_signals(data[:1], mechanism, FitOptions())
     angle_range = np.array([[-1.0, 1.0], [-1.5, 1.5]])
-    problem = ExtendedProblem(signals, mechanism, "linear", Stage((0,), (0.0,), (0.0,), angle_range, 50.0))
+    problem = LatentProblem(signals, mechanism, "linear", Stage((0,), (0.0,), (0.0,), angle_range, 50.0))
     q = np.stack([data[0]["q1_rad"], data[0]["q2_rad"]], axis=-1)
     v = np.gradient(q, 0.01, axis=0)
     view = problem.view(Latents(q, v, problem.torque), leg.beta())
@@ -91,7 +92,7 @@ def test_what_effects_take_brakes_the_view_as_a_view_of_the_braked_motion(runs: 
     mechanism = leg2(lever_arm=leg.lever)
     signals = split_signals(data[:1], mechanism, FitOptions())
     stage = Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0], [-1.5, 1.5]]), 50.0)
-    problem = ExtendedProblem(signals, mechanism, "linear", stage)
+    problem = LatentProblem(signals, mechanism, "linear", stage)
     q = np.stack([data[0]["q1_rad"], data[0]["q2_rad"]], axis=-1)
     x, taken = Latents(q, np.gradient(q, 0.01, axis=0), problem.torque), 0.1 * np.sin(q).T
     free, whole = problem.view(x, leg.beta()), problem.view(x, leg.beta(), taken)
@@ -107,7 +108,7 @@ def test_friction_by_load_follows_what_the_joint_passes_on(voltage: bool) -> Non
     n = 40
     at = np.linspace(0.0, 1.0, n)
     signals = SignalSet("r", 50.0, at, np.zeros((n, 1)), np.zeros((n, 1)), {})
-    problem = ExtendedProblem([signals], mechanism, "linear", Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0]])))
+    problem = LatentProblem([signals], mechanism, "linear", Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0]])))
     q, u = np.sin(3.0 * at)[:, None], (5.0 * np.cos(4.0 * at))[:, None]
     beta = np.array([0.08, 0.55, 0.4, 0.3])
     view = problem.view(Latents(q, 3.0 * np.cos(3.0 * at)[:, None], u), beta)
@@ -220,7 +221,7 @@ def test_a_nominal_fit_that_does_not_converge_has_no_intervals(runs: tuple[Leg, 
     leg, data = runs
     split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
 
-    def stuck(problem: ExtendedProblem, state: State, free: NDArray[np.bool_], *rest: Any) -> State:
+    def stuck(problem: LatentProblem, state: State, free: NDArray[np.bool_], *rest: Any) -> State:
         if free.any():
             raise FitError("does not settle")
         return iterate(problem, state, free, *rest)
@@ -239,7 +240,7 @@ def test_a_replicate_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
     scores = refit.score_discover(nominal, candidates)
     count = len(split.discover)
 
-    def going_off(problem: ExtendedProblem, state: State, signals: list[SignalSet], *rest: Any) -> list[SignalSet]:
+    def going_off(problem: LatentProblem, state: State, signals: list[SignalSet], *rest: Any) -> list[SignalSet]:
         found = draw_replicate(problem, state, signals, *rest)
         off = signals[0].run in bad
         return [replace(s, angles=s.angles + 0.02 * np.sin(40.0 * s.time_s)[:, None] * [0, 1]) if off else s

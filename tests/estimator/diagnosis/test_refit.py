@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimator.diagnosis.refit import Model, begin_afresh, converge_runs, fit_nominal, misfit, refit, smooth
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
 from estimator.diagnosis import refit as fits
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.refit import Model, begin_afresh, converge_runs, fit_nominal, misfit, refit, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.effects import Effect
 from estimator.effects.drive import TorqueDelay, TorqueRipple
@@ -21,7 +21,7 @@ from estimator.effects.friction import LoadDependentFriction, PreslidingFriction
 from estimator.effects.structure import Backlash, JointElasticity
 from estimator.errors import FitError
 from estimator.fitting import converge_motion
-from estimator.likelihood.extended_likelihood import ExtendedProblem, Stage
+from estimator.likelihood import LatentProblem, Stage
 from estimator.likelihood.free_run import free_run
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
@@ -188,7 +188,7 @@ def test_a_fast_ripple_is_simulated_freely() -> None:
     signals = SignalSet("r", RATE_HZ, grid, np.column_stack([np.full(COUNT, np.nan), seen["q2_rad"]]), driven,
                         {name: seen[name] for name in IMU_COLUMNS})
     stage = Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0], [-1.0, 1.0]]), gear)
-    problem = ExtendedProblem([signals], leg2(lever_arm=case.sensors.lever), "linear", stage,
+    problem = LatentProblem([signals], leg2(lever_arm=case.sensors.lever), "linear", stage,
                               [TorqueRipple(1), TorqueRipple(1)])
     # what the bench hides has 0.3 sin(2 phase + 0.7) beside its first order
     second = 0.3 * amplitude * np.array([np.cos(0.7), np.sin(0.7)])
@@ -223,7 +223,7 @@ def test_friction_under_a_load_that_follows_from_acceleration_is_simulated_freel
     mechanism = joint1(voltage=True, velocity_scale=0.05)
     signals = SignalSet("r", rate_hz, grid, truth[0][:, None], volts[:, None], {})
     stage = Stage((0,), (0.0,), (0.0,), np.array([[-1.0, 1.0]]), 1.0)
-    problem = ExtendedProblem([signals], mechanism, "linear", stage, [LoadDependentFriction(0)])
+    problem = LatentProblem([signals], mechanism, "linear", stage, [LoadDependentFriction(0)])
     x = Latents(truth[0][:, None], truth[1][:, None], volts[:, None])
     noise = Noise(np.array([0.1]), np.array([1e-3]), np.ones(1), np.ones((1, 2)))
     state = State(x, np.array([inertia, moment, viscous, coulomb, mu]), noise, np.eye(5))

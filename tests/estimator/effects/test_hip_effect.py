@@ -10,7 +10,7 @@ from estimator import FitOptions
 from estimator.effects import Effect, library, placed
 from estimator.effects.sensors import EncoderOffset
 from estimator.effects.structure import EndStopContact, JointStiffness
-from estimator.likelihood import Candidate, ExtendedProblem, Latents, Stage
+from estimator.likelihood import Candidate, LatentProblem, Latents, Stage
 from estimator.model import biped3
 from estimator.signals import SignalSet, cut_steps, encoder_of, split_signals
 from tests.support.walker_plant import Gait, Plant, Walker, record, walk
@@ -25,10 +25,10 @@ def steps() -> list[SignalSet]:
     return split_signals([data], HIPS, FitOptions(sensors="encoder"))
 
 
-def problem(effects: list[Effect], candidates: list[Candidate] | None = None) -> tuple[ExtendedProblem, Latents]:
+def problem(effects: list[Effect], candidates: list[Candidate] | None = None) -> tuple[LatentProblem, Latents]:
     count = len(steps())
     stage = Stage((0,) * count, (0.0,) * count, (0.0,) * count, np.array([[0.0, 1.0], [0.0, 1.0], [-0.5, 1.5]]))
-    made = ExtendedProblem(steps(), HIPS, "zero", stage, effects, candidates or [])
+    made = LatentProblem(steps(), HIPS, "zero", stage, effects, candidates or [])
     rate = np.concatenate([np.gradient(s.angles, 0.01, axis=0) for s in steps()])
     return made, Latents(np.concatenate([s.angles for s in steps()]), rate, np.concatenate([s.torque for s in steps()]))
 

@@ -9,7 +9,18 @@ import pytest
 
 from daq import Dataset
 from estimator import FitOptions, FitResult, fit
-from estimator.fitting.disturbance import predicts_worse
+from estimator.fitting.disturbance import (
+    Disturbance,
+    MarginalLikelihood,
+    disturbance_likelihood,
+    find_disturbance,
+    of_noise,
+    predicts_worse,
+)
+from estimator.fitting.gauss_newton import iterate
+from estimator.fitting.initial_guess import noise_floors, start_state
+from estimator.fitting.wls import free_mask
+from estimator.likelihood import OFF, LatentProblem
 from estimator.model import leg2
 from estimator.signals import split_signals
 from tests.support.mujoco_leg import Leg, random_leg
@@ -73,3 +84,59 @@ def test_parameters_that_predict_worse_are_seen(wandering: Made) -> None:
     assert predicts_worse(signals, mechanism, "linear", OPTIONS, (truth, wrong))
     assert not predicts_worse(signals, mechanism, "linear", OPTIONS, (truth, 1.001 * truth))
     assert not predicts_worse(signals, mechanism, "linear", OPTIONS, (wrong, truth))
+
+
+@pytest.fixture(scope="module")
+def likelihood(wandering: Made) -> MarginalLikelihood:
+    """At the plain fit of the record and of half of it as a second run; near rest friction is unknown."""
+    leg, data, _ = wandering
+    mechanism = leg2(lever_arm=leg.lever)
+    half = Dataset("half", data.rate_hz, data.time_s[:900], {name: x[:900] for name, x in data.columns.items()})
+    signals = split_signals([data, half], mechanism, OPTIONS)
+    problem = LatentProblem(signals, mechanism, "linear")
+    state = start_state(problem, signals, mechanism, OPTIONS, *free_mask(mechanism, OPTIONS))
+    state = iterate(problem, state, np.ones(9, dtype=bool), OPTIONS, noise_floors(problem, mechanism, state.beta))
+    assert state.noise.stiction is not None and state.noise.stiction.any()
+    return disturbance_likelihood(signals, problem, state)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize(("level", "constant", "white"), [(0.02, 0.1, 0.02), (0.002, 0.4, 0.03), (0.05, 0.011, 0.004),
+                                                          (0.5 * OFF * 0.02, 0.1, 0.02)])
+def test_slopes_are_differences(likelihood: MarginalLikelihood, joint: int, level: float, constant: float,
+                                white: float) -> None:
+    centre = np.log([level, constant, white])
+    other = Disturbance(np.array([0.01, 0.015]), np.array([0.05, 0.2]), np.array([0.003, 0.02]))
+
+    def at(theta: np.ndarray) -> Disturbance:
+        out = Disturbance(*(values.copy() for values in other))
+        out.level[joint], out.time_constant[joint], out.white[joint] = np.exp(theta)
+        return out
+
+    value, slope = likelihood.climb(at(centre), joint)
+    assert value == likelihood(at(centre))
+    h = 4e-3  # a smaller step shows the digits that log p, 1e5, is rounded to
+    for k, one in enumerate(h * np.eye(3)):
+        near, far = (likelihood(at(centre + m * one)) - likelihood(at(centre - m * one)) for m in (1, 2))
+        assert slope[k] == pytest.approx((8.0 * near - far) / (12.0 * h), rel=1e-6, abs=2e-3)
+
+
+def test_a_search_ends_at_the_top(likelihood: MarginalLikelihood) -> None:
+    """No level, time constant or white noise near what is found is likelier by what a search may leave."""
+    begin = of_noise(likelihood.noise)
+    found = find_disturbance(likelihood, begin, OPTIONS)
+    assert found.level[0] == 0.0 and found.level[1] > 0.0
+    top = likelihood(found)
+    for values in ("level", "time_constant", "white"):
+        for factor in (0.97, 1.03):
+            changed = getattr(found, values) * np.array([1.0, factor])
+            assert likelihood(found._replace(**{values: changed})) < top + 0.05
+
+
+def test_a_likelihood_of_other_stiction_leaves_the_first_as_it_was(likelihood: MarginalLikelihood) -> None:
+    found = Disturbance(np.array([0.0, 0.02]), np.array([0.1, 0.1]), np.array([0.003, 0.02]))
+    known = likelihood.problem.stiction(likelihood.noise)
+    assert known is not None
+    before = likelihood(found)
+    assert likelihood.with_stiction(4.0 * known)(found) != before
+    assert likelihood.with_stiction(known)(found) == likelihood(found) == before

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimator.fitting.latent_motion import converge_motion
-from estimator.likelihood import ExtendedProblem, Latents, Noise, Stage, State, find_stiction
+from estimator.likelihood import LatentProblem, Latents, Noise, Stage, State, find_stiction
 from estimator.model import leg2
 from estimator.numerics import eliminate
 from estimator.options import FitOptions
@@ -20,7 +20,7 @@ NOISE = Noise(np.array([0.001, 0.01]), np.array([np.inf, 2e-4]), np.array([0.004
 
 
 @pytest.fixture(scope="module")
-def sticking() -> tuple[ExtendedProblem, State]:
+def sticking() -> tuple[LatentProblem, State]:
     """A record of a leg with heavy friction, at the motion that its sensors show, with its true parameters."""
     leg = replace(Leg(), coulomb=(0.02, 0.1))
     rng = np.random.default_rng(77)
@@ -28,18 +28,18 @@ def sticking() -> tuple[ExtendedProblem, State]:
     data = sample(motion, rng, 100.0)
     mechanism = leg2(lever_arm=leg.lever)
     signals = split_signals([data], mechanism, FitOptions())
-    problem = ExtendedProblem(signals, mechanism, "average", Stage((0,), (0.0,), (0.0,), np.tile([-2.0, 2.0], (2, 1))))
+    problem = LatentProblem(signals, mechanism, "average", Stage((0,), (0.0,), (0.0,), np.tile([-2.0, 2.0], (2, 1))))
     q = np.stack([data["q1_rad"], data["q2_rad"]], axis=-1)
     x = Latents(q, np.gradient(q, 0.01, axis=0), problem.torque.copy())
     known = np.zeros((problem.total, 2, 2))  # friction is known also where the joint rests
     return problem.with_stiction(known), State(x, leg.beta(), NOISE, np.zeros((9, 9)))
 
 
-def objective(problem: ExtendedProblem, state: State) -> float:
+def objective(problem: LatentProblem, state: State) -> float:
     return problem.linearise(state.x, state.beta, state.noise).objective
 
 
-def whole_steps(problem: ExtendedProblem, state: State, count: int) -> list[float]:
+def whole_steps(problem: LatentProblem, state: State, count: int) -> list[float]:
     """Objectives on the way of Gauss-Newton steps that are never shortened."""
     x, found = state.x, []
     for _ in range(count):
@@ -49,7 +49,7 @@ def whole_steps(problem: ExtendedProblem, state: State, count: int) -> list[floa
     return found
 
 
-def test_the_motion_converges_where_whole_steps_do_not(sticking: tuple[ExtendedProblem, State]) -> None:
+def test_the_motion_converges_where_whole_steps_do_not(sticking: tuple[LatentProblem, State]) -> None:
     problem, start = sticking
     converged = converge_motion(problem, start, 60)
     least = objective(problem, converged)
@@ -58,7 +58,7 @@ def test_the_motion_converges_where_whole_steps_do_not(sticking: tuple[ExtendedP
     assert least < min(swinging) + 0.1
 
 
-def test_the_motion_is_the_same_from_elsewhere_where_rest_is_allowed_for(sticking: tuple[ExtendedProblem, State]
+def test_the_motion_is_the_same_from_elsewhere_where_rest_is_allowed_for(sticking: tuple[LatentProblem, State]
                                                                          ) -> None:
     """Without what friction leaves open at rest, every reversal between two samples has a minimum of its own."""
     problem, start = sticking
@@ -71,7 +71,7 @@ def test_the_motion_is_the_same_from_elsewhere_where_rest_is_allowed_for(stickin
     assert objective(problem, other) == pytest.approx(objective(problem, converged), abs=3.0)
 
 
-def test_the_best_motion_is_kept_where_steps_run_out(sticking: tuple[ExtendedProblem, State]) -> None:
+def test_the_best_motion_is_kept_where_steps_run_out(sticking: tuple[LatentProblem, State]) -> None:
     problem, start = sticking
     before = objective(problem, start)
     found = [objective(problem, converge_motion(problem, start, limit)) for limit in (1, 2, 4, 8)]

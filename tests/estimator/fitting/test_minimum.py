@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from daq.dataset import Dataset
 from estimator.fitting.fit import fit
-from estimator.likelihood.trajectory_likelihood import slack_of
+from estimator.likelihood.measured_runs import slack_of
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from tests.support.mujoco_leg import Leg, record

@@ -8,7 +8,7 @@ from estimator.fitting.fit import fit
 from estimator.fitting.fit_each import fit_each
 from estimator.fitting.profile_likelihood import expected_misfit, known_noise, search, suits
 from estimator.likelihood.batch_likelihood import BatchProblem, Records
-from estimator.likelihood.trajectory_likelihood import slack_of
+from estimator.likelihood.measured_runs import slack_of
 from estimator.model.collocation import Collocation
 from estimator.signals.segments import split_signals
 from experiments.studies.biped3.study import CASES, case_options, noisy_record, truth

@@ -9,8 +9,8 @@ from daq.dataset import Dataset
 from estimator.fitting import mle, warm_start
 from estimator.fitting.fit import fit
 from estimator.fitting.warm_start import LEAST, WORTH, excerpt
+from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from estimator.signals.segments import LEAST_SEGMENT, SignalSet, split_signals

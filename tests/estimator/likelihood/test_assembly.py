@@ -9,11 +9,11 @@ import pytest
 
 from estimator.effects import library
 from estimator.effects.base import Effect
-from estimator.likelihood import trajectory_likelihood
-from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage
+from estimator.likelihood import latent_problem
+from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents, Linearised
-from estimator.likelihood.trajectory_likelihood import LatentProblem
+from estimator.likelihood.stage import Candidate, Stage
 from estimator.model.chain import chain
 from estimator.model.mechanism import ImuPlace, Mechanism, biped3, joint1, leg2
 from estimator.model.regressor_numba import FastTerms
@@ -51,7 +51,7 @@ def both(problem: LatentProblem, x: Latents, beta: np.ndarray, monkeypatch: pyte
     noise = replace(noise_of(problem.mechanism), accel_correlation=correlation)
     fast = problem.linearise(x, beta, noise)
     with monkeypatch.context() as patch:
-        patch.setattr(trajectory_likelihood, "assembly_numba", assembly_numpy)
+        patch.setattr(latent_problem, "assembly_numba", assembly_numpy)
         return [problem.linearise(x, beta, noise), fast]
 
 
@@ -93,15 +93,15 @@ def test_every_mechanism(mechanism: Mechanism, imu: bool, monkeypatch: pytest.Mo
 def test_a_disturbed_leg(imu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(12)
     mechanism = leg2(lever_arm=0.2)
-    problem = LatentProblem(segments(mechanism, imu, rng), mechanism, "linear", disturbed=True)
+    problem = LatentProblem(segments(mechanism, imu, rng), mechanism, "linear").with_disturbance()
     x = latents(mechanism, rng)
     assert_alike(*both(problem, replace(x, e=0.3 * x.u[::-1]), BETA, monkeypatch))
 
 
-def staged(effects: list[Effect], candidates: list[Candidate], rng: np.random.Generator) -> ExtendedProblem:
+def staged(effects: list[Effect], candidates: list[Candidate], rng: np.random.Generator) -> LatentProblem:
     stage = Stage((0, 1), (0.0, 5.0), (0.0, 0.0), np.tile([-1.0, 1.0], (2, 1)), 7.0)
     mechanism = leg2(lever_arm=0.2)
-    return ExtendedProblem(segments(mechanism, True, rng), mechanism, "linear", stage, effects, candidates)
+    return LatentProblem(segments(mechanism, True, rng), mechanism, "linear", stage, effects, candidates)
 
 
 @pytest.mark.parametrize("effect", library(leg2(lever_arm=0.2), True)[0], ids=lambda e: f"{e.name}-{e.joint}")

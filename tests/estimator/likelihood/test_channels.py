@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.effects import Effect, classes
-from estimator.likelihood import ExtendedProblem, Latents, Noise, Stage, effective_samples
+from estimator.likelihood import LatentProblem, Latents, Noise, Stage, effective_samples
 from estimator.model import chain
 from estimator.signals import Channel, SignalSet, torque_of
 
@@ -14,12 +14,12 @@ LINKS, COUNT = 11, 40
 NAMED = {kind.name: kind for kind in classes()}
 
 
-def problem_of(effect: Effect, rng: np.random.Generator) -> tuple[ExtendedProblem, Latents, np.ndarray, Noise]:
+def problem_of(effect: Effect, rng: np.random.Generator) -> tuple[LatentProblem, Latents, np.ndarray, Noise]:
     m = chain(LINKS)
     signals = SignalSet("run", 100.0, np.arange(COUNT) / 100.0, 0.1 * rng.normal(size=(COUNT, LINKS)),
                         0.1 * rng.normal(size=(COUNT, LINKS)), {})
     stage = Stage((0,), (0.0,), (0.0,), np.tile([-1.0, 1.0], (LINKS, 1)))
-    problem = ExtendedProblem([signals], m, "linear", stage, [effect])
+    problem = LatentProblem([signals], m, "linear", stage, [effect])
     diagonal = np.array([p.term == "inertia" and p.at[0] == p.at[1] for p in m.parameters])
     beta = np.concatenate([np.where(diagonal, 1.0, 0.01), np.full(effect.count, 0.02)])
     x = Latents(*(0.1 * rng.normal(size=(COUNT, LINKS)) for _ in range(3)))

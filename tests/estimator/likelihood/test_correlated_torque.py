@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimator.effects import Effect, classes
-from estimator.likelihood import ExtendedProblem, Latents, Noise, Stage
+from estimator.likelihood import LatentProblem, Latents, Noise, Stage
 from estimator.likelihood.correlated_torque import whole_samples
 from estimator.model import leg2
 from estimator.signals import SignalSet
@@ -19,11 +19,11 @@ CORRELATION = np.array([[1.0, -0.7], [-0.7, 1.0]])
 NAMED: dict[str, type[Effect]] = {kind.name: kind for kind in classes()}
 
 
-def posed(*effects: Effect) -> tuple[ExtendedProblem, Latents, np.ndarray, Noise]:
+def posed(*effects: Effect) -> tuple[LatentProblem, Latents, np.ndarray, Noise]:
     rng = np.random.default_rng(6)
     q, torque = rng.normal(size=(2, COUNT, 2))
     signals = SignalSet("run", 100.0, np.arange(COUNT) / 100.0, q, torque, {})
-    problem = ExtendedProblem([signals], leg2(actuated=(0, 1)), "linear",
+    problem = LatentProblem([signals], leg2(actuated=(0, 1)), "linear",
                               Stage((0,), (0.0,), (0.0,), np.tile([-2.0, 2.0], (2, 1)), 7.0), effects)
     problem.known_stiction = rng.uniform(0.0, 0.01, (COUNT, 2, 2))
     x = Latents(q + 0.01 * rng.normal(size=q.shape), rng.normal(size=q.shape), torque + 0.1 * rng.normal(size=q.shape))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from estimator.likelihood.disturbance import Process
+from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model.mechanism import Mechanism, joint1, leg2
 from estimator.numerics import BlockTridiagonal, eliminate
 from estimator.signals.imu import imu_columns
@@ -82,7 +82,8 @@ def test_a_disturbance_that_is_off_changes_nothing(mechanism: Mechanism, imu: bo
     off = replace(plain, disturbance=np.zeros(n), time_constant=np.full(n, 0.1))
     found = []
     for x, noise in ((Latents(q, v, u), plain), (Latents(q, v, u, np.zeros_like(u)), off)):
-        problem = LatentProblem(signals, mechanism, "linear", disturbed=x.e is not None)
+        problem = LatentProblem(signals, mechanism, "linear")
+        problem = problem if x.e is None else problem.with_disturbance()
         point = problem.linearise(x, beta, noise)
         assert point.chain.block == (4 if problem.disturbed else 3) * n
         product = eliminate(point.chain).product()

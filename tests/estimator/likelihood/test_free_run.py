@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from estimator.diagnosis.refit import fit_nominal, refit
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.refit import fit_nominal, refit
 from estimator.effects import classes
 from estimator.effects.base import Effect
 from estimator.effects.derivatives import Laws
@@ -20,8 +20,8 @@ from estimator.effects.friction import PreslidingFriction, StribeckFriction
 from estimator.effects.sensors import EncoderOffset
 from estimator.effects.stand import BaseCompliance
 from estimator.effects.structure import Backlash, RotorInertia
+from estimator.likelihood import LatentProblem, Stage
 from estimator.likelihood.effective_samples import effective_samples
-from estimator.likelihood.extended_likelihood import ExtendedProblem, Stage
 from estimator.likelihood.free_run import _Plant, free_run, pieces
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
@@ -37,11 +37,11 @@ FloatArray = NDArray[np.float64]
 REACH = np.array([[-1.0, 1.0], [-1.0, 1.0]])
 
 
-def problem_of(mechanism: Mechanism, count: int, torque: np.ndarray, effects: list[Effect]) -> ExtendedProblem:
+def problem_of(mechanism: Mechanism, count: int, torque: np.ndarray, effects: list[Effect]) -> LatentProblem:
     grid = np.arange(count) / 100.0
     imu = {c: np.zeros(count) for c in ("gyro_radps", "accel_x_mps2", "accel_y_mps2")} if mechanism.n > 1 else {}
     signals = SignalSet("r", 100.0, grid, np.zeros((count, mechanism.n)), torque, imu)
-    return ExtendedProblem([signals], mechanism, "linear", Stage((0,), (0.0,), (0.0,), REACH, 7.0), effects)
+    return LatentProblem([signals], mechanism, "linear", Stage((0,), (0.0,), (0.0,), REACH, 7.0), effects)
 
 
 @pytest.mark.parametrize("kind", [c for c in classes() if c(1).instant], ids=lambda c: c.name)

@@ -37,6 +37,10 @@ def test_solution_and_inverse_agree_with_the_dense_ones(n: int, b: int) -> None:
     assert swept.log_determinant() == pytest.approx(np.linalg.slogdet(full)[1], rel=1e-12)
     blocks = dense.reshape(n, b, n, b)
     np.testing.assert_allclose(swept.inverse_diagonal(), [blocks[k, :, k] for k in range(n)], atol=1e-12)
+    diagonal, upper = swept.inverse_blocks()
+    np.testing.assert_array_equal(diagonal, swept.inverse_diagonal())
+    known = np.array([blocks[k, :, k + 1] for k in range(n - 1)]).reshape(n - 1, b, b)
+    np.testing.assert_allclose(upper, known, atol=1e-12)
 
 
 def test_a_long_chain_of_short_ones_has_their_solutions() -> None:

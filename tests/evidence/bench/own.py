@@ -15,8 +15,9 @@ import numpy as np
 
 from daq.runs import write_csv
 from estimator.fitting.fit import fit
+from estimator.likelihood.latent_problem import PIECE
+from estimator.likelihood.measured_runs import slack_of
 from estimator.likelihood.memory import pieces
-from estimator.likelihood.trajectory_likelihood import PIECE, slack_of
 from estimator.model import Collocation, Motion
 from tests.evidence.bench.record import OPTIONS, Posed, Recorded, Watch, pose
 from tests.support.assembly_numpy import accelerometer_rows, motion_rows

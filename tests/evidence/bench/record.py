@@ -12,8 +12,8 @@ from daq.dataset import Dataset
 from estimator.fitting.gauss_newton import iterate
 from estimator.fitting.initial_guess import noise_floors, start_state
 from estimator.fitting.wls import free_mask
+from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.state import State
-from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model.mechanism import Mechanism, leg2
 from estimator.options import FitOptions
 from estimator.signals.segments import split_signals

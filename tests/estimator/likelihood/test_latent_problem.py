@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from daq.dataset import Dataset
-from estimator.fitting import gauss_newton
+from estimator.fitting import iterate, stopping
 from estimator.fitting.fit import fit
 from estimator.fitting.initial_guess import start_state
 from estimator.fitting.wls import free_mask
-from estimator.likelihood import trajectory_likelihood
+from estimator.likelihood import latent_problem
+from estimator.likelihood.latent_problem import LatentProblem
 from estimator.likelihood.noise import Noise
 from estimator.likelihood.normal_equations import Latents
-from estimator.likelihood.trajectory_likelihood import LatentProblem
 from estimator.model.mechanism import leg2
 from estimator.options import FitOptions
 from estimator.signals.segments import split_signals
@@ -71,7 +71,7 @@ def test_pieces_change_nothing(broken: tuple[LatentProblem, Latents, np.ndarray,
                                monkeypatch: pytest.MonkeyPatch) -> None:
     problem, x, beta, noise = broken
     whole = problem.linearise(x, beta, noise)
-    monkeypatch.setattr(trajectory_likelihood, "PIECE", piece)
+    monkeypatch.setattr(latent_problem, "PIECE", piece)
     parts = problem.linearise(x, beta, noise)
     assert parts.objective == pytest.approx(whole.objective, rel=1e-12)
     for name, a in normal(whole).items():
@@ -79,14 +79,14 @@ def test_pieces_change_nothing(broken: tuple[LatentProblem, Latents, np.ndarray,
         np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-11 * np.abs(a).max(), err_msg=name)
 
 
-@pytest.mark.parametrize("piece", [37, trajectory_likelihood.PIECE])
+@pytest.mark.parametrize("piece", [37, latent_problem.PIECE])
 def test_compiled_normal_equations_are_those_by_arrays(broken: tuple[LatentProblem, Latents, np.ndarray, Noise],
                                                       piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
     problem, x, beta, noise = broken
-    monkeypatch.setattr(trajectory_likelihood, "PIECE", piece)
+    monkeypatch.setattr(latent_problem, "PIECE", piece)
     beta = beta + 0.1 * np.random.default_rng(3).normal(size=beta.size)
     fast = problem.linearise(x, beta, noise)
-    monkeypatch.setattr(trajectory_likelihood, "assembly_numba", assembly_numpy)
+    monkeypatch.setattr(latent_problem, "assembly_numba", assembly_numpy)
     plain = problem.linearise(x, beta, noise)
     assert fast.objective == pytest.approx(plain.objective, rel=1e-11)
     for name, a in normal(plain).items():
@@ -105,9 +105,9 @@ def test_minimum_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
     leg = Leg(coulomb=(0.0, 0.0))  # dry friction that changes sign beside a sample makes many minima
     run = record(leg, np.random.default_rng(22), seconds=4)
     posed = pose(Recorded(run, leg2(lever_arm=leg.lever), leg.beta(), (leg.m1, leg.m2), leg.l1))
-    monkeypatch.setattr(gauss_newton, "TOLERANCE", 1e-6)
-    monkeypatch.setattr(gauss_newton, "LOOSE", 1e-6)
-    state = gauss_newton.iterate(posed.problem, posed.end, np.ones(9, dtype=bool), OPTIONS, None, 100)  # noise held
+    monkeypatch.setattr(stopping, "TOLERANCE", 1e-6)
+    monkeypatch.setattr(stopping, "LOOSE", 1e-6)
+    state = iterate(posed.problem, posed.end, np.ones(9, dtype=bool), OPTIONS, None, 100)  # noise held
     assert state.converged
     point = posed.problem.linearise(state.x, state.beta, state.noise)
     found = casadi_ipopt.solve(posed, 1e-14)
@@ -121,8 +121,8 @@ def test_a_fit_ends_where_a_stricter_one_does(monkeypatch: pytest.MonkeyPatch) -
     leg = random_leg(rng)
     run, mechanism = record(leg, rng, seconds=60, counts=2048), leg2(lever_arm=leg.lever)
     found = fit([run], mechanism, OPTIONS)
-    monkeypatch.setattr(gauss_newton, "TOLERANCE", 0.002)
-    monkeypatch.setattr(gauss_newton, "LOOSE", 0.002)
+    monkeypatch.setattr(stopping, "TOLERANCE", 0.002)
+    monkeypatch.setattr(stopping, "LOOSE", 0.002)
     strict = fit([run], mechanism, OPTIONS)
     assert found.converged and strict.converged
     assert np.max(np.abs(found.beta - strict.beta) / strict.std) < 0.2
@@ -133,7 +133,7 @@ def test_a_fit_by_arrays_ends_at_the_same(monkeypatch: pytest.MonkeyPatch) -> No
     run, mechanism = record(leg, np.random.default_rng(23), seconds=6), leg2(lever_arm=leg.lever)
     options = FitOptions(sensors="imu", fixed={"beta9": 0.05})
     fast = fit([run], mechanism, options)
-    monkeypatch.setattr(trajectory_likelihood, "assembly_numba", assembly_numpy)
+    monkeypatch.setattr(latent_problem, "assembly_numba", assembly_numpy)
     plain = fit([run], mechanism, options)
     assert fast.iterations == plain.iterations
     np.testing.assert_allclose(fast.beta, plain.beta, rtol=1e-7)
