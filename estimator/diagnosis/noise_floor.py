@@ -45,7 +45,7 @@ def _coloured(model: Model) -> FloorNoise:
     likelihood = disturbance_likelihood(signals, model.problem, state, disturbed)
     options: FitOptions = replace(split.options, noise=dict(split.known))
     found = find_disturbance(likelihood, of_noise(state.noise), options)
-    rest = _share_near_rest(likelihood, found)
+    rest, likelihood = _share_near_rest(likelihood, found)
     found = find_disturbance(likelihood, found, options)
     repeated = np.zeros_like(found.level)
     if found.level.any():
@@ -66,20 +66,18 @@ def _repeated(model: Model, whole: MarginalLikelihood, found: Disturbance) -> Fl
     return repeated_share(np.where(found.level > 0.0, e[which], 0.0), columns, run[which])
 
 
-def _share_near_rest(likelihood: MarginalLikelihood, found: Disturbance) -> FloatArray:
-    """(n,) of SHARES the likeliest, joint after joint; the `likelihood` has them from then on."""
+def _share_near_rest(likelihood: MarginalLikelihood, found: Disturbance) -> tuple[FloatArray, MarginalLikelihood]:
+    """(n,) of SHARES the likeliest, joint after joint; and the likelihood that has them."""
     n = likelihood.problem.n
     rest, most = np.zeros(n), likelihood.problem.stiction(likelihood.noise)
     if most is None:
-        return rest
+        return rest, likelihood
     now = most.copy()
     for j in range(n):
         values = []
         for share in SHARES:
             now[:, 0, j] = share**2 * most[:, 0, j]
-            likelihood.problem = likelihood.problem.with_stiction(now.copy())
-            values.append(likelihood(found))
+            values.append(likelihood.with_stiction(now.copy())(found))
         rest[j] = SHARES[int(np.argmax(values))]
         now[:, 0, j] = rest[j] ** 2 * most[:, 0, j]
-    likelihood.problem = likelihood.problem.with_stiction(now)
-    return rest
+    return rest, likelihood.with_stiction(now)
