@@ -55,6 +55,12 @@ class DiagnosisContext:
     """Least relative reduction of the free-run error that counts"""
     biases: dict[int, list[FloatArray]] = field(default_factory=dict)
     """Number of effects to the `bias` of sets of so many; see `bias_of`"""
+    scores: tuple[Score, ...] = ()
+    """(R,) of the nominal parameters, one a train run"""
+    left_out: list[tuple[Model, dict[int, PredictedRun]]] = field(default_factory=list)
+    """See `search.left_out_runs`"""
+    extensions: list[tuple[Explanation, Model]] = field(default_factory=list)
+    """See `with_generic`"""
     held: dict[bytes, Model] = field(default_factory=dict)
     """Start of a fit from the nominal model to its end with shapes held, as far as one was made before the search,
     and ..."""
@@ -117,7 +123,8 @@ def scored(split: RunSplit, candidates: list[Candidate], named: int, rng: np.ran
             bias = bootstrap_scores(nominal, candidates, scores, rng)
         except FitError:  # a fit that is far wrong can have negative friction, and its simulation diverge
             bias = [np.zeros_like(s.score) for s in scores]
-    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng)
+    own = tuple(s.of(np.arange(split.mechanism.p)) for s in scores)
+    context = DiagnosisContext(candidates, columns_of(candidates), named, list(bias), nominal, rng, scores=own)
     return context, tests_of(nominal, scores, bias)
 
 
@@ -202,6 +209,15 @@ def generic_extension(context: DiagnosisContext, model: Model, left: ScoreTests)
     return None
 
 
+def with_generic(context: DiagnosisContext, explanation: Explanation) -> Model:
+    """The model of an assessed explanation with generic terms, its own where none is significant; fitted once."""
+    known = next((model for one, model in context.extensions if one.left is explanation.left), None)
+    if known is None:
+        known = generic_extension(context, explanation.model, explanation.left) or explanation.model
+        context.extensions.append((explanation, known))
+    return known
+
+
 def _columns(context: DiagnosisContext, which: Sequence[int]) -> NDArray[np.intp]:
     return np.concatenate([context.columns[i] for i in which])
 
@@ -262,4 +278,5 @@ def assessed(context: DiagnosisContext, explanation: Explanation, scores: Sequen
     further = np.array([0.0 if c.effect.key in keys else context.gain(left, i)
                         for i, c in enumerate(context.candidates)])
     return replace(explanation, left=left, has_residual=detected(context, left, keys), further=further,
-                   inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free))
+                   inflation=own_inflation(scores, free, left.scatter), determined=determined(scores, free),
+                   scores=tuple(s.of(np.arange(model.problem.parameter_count)) for s in scores))

@@ -51,10 +51,11 @@ class RunSplit:
     """Run to `Noise.stiction`, as the nominal model has it: all explanations are compared on the same weights."""
 
     @property
-    def inner(self) -> tuple[int, ...]:
-        """Train runs that stand for test runs while the search goes on: the next fold."""
-        return next((fold for fold in folds(len(self.runs)) if fold != self.test and set(fold) <= set(self.train)),
-                    self.train)
+    def inner(self) -> list[tuple[int, ...]]:
+        """Folds of the train runs: each stands for test runs while the search goes on; a single train run for
+        itself."""
+        found = [fold for fold in folds(len(self.runs)) if fold != self.test]
+        return found if len(found) > 1 else [self.train]
 
     @property
     def has_imu(self) -> bool:

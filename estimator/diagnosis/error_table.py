@@ -113,19 +113,14 @@ def measure(models: Sequence[Model], unit: int, noise: FloorNoise, rng: np.rando
     return judged(models[unit], [run for run, _ in parts], [floor for _, floor in parts], smoothers, rng)
 
 
-def train_floor(unit: Model, noise: FloorNoise, rng: np.random.Generator) -> list[FloatArray]:
-    """(H, C) what `noise` leaves of model `unit` in each of some train runs. Raises `FitError` where that diverges.
-
-    The runs that are tested next in a rotation tell it well enough.
-    """
-    split = unit.split
-    seeds = rng.integers(2**63, size=len(split.inner))
+def floors_of(unit: Model, runs: Sequence[int], noise: FloorNoise, rng: np.random.Generator) -> list[FloatArray]:
+    """(H, C) what `noise` leaves of model `unit` in each of these `runs`. Raises `FitError` where that diverges."""
+    seeds = rng.integers(2**63, size=len(runs))
 
     def left(k: int) -> FloatArray:
-        run = split.inner[k]
-        return floor_of(unit, run, smooth(unit, run), seeds[k], DECIDING_S, noise).mean(axis=-1)
+        return floor_of(unit, runs[k], smooth(unit, runs[k]), seeds[k], DECIDING_S, noise).mean(axis=-1)
 
-    return parallel_map(left, len(split.inner), split.workers)
+    return parallel_map(left, len(runs), unit.split.workers)
 
 
 def judged(unit: Model, runs: Sequence[PredictedRun], floors: Sequence[FloatArray], smoothers: Sequence[int],

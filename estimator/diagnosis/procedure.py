@@ -112,7 +112,7 @@ def _diagnose(split: RunSplit, seed: int, say: Progress, reference: Mapping[str,
     base = replace(base, candidates=rank(context, tests), separability=separability(context, tests))
     found: list[Explanation] = []
     if there or large(context):
-        found = search(context, tests, generic, say)
+        found = search(context, tests, say)
     elif context.noise_dominated:
         raise FitError(context.noise_dominated)
     say("simulating the held-out runs", 0.85)
@@ -126,7 +126,7 @@ def large(context: DiagnosisContext) -> bool:
     if noisy_sensors(context.nominal):
         return True
     with suppress(FitError):
-        return train_table(context, [], floor_of_best(context, [], None)).error(NOMINAL) > EDGE
+        return train_table(context, [], floor_of_best(context, [], context.split.inner[0])).error(NOMINAL) > EDGE
     return False
 
 

@@ -276,7 +276,7 @@ class LatentProblem(MeasuredRuns):
         out = np.zeros(self.mechanism.p)
         most = np.full(self.n, self.total) if predicted is None else predicted
         for j in self.mechanism.passive:
-            a = self.inertia_rows[:, j]
+            a = self.mechanism.inertia_rows[:, j]
             m = float(a @ beta)
             if m > 0.0:
                 out += min(misfit[j], most[j]) / m * a
