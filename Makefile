@@ -23,8 +23,8 @@ $(STAMP): requirements.lock requirements-build.lock pyproject.toml
 	$(LOCKED) requirements-build.lock
 	$(LOCKED) requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
-	@echo "compiling kernels, once on a machine"
-	$(BIN)/python -c "from estimator.likelihood import compile_kernels; print('kernels are in', compile_kernels())"
+	@echo "compiling kernels, which Numba's cache keeps"
+	$(BIN)/python -c "from estimator.likelihood import compile_kernels; compile_kernels()"
 	touch $@
 
 install: $(STAMP)
