@@ -71,7 +71,9 @@ def test_effects_that_replace_each_other_are_alternatives(sprung: DiagnosisConte
     alone = reduced(sprung, [both])
     assert {keys_of(e) for e in alone} == {frozenset({SPRING.key}), frozenset({HOSE.key})}
     assert all(admissible(e) for e in alone)
-    weighed = [replace(e, by_run=np.full(4, -e.gain / 4.0)) for e in alone]
+    gain = alone[0].gain
+    assert alone[1].gain == pytest.approx(gain, rel=1e-3)  # a bounded number of steps finds no more digits
+    weighed = [replace(e, gain=gain, by_run=np.full(4, -gain / 4.0)) for e in alone]
     assert len(indistinguishable_set(weighed)) == 2
 
 
