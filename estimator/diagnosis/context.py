@@ -115,7 +115,7 @@ class DiagnosisContext:
 
     def gain(self, tests: ScoreTests, i: int) -> float:
         """Gain of candidate i; zero for a size within the uncertainty of the recorder's clocks."""
-        columns, open_size = self.columns[i], self.candidates[i].effect.open_size(self.split.clock_bound_s)
+        columns, open_size = self.columns[i], self.split.open_size(self.candidates[i].effect)
         if open_size > 0.0 and abs(float(tests.size(columns)[0])) < open_size:
             return 0.0
         return tests.gain(columns)

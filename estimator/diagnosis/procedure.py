@@ -184,7 +184,7 @@ def rank(context: DiagnosisContext, tests: ScoreTests) -> tuple[CandidateScore, 
         detectable = tests.detectable(int(columns[0]), ALPHA / context.trials, context.material(context.split.discover))
         out.append(CandidateScore(effect.name, None if effect.joint is None else effect.joint + 1,
                           float(np.sqrt(max(context.gain(tests, i), 0.0))), p_of(context, tests, i),
-                          float(tests.size(columns)[0]), max(detectable, effect.open_size(context.split.clock_bound_s)),
+                          float(tests.size(columns)[0]), max(detectable, context.split.open_size(effect)),
                           context.split.mechanism.unit(effect.sizes[0].unit)))
     return tuple(out)
 

@@ -17,11 +17,14 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.effects import (
+    Backlash,
     Effect,
+    GearEffect,
     Perturbation,
     Points,
     Record,
     StateTorque,
+    StribeckFriction,
     TorqueEffect,
     View,
     by_motion,
@@ -95,7 +98,7 @@ class ExtendedProblem(LatentProblem):
         found, at = super().dry_levels(beta), self.mechanism.p
         for effect in self.effects:
             size, at = beta[at : at + effect.count], at + effect.count
-            if effect.joint in found and size.size:
+            if isinstance(effect, StribeckFriction) and effect.joint in found:
                 found[effect.joint] += effect.level_at_rest(size)
         return found
 
@@ -162,9 +165,10 @@ class ExtendedProblem(LatentProblem):
         return parameters[: self.mechanism.p], sizes
 
     def relaxed(self, parameters: FloatArray, slack: float) -> FloatArray:
-        """The parameter vector with a smaller slope of every effect's law; see `Effect.relaxed`."""
+        """The parameter vector with a smaller slope of a gear's play; see `Backlash.relaxed`."""
         beta, sizes = self.split(parameters)
-        return np.concatenate([beta, *(e.relaxed(size, slack) for e, size in zip(self.effects, sizes))])
+        return np.concatenate([beta, *(e.relaxed(size, slack) if isinstance(e, Backlash) else size
+                                       for e, size in zip(self.effects, sizes))])
 
     def extra(self, x: Latents, parameters: FloatArray, columns: bool = True) -> Extra:
         """Torques and readings that the effects add at (x, parameters), and their derivatives by effects and
@@ -235,7 +239,8 @@ class ExtendedProblem(LatentProblem):
         """Parameters like `split`, for a simulation that has no record of the motor's motion."""
         beta, sizes = self.split(parameters)
         for effect, size in zip(self.effects, sizes):
-            beta = effect.simulated(beta, size, self.mechanism)
+            if isinstance(effect, GearEffect):
+                beta = effect.simulated(beta, size, self.mechanism)
         return beta, sizes
 
     def motor_torque(self, x: Latents, parameters: FloatArray) -> FloatArray:
@@ -246,8 +251,9 @@ class ExtendedProblem(LatentProblem):
         view = replace(self.view(x, beta), measured=self._measured)
         out = x.u.copy()
         for effect, size in zip(self.effects, sizes):
-            for j, drive_loss in effect.drive_loss(view, size).items():
-                out[:, j] += drive_loss
+            if isinstance(effect, GearEffect):
+                for j, drive_loss in effect.drive_loss(view, size).items():
+                    out[:, j] += drive_loss
         return out
 
     def torque_readings(self, x: Latents, parameters: FloatArray) -> FloatArray:

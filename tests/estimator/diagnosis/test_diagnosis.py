@@ -21,9 +21,9 @@ from estimator.diagnosis.refit import fit_nominal
 from estimator.diagnosis.result import Cause, Diagnosis, SizeEstimate
 from estimator.diagnosis.score_statistics import RunScore, own_inflation, project
 from estimator.effects import classes, library
-from estimator.effects.drive import TorqueOffset
-from estimator.effects.friction import LoadDependentFriction
-from estimator.effects.sensors import EncoderScale
+from estimator.effects.encoder_scale import EncoderScale
+from estimator.effects.load_dependent_friction import LoadDependentFriction
+from estimator.effects.torque_offset import TorqueOffset
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import iterate
 from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage, braked, slopes

@@ -16,9 +16,12 @@ from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.refit import Model, begin_afresh, converge_runs, fit_nominal, misfit, refit, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.effects import Effect
-from estimator.effects.drive import TorqueDelay, TorqueRipple
-from estimator.effects.friction import LoadDependentFriction, PreslidingFriction
-from estimator.effects.structure import Backlash, JointElasticity
+from estimator.effects.backlash import Backlash
+from estimator.effects.joint_elasticity import JointElasticity
+from estimator.effects.load_dependent_friction import LoadDependentFriction
+from estimator.effects.presliding_friction import PreslidingFriction
+from estimator.effects.torque_delay import TorqueDelay
+from estimator.effects.torque_ripple import TorqueRipple
 from estimator.errors import FitError
 from estimator.fitting import converge_motion
 from estimator.likelihood.extended_likelihood import ExtendedProblem, Stage
