@@ -22,6 +22,7 @@ from estimator.effects.encoder_offset import EncoderOffset
 from estimator.effects.gear_effect import GearEffect
 from estimator.effects.generic_terms import GenericReading, GenericTorque, battery
 from estimator.effects.registry import ENTRY_POINT, UNTESTABLE, classes, library, placed
+from estimator.effects.sensor_effects import EncoderEffect, ImuEffect
 from estimator.effects.sensor_time_skew import SensorTimeSkew
 from estimator.effects.state_torque import StateTorque, Table, Variable
 from estimator.effects.stribeck_friction import StribeckFriction
@@ -33,10 +34,12 @@ __all__ = [
     "Backlash",
     "BodyEffect",
     "Effect",
+    "EncoderEffect",
     "EncoderOffset",
     "GearEffect",
     "GenericReading",
     "GenericTorque",
+    "ImuEffect",
     "LawEffect",
     "Laws",
     "Perturbation",
