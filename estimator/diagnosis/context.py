@@ -98,7 +98,7 @@ class DiagnosisContext:
 
     def gain(self, tests: ScoreTests, i: int) -> float:
         """Gain of candidate i; zero for a size within the uncertainty of the recorder's clocks."""
-        columns, open_size = self.columns[i], self.candidates[i].effect.open_size(self.split.clock_bound_s)
+        columns, open_size = self.columns[i], self.split.open_size(self.candidates[i].effect)
         if open_size > 0.0 and abs(float(tests.size(columns)[0])) < open_size:
             return 0.0
         return tests.gain(columns)
@@ -169,7 +169,7 @@ def rank(context: DiagnosisContext, tests: ScoreTests) -> tuple[CandidateScore, 
         detectable = tests.detectable(int(columns[0]), ALPHA / context.trials, context.least_gain)
         out.append(CandidateScore(effect.name, None if effect.joint is None else effect.joint + 1,
                           float(np.sqrt(max(context.gain(tests, i), 0.0))), p_of(context, tests, i),
-                          float(tests.size(columns)[0]), max(detectable, effect.open_size(context.split.clock_bound_s)),
+                          float(tests.size(columns)[0]), max(detectable, context.split.open_size(effect)),
                           context.split.mechanism.unit(effect.sizes[0].unit)))
     return tuple(out)
 

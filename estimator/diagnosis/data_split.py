@@ -10,7 +10,7 @@ import numpy as np
 
 from daq import Dataset, FloatArray
 from estimator.diagnosis.decision_rule import LEAST_S
-from estimator.effects import Effect
+from estimator.effects import Effect, SensorTimeSkew
 from estimator.errors import FitError
 from estimator.fitting import noise_floors, require_scale
 from estimator.likelihood import Candidate, LatentProblem, Noise, Stage
@@ -65,6 +65,10 @@ class RunSplit:
     def encoders(self) -> tuple[int, ...]:
         """0-based joints whose encoders are read."""
         return self.options.encoders_of(self.mechanism.n)
+
+    def open_size(self, effect: Effect) -> float:
+        """Size of `effect` below which the recorder's clocks leave it open anyway; zero unless it is a time skew."""
+        return self.clock_bound_s if isinstance(effect, SensorTimeSkew) else 0.0
 
     def floors(self, problem: LatentProblem, beta: FloatArray) -> Noise:
         """Least noise levels of a fit at beta (p,)."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from estimator.diagnosis.conclusion import base
-from estimator.diagnosis.refit import fit_nominal
+from estimator.diagnosis.model import fit_nominal
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import t as student

@@ -14,7 +14,7 @@ from estimator.diagnosis.decision_rule import EDGE
 from estimator.diagnosis.error_table import measure_errors, with_floor
 from estimator.diagnosis.noise_check import noisy_sensors, with_declared_noise
 from estimator.diagnosis.noise_floor import noise_floor
-from estimator.diagnosis.refit import Model, fit_nominal
+from estimator.diagnosis.model import Model, fit_nominal
 from estimator.likelihood import Noise, Process
 from estimator.model import leg2
 from estimator.options import FitOptions

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimator.diagnosis.refit import Model, begin_afresh, converge_runs, fit_nominal, misfit, refit, smooth
+from estimator.diagnosis.model import Model, begin_afresh, converge_runs, fit_nominal, misfit, refit, smooth
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
@@ -16,9 +16,11 @@ from estimator.diagnosis import refit as fits
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.residual_signature import signature
 from estimator.effects import Effect
-from estimator.effects.drive import TorqueDelay, TorqueRipple
-from estimator.effects.friction import LoadDependentFriction, PreslidingFriction
-from estimator.effects.structure import Backlash, JointElasticity
+from estimator.effects.backlash import Backlash
+from estimator.effects.joint_elasticity import JointElasticity
+from estimator.effects.load_dependent_friction import LoadDependentFriction
+from estimator.effects.torque_delay import TorqueDelay
+from estimator.effects.torque_ripple import TorqueRipple
 from estimator.errors import FitError
 from estimator.fitting import converge_motion
 from estimator.likelihood import LatentProblem, Stage
@@ -63,13 +65,11 @@ def record(case: DrawnCase, plant: Mapping[str, float], late_s: float = 0.0) -> 
     return out
 
 
-def fitted(case: DrawnCase, data: list[Dataset], effect: Effect, afresh: bool = False,
-           shapes: tuple[float, ...] = ()) -> tuple[Model, Model]:
+def fitted(case: DrawnCase, data: list[Dataset], effect: Effect, afresh: bool = False) -> tuple[Model, Model]:
     """Nominal fit, and the fit with the effect."""
     split = split_runs(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
     nominal = fit_nominal(split)
     start = np.zeros(effect.count)
-    start[len(effect.sizes) :] = shapes
     if afresh:
         start[0] = 0.1
     return nominal, refit(begin_afresh(nominal) if afresh else nominal, [(effect, start)], 40)
@@ -107,16 +107,6 @@ def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     fitted = smooth(model, split.confirm[0])
     problem, state = fitted.problem, fitted.state
     assert per_value(problem, state) < 2.0
-
-
-def test_bristles_are_found_with_their_damping() -> None:
-    case, deflection = drawn("presliding_friction"), 0.12
-    _, model = fitted(case, record(case, {"bristle2": deflection}), PreslidingFriction(1), shapes=(0.1,))
-    ((level, damping, found),) = model.sizes()
-    stiffness = case.leg.coulomb2 / deflection  # LuGre as tests/evidence/blind/physics has it
-    assert found == pytest.approx(deflection, rel=0.25)  # eight seconds hardly reach full slip
-    assert level == pytest.approx(case.leg.coulomb2, rel=0.2)
-    assert damping == pytest.approx(0.6 * np.sqrt(stiffness * float(case.leg.beta()[1]) * 0.3), rel=0.2)
 
 
 @pytest.mark.parametrize("late_s", [0.0098, 0.004, -0.006])
@@ -168,13 +158,6 @@ def test_no_run_changes_the_motion_of_another() -> None:
     one, other = (converge_runs(model.split, problem, replace(model.state, x=replace(x, v=v))) for v in (far, near))
     assert np.array_equal(one.x.q[begin:], other.x.q[begin:])
     assert misfit(replace(model, state=other)) == pytest.approx(misfit(model), abs=1.0)
-
-
-def test_friction_by_load_is_found() -> None:
-    case = drawn("load_dependent_friction")
-    _, model = fitted(case, record(case, {"load2": 0.25}), LoadDependentFriction(1))
-    ((found,),) = model.sizes()
-    assert found == pytest.approx(0.25, rel=0.08)
 
 
 def test_a_fast_ripple_is_simulated_freely() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.refit import fit_nominal
+from estimator.diagnosis.model import fit_nominal
 from estimator.model import leg2
 from estimator.options import FitOptions
 from estimator.prediction.replicate import draw_replicate, simulate_run

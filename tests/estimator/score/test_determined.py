@@ -18,8 +18,8 @@ from estimator.diagnosis.presence import admissible, undetermined
 from estimator.diagnosis.search import fit_sets, reduced
 from estimator.effects import Effect
 from estimator.effects.base import Points, View
-from estimator.effects.drive import TorqueOffset
-from estimator.effects.structure import JointStiffness
+from estimator.effects.joint_stiffness import JointStiffness
+from estimator.effects.torque_offset import TorqueOffset
 from estimator.likelihood import Candidate
 from estimator.model import leg2
 from estimator.options import FitOptions

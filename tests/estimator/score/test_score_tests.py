@@ -9,7 +9,7 @@ import pytest
 
 from daq.dataset import Dataset
 from estimator.diagnosis.data_split import RunSplit, split_runs
-from estimator.diagnosis.refit import Model, fit_nominal, refit, run_states
+from estimator.diagnosis.model import Model, fit_nominal, refit, run_states
 from estimator.effects import Effect, battery, classes, library
 from estimator.likelihood import Candidate
 from estimator.model import leg2
