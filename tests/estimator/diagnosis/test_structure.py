@@ -11,7 +11,7 @@ import pytest
 
 from estimator import Verdict
 from estimator.diagnosis import structure
-from estimator.diagnosis.conclusion import counted_as_noise
+from estimator.diagnosis.account import counted_as_noise
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure import with_structure

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.refit import fit_nominal, refit
+from estimator.diagnosis.model import fit_nominal, refit
 from estimator.effects import classes
 from estimator.effects.base import Effect
 from estimator.effects.derivatives import Laws

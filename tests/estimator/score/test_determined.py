@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from daq import FloatArray
-from estimator.diagnosis import procedure
-from estimator.diagnosis.assessment import assess
-from estimator.diagnosis.context import DiagnosisContext, Explanation, keys_of
+from estimator.diagnosis.context import DiagnosisContext, assess, scored
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.presence import admissible, undetermined
+from estimator.diagnosis.explanation import Explanation, admissible, indistinguishable_set, undetermined
 from estimator.diagnosis.search import fit_sets, reduced
 from estimator.effects import Effect
 from estimator.effects.base import Points, View
@@ -48,7 +45,7 @@ def sprung() -> DiagnosisContext:
             for run in runs]
     split = split_runs(runs, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
     candidates = [Candidate(e) for e in (SPRING, HOSE, OFFSET)]
-    return procedure.scored(split, candidates, len(candidates), np.random.default_rng(1), lambda *_: None)[0]
+    return scored(split, candidates, len(candidates), np.random.default_rng(1), lambda *_: None)[0]
 
 
 def fitted(context: DiagnosisContext, *effects: Effect) -> Explanation:
@@ -62,14 +59,14 @@ def test_an_effect_whose_only_size_another_one_replaces_is_no_answer(sprung: Dia
     assert admissible(alone) and not any(undetermined(alone))
     assert alone.model.sizes()[0][0] == pytest.approx(0.4, rel=0.05)
     assert not admissible(both) and undetermined(both) == [False, True]  # the preload replaces the offset
-    assert {keys_of(e) for e in reduced(sprung, [both])} == {keys_of(alone)}
+    assert {e.keys for e in reduced(sprung, [both])} == {alone.keys}
 
 
 def test_effects_that_replace_each_other_are_alternatives(sprung: DiagnosisContext) -> None:
     both = fitted(sprung, SPRING, HOSE)
     assert undetermined(both) == [True, True] and not admissible(both)
     alone = reduced(sprung, [both])
-    assert {keys_of(e) for e in alone} == {frozenset({SPRING.key}), frozenset({HOSE.key})}
+    assert {e.keys for e in alone} == {frozenset({SPRING.key}), frozenset({HOSE.key})}
     assert all(admissible(e) for e in alone)
     weighed = [replace(e, by_run=np.full(4, -e.gain / 4.0)) for e in alone]
     assert len(indistinguishable_set(weighed)) == 2

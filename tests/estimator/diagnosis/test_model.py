@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from daq.dataset import Dataset
-from estimator.diagnosis import refit as fits
+from estimator.diagnosis import model as models
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.refit import Model, begin_afresh, converge_runs, fit_nominal, misfit, refit, smooth
+from estimator.diagnosis.model import Model, begin_afresh, converge_runs, fit_nominal, misfit, refit, smooth
 from estimator.diagnosis.residual_signature import signature
 from estimator.effects import Effect
 from estimator.effects.drive import TorqueDelay, TorqueRipple
@@ -92,7 +92,7 @@ def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     data = record(case, {"shaft": 200.0, "shaft_damping": 0.12, "motor_inertia": MOTOR_INERTIA, "gap": gap})
     split = split_runs(data, leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
     new = split.names.index(data[-1].name)  # the others hold the strongest motion, in which play is seen best
-    split = replace(split, fit=tuple(i for i in range(len(data)) if i != new), screen=(), confirm=(new,))
+    split = replace(split, train=tuple(i for i in range(len(data)) if i != new), test=(new,))
     effect = Backlash(1)
     start = np.array([0.5 * gap, 0.0, 0.0, 0.0, 0.1])
     nominal = fit_nominal(split)
@@ -104,7 +104,7 @@ def test_play_is_found_and_its_motion_smoothed_on_a_new_run() -> None:
     assert picture is not None and picture.y_label == "reading of encoder2"
     assert np.ptp(picture.curve) == pytest.approx(gap, rel=0.2)  # a step from one flank to the other
     # the law is a step of the torque: sought at once from filtered motion it leaves ten times as much
-    fitted = smooth(model, split.confirm[0])
+    fitted = smooth(model, split.test[0])
     problem, state = fitted.problem, fitted.state
     assert per_value(problem, state) < 2.0
 
@@ -144,7 +144,7 @@ def test_an_effect_is_sought_at_the_nominal_parameters_where_no_fit_of_them_conv
     case = drawn("torque_delay")
     split = split_runs(record(case, {}, 0.008), leg2(lever_arm=case.sensors.lever), FitOptions(), case.sensors.gear)
     nominal, delay = fit_nominal(split), [(TorqueDelay(), np.zeros(1))]
-    monkeypatch.setattr(fits, "mistaken_torques", lambda *_: [1])
+    monkeypatch.setattr(models, "mistaken_torques", lambda *_: [1])
     with pytest.raises(FitError, match="torque for noise"):
         refit(nominal, delay)
     beta = np.ravel(case.leg.beta())
