@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from daq import FloatArray
+from estimator.diagnosis.account import finding
 from estimator.diagnosis.context import DiagnosisContext, assess, scored
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.explanation import Explanation, admissible, indistinguishable_set, undetermined
-from estimator.diagnosis.search import fit_sets, reduced
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.search import exchanged, fit_sets, reduced
 from estimator.effects import Effect
 from estimator.effects.base import Points, View
 from estimator.effects.drive import TorqueOffset
@@ -20,6 +22,7 @@ from estimator.effects.structure import JointStiffness
 from estimator.likelihood import Candidate
 from estimator.model import leg2
 from estimator.options import FitOptions
+from estimator.prediction import white_noise
 from estimator.score import Score, determined
 from tests.support.mujoco_leg import Leg, record
 
@@ -68,8 +71,20 @@ def test_effects_that_replace_each_other_are_alternatives(sprung: DiagnosisConte
     alone = reduced(sprung, [both])
     assert {e.keys for e in alone} == {frozenset({SPRING.key}), frozenset({HOSE.key})}
     assert all(admissible(e) for e in alone)
-    weighed = [replace(e, by_run=np.full(4, -e.gain / 4.0)) for e in alone]
-    assert len(indistinguishable_set(weighed)) == 2
+    weighed = indistinguishable_set([replace(e, by_run=np.full(4, -e.gain / 4.0)) for e in alone])
+    assert len(weighed) == 2
+    nominal = sprung.nominal
+    told = finding(Diagnosis("none", ""), nominal, weighed, 0.001, sprung.rng, False, white_noise(nominal.state.noise))
+    assert told.verdict == "one_of" and {c.effect for c in told.causes} == {SPRING.name, HOSE.name}
+    assert told.sentence.startswith("One of these causes") and "To tell them apart" in told.next_experiment
+
+
+def test_an_effect_is_exchanged_for_one_that_replaces_it(sprung: DiagnosisContext) -> None:
+    context, tests = scored(sprung.split, sprung.candidates, sprung.named, np.random.default_rng(1), lambda *_: None,
+                            sprung.bias)
+    found = exchanged(context, tests, [fitted(context, SPRING)])
+    assert HOSE.key in {key for e in found for key in e.keys} and all(SPRING.key not in e.keys for e in found)
+    assert all(len(e.keys) == 1 for e in found)
 
 
 def test_sizes_are_determined_where_the_other_columns_leave_information() -> None:
