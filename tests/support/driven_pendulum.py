@@ -35,8 +35,9 @@ def mechanism() -> Mechanism:
     return joint1(velocity_scale=SMOOTHING)
 
 
-def pendulum_run(name: str, seed: int, drag: float = 0.0, spring: float = 0.0) -> Dataset:
-    """`drag` [N m s^2/rad^2] with the square of its speed, `spring` [N m/rad] about its lowest point."""
+def pendulum_run(name: str, seed: int, drag: float = 0.0, spring: float = 0.0, noise: float = 1.0) -> Dataset:
+    """`drag` [N m s^2/rad^2] with the square of its speed, `spring` [N m/rad] about its lowest point; `noise` times
+    that of its sensors, 0.2 mrad and 5 mN m."""
     rng = np.random.default_rng(seed)
     grid = np.arange(int(SECONDS * RATE_HZ)) / RATE_HZ
     tones = rng.uniform(1.0, 9.0, 4), rng.uniform(0.0, 2.0 * np.pi, 4)
@@ -49,8 +50,8 @@ def pendulum_run(name: str, seed: int, drag: float = 0.0, spring: float = 0.0) -
         return [y[1], (np.interp(t, grid, torque) - load - lost) / inertia]
 
     q = solve_ivp(rates, (0.0, grid[-1]), [0.0, 0.0], t_eval=grid, rtol=1e-7, atol=1e-9, max_step=5e-3).y[0]
-    return Dataset(name, RATE_HZ, grid, {"q1_rad": q + 2e-4 * rng.normal(size=q.size),
-                                         "tau1_nm": torque + 0.005 * rng.normal(size=q.size)})
+    return Dataset(name, RATE_HZ, grid, {"q1_rad": q + 2e-4 * noise * rng.normal(size=q.size),
+                                         "tau1_nm": torque + 0.005 * noise * rng.normal(size=q.size)})
 
 
 def pendulum_runs(count: int, **hidden: float) -> list[Dataset]:

@@ -19,9 +19,7 @@ from estimator.diagnosis.model import fit_nominal
 from estimator.diagnosis.procedure import diagnose
 from estimator.diagnosis.result import Diagnosis
 from estimator.effects import classes, library
-from estimator.effects.drive import TorqueOffset
 from estimator.effects.friction import LoadDependentFriction
-from estimator.effects.sensors import EncoderScale
 from estimator.errors import FitError
 from estimator.fitting.gauss_newton import iterate
 from estimator.likelihood.extended_likelihood import Candidate, ExtendedProblem, Stage, braked, slopes
@@ -29,7 +27,6 @@ from estimator.likelihood.normal_equations import Latents
 from estimator.likelihood.state import State
 from estimator.model.mechanism import joint1, leg2
 from estimator.options import FitOptions
-from estimator.prediction.replicate import draw_replicate
 from estimator.score import Score, own_inflation, project
 from estimator.signals.segments import SignalSet, split_signals
 from tests.support.mujoco_leg import Leg, record
@@ -228,35 +225,3 @@ def test_a_nominal_fit_that_does_not_converge_has_no_intervals(runs: tuple[Leg, 
     nominal = fit_nominal(split)
     assert np.isinf(nominal.std()[:9]).all() and np.isfinite(nominal.state.beta).all()
     assert any("no intervals" in warning for warning in base(nominal, {}, None).warnings)
-
-
-def test_a_replicate_that_went_off_is_left_out(runs: tuple[Leg, list[Dataset]],
-                                               monkeypatch: pytest.MonkeyPatch) -> None:
-    leg, data = runs
-    split = split_runs(data, leg2(lever_arm=leg.lever), FitOptions(sensors="imu"))
-    nominal, candidates = fit_nominal(split), [Candidate(kind(1)) for kind in (TorqueOffset, EncoderScale)]
-    scores = models.score_train(nominal, candidates)
-    count = len(split.train)
-
-    def going_off(problem: ExtendedProblem, state: State, signals: list[SignalSet], *rest: Any) -> list[SignalSet]:
-        found = draw_replicate(problem, state, signals, *rest)
-        off = signals[0].run in bad
-        return [replace(s, angles=s.angles + 0.02 * np.sin(40.0 * s.time_s)[:, None] * [0, 1]) if off else s
-                for s in found]
-
-    monkeypatch.setattr(models, "draw_replicate", going_off)
-    monkeypatch.setattr(models, "REPLICATED_SAMPLES", 0)
-    names = [split.runs[i][0].run for i in split.train]
-    bad: list[str] = []
-    means = []
-    for which in ([], names[:1]):
-        bad[:] = which
-        rng = np.random.default_rng(3)
-        means.append(models.bootstrap_scores(nominal, candidates, scores, rng))
-    for k in range(1, count):
-        assert means[1][k] == pytest.approx(means[0][k], rel=1e-5)
-    others = [(mean, np.diag(s.information)) for mean, s in zip(means[0][1:], scores[1:])]
-    assert means[1][0] == pytest.approx(models.pooled_bias(others, scores[0]), rel=1e-5)
-    bad[:] = names
-    with pytest.raises(FitError, match="replicate"):
-        models.bootstrap_scores(nominal, candidates, scores, np.random.default_rng(3))
