@@ -126,7 +126,7 @@ def large(context: DiagnosisContext) -> bool:
     if noisy_sensors(context.nominal):
         return True
     with suppress(FitError):
-        return train_table(context, [], floor_of_best(context, [], context.split.inner[0])).error(NOMINAL) > EDGE
+        return train_table(context, [], floor_of_best(context, [], context.split.train)).error(NOMINAL) > EDGE
     return False
 
 

@@ -104,7 +104,7 @@ def promise(context: DiagnosisContext, found: Sequence[Explanation]) -> Promise:
     """
     best = by_error(first_of_each(found))
     try:
-        table = train_table(context, best, floor_of_best(context, best, context.split.inner[0]))
+        table = train_table(context, best, floor_of_best(context, best, context.split.train))
     except FitError:
         return Promise(True, True)
     counts = np.array([0, *(len(e.model.effects) for e in best)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,7 +11,7 @@ import pytest
 
 from estimator import Verdict
 from estimator.diagnosis import structure
-from estimator.diagnosis.conclusion import counted_as_noise
+from estimator.diagnosis.account import counted_as_noise
 from estimator.diagnosis.data_split import split_runs
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure import with_structure
@@ -45,8 +45,13 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Predictor]:
         assert len(runs) == 4
         return hidden_magnet()
 
-    monkeypatch.setattr(structure, "find_structure", learn)
+    learning(learn, monkeypatch)
     return models
+
+
+def learning(learn: Callable[..., Structure], monkeypatch: pytest.MonkeyPatch) -> None:
+    """`learn` stands for what takes minutes and has tests of its own."""
+    monkeypatch.setattr(structure, "find_structure", learn)
 
 
 @pytest.mark.parametrize("verdict", ["none", "named", "one_of", "fit_failed"])
@@ -85,6 +90,6 @@ def test_runs_that_teach_nothing_leave_the_diagnosis(nominal: Any, monkeypatch: 
     def fails(*_: object) -> Structure:
         raise FitError("no")
 
-    monkeypatch.setattr(structure, "find_structure", fails)
+    learning(fails, monkeypatch)
     found = Diagnosis("unexplained", "")
     assert with_structure(found, nominal) is found

@@ -193,7 +193,7 @@ def test_it_is_found_with_its_size_in_a_plant_of_other_code(kind: type[Effect], 
     default = [0.0] * len(effect.sizes) + [s.grid[len(s.grid) // 2] for s in effect.shapes]
     begin = np.array([hidden.begin.get(part.name, value) for part, value in zip(parts, default)])
     split = split_runs(records[kind.name], MECHANISM, FitOptions(), SENSORS.gear)
-    nominal = fit_nominal(replace(split, fit=(0, 1, 2), screen=(), confirm=()))
+    nominal = fit_nominal(replace(split, train=(0, 1, 2), test=()))
     model = refit(nominal, [(effect, begin)], 40)
     found = dict(zip([part.name for part in parts], model.sizes()[0]))
     if "angle_share" in found:

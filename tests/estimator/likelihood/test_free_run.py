@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from estimator.diagnosis.model import fit_nominal, refit
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from estimator.diagnosis.data_split import split_runs
+from estimator.diagnosis.model import fit_nominal, refit
 from estimator.effects.backlash import Backlash
 from estimator.effects.base import Effect
 from estimator.effects.base_compliance import BaseCompliance

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from daq import FloatArray
-from estimator.diagnosis.context import Explanation
-from estimator.diagnosis.model_comparison import indistinguishable_set
-from estimator.diagnosis.presence import presence, undetermined
+from estimator.diagnosis.explanation import Explanation, indistinguishable_set, presence, undetermined
 from estimator.effects import Effect
 from estimator.effects.asymmetric_friction import AsymmetricFriction
 from estimator.effects.encoder_scale import EncoderScale
