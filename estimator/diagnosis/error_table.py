@@ -175,7 +175,8 @@ def floor_of(model: Model, run: int, fitted: SmoothedRun, seed: int | np.int64, 
     """(H, C, N) squared errors of replicates with this `noise` alone, of the run as `fitted`, in `sensors_of`.
 
     The run is one of `count`. Errors over whole runs are a mean of WHOLE_RUNS replicates of all of them: a leg that
-    sticks leaves ten times as much in one as in another. The error of a pivot's angle without an encoder is about its mean, as in `tabulate`.
+    sticks leaves ten times as much in one as in another. The error of a pivot's angle without an encoder is about its
+    mean, as in `tabulate`.
     """
     split, rng = model.split, np.random.default_rng(seed)
     rows, whole = [channel_names(fitted.problem).index(c) for c in sensors_of(model)], np.isinf(horizons_s)
@@ -189,5 +190,6 @@ def floor_of(model: Model, run: int, fitted: SmoothedRun, seed: int | np.int64, 
 
     squares = drawn(horizons_s)
     if whole.any():
-        squares[whole] = np.mean([squares[whole], *(drawn([np.inf]) for _ in range(ceil(WHOLE_RUNS / count) - 1))], axis=0)
+        more = ceil(WHOLE_RUNS / count) - 1
+        squares[whole] = np.mean([squares[whole], *(drawn([np.inf]) for _ in range(more))], axis=0)
     return squares
