@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -142,7 +143,7 @@ def test_small_faults_that_are_material_only_together_are_no_cause(
     assert found.verdict == expected and found.answer is family.answer
 
 
-def with_second(before: float, first: float, both: float, agreement: list[list[float]] | None = None
+def with_second(before: float, first: float, both: float, agreement: Sequence[Sequence[float]] | None = None
                 ) -> tuple[ErrorTable, Family]:
     """A spring, and a delay in addition in row 2."""
     second = Answer((explained(1000.0, "spring", "delay"),), 2, (1,), 2)
