@@ -19,9 +19,8 @@ def context() -> DiagnosisContext:
     return foreseen({Named("delay"): 4230.0})[0]
 
 
-def more_than(spring: Explanation, gains: dict[str, float], *, has_residual: bool = True,
-              further: dict[str, float] | None = None
-              ) -> list[Explanation]:
+def more_than(spring: Explanation, gains: dict[str, float], further: dict[str, float] | None = None,
+              has_residual: bool = True) -> list[Explanation]:
     """Sets of the spring and one effect, with their gains over it, the likeliest first, and what explains more."""
     return [replace(explained(gain, "spring", key, further=[(further or {}).get(key, 0.0)], has_residual=has_residual),
                     model=fitted(spring.gain + gain, "spring", key))
@@ -38,7 +37,7 @@ def more_than(spring: Explanation, gains: dict[str, float], *, has_residual: boo
 def test_an_effect_in_addition_is_present_where_nothing_else_explains_as_much(
         gains: dict[str, float], further: dict[str, float], there: bool) -> None:
     spring = explained(9000.0, "spring")
-    found = present_too(context(), spring, more_than(spring, gains, further=further))
+    found = present_too(context(), spring, more_than(spring, gains, further))
     assert (None if found is None else found.keys) == ({"spring", "delay"} if there else None)
 
 
