@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.data_split import split_runs
-from estimator.diagnosis.refit import fit_nominal
+from estimator.diagnosis.model import fit_nominal
 from estimator.model import leg2
 from estimator.options import FitOptions
 from estimator.prediction.replicate import draw_replicate, simulate_run
@@ -26,7 +26,7 @@ def test_axes_of_a_replicate_have_their_levels_and_correlation() -> None:
     options = FitOptions(sensors="imu", accel_correlation=0.6)
     split = split_runs([run], leg2(lever_arm=leg.lever), options)
     model = fit_nominal(split)
-    noise, signals = model.state.noise, split.signals(split.discover)
+    noise, signals = model.state.noise, split.signals(split.train)
     assert noise.accel_correlation == 0.6 and noise.accel[0, 1] > 1.5 * noise.accel[0, 0]
     truth = simulate_run(model.problem, model.state, rng)
     drawn = np.array([[np.concatenate([s.imu[c] for s in replicate]) for c in ("accel_x_mps2", "accel_y_mps2")]
@@ -41,7 +41,7 @@ def test_torques_of_a_replicate_correlate_as_declared() -> None:
     options = FitOptions(sensors="encoder", torque_correlation=((1.0, -0.5), (-0.5, 1.0)))
     split = split_runs([arm_run(1, seconds=20.0)], leg2(actuated=(0, 1)), options)
     model = fit_nominal(split)
-    rng, signals = np.random.default_rng(4), split.signals(split.discover)
+    rng, signals = np.random.default_rng(4), split.signals(split.train)
     truth = simulate_run(model.problem, model.state, rng)
     replicates = [draw_replicate(model.problem, model.state, signals, rng, truth) for _ in range(DRAWS)]
     drawn = np.array([np.concatenate([s.torque for s in replicate]) for replicate in replicates])
