@@ -18,7 +18,7 @@ ROOMS = {
     "daq": [["errors", "files", "findings", "dataset", "imu_mount", "mechanisms", "rig", "rig_devices", "rig_limits",
              "rig_text", "rig_types", "servo", "si_units"], ["runs"], ["timing"], ["recording"], ["calibration"]],
     "estimator": [["errors", "methods", "parallel", "verdicts"], ["numerics"], ["model"], ["options", "result"],
-                  ["signals"], ["effects"], ["likelihood"], ["score"], ["fitting"], ["prediction"],
+                  ["signals"], ["effects"], ["likelihood"], ["score", "free_runs"], ["fitting"], ["prediction"],
                   ["diagnosis", "calibration", "change"]],
     "experiments": [["console", "provenance"], ["models"], ["exchange"], ["rig", "excite", "emulation", "session"],
                     ["reports"], ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],

@@ -44,7 +44,7 @@ def detect_change(test: Sequence[Dataset], reference: Reference) -> Change:
 
     def compare() -> Change:
         require_runs(test)
-        noise = compare_noise(levels_of(test, fit.mechanism, fit.options), reference.noise)
+        noise = compare_noise(levels_of(test, fit.model.mechanism, fit.options), reference.noise)
         own = with_noise(fit, [one for one in noise if one.p_value < ALPHA])
         groups = groups_of(fit, reference.known)
 
@@ -86,14 +86,14 @@ def compare_sessions(a: Sequence[Dataset], b: Sequence[Dataset], mechanism: Mech
         there = compare_noise(*levels) if fit is fits[1] else noise
         own = with_noise(fit, [one for one in there if one.p_value < ALPHA])
         known = [[score_run(fit, d, None if fit is its else own) for d in runs] for runs, its in zip((a, b), fits)]
-        begun = find_structure(known, fit.mechanism.p)
+        begun = find_structure(known, fit.model.mechanism.p)
         groups = groups_of(fit, total(seen([*known[0], *known[1]], begun)))
 
         def scored(shift: FloatArray | None) -> tuple[Scored, list[Fold]]:
             scores = known if shift is None else [
                 its if fit is fits[k] else [score_run(fit, d, own, shift if k else -shift) for d in (a, b)[k]]
                 for k, its in enumerate(known)]
-            structure = begun if shift is None else find_structure(scores, fit.mechanism.p)
+            structure = begun if shift is None else find_structure(scores, fit.model.mechanism.p)
             first, second = (seen(runs, structure) for runs in scores)
 
             def between(some: Sequence[Score], others: Sequence[Score]) -> Contrast:

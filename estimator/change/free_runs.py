@@ -16,7 +16,7 @@ from estimator.change.noise import LogLevels, compare_noise
 from estimator.change.result import LevelChange
 from estimator.change.scores import ReferenceFit
 from estimator.errors import FitError
-from estimator.prediction import SHORT_S, Predictor, predict_run, smooth, tabulate
+from estimator.prediction import SHORT_S, predict_run, smooth, tabulate
 from estimator.score import Score, total
 
 
@@ -29,7 +29,7 @@ def error_levels(fit: ReferenceFit, runs: Sequence[Dataset], scores: Sequence[Sc
     found: dict[str, list[float]] = {}
     for k, run in enumerate(runs):
         try:
-            errors = free_run_errors(fit, run, _without(fit, scores, k) if scores else fit.beta)
+            errors = free_run_errors(fit, run, _without(fit, scores, k) if scores else fit.model.beta)
         except (FitError, np.linalg.LinAlgError):
             return LogLevels(len(runs), {})
         for name, error in errors.items():
@@ -41,7 +41,7 @@ def error_levels(fit: ReferenceFit, runs: Sequence[Dataset], scores: Sequence[Sc
 
 def free_run_errors(fit: ReferenceFit, run: Dataset, beta: FloatArray) -> dict[str, float]:
     """Channel to its rms error over free runs of `SHORT_S` with the parameters `beta` (p,). Raises `FitError`."""
-    model = Predictor(fit.mechanism, fit.options.hold, beta, angle_range=fit.angle_range, gear_ratio=fit.gear_ratio)
+    model = replace(fit.model, parameters=beta)
     table = tabulate([predict_run([smooth(model, run, fit.options)], [SHORT_S], misfits=False)])
     return {name: table.rms(0, name, SHORT_S) for name in table.judged}
 
@@ -61,8 +61,8 @@ def larger_error(test: LogLevels, reference: LogLevels, comparisons: int = 1) ->
 
 def _without(fit: ReferenceFit, scores: Sequence[Score], k: int) -> FloatArray:
     """(p,) parameters of the fit to all runs but the k-th; a friction at its bound of zero stays there."""
-    moved = np.flatnonzero(fit.free & (fit.beta != 0.0))
+    moved = np.flatnonzero(fit.free & (fit.model.beta != 0.0))
     others = [s for j, s in enumerate(scores) if j != k]
-    beta = fit.beta.copy()
+    beta = fit.model.beta.copy()
     beta[moved] += total([s.of(moved) for s in others]).size()
     return beta

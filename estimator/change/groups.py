@@ -59,7 +59,7 @@ class Group:
 def groups_of(fit: ReferenceFit, known: Score) -> tuple[Group, ...]:
     """Every single change that is tried: parameters, payloads, links, effects at each shape; `known` is what all runs
     tell of the columns."""
-    m = fit.mechanism
+    m = fit.model.mechanism
     columns = np.eye(known.score.size)
     found = [Group("parameter", "parameters", None, f"{p.name} ({p.meaning}) changed", columns[:, [k]], (p.name,),
                    (p.unit,)) for k, p in enumerate(m.parameters) if fit.free[k]]
@@ -89,18 +89,18 @@ def kind_of(effect: type[Effect]) -> Kind:
 
 def _links(fit: ReferenceFit, columns: FloatArray, payloads: Sequence[Group]) -> Iterator[Group]:
     """All rigid parameters at once, as links of other lengths change them; nothing where a single change does so."""
-    rigid = [k for k, p in enumerate(fit.mechanism.parameters) if p.rigid and fit.free[k]]
+    rigid = [k for k, p in enumerate(fit.model.mechanism.parameters) if p.rigid and fit.free[k]]
     if len(rigid) > max([1, *(np.linalg.matrix_rank(group.basis) for group in payloads)]):
-        of = [fit.mechanism.parameters[k] for k in rigid]
+        of = [fit.model.mechanism.parameters[k] for k in rigid]
         yield Group("links", "parameters", None, "links of other lengths, masses or inertias", columns[:, rigid],
                     tuple(p.name for p in of), tuple(p.unit for p in of))
 
 
 def _payloads(fit: ReferenceFit, known: Score) -> Iterator[Group]:
     """A body on each link; sizes that move no parameter are left out."""
-    m = fit.mechanism
+    m = fit.model.mechanism
     covariance = known.along(np.eye(known.score.size)[:, : m.p]).covariance()
-    lengths = link_lengths(m, fit.beta, covariance)
+    lengths = link_lengths(m, fit.model.beta, covariance)
     values = {i: length for i, (length, _) in lengths.items()}
     for link in range(m.n):
         basis = body_basis(m, link, values) if has_bodies(m) else None

@@ -58,7 +58,7 @@ def compare_noise(test: LogLevels, reference: LogLevels) -> tuple[LevelChange, .
 
 def with_noise(fit: ReferenceFit, changes: Sequence[LevelChange]) -> Noise:
     """Noise of the other session: that of the `fit`, times the ratio in each column of `changes`."""
-    m, n = fit.mechanism, fit.noise
+    m, n = fit.model.mechanism, fit.noise
     ratio = {one.column: one.ratio for one in changes}
     imus = np.array([[ratio.get(name, 1.0) for name in imu_columns(k)] for k in range(len(n.gyro))]).reshape(-1, 3)
     torque, encoder = (np.array([ratio.get(column(m, j), 1.0) for j in range(m.n)])

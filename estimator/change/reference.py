@@ -42,7 +42,7 @@ def learn_reference(runs: Sequence[Dataset], mechanism: Mechanism, options: FitO
     with np.errstate(all="ignore"):  # a search may diverge on its way; where it ends is checked
         fit = fit_reference(runs, mechanism, options, gear_ratio)
         scores = [score_run(fit, run) for run in runs]
-        structure = find_structure([scores], fit.mechanism.p)
+        structure = find_structure([scores], fit.model.mechanism.p)
         return Reference(fit, structure, total(seen(scores, structure)), levels_of(runs, mechanism, options),
                          error_levels(fit, runs, scores), tuple(run.name for run in runs))
 

@@ -12,28 +12,23 @@ from daq import Dataset, FloatArray
 from estimator.effects import Effect, EncoderOffset, battery, library
 from estimator.errors import FitError
 from estimator.fitting import between_samples, free_mask, iterate, noise_floors, start_state
-from estimator.likelihood import Candidate, LatentProblem, Noise, Stage, State
+from estimator.free_runs import FittedModel
+from estimator.likelihood import Candidate, Noise, State
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.prediction import smooth_under
 from estimator.score import Score, score_at
-from estimator.signals import SignalSet, split_signals
+from estimator.signals import split_signals
 
 
 @dataclass(frozen=True)
 class ReferenceFit:
-    """The nominal model of the reference runs."""
+    """The nominal model of the reference runs, and what is scored at it."""
 
-    mechanism: Mechanism
+    model: FittedModel
     options: FitOptions
-    beta: FloatArray
-    """(p,)"""
     free: NDArray[np.bool_]
-    """(p,)"""
-    noise: Noise
-    angle_range: FloatArray
-    """(n, 2)"""
-    gear_ratio: float
+    """(p,) parameters that were estimated"""
     candidates: tuple[Candidate, ...]
     """Of the library, then generic terms."""
     named: int
@@ -41,16 +36,22 @@ class ReferenceFit:
     refused: dict[str, str]
 
     @property
+    def noise(self) -> Noise:
+        """Levels of the model, which a reference always has."""
+        assert self.model.noise is not None
+        return self.model.noise
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """(m,) names of a score's columns: parameters, then every size of every candidate."""
-        return (*self.mechanism.names, *(f"{c.effect.key} {size.name} {list(c.shape)}" for c in self.candidates
+        return (*self.model.mechanism.names, *(f"{c.effect.key} {size.name} {list(c.shape)}" for c in self.candidates
                                          for size in c.effect.sizes))
 
     @property
     def loose(self) -> list[int]:
         """Columns of encoders' zeros that differ from run to run."""
         every = [candidate.effect for candidate in self.candidates for _ in range(candidate.width)]
-        return [k for k, effect in enumerate(every, self.mechanism.p)
+        return [k for k, effect in enumerate(every, self.model.mechanism.p)
                 if isinstance(effect, EncoderOffset) and effect.joint in self.options.encoder_zeros]
 
 
@@ -60,26 +61,27 @@ def fit_reference(datasets: Sequence[Dataset], mechanism: Mechanism, options: Fi
     hold, mechanism = between_samples(datasets, mechanism, options)
     options = replace(options, hold=hold, smoothing_velocity="given")
     signals = split_signals(datasets, mechanism, options)
-    problem = _problem(signals, mechanism, hold, np.zeros((mechanism.n, 2)), gear_ratio)
     free, beta = free_mask(mechanism, options)
+    blank = FittedModel(mechanism, hold, beta, gear_ratio=gear_ratio)
+    problem = blank.problem(signals)
     state = start_state(problem, signals, mechanism, options, free, beta)
     state = iterate(problem, state, free, options, noise_floors(problem, mechanism, state.beta))
     if not state.converged:
         raise FitError("the fit of the reference runs did not converge")
     reach = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    return known_reference(mechanism, options, state.beta, state.noise.levels(), reach, gear_ratio)
+    found = replace(blank, parameters=state.beta, noise=state.noise.levels(), angle_range=reach)
+    return known_reference(found, options)
 
 
-def known_reference(mechanism: Mechanism, options: FitOptions, beta: FloatArray, noise: Noise, angle_range: FloatArray,
-                    gear_ratio: float) -> ReferenceFit:
-    """A fit whose numbers are known, with every candidate that is tried together with it."""
+def known_reference(model: FittedModel, options: FitOptions) -> ReferenceFit:
+    """A fit whose numbers are known, its noise among them, with every candidate that is tried together with it."""
+    mechanism = model.mechanism
     imu, encoders = options.sensors == "imu", options.encoders_of(mechanism.n)
     effects, refused = library(mechanism, imu, encoders)
     candidates = [Candidate(e, shape) for e in effects for shape in e.grid()]
     unnamed = [Candidate(e) for e in battery(mechanism, imu, encoders)]
     free, _ = free_mask(mechanism, options)
-    return ReferenceFit(mechanism, options, beta, free, noise, angle_range, gear_ratio, (*candidates, *unnamed),
-                        len(candidates), refused)
+    return ReferenceFit(model, options, free, (*candidates, *unnamed), len(candidates), refused)
 
 
 def noisiness(fit: ReferenceFit) -> float:
@@ -95,16 +97,15 @@ def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None, shif
 
     With a `shift` (m,) of all columns it is taken at the changed model, to which a large change is closer, and carried
     back: score + information shift. `ReferenceFit.loose` columns are unknown in the run. Raises `FitError`."""
-    m, options = fit.mechanism, fit.options
+    model, m, options = fit.model, fit.model.mechanism, fit.options
     moved = np.zeros(len(fit.columns)) if shift is None else shift
     present, sizes = _present(fit, moved)
     signals = split_signals([data], m, options)
-    problem = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio, effects=present)
-    begin = start_state(problem, signals, m, options, np.zeros(m.p, dtype=bool), fit.beta)
-    beta = np.concatenate([fit.beta + moved[: m.p], *sizes])
+    changed = replace(model, parameters=np.concatenate([model.beta + moved[: m.p], *sizes]), effects=tuple(present))
+    problem, beta = changed.problem(signals), changed.parameters
+    begin = start_state(problem, signals, m, options, np.zeros(m.p, dtype=bool), model.beta)
     state = smooth_under(problem, State(begin.x, beta, noise or fit.noise, np.zeros((beta.size, beta.size))))
-    wide = _problem(signals, m, options.hold, fit.angle_range, fit.gear_ratio, fit.candidates, present)
-    found = score_at(wide, state)
+    found = score_at(changed.problem(signals, candidates=fit.candidates), state)
     found = found.of(np.r_[: m.p, beta.size : found.score.size])
     if not (np.isfinite(found.score).all() and np.isfinite(found.information).all()):
         raise FitError(f"{data.name}: the reference model cannot follow this run")
@@ -114,7 +115,7 @@ def score_run(fit: ReferenceFit, data: Dataset, noise: Noise | None = None, shif
 
 def _present(fit: ReferenceFit, shift: FloatArray) -> tuple[list[Effect], list[FloatArray]]:
     """Effects that a shift holds, and their sizes and shapes."""
-    effects, sizes, start = [], [], fit.mechanism.p
+    effects, sizes, start = [], [], fit.model.mechanism.p
     for candidate in fit.candidates:
         own = shift[start : start + candidate.width]
         if own.any():
@@ -122,11 +123,3 @@ def _present(fit: ReferenceFit, shift: FloatArray) -> tuple[list[Effect], list[F
             sizes.append(np.concatenate([own, candidate.shape]))
         start += candidate.width
     return effects, sizes
-
-
-def _problem(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str, angle_range: FloatArray,
-             gear_ratio: float, candidates: Sequence[Candidate] = (), effects: Sequence[Effect] = ()
-             ) -> LatentProblem:
-    begin = tuple(float(s.time_s[0] - signals[0].time_s[0]) for s in signals)
-    stage = Stage((0,) * len(begin), begin, begin, angle_range, gear_ratio)
-    return LatentProblem(signals, mechanism, hold, stage, effects, candidates)

@@ -134,9 +134,8 @@ def judged(unit: Model, runs: Sequence[PredictedRun], floors: Sequence[FloatArra
     table = tabulate(runs, smoother, about_mean=True, every_horizon=True)
     sensors = sensors_of(unit)
     which = [table.channels.index(sensor) for sensor in sensors]
-    squares = np.swapaxes(table.squares[:, :, which], 2, 3)  # (M, B, H, C)
-    bound = np.tile(table.variance[which], len(horizons))
-    squares = np.minimum(squares.reshape(*squares.shape[:2], -1), bound)
+    squares = np.swapaxes(table.capped[:, :, which], 2, 3)  # (M, B, H, C)
+    squares, bound = squares.reshape(*squares.shape[:2], -1), np.tile(table.variance[which], len(horizons))
     # noise leaves no more than a model of the same runs errs
     floor = np.fmin(np.mean(floors, axis=0).ravel(), np.fmin.reduce(squares.mean(axis=1)))
     columns = tuple((sensor, horizon) for horizon in horizons for sensor in sensors)

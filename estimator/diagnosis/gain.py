@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from daq import FloatArray
 from estimator.diagnosis.decision_rule import DRAWS
 from estimator.diagnosis.error_table import ErrorTable, floor_of, judged, sensors_of
-from estimator.diagnosis.model import Model, as_predictor, smooth
+from estimator.diagnosis.model import Model, smooth
 from estimator.diagnosis.result import SensorGain, ShortRuns, Trace
 from estimator.errors import FitError
 from estimator.parallel import parallel_map
@@ -76,7 +76,7 @@ def as_validated(model: Model, run: int) -> SmoothedRun:
     """Motion of the test run `run` by the smoother of `legid validate`; `smooth` holds the noise of the fit, so that
     all explanations have the same weights."""
     split = model.split
-    return smooth_segments(as_predictor(model), split.names[run], split.runs[run],
+    return smooth_segments(model.fitted, split.names[run], split.runs[run],
                            replace(split.options, noise=split.known), split.starts_s[run])
 
 

@@ -30,8 +30,8 @@ from estimator.model import Mechanism
 from estimator.parallel import parallel_map
 from estimator.prediction import (
     SHORT_S,
+    FittedModel,
     PredictedRun,
-    Predictor,
     SmoothedRun,
     draw_replicate,
     per_value,
@@ -53,11 +53,15 @@ class Model:
     """A fitted set of effects (none: the nominal model) on the train runs of a split."""
 
     split: RunSplit
-    effects: tuple[Effect, ...]
     state: State
     problem: LatentProblem
     nuisances: int = 0
     """The last so many effects are uncertainties of these records (a clock's), not of the leg."""
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """All effects that were fitted."""
+        return self.problem.effects
 
     @property
     def named(self) -> tuple[Effect, ...]:
@@ -68,6 +72,14 @@ class Model:
     def width(self) -> int:
         """Length of the parameter vector as far as it belongs to the leg."""
         return self.problem.mechanism.p + sum(e.count for e in self.named)
+
+    @property
+    def fitted(self) -> FittedModel:
+        """The leg's model, without what is uncertain of these records alone."""
+        split, leg = self.split, slice(self.width)
+        return FittedModel(split.mechanism, split.options.hold, self.state.beta[leg], self.named,
+                           self.state.covariance[leg, leg], self.state.noise.levels(), self.problem.stage.angle_range,
+                           split.gear_ratio)
 
     def sizes(self) -> list[FloatArray]:
         """One size vector an effect."""
@@ -113,7 +125,7 @@ def fit_nominal(split: RunSplit) -> Model:
     if freed is held:
         state.covariance[free, free] = np.inf
     angle_range = np.stack([state.x.q.min(axis=0), state.x.q.max(axis=0)], axis=-1)
-    found = Model(split, (), state, split.problem(split.train, angle_range))
+    found = Model(split, state, split.problem(split.train, angle_range))
     return replace(found, split=split.with_stiction(stiction_of_test(found)))
 
 
@@ -171,7 +183,7 @@ def refit(start: Model, effects: Sequence[tuple[Effect, FloatArray]], limit: int
             raise FitError("the fit takes the torque for noise")
         state = iterate(problem, begin, held, split.options, floors, limit)
         state.covariance[:p, :p][np.ix_(free[:p], free[:p])] = np.inf
-    return Model(split, tuple(e for e, _ in effects), converge_runs(split, problem, state), problem)
+    return Model(split, converge_runs(split, problem, state), problem)
 
 
 def converge_runs(split: RunSplit, problem: LatentProblem, state: State) -> State:
@@ -277,13 +289,6 @@ def smooth(model: Model, run: int, start: Latents | None = None, signals: Sequen
     rest = problem.stiction(state.noise)
     return SmoothedRun(split.names[run], tuple(own), problem.with_stiction(rest),
                        replace(state, noise=state.noise.levels()))
-
-
-def as_predictor(model: Model) -> Predictor:
-    """The model as `estimator.prediction` takes it, without what is uncertain of these records alone."""
-    split = model.split
-    return Predictor(split.mechanism, split.options.hold, model.state.beta[: model.width], model.named,
-                     angle_range=model.problem.stage.angle_range, gear_ratio=split.gear_ratio)
 
 
 def score_train(model: Model, candidates: Sequence[Candidate]) -> list[Score]:

@@ -283,7 +283,7 @@ def _each(context: DiagnosisContext, starts: Sequence[Start], fit: Callable[[int
 
     def model_of(start: Start, state: State) -> Model:
         effects = tuple(e for e, _ in start)
-        return Model(split, effects, state, split.problem(split.train, angle_range, effects))
+        return Model(split, state, split.problem(split.train, angle_range, effects))
 
     return [None if state is None else model_of(start, state)
             for start, state in zip(starts, parallel_map(fitted, len(starts), split.workers))]

@@ -10,7 +10,7 @@ from estimator.diagnosis.account import counted_as_noise
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.result import Diagnosis
 from estimator.errors import FitError
-from estimator.prediction import Predictor, RunSignals, find_structure
+from estimator.prediction import RunSignals, find_structure
 
 
 def with_structure(found: Diagnosis, nominal: Model) -> Diagnosis:
@@ -23,10 +23,9 @@ def with_structure(found: Diagnosis, nominal: Model) -> Diagnosis:
     if found.verdict not in ("unexplained", "partial"):
         return found
     split = nominal.split
-    p = split.mechanism.p
-    parameters = found.extended_beta if found.effects else nominal.state.beta[:p]
-    model = Predictor(split.mechanism, split.options.hold, parameters, tuple(effect for effect, _ in found.effects),
-                      angle_range=nominal.problem.stage.angle_range, gear_ratio=split.gear_ratio)
+    parameters = found.extended_beta if found.effects else nominal.fitted.beta
+    model = replace(nominal.fitted, parameters=parameters, effects=tuple(effect for effect, _ in found.effects),
+                    covariance=None, noise=None)
     runs = [RunSignals(name, tuple(signals), start)
             for name, signals, start in zip(split.names, split.runs, split.starts_s)]
     try:

@@ -22,13 +22,11 @@ import numpy as np
 from daq import FloatArray
 from estimator.fitting.initial_guess import noise_floors
 from estimator.fitting.noise_update import TORQUE_SHARE, most_noise
-from estimator.fitting.shooting import SEGMENT_S
-from estimator.fitting.shooting_segments import Segments, filtered_motion
+from estimator.fitting.second_ahead import errors_ahead, log_ratio
 from estimator.likelihood import OFF, LatentProblem, Latents, Noise, Process, State, add_reading
 from estimator.model import Mechanism
 from estimator.numerics import BlockTridiagonal, Swept, eliminate
 from estimator.options import FitOptions
-from estimator.score import student_quantile
 from estimator.signals import LEAST_SEGMENT, SignalSet, cut
 
 TIME_CONSTANTS = (3.0, 10.0, 40.0, 160.0)
@@ -188,15 +186,10 @@ def predicts_worse(signals: Sequence[SignalSet], mechanism: Mechanism, hold: str
                    betas: tuple[FloatArray, FloatArray]) -> bool:
     """Whether parameters betas[1] predict a second ahead materially worse than betas[0], for sure.
 
-    A disturbance that stands for structure of the model may favour parameters that no longer simulate the machine. Free
-    runs begin in states by filtered differences, which are of no model; their rms errors are compared in pairs.
+    A disturbance that stands for structure of the model may favour parameters that no longer simulate the machine.
     """
-    q, v = filtered_motion(signals, mechanism, options)
-    segments = Segments(signals, mechanism, hold, SEGMENT_S)
-    errors = np.stack([segments.errors(q, v, beta) for beta in betas])
-    ratio = 0.5 * np.log(errors[1] / errors[0])
-    half = student_quantile(len(ratio) - 1) * float(ratio.std(ddof=1)) / len(ratio) ** 0.5 if len(ratio) > 1 else np.inf
-    return float(ratio.mean()) - half > np.log(1.0 + WORSE)
+    ratio, half = log_ratio(errors_ahead(signals, mechanism, hold, options, betas))
+    return ratio - half > np.log(1.0 + WORSE)
 
 
 def alike(before: Disturbance, after: Disturbance) -> bool:

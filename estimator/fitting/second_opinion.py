@@ -23,18 +23,17 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import Dataset, FloatArray
+from daq import Dataset
 from estimator.errors import FitError
 from estimator.fitting.admissibility import faults
 from estimator.fitting.fit import estimate
 from estimator.fitting.identifiability import undetermined
+from estimator.fitting.second_ahead import errors_ahead, log_ratio
 from estimator.fitting.shooting import ENOUGH_RUNS, SEGMENT_S, Shot, shoot
-from estimator.fitting.shooting_segments import Segments, filtered_motion
 from estimator.fitting.wls import design_rows, free_mask, weighted_least_squares
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.result import MOST_DISAGREEMENT, Combination, Finding, FitResult, HeldOut, SecondOpinion
-from estimator.score import student_quantile
 from estimator.signals import split_signals
 
 LEAST_GAIN = 0.01
@@ -148,16 +147,15 @@ def _held_out(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOpt
         try:
             first = estimate(train, mechanism, options, "mle")
             second = shoot_from(train, mechanism, options, first)
-            errors.append(_errors(test, mechanism, options, (first.beta, second.beta)))
+            held_out = split_signals(test, mechanism, options)
+            errors.append(errors_ahead(held_out, mechanism, options.hold, options, (first.beta, second.beta)))
         except (FitError, np.linalg.LinAlgError):
             return None
-    error = np.concatenate(errors)
-    if len(error) < LEAST_SEGMENTS:
+    error = np.concatenate(errors, axis=1)
+    if error.shape[1] < LEAST_SEGMENTS:
         return None
-    ratio = 0.5 * np.log(error[:, 1] / error[:, 0])  # of rms errors; in logarithms no single second decides
-    mean = float(ratio.mean())
-    half = student_quantile(len(ratio) - 1) * float(ratio.std(ddof=1)) / math.sqrt(len(ratio))
-    return HeldOut(1.0 - math.exp(mean), (1.0 - math.exp(mean + half), 1.0 - math.exp(mean - half)), len(ratio))
+    ratio, half = log_ratio(error)
+    return HeldOut(1.0 - math.exp(ratio), (1.0 - math.exp(ratio + half), 1.0 - math.exp(ratio - half)), error.shape[1])
 
 
 def _blocks(data: Dataset) -> list[Dataset]:
@@ -165,13 +163,3 @@ def _blocks(data: Dataset) -> list[Dataset]:
     parts = [data.part(slice(int(a), int(b))) for a, b in pairwise(edges)]
     return [replace(part, name=f"{data.name}, part {k + 1}") for k, part in enumerate(parts)
             if len(part) >= LEAST_BLOCK_S * data.rate_hz]
-
-
-def _errors(datasets: Sequence[Dataset], mechanism: Mechanism, options: FitOptions, betas: Sequence[FloatArray]
-            ) -> FloatArray:
-    """(S, M) mean squared error of free runs over each second by each of M parameters, in the variances of what the
-    sensors read: at most 1, the error of a constant prediction."""
-    signals = split_signals(datasets, mechanism, options)
-    q, v = filtered_motion(signals, mechanism, options)
-    segments = Segments(signals, mechanism, options.hold, SEGMENT_S)
-    return np.stack([segments.errors(q, v, beta) for beta in betas], axis=-1)

@@ -15,16 +15,13 @@ from daq import FloatArray
 from estimator.likelihood import MeasuredRuns
 from estimator.model import Mechanism
 from estimator.numerics import propagate
-from estimator.options import FitOptions
-from estimator.signals import SignalSet, accelerometer_slopes, differentiate
+from estimator.signals import SignalSet, accelerometer_slopes
 
 CHUNK = 20_000
 """Samples, about, whose sensitivities are in memory at a time."""
 ROUNDS, INNER = 8, 8
 """Most rounds of Newton steps, and steps a round, that bring a simulation to its equation; a round has those segments
 that are not there yet. (Measured: where dry friction turns round a segment may take 60 steps, most take 3.)"""
-LEAST_ERROR = 1e-8
-"""Squared errors below this share of what the sensor reads are alike."""
 CONVERGED = 1e-6
 """Share of the torque's spread, or where none acts of the largest term's, by which a simulation may miss its equation.
 (Measured: with 1e-3 the loss does not converge.)"""
@@ -93,14 +90,6 @@ class Segments:
         if self.data.imu_count:
             levels += [np.concatenate([[g], *a.reshape(1, -1)]) for g, a in zip(shown.gyro, shown.accel)]
         return np.maximum(0.5 * np.concatenate(levels), 1e-9)
-
-    def variance(self) -> FloatArray:
-        """(C,) of what each channel reads."""
-        d = self.data
-        read = [*d.angles[:, self.encoders].T]
-        for gyro, accel in zip(d.gyro, d.accel):
-            read += [gyro, *accel]
-        return np.maximum(np.var(np.array(read), axis=1), 1e-300)
 
     def parts(self, which: NDArray[np.intp] | None = None) -> Iterator[Part]:
         """All segments, or those called `which`, some at a time."""
@@ -226,17 +215,6 @@ class Segments:
             q[moved], v[moved] = trial_q[moved], trial_v[moved]
         return q, v, norm <= CONVERGED * scale
 
-    def errors(self, q: FloatArray, v: FloatArray, beta: FloatArray) -> FloatArray:
-        """(S,) mean squared error of free runs from each segment's first state of q, v (N, n), in the variances of what
-        the sensors read: at most 1, the error of a constant prediction."""
-        with np.errstate(all="ignore"):
-            *motion, good = self.simulate(q, v, beta)
-            error = self.squares(*motion) / self.size[:, None] / self.variance()
-        good &= np.isfinite(error).all(axis=1)
-        out = np.ones(len(self.first))
-        out[good] = np.clip(error[good], LEAST_ERROR, 1.0).mean(axis=1)
-        return out
-
     def squares(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """(S, C) summed squared residuals of a motion."""
         out = np.empty((len(self.first), self.channels))
@@ -263,11 +241,3 @@ def _by_segment(part: Part, columns: FloatArray) -> FloatArray:
     rows = np.minimum(part.first[:, None] + index, columns.shape[1] - 1)
     padded = columns[:, rows] * (index < part.size[:, None])[:, :, None]
     return (padded.swapaxes(-1, -2) @ padded).swapaxes(0, 1)
-
-
-def filtered_motion(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions
-                    ) -> tuple[FloatArray, FloatArray]:
-    """Angles and rates (N, n) by filtered differences: of no model, so that models can be compared from them."""
-    rate = signals[0].rate_hz
-    motions = [differentiate(s, mechanism, min(10.0, 0.2 * rate), options.filter_order, fused=True) for s in signals]
-    return np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions])

@@ -1,21 +1,25 @@
-"""Free-run errors of models: one table under every verb, verdict and page.
+"""Predictions: runs smoothed under a model, free runs from there, the noise floor, the structure that repeats.
 
-Definitions, once for all:
-
-- A *free run* starts from the model's own smoothed state and is driven by the measured torque alone. That state is of
-  the likeliest motion given all sensors of the run, the model's parameters held, noise levels estimated from that run.
-- A *horizon* h cuts each gap-free segment into pieces of about h, each with its own start. Infinity is one piece a
-  segment.
-- An *error* is what the sensor read less what the simulation reads, squared and averaged. An angle that no encoder
-  measures, and every rate, is compared with the smoothed motion of one model, the *smoother*.
-- A piece that diverges is replaced by its initial state and counted. A whole segment that diverges has an infinite
-  error.
-- The *noise floor* is the same error of records that the model itself would have given, with its noise.
-- Baselines: the last velocity kept; a constant prediction at the sensor's mean.
+What a free run, a horizon and an error are: see `estimator.free_runs`, whose names this room hands on.
 """
 
+from estimator.free_runs import (
+    BLOCK_S,
+    HORIZONS_S,
+    SHORT_S,
+    FittedModel,
+    PredictedRun,
+    PredictionTable,
+    Ratio,
+    SmoothedRun,
+    channel_names,
+    filtered_motion,
+    predict_filtered,
+    predict_run,
+    tabulate,
+    together,
+)
 from estimator.prediction.floor import FloorNoise, floor_errors, white_noise
-from estimator.prediction.free_runs import HORIZONS_S, SHORT_S, PredictedRun, channel_names, predict_run
 from estimator.prediction.learnt_structure import (
     RunSignals,
     Structure,
@@ -25,19 +29,10 @@ from estimator.prediction.learnt_structure import (
     with_torques,
     words_of,
 )
-from estimator.prediction.predict import predict, predict_filtered
-from estimator.prediction.predictor import Predictor
+from estimator.prediction.predict import predict
 from estimator.prediction.replicate import draw_disturbance, draw_replicate, simulate_run
-from estimator.prediction.smoothing import (
-    SmoothedRun,
-    filtered_motion,
-    per_value,
-    smooth,
-    smooth_segments,
-    smooth_under,
-)
+from estimator.prediction.smoothing import per_value, smooth, smooth_segments, smooth_under
 from estimator.prediction.structure import repeated_share, state_columns, taken
-from estimator.prediction.table import BLOCK_S, PredictionTable, Ratio, tabulate, together
 from estimator.prediction.torque_regression import LearntTorque
 from estimator.prediction.validation import Validation, validations_of
 from estimator.prediction.walking import StepsAhead, WalkAhead, Whole, walk_ahead
@@ -46,11 +41,11 @@ __all__ = [
     "BLOCK_S",
     "HORIZONS_S",
     "SHORT_S",
+    "FittedModel",
     "FloorNoise",
     "LearntTorque",
     "PredictedRun",
     "PredictionTable",
-    "Predictor",
     "Ratio",
     "RunSignals",
     "SmoothedRun",

@@ -10,10 +10,10 @@ import numpy as np
 
 from daq import FloatArray
 from estimator.errors import FitError
+from estimator.free_runs import SmoothedRun, channel_names, rows_of
 from estimator.likelihood import LatentProblem, Noise, free_run
-from estimator.prediction.free_runs import channel_names, rows_of
 from estimator.prediction.replicate import draw_disturbance, draw_replicate, simulate_run
-from estimator.prediction.smoothing import SmoothedRun, smooth_under
+from estimator.prediction.smoothing import smooth_under
 from estimator.signals import SignalSet
 
 ATTEMPTS = 10

@@ -16,13 +16,21 @@ import numpy as np
 
 from estimator.effects import Points, StateTorque, Table
 from estimator.errors import FitError
+from estimator.free_runs import (
+    SHORT_S,
+    FittedModel,
+    PredictedRun,
+    PredictionTable,
+    Ratio,
+    SmoothedRun,
+    paired_ratio,
+    predict_run,
+    tabulate,
+)
 from estimator.model import Mechanism
 from estimator.options import FitOptions
 from estimator.parallel import parallel_map
-from estimator.prediction.free_runs import SHORT_S, PredictedRun, predict_run
-from estimator.prediction.predictor import Predictor
-from estimator.prediction.smoothing import SmoothedRun, smooth_segments
-from estimator.prediction.table import PredictionTable, Ratio, paired_ratio, tabulate
+from estimator.prediction.smoothing import smooth_segments
 from estimator.prediction.torque_regression import LearntTorque, Samples, learn_torque, samples_of
 from estimator.signals import SignalSet
 
@@ -77,7 +85,7 @@ class Structure:
         return tuple(one.law for one in self.torques)
 
 
-def find_structure(model: Predictor, runs: Sequence[RunSignals], options: FitOptions, workers: int = 1
+def find_structure(model: FittedModel, runs: Sequence[RunSignals], options: FitOptions, workers: int = 1
                    ) -> Structure | None:
     """The structure of the residual torques of `model` on these runs; None where the state explains nothing.
 
@@ -110,17 +118,18 @@ def find_structure(model: Predictor, runs: Sequence[RunSignals], options: FitOpt
     return Structure(tuple(torques), samples, model.mechanism, table, paired_error(table))
 
 
-def with_torques(model: Predictor, laws: Sequence[StateTorque]) -> Predictor:
+def with_torques(model: FittedModel, laws: Sequence[StateTorque]) -> FittedModel:
     """`model` with these torques added."""
     return replace(model, effects=(*model.effects, *laws))
 
 
-def _smoothed(model: Predictor, run: RunSignals, options: FitOptions, begin: SmoothedRun | None = None) -> SmoothedRun:
+def _smoothed(model: FittedModel, run: RunSignals, options: FitOptions, begin: SmoothedRun | None = None
+              ) -> SmoothedRun:
     """The run's motion under `model`, sought from that under a similar one in `begin`."""
     return smooth_segments(model, run.name, run.signals, options, run.session_s, None if begin is None else begin.state)
 
 
-def _learn(model: Predictor, runs: Sequence[RunSignals], smoothed: Sequence[SmoothedRun], options: FitOptions
+def _learn(model: FittedModel, runs: Sequence[RunSignals], smoothed: Sequence[SmoothedRun], options: FitOptions
            ) -> tuple[list[LearntTorque], Samples]:
     """Torques of the joints, and the residuals that they were learnt from."""
     joints, samples = range(model.mechanism.n), samples_of(smoothed)
@@ -140,8 +149,8 @@ def paired_error(table: PredictionTable) -> Ratio:
     variance.
     """
     which = [table.channels.index(c) for c in table.judged]
-    squares = np.minimum(table.squares[:, :, which], table.variance[which][:, None])
-    sums = np.where(table.samples[:, which, None] > 0, squares, 0.0) * table.samples[:, which, None]
+    sums = np.where(table.samples[:, :, None] > 0, table.capped, 0.0) * table.samples[:, :, None]
+    sums = sums[:, :, which]
     units = np.maximum(sums[0].sum(axis=0), 1e-300)
     before, after = (sums / units).sum(axis=(2, 3))
     return paired_ratio(after, before, table.run)

@@ -7,14 +7,20 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from daq import Dataset
+from estimator.free_runs import (
+    HORIZONS_S,
+    FittedModel,
+    PredictedRun,
+    PredictionTable,
+    SmoothedRun,
+    predict_run,
+    tabulate,
+)
 from estimator.options import FitOptions
-from estimator.prediction.free_runs import HORIZONS_S, PredictedRun, predict_run
-from estimator.prediction.predictor import Predictor
-from estimator.prediction.smoothing import SmoothedRun, filtered, smooth
-from estimator.prediction.table import PredictionTable, tabulate
+from estimator.prediction.smoothing import smooth
 
 
-def predict(models: Sequence[Predictor], runs: Iterable[Dataset], options: FitOptions,
+def predict(models: Sequence[FittedModel], runs: Iterable[Dataset], options: FitOptions,
             horizons_s: Iterable[float] = HORIZONS_S, bands: bool = False, smoother: int | None = None,
             seen: Callable[[Dataset, Sequence[SmoothedRun]], None] = lambda data, smoothed: None) -> PredictionTable:
     """Free-run errors of `models` on `runs`, given in the order in which they were recorded.
@@ -33,17 +39,6 @@ def predict(models: Sequence[Predictor], runs: Iterable[Dataset], options: FitOp
         session_s += smoothed[0].problem.total * smoothed[0].problem.dt
         seen(data, smoothed)
     return tabulate(found, smoother)
-
-
-def predict_filtered(models: Sequence[Predictor], runs: Iterable[Dataset], options: FitOptions,
-                     horizon_s: float) -> PredictionTable:
-    """Table like `predict`, with every piece started from filtered motion, which favours none of the `models`.
-
-    For the choice between set-ups, whose smoothers believe their own model. Raises `FitError`.
-    """
-    found = [predict_run([filtered(model, data, options) for model in models], (horizon_s, np.inf), misfits=False)
-             for data in runs]
-    return tabulate(found, 0)
 
 
 def with_whole(horizons_s: Iterable[float]) -> tuple[float, ...]:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
 from daq import Dataset, FloatArray
 from estimator.errors import FitError
 from estimator.fitting import converge_motion, iterate, noise_floors, start_state
+from estimator.free_runs import FittedModel, SmoothedRun
 from estimator.likelihood import LatentProblem, Latents, Noise, State
-from estimator.model import Mechanism
 from estimator.options import FitOptions
-from estimator.prediction.predictor import Predictor
-from estimator.signals import Kinematics, SignalSet, differentiate, split_signals
+from estimator.signals import SignalSet, split_signals
 
 SLACK = ((30.0, 6), (5.0, 6), (1.0, 25))
 """Factors on the passive joint's model error, and steps, on the way to the motion of a new run."""
@@ -27,33 +25,7 @@ BAD = 3.0
 """Sum of squares over samples times channels above which a motion is tried again: about 1 where all is well."""
 
 
-@dataclass(frozen=True)
-class SmoothedRun:
-    """The likeliest motion of one run."""
-
-    run: str
-    signals: tuple[SignalSet, ...]
-    """Its gap-free segments"""
-    problem: LatentProblem
-    state: State
-
-    @cached_property
-    def drive(self) -> FloatArray:
-        """(N, n) measured torque, less what the model's effects add to its reading [N m]."""
-        return self.problem.torque - self.problem.torque_readings(self.state.x, self.state.beta)
-
-    def misfit(self, noise: Noise | None = None) -> float:
-        """-2 log density of readings and motion at this motion, up to a constant that all models of the run share.
-
-        Under `noise`, by default the run's own levels. The density is that of the likeliest motion, not integrated
-        over motions.
-        """
-        noise = (noise or self.state.noise).with_samples_of(self.state.noise)
-        objective = self.problem.motion_equations(self.state.x, self.state.beta, noise).objective
-        return objective + 2.0 * self.problem.log_volume(noise)
-
-
-def smooth(model: Predictor, data: Dataset, options: FitOptions, session_s: float = 0.0) -> SmoothedRun:
+def smooth(model: FittedModel, data: Dataset, options: FitOptions, session_s: float = 0.0) -> SmoothedRun:
     """Likeliest motion of `data` under `model`, its parameters held, noise levels estimated from this run alone.
 
     Raises `FitError` where the equations cannot be solved.
@@ -62,7 +34,7 @@ def smooth(model: Predictor, data: Dataset, options: FitOptions, session_s: floa
     return smooth_segments(model, data.name, signals, options, session_s)
 
 
-def smooth_segments(model: Predictor, run: str, signals: Sequence[SignalSet], options: FitOptions, session_s: float,
+def smooth_segments(model: FittedModel, run: str, signals: Sequence[SignalSet], options: FitOptions, session_s: float,
                     begin: State | None = None) -> SmoothedRun:
     """Motion like that of `smooth`, of the gap-free segments `signals` of the run named `run`; sought from `begin`, the
     state under a similar model, if there is one."""
@@ -76,21 +48,6 @@ def smooth_segments(model: Predictor, run: str, signals: Sequence[SignalSet], op
     if not state.converged:  # levels that still creep, such as that of a passive joint whose model is exact
         state = converge_motion(problem, state)
     return SmoothedRun(run, tuple(signals), problem, state)
-
-
-def filtered(model: Predictor, data: Dataset, options: FitOptions) -> SmoothedRun:
-    """Motion of `data` by filtered differences: it belongs to no model, so that set-ups can be compared."""
-    mechanism, options = model.mechanism, replace(options, hold=model.hold)
-    signals = split_signals([data], mechanism, options)
-    motions = filtered_motion(signals, mechanism, options)
-    problem = model.problem(signals)
-    x = Latents(np.concatenate([k.q for k in motions]), np.concatenate([k.qd for k in motions]), problem.torque.copy())
-    return SmoothedRun(data.name, tuple(signals), problem, _state(x, model.parameters, problem.shown))
-
-
-def filtered_motion(signals: Sequence[SignalSet], mechanism: Mechanism, options: FitOptions) -> list[Kinematics]:
-    """Angles and rates of each segment by filtered differences."""
-    return [differentiate(s, mechanism, min(10.0, 0.2 * s.rate_hz), options.filter_order, fused=True) for s in signals]
 
 
 def _state(x: Latents, parameters: FloatArray, noise: Noise) -> State:

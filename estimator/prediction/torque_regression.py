@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from daq import FloatArray
 from estimator.effects import Points, StateTorque, Table, Variable
+from estimator.free_runs import SmoothedRun
 from estimator.model import Mechanism, smooth_sign
-from estimator.prediction.smoothing import SmoothedRun
 from estimator.prediction.structure import taken
 
 KNOTS, PAIR_KNOTS = 16, 5

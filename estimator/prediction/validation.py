@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from daq import FloatArray
-from estimator.prediction.table import PredictionTable
+from estimator.free_runs import PredictionTable
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
+from estimator.free_runs import SmoothedRun
 from estimator.model import Mechanism, land, simulate
-from estimator.prediction.smoothing import SmoothedRun
 from estimator.signals import SINCE, STANCE, angle_column, torque_column
 
 MOST_STEPS = 5

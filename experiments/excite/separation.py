@@ -29,6 +29,7 @@ from daq import Dataset, FloatArray, InputError, WorkError
 from estimator import FitError, FitOptions
 from estimator.change import known_reference, score_run
 from estimator.effects import Effect, placed
+from estimator.free_runs import FittedModel
 from estimator.likelihood import Candidate as Column
 from estimator.likelihood import Noise
 from estimator.signals import angle_column, predicted_columns, torque_column
@@ -206,9 +207,9 @@ class Contest:
                 columns.append(Column(effect, shape))
                 self._places.setdefault(rival.label, []).append(list(range(at, at + len(effect.sizes))))
                 at += len(effect.sizes)
-        fit = known_reference(m, replace(options, hold="zero", smoothing_velocity="given"), bench.beta,
-                              _noise(bench, options.sensors == "imu"), np.zeros((m.n, 2)) if reach is None else reach,
-                              gear_ratio)
+        model = FittedModel(m, "zero", bench.beta, noise=_noise(bench, options.sensors == "imu"), angle_range=reach,
+                            gear_ratio=gear_ratio)
+        fit = known_reference(model, replace(options, hold="zero", smoothing_velocity="given"))
         self._fit = replace(fit, candidates=tuple(columns), named=len(columns))
 
     def information(self, moved: Moved) -> FloatArray:

@@ -10,6 +10,7 @@ from msgspec import structs
 from daq import FloatArray, InputError
 from estimator import FitOptions
 from estimator.change import LogLevels, Reference, Structure, known_reference
+from estimator.free_runs import FittedModel
 from estimator.likelihood import Noise
 from estimator.score import Score
 from experiments.models.effect_library import known_effects
@@ -21,7 +22,7 @@ REMEDY = "give the runs that it was fitted to, or write it again: legid diagnose
 
 def reference_values_of(found: Reference) -> ReferenceValues:
     """The block of a reference."""
-    fit, structure = found.fit, found.structure
+    fit, structure, model = found.fit, found.structure, found.fit.model
     noise = {"torque": fit.noise.torque, "encoder": fit.noise.encoder, "gyro": fit.noise.gyro,
              "accel": fit.noise.accel.ravel()}
     if fit.noise.torque_correlation is not None:
@@ -29,8 +30,8 @@ def reference_values_of(found: Reference) -> ReferenceValues:
     upper = np.triu_indices(found.known.score.size)
     return ReferenceValues(
         runs=found.runs, sensors=fit.options.sensors,  # type: ignore[arg-type]
-        hold=fit.options.hold, friction_velocity_radps=tuple(map(float, fit.mechanism.velocity_scales)),
-        beta=tuple(map(float, fit.beta)), reach=tuple((float(a), float(b)) for a, b in fit.angle_range),
+        hold=model.hold, friction_velocity_radps=tuple(map(float, model.mechanism.velocity_scales)),
+        beta=tuple(map(float, model.beta)), reach=tuple((float(a), float(b)) for a, b in model.reach),
         noise={kind: tuple(float(x) if np.isfinite(x) else None for x in levels) for kind, levels in noise.items()},
         common=structure.common, own=structure.own, freedom=structure.freedom, unit=tuple(map(float, structure.unit)),
         drift=tuple(map(float, structure.drift)) if structure.drift.any() else (),
@@ -56,7 +57,8 @@ def reference_of(model: Model, where: str, settings: MechanismSettings, options:
     try:
         levels = Noise(noise["torque"], noise["encoder"], noise["gyro"], noise["accel"].reshape(-1, 2),
                        options.accel_correlation, _square(noise.get("torque_correlation")))
-        fit = known_reference(mechanism, options, np.array(held.beta), levels, np.array(held.reach), model.gear_ratio)
+        fit = known_reference(FittedModel(mechanism, held.hold, np.array(held.beta), noise=levels,
+                                          angle_range=np.array(held.reach), gear_ratio=model.gear_ratio), options)
         information = _symmetric(np.frombuffer(held.information, "<f8"), m)
     except (KeyError, ValueError):
         raise InputError(where, "has a damaged block `reference`", REMEDY) from None

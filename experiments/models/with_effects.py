@@ -16,7 +16,7 @@ from estimator import TWO_SIDED
 from estimator.effects import Effect, placed
 from estimator.likelihood import FreeRun, Latents, Noise, State, free_run
 from estimator.model import Mechanism, simulate
-from estimator.prediction import Predictor
+from estimator.prediction import FittedModel
 from estimator.signals import SignalSet, imu_columns
 from experiments.models.effect_library import known_effects
 from experiments.models.mechanism_settings import build_mechanism
@@ -99,14 +99,14 @@ def widening_of(model: Model) -> list[float]:
     return out
 
 
-def predictor_of(model: Model) -> Predictor:
-    """`model` as a prediction takes it, its covariance widened to its intervals."""
+def fitted_model_of(model: Model) -> FittedModel:
+    """The model of a file, its covariance widened to its intervals."""
     mechanism, wide = build_mechanism(model.mechanism), np.array(widening_of(model))
     pairs = effects_of(model)
     covariance = np.array([[np.nan if c is None else c for c in row] for row in model.covariance])
-    return Predictor(mechanism, model.hold, np.concatenate([np.array(model.beta), *[size for _, size in pairs]]),
-                     (*(effect for effect, _ in pairs), *laws_of(model)), wide[:, None] * wide * covariance,
-                     np.array(model.reach, dtype=float) if pairs else None, model.gear_ratio)
+    return FittedModel(mechanism, model.hold, np.concatenate([np.array(model.beta), *[size for _, size in pairs]]),
+                       (*(effect for effect, _ in pairs), *laws_of(model)), wide[:, None] * wide * covariance,
+                       angle_range=np.array(model.reach, dtype=float) if pairs else None, gear_ratio=model.gear_ratio)
 
 
 def simulate_extended(model: Model, mechanism: Mechanism, time_s: FloatArray, torque: FloatArray, q0: FloatArray
@@ -119,10 +119,10 @@ def simulate_extended(model: Model, mechanism: Mechanism, time_s: FloatArray, to
     imus = len(mechanism.imus) if model.mechanism.has_imu else 0
     blank = dict.fromkeys([name for k in range(imus) for name in imu_columns(k)], np.zeros_like(time_s))
     signals = SignalSet("plan", rate, time_s, np.zeros_like(torque), torque, blank)
-    predictor = predictor_of(model)
-    problem = predictor.problem([signals])
+    fitted = fitted_model_of(model)
+    problem = fitted.problem([signals])
     q, v, _ = simulate(mechanism, np.array(model.beta), q0, np.zeros_like(q0), torque, 1.0 / rate, model.hold)
-    parameters = predictor.parameters
+    parameters = fitted.parameters
     noise = Noise(np.ones(mechanism.n), np.ones(mechanism.n))
     state = State(Latents(np.nan_to_num(q), np.nan_to_num(v), torque), parameters, noise,
                   np.zeros((parameters.size, parameters.size)))

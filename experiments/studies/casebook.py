@@ -25,7 +25,7 @@ from estimator.signals import torque_column
 from experiments.calibrate import compare, read_moving
 from experiments.reports import pieces, rmse
 from experiments.session import Setup, load_runs, prepare
-from experiments.workflows import diagnose_prepared, fit_runs, fitted_predictor, predict_setup
+from experiments.workflows import diagnose_prepared, fit_runs, model_of_fit, predict_setup
 
 T = TypeVar("T")
 RIGS = Path(__file__).parent / "rigs"
@@ -234,7 +234,7 @@ def _fit(task: FitTask, home: Path) -> Fitted:
 
     def simulate() -> list[Validation]:
         prepared = prepare([home / run for run in task.validate], rig, fixed=task.fix, beta=result.beta)
-        return validations_of(predict_setup([fitted_predictor(result)], prepared.setup))
+        return validations_of(predict_setup([model_of_fit(result)], prepared.setup))
 
     validations, problem = _attempt(simulate)
     return Fitted(task, result, refusal, validations or (), problem)

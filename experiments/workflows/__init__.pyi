@@ -34,7 +34,7 @@ from .tune import tuning_rows as tuning_rows
 from .tune import tuning_text as tuning_text
 from .tune import write_choices as write_choices
 from .validate import ValidationReport as ValidationReport
-from .validate import fitted_predictor as fitted_predictor
+from .validate import model_of_fit as model_of_fit
 from .validate import predict_setup as predict_setup
 from .validate import seen_in_fit as seen_in_fit
 from .validate import validate_model as validate_model

@@ -9,7 +9,7 @@ import numpy as np
 from daq import Dataset, Rig
 from estimator.prediction import HORIZONS_S, predict
 from experiments.console import progress
-from experiments.models import Model, known_effects, predictor_of
+from experiments.models import Model, fitted_model_of, known_effects
 from experiments.reports import Comparison, Estimate, ParameterPair, horizon_errors, model_contradictions, normal
 from experiments.session import prepare, require_sound
 from experiments.workflows.validate import require_mechanism
@@ -25,7 +25,7 @@ def compare_models(models: tuple[Model, Model], files: tuple[str, str], runs: Se
     for model, file, one in zip(models, files, prepared):
         require_mechanism(model, one.setup, file)
     require_sound(prepared[0].setup)
-    a, b = (predict([predictor_of(model)], progress(one.setup.datasets, f"simulating {file}", unit="run"),
+    a, b = (predict([fitted_model_of(model)], progress(one.setup.datasets, f"simulating {file}", unit="run"),
                     one.setup.options, horizons_s, smoother=0) for model, file, one in zip(models, files, prepared))
     table, names = a.joined_with(b), [data.name for data in prepared[0].setup.datasets]
     return Comparison(files, parameter_pairs(models), tuple(horizon_errors(table)), table, tuple(names),

@@ -22,7 +22,7 @@ from experiments.session import prepare
 from experiments.workflows.demo_files import write_results
 from experiments.workflows.demo_result import Demo
 from experiments.workflows.diagnose import diagnose_prepared
-from experiments.workflows.validate import fitted_predictor, predict_setup, validate_model
+from experiments.workflows.validate import model_of_fit, predict_setup, validate_model
 
 RUNS, SECONDS = 8, 10.0
 PEAK_NM = 0.7
@@ -64,7 +64,7 @@ def run_demo(out: Path, seconds: float = SECONDS, seed: int = 1, effect: str = D
         seen = all("q1_rad" in d for d in training.datasets)  # a drive reads no hip
         benchmark = fit(training.datasets, setup.mechanism, hall, "wls") if seen else None
         model = diagnosed_model(diagnosis, setup, rig.motor.gear_ratio)
-    before = predict_setup([fitted_predictor(result)], held)
+    before = predict_setup([model_of_fit(result)], held)
     after = validate_model(model, held, "the extended model").table if model.effects else before
     truth = dict(zip(setup.mechanism.names, body.beta()))
     written = {"rig": out / "rig.toml", "runs": out / "demo-run*.mcap"}

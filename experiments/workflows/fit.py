@@ -13,7 +13,8 @@ from daq import InputError, Rig
 from estimator import Finding, FitError, FitResult, Method
 from estimator.fitting import fit_admissible, with_second_opinion
 from estimator.model import Mechanism
-from estimator.prediction import SHORT_S, Predictor, predict_filtered
+from estimator.prediction import SHORT_S, FittedModel, predict_filtered
+from estimator.signals import split_signals
 from experiments.reports import fit_document
 from experiments.session import (
     Choice,
@@ -186,8 +187,9 @@ def encoder_error(setup: Setup, result: FitResult
 
 def _score(setup: Setup, result: FitResult) -> float:
     """Log of the error of a fit's free runs over a second from filtered motion, over that of the last velocity kept."""
-    model = Predictor(result.mechanism, result.hold, result.beta)
-    return predict_filtered([model], setup.datasets, setup.options, SHORT_S).score(SHORT_S)
+    model = FittedModel(result.mechanism, result.hold, result.beta)
+    signals = split_signals(setup.datasets, result.mechanism, setup.options)
+    return predict_filtered([model], signals, setup.options, SHORT_S).score(SHORT_S)
 
 
 def _found_smoothing(stated: Mechanism, found: Mechanism) -> list[Choice]:

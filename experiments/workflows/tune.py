@@ -14,7 +14,8 @@ from daq import Dataset, FloatArray, InputError, Rig, set_values, write_file
 from daq.runs import read_csv
 from estimator import FitError
 from estimator.fitting import fit_admissible
-from estimator.prediction import SHORT_S, Predictor, predict_filtered
+from estimator.prediction import SHORT_S, FittedModel, predict_filtered
+from estimator.signals import split_signals
 from experiments.console import text_table
 from experiments.session import Choice, SetAside, load_runs, prepare, setup_of, with_choices
 from experiments.workflows.fit import LEVELS
@@ -153,8 +154,9 @@ class _Bench:
                 setup = setup_of(train, rig, self.sensors, self.fixed)
                 found = fit_admissible(setup.datasets, setup.mechanism, setup.options)
                 other = setup_of(held, rig, self.sensors, self.fixed, beta=found.beta)
-                ahead = predict_filtered([Predictor(found.mechanism, "linear", found.beta)], other.datasets,
-                                         other.options, SHORT_S)
+                signals = split_signals(other.datasets, found.mechanism, other.options)
+                ahead = predict_filtered([FittedModel(found.mechanism, "linear", found.beta)], signals, other.options,
+                                         SHORT_S)
             except (FitError, np.linalg.LinAlgError):
                 return Trial(np.inf, np.array([np.inf]), {}, None)
             if not found.converged or found.inadmissible or not np.isfinite(ahead.score(SHORT_S)):

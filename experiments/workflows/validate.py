@@ -11,8 +11,8 @@ from estimator import FitResult
 from estimator.prediction import (
     HORIZONS_S,
     SHORT_S,
+    FittedModel,
     PredictionTable,
-    Predictor,
     SmoothedRun,
     Validation,
     WalkAhead,
@@ -21,7 +21,7 @@ from estimator.prediction import (
     walk_ahead,
 )
 from experiments.console import progress
-from experiments.models import Model, build_mechanism, predictor_of, range_note
+from experiments.models import Model, build_mechanism, fitted_model_of, range_note
 from experiments.provenance import Source
 from experiments.reports import (
     Trust,
@@ -89,7 +89,7 @@ def validate_model(model: Model, setup: Setup, where: str, against: Model | None
     """
     require_mechanism(model, setup, where)
     require_sound(setup)
-    models = [predictor_of(m) for m in (model, against) if m is not None]
+    models = [fitted_model_of(m) for m in (model, against) if m is not None]
     walked: list[tuple[Dataset, SmoothedRun]] = []
     table = predict_setup(models, setup, horizons_s, bands, walked)
     steps = walk_ahead(walked) if models[0].mechanism.exchanged and not models[0].effects else None
@@ -97,7 +97,7 @@ def validate_model(model: Model, setup: Setup, where: str, against: Model | None
     return Validated(table, steps, tuple(f"{run}: {note}" for run, note in notes if note))
 
 
-def predict_setup(models: Sequence[Predictor], setup: Setup, horizons_s: Sequence[float] = HORIZONS_S,
+def predict_setup(models: Sequence[FittedModel], setup: Setup, horizons_s: Sequence[float] = HORIZONS_S,
                   bands: bool = False, walked: list[tuple[Dataset, SmoothedRun]] | None = None) -> PredictionTable:
     """The table of free-run errors of `models` on the runs of `setup`; the first reads what no sensor does. `walked`
     takes each run with the first model's smoothed motion. Raises `FitError`."""
@@ -111,9 +111,9 @@ def predict_setup(models: Sequence[Predictor], setup: Setup, horizons_s: Sequenc
                    {*horizons_s, SHORT_S}, bands, smoother=0, seen=seen)
 
 
-def fitted_predictor(result: FitResult) -> Predictor:
+def model_of_fit(result: FitResult) -> FittedModel:
     """The model of a fit, with the friction smoothing velocity and the hold that it was fitted under."""
-    return Predictor(result.mechanism, result.hold, result.beta, covariance=result.covariance)
+    return FittedModel(result.mechanism, result.hold, result.beta, covariance=result.covariance)
 
 
 def require_mechanism(model: Model, setup: Setup, where: str) -> None:

@@ -41,7 +41,7 @@ class Watcher:
         """The next run, a file or a data set. One that cannot be read or used is not tested; the reason is given."""
         reference = self.test.reference
         try:
-            prepared = prepare([run], self.rig, sensors=reference.fit.options.sensors, beta=reference.fit.beta,
+            prepared = prepare([run], self.rig, sensors=reference.fit.options.sensors, beta=reference.fit.model.beta,
                                damaged=self.damaged)
             setup = without_benchmark(prepared.setup)
             require_sound(setup)

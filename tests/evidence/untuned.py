@@ -22,7 +22,8 @@ from daq.runs.csv_run import write_csv
 from estimator.calibration.encoder_zeros import find_zeros, subtract
 from estimator.fitting.fit import fit
 from estimator.options import FitOptions
-from estimator.prediction import SHORT_S, Predictor, predict_filtered
+from estimator.prediction import SHORT_S, FittedModel, predict_filtered
+from estimator.signals import split_signals
 from experiments import cli
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.session import load_runs, setup_of, with_choices
@@ -111,7 +112,7 @@ def left_out(folder: str) -> str:
         ways = ((plain.mechanism, before), (fitted.setup.mechanism, fitted.result.beta),
                 (setup_of([run], stated).mechanism, published))
         for way, (mechanism, beta) in enumerate(ways):
-            model = Predictor(mechanism, "linear", beta)
+            model = FittedModel(mechanism, "linear", beta)
             squares[way] += squared(model, [run], plain.options)
             if way > 0 and mechanism.n > 1:
                 zeros = find_zeros([run], mechanism, plain.options, (0, 1), beta)
@@ -121,9 +122,9 @@ def left_out(folder: str) -> str:
     return f"| {known.title} | {' | '.join([*cells, *[''] * (5 - len(cells))])} |"
 
 
-def squared(model: Predictor, runs: Sequence[Dataset], options: FitOptions) -> FloatArray:
+def squared(model: FittedModel, runs: Sequence[Dataset], options: FitOptions) -> FloatArray:
     """(n,) mean squared error over a second [rad^2]."""
-    table = predict_filtered([model], runs, options, SHORT_S)
+    table = predict_filtered([model], split_signals(runs, model.mechanism, options), options, SHORT_S)
     return np.array([table.rms(0, c, SHORT_S) ** 2 for c in table.angles])
 
 

@@ -20,7 +20,7 @@ from daq import Dataset
 from estimator import FitOptions
 from estimator.change import Reference, Watch, learn_reference, start_watch
 from estimator.model import leg2
-from estimator.prediction import Predictor, predict
+from estimator.prediction import predict
 from experiments.studies import machine
 from tests.evidence.blind.stickslip import MAKERS
 from tests.evidence.kept import kept
@@ -99,7 +99,7 @@ def delay(leg_number: int, name: str, first: int) -> Delay:
     maker = MAKERS[name][0]
 
     def error(strength: float) -> float:
-        model = Predictor(found.fit.mechanism, found.fit.options.hold, found.fit.beta)
+        model = found.fit.model
         table = predict([model], [spoilt(run, maker(strength)) for run in plain[:2]], found.fit.options, (HORIZON_S,))
         return float(np.mean([np.log(table.rms(0, c, HORIZON_S)) for c in table.judged]))
 

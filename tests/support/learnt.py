@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.model import leg2
 from estimator.options import FitOptions
-from estimator.prediction import Predictor, RunSignals, Structure, find_structure
+from estimator.prediction import FittedModel, RunSignals, Structure, find_structure
 from estimator.signals import split_signals
 from tests.support.mujoco_leg import Leg, record
 
@@ -24,9 +24,9 @@ def magnet(q1: float, q2: float, v1: float, v2: float) -> tuple[float, float]:
     return 0.0, -0.3 * (q2 - 0.1) / 0.3 * math.exp(-(((q2 - 0.1) / 0.3) ** 2))
 
 
-def true_model() -> Predictor:
+def true_model() -> FittedModel:
     """The leg's true parameters, without any law."""
-    return Predictor(leg2(actuated=(1,), velocity_scale=FRICTION_VELOCITY), "linear", Leg().beta())
+    return FittedModel(leg2(actuated=(1,), velocity_scale=FRICTION_VELOCITY), "linear", Leg().beta())
 
 
 def runs_of(law: Law | None, seed: int, count: int, seconds: float = 5.0) -> list[RunSignals]:

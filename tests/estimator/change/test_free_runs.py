@@ -79,12 +79,12 @@ def test_the_fit_without_a_run_is_one_step_away() -> None:
     fit = fit_reference(runs, mechanism, FitOptions(), 1.0)
     scores = [score_run(fit, run) for run in runs]
     left = _without(fit, scores, 0)
-    fitted = fit_reference(runs[1:], mechanism, FitOptions(), 1.0).beta
-    p = fit.beta.size
+    fitted = fit_reference(runs[1:], mechanism, FitOptions(), 1.0).model.beta
+    p = fit.model.beta.size
     std = np.sqrt(np.diag(scores[0].along(np.eye(scores[0].score.size)[:, :p]).covariance()))
-    assert np.abs(left - fit.beta).max() > 0.0
+    assert np.abs(left - fit.model.beta).max() > 0.0
     assert (np.abs(left - fitted) < 0.3 * std).all()
-    own, others = (free_run_errors(fit, runs[0], beta) for beta in (fit.beta, left))
+    own, others = (free_run_errors(fit, runs[0], beta) for beta in (fit.model.beta, left))
     assert set(own) == set(others) == {"q2_rad", "gyro_radps"} and all(others[name] < 2.0 * own[name] for name in own)
 
 

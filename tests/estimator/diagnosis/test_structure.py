@@ -19,7 +19,7 @@ from estimator.effects.joint_stiffness import JointStiffness
 from estimator.errors import FitError
 from estimator.model import leg2
 from estimator.options import FitOptions
-from estimator.prediction import Predictor, RunSignals, Structure
+from estimator.prediction import FittedModel, RunSignals, Structure
 from tests.support.learnt import hidden_magnet
 from tests.support.mujoco_leg import Leg, record
 
@@ -31,16 +31,17 @@ def nominal() -> Any:
     """As much of a fitted model as a structure needs."""
     data = [record(Leg(), np.random.default_rng(k), seconds=3.0, name=f"r{k}") for k in range(4)]
     split = split_runs(data, leg2(lever_arm=0.2), FitOptions(sensors="imu", hold="linear"), 50.0, 1)
-    stage = SimpleNamespace(angle_range=np.array([[-1.0, 1.0], [-2.0, 2.0]]))
-    return SimpleNamespace(split=split, state=SimpleNamespace(beta=BETA), problem=SimpleNamespace(stage=stage))
+    reach = np.array([[-1.0, 1.0], [-2.0, 2.0]])
+    return SimpleNamespace(split=split, fitted=FittedModel(split.mechanism, "linear", BETA, angle_range=reach,
+                                                           gear_ratio=50.0))
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[Predictor]:
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[FittedModel]:
     """Models whose residual was learnt from; the answer is that of a leg with a magnet."""
-    models: list[Predictor] = []
+    models: list[FittedModel] = []
 
-    def learn(model: Predictor, runs: Sequence[RunSignals], options: FitOptions, workers: int) -> Structure:
+    def learn(model: FittedModel, runs: Sequence[RunSignals], options: FitOptions, workers: int) -> Structure:
         models.append(model)
         assert len(runs) == 4
         return hidden_magnet()
@@ -55,12 +56,12 @@ def learning(learn: Callable[..., Structure], monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("verdict", ["none", "named", "one_of", "fit_failed"])
-def test_verdicts_that_leave_nothing_have_none(verdict: Verdict, nominal: Any, asked: list[Predictor]) -> None:
+def test_verdicts_that_leave_nothing_have_none(verdict: Verdict, nominal: Any, asked: list[FittedModel]) -> None:
     found = Diagnosis(verdict, "")
     assert with_structure(found, nominal) is found and not asked
 
 
-def test_it_is_learnt_on_top_of_the_model_that_is_saved(nominal: Any, asked: list[Predictor]) -> None:
+def test_it_is_learnt_on_top_of_the_model_that_is_saved(nominal: Any, asked: list[FittedModel]) -> None:
     assert with_structure(Diagnosis("unexplained", ""), nominal).structure is hidden_magnet()
     spring = JointStiffness(1)
     extended = np.append(1.1 * BETA, [0.3, 0.0])
@@ -71,14 +72,14 @@ def test_it_is_learnt_on_top_of_the_model_that_is_saved(nominal: Any, asked: lis
     assert with_spring.effects == (spring,) and np.array_equal(with_spring.parameters, extended)
 
 
-def test_it_is_offered_only_if_it_is_material(nominal: Any, asked: list[Predictor]) -> None:
+def test_it_is_offered_only_if_it_is_material(nominal: Any, asked: list[FittedModel]) -> None:
     found = with_structure(Diagnosis("unexplained", "", material=0.95), nominal)
     (told,) = found.warnings
     assert found.structure is None and "not offered" in told
     assert f"remove {100.0 * hidden_magnet().removed:.0f} % [" in told
 
 
-def test_a_torque_that_is_learnt_is_no_noise(nominal: Any, asked: list[Predictor]) -> None:
+def test_a_torque_that_is_learnt_is_no_noise(nominal: Any, asked: list[FittedModel]) -> None:
     """One page said of a magnet that it does not depend on the state, and drew it over the angle."""
     joints = {(law.joint or 0) + 1 for law in hidden_magnet().laws}
     told = tuple(f"an unmeasured torque of 0.02 N m acts {counted_as_noise(j)}" for j in (1, 2, 3))

@@ -16,7 +16,7 @@ from daq import FloatArray
 from estimator.effects import Points, StateTorque, Table, Variable
 from estimator.errors import FitError
 from estimator.model import leg2, smooth_sign
-from estimator.prediction.free_runs import predict_run
+from estimator.prediction import predict_run
 from estimator.prediction.learnt_structure import (
     find_structure,
     outside_range,

@@ -15,7 +15,7 @@ from estimator.model.mechanism import joint1, leg2
 from estimator.options import FitOptions
 from estimator.prediction import (
     HORIZONS_S,
-    Predictor,
+    FittedModel,
     floor_errors,
     predict,
     predict_filtered,
@@ -23,6 +23,7 @@ from estimator.prediction import (
     smooth,
     tabulate,
 )
+from estimator.signals import split_signals
 from experiments.cli import main
 from experiments.cli.main import build_parser
 from tests.support.prescribed import ARM_RIG, BETA, arm_run, swing_run, written
@@ -32,12 +33,12 @@ OPTIONS = FitOptions(sensors="encoder")
 PENDULUM = np.array([0.1, 0.3, 0.02, 0.0])
 
 
-def arm(beta: np.ndarray = BETA) -> Predictor:
-    return Predictor(ARM, "linear", beta)
+def arm(beta: np.ndarray = BETA) -> FittedModel:
+    return FittedModel(ARM, "linear", beta)
 
 
-def pendulum(beta: np.ndarray = PENDULUM) -> Predictor:
-    return Predictor(joint1(), "linear", beta)
+def pendulum(beta: np.ndarray = PENDULUM) -> FittedModel:
+    return FittedModel(joint1(), "linear", beta)
 
 
 def test_the_truth_predicts_best_and_every_model_loses_with_the_horizon() -> None:
@@ -48,7 +49,8 @@ def test_the_truth_predicts_best_and_every_model_loses_with_the_horizon() -> Non
         assert table.rms(0, c, 0.1) < table.rms(0, c, 0.5) < 0.3 * table.rms(1, c, 0.5)
         assert table.rms(0, c, 0.5) < 0.1 * table.rms_kept(c, 0.5)
         assert table.rms_kept(c, 0.1) < 0.3 * table.rms_kept(c, 0.5)
-    filtered = predict_filtered([arm(), arm(wrong)], [arm_run(1, torque=0.0, encoder=0.0)], OPTIONS, 0.5)
+    signals = split_signals([arm_run(1, torque=0.0, encoder=0.0)], ARM, OPTIONS)
+    filtered = predict_filtered([arm(), arm(wrong)], signals, OPTIONS, 0.5)
     assert filtered.score(0.5) < -2.0 and filtered.score(0.5, 1) > filtered.score(0.5) + 1.0
     assert filtered.score(60.0) == np.inf  # no stretch is as long
 
@@ -95,7 +97,7 @@ def test_misfits_prefer_the_truth_by_run() -> None:
 def test_a_simulation_that_diverges_is_counted() -> None:
     pushed = BETA - np.array([0, 0, 0, 0, 0, 1.0, 1.0, 0, 0])
     run = arm_run(1, seconds=1.2)
-    assert predict_filtered([arm(pushed)], [run], OPTIONS, 0.6).score(0.6) == np.inf
+    assert predict_filtered([arm(pushed)], split_signals([run], ARM, OPTIONS), OPTIONS, 0.6).score(0.6) == np.inf
     table = predict([arm(pushed)], [run], OPTIONS, (0.1,))
     assert table.lost[0, -1] == 1 and table.rms(0, "q1_rad", np.inf) == np.inf
     assert np.isfinite(table.rms(0, "q1_rad", 0.1))

@@ -8,7 +8,7 @@ import pytest
 
 from estimator import FitOptions, fit
 from estimator.model import biped3
-from estimator.prediction import Predictor, smooth, walk_ahead
+from estimator.prediction import FittedModel, smooth, walk_ahead
 from estimator.prediction.walking import Walking, carry, walking
 from estimator.signals import cut_steps
 from tests.support.walker_plant import Gait, Plant, Sensors, Walk, Walker, record, roles, walk
@@ -70,7 +70,7 @@ def test_without_the_impact_it_is_another_motion(monkeypatch: pytest.MonkeyPatch
 def test_a_walker_that_falls_has_no_error() -> None:
     data, _ = cut_steps(record("walk", walked(), np.random.default_rng(1)))
     weak = Walker().beta * np.array([1, 1, 1, 1, 1, 1.02, 1, 1])
-    found = walk_ahead([(data, smooth(Predictor(HIPS, "zero", weak), data, OPTIONS))])
+    found = walk_ahead([(data, smooth(FittedModel(HIPS, "zero", weak), data, OPTIONS))])
     last = found.ahead[-1]
     assert last.fell == last.pieces and np.isnan(last.rmse).all()
     first = found.ahead[0]

@@ -13,7 +13,7 @@ import pytest
 
 from daq.rig import parse_rig
 from estimator.calibration.encoder_zeros import find_differing, find_zeros, subtract
-from estimator.prediction import Predictor, predict
+from estimator.prediction import FittedModel, predict
 from experiments.cli import main
 from experiments.session import load_runs, setup_of
 from experiments.workflows.fit import fit_runs
@@ -102,6 +102,6 @@ def test_zeros_that_differ_are_found_and_lower_the_error_of_halves_not_seen(desi
             if way:
                 second = subtract([second], setup.mechanism,
                                   find_zeros([first], setup.mechanism, setup.options, (0, 1), beta))[0]
-            found = predict([Predictor(setup.mechanism, setup.options.hold, beta)], [second], setup.options)
+            found = predict([FittedModel(setup.mechanism, setup.options.hold, beta)], [second], setup.options)
             squares[way] += [found.rms(0, c, np.inf) ** 2 for c in ("q1_rad", "q2_rad")]
     assert np.all(np.sqrt(squares[1] / squares[0]) < (0.75, 0.9))  # measured: 0.63 and 0.80, 0.62 and 0.65

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray
+from estimator.free_runs.smoothed_run import SmoothedRun
 from estimator.likelihood import LOST_RAD, FreeRun, LatentProblem, free_run, pieces, read_motion
 from estimator.model import simulate
-from estimator.prediction.smoothing import SmoothedRun
 from estimator.result import TWO_SIDED
 from estimator.signals import Channel, angle_column, encoder_of, imu_channels, imu_columns
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.prediction import BLOCK_S, tabulate, validations_of
-from estimator.prediction.table import paired_ratio
+from estimator.free_runs import BLOCK_S, paired_ratio, tabulate
+from estimator.free_runs.table import LEAST_ERROR
+from estimator.prediction import validations_of
 from tests.support.predictions import predicted_run
 
 RATE = 50.0
@@ -50,6 +51,18 @@ def test_a_segment_that_diverges_has_no_error() -> None:
     seen = validations_of(table)[0]
     assert seen.diverged and seen.horizon_s == pytest.approx(7.0) and seen.rmse["q1_rad"] == pytest.approx(0.1)
     assert seen.sums["q1_rad"] == np.inf
+
+
+def test_each_piece_errs_at_most_by_a_sensor_s_variance() -> None:
+    piece = np.minimum(np.arange(T.size) // 50, 11)
+    error = np.array([0.0, 0.1, 5.0])[np.minimum(piece, 2)]
+    table = tabulate([predicted_run(name, RATE, WAVE, {1.0: error}) for name in ("a", "b")], 0, every_horizon=True,
+                     each_piece=True)
+    assert table.run.tolist() == [0] * 13 + [1] * 13 and table.samples[:12, 0].tolist() == [50.0] * 12
+    angle, rate = np.var(WAVE["q1_rad"]), np.var(WAVE["q1d"])
+    expected = [LEAST_ERROR, 0.5 * (0.01 / angle + 0.01 / rate), 1.0]
+    assert table.by_block(1.0)[0, :3] == pytest.approx(expected, rel=1e-9)
+    assert table.capped[0, 2, :, 0] == pytest.approx([angle, rate], rel=1e-9)
 
 
 def test_models_of_two_tables_are_joined() -> None:

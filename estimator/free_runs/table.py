@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import FloatArray
-from estimator.prediction.free_runs import PredictedRun
+from estimator.free_runs.predicted_run import PredictedRun
 
 BLOCK_S = 2.0
 """Length of a block [s]: a few periods of the slowest motion; errors further apart count as independent."""
+LEAST_ERROR = 1e-8
+"""Squared errors below this share of a sensor's variance are alike."""
 LEAST_UNITS = 5
 """Fewest runs, or blocks, from whose scatter an interval is made."""
 CONFIDENCE = 0.95
@@ -74,6 +76,18 @@ class PredictionTable:
         ratios = [max(self.rms(model, c, horizon_s), 1e-12) / max(self.rms_kept(c, horizon_s, model), 1e-12)
                   for c in self.angles]
         return float(np.mean(np.log(ratios)))
+
+    @cached_property
+    def capped(self) -> FloatArray:
+        """(M, B, C, H) `squares`, each at most the sensor's variance: a free run that is lost errs no more than who
+        knows nothing of the machine."""
+        return np.minimum(self.squares, self.variance[:, None])
+
+    def by_block(self, horizon_s: float) -> FloatArray:
+        """(M, B) mean squared error of each block over the `judged` channels, in units of each sensor's variance."""
+        which = [self.channels.index(c) for c in self.judged]
+        shares = self.capped[:, :, which, self.horizons_s.index(horizon_s)] / np.maximum(self.variance[which], 1e-300)
+        return np.asarray(np.maximum(shares, LEAST_ERROR).mean(axis=-1))
 
     @cached_property
     def misfits(self) -> FloatArray:
@@ -168,8 +182,10 @@ def paired_ratio(a: FloatArray, b: FloatArray, run: NDArray[np.intp]) -> Ratio:
 
 
 def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None, *, about_mean: bool = False,
-             every_horizon: bool = False) -> PredictionTable:
+             every_horizon: bool = False, each_piece: bool = False) -> PredictionTable:
     """The table of `runs`. The `smoother` is by default the model under which they are likeliest.
+
+    A block is about `BLOCK_S` long, or with `each_piece` one piece of the first horizon.
 
     Without `every_horizon` those that no segment exceeds are left out: they are as the whole. `about_mean`: the error
     of an angle that no sensor reads is about its mean over the run. Its zero is no reading: two models read the IMU's
@@ -182,7 +198,7 @@ def tabulate(runs: Sequence[PredictedRun], smoother: int | None = None, *, about
     which = [first.horizons_s.index(h) for h in horizons]
     measured = np.concatenate([r.measured for r in runs], axis=1)
     read = np.isfinite(measured).any(axis=1)
-    edges = [_edges(r) for r in runs]
+    edges = [np.append(np.unique(r.starts[0]), r.time_s.size) if each_piece else _edges(r) for r in runs]
     compared = [np.where(read[:, None], r.measured, r.smoothed[smoother]) for r in runs]
     samples = np.concatenate([_sums(np.isfinite(y).astype(float), e) for y, e in zip(compared, edges)], axis=-1)
 
