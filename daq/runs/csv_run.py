@@ -17,7 +17,7 @@ import numpy as np
 
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
-from daq.files import write_file
+from daq.files import read_bytes, write_file
 from daq.rig import Rig
 from daq.runs.columns import known, missing
 
@@ -99,7 +99,7 @@ def _split(path: Path) -> tuple[str, str]:
     """Header line and the rest, as text with plain newlines."""
     where = str(path)
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         raise InputError(where, error.strerror or str(error), "give a readable CSV file") from None
     if not data:

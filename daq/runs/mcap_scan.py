@@ -23,6 +23,7 @@ from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metada
 from mcap.writer import MCAP0_MAGIC
 
 from daq.errors import InputError
+from daq.files import open_regular
 
 WINDOW_BYTES = 1 << 27
 _RECORD = struct.Struct("<BQ")
@@ -55,7 +56,7 @@ class Scan:
 
     def __iter__(self) -> Iterator[McapRecord]:
         try:
-            with open(self.path, "rb") as file:
+            with open_regular(self.path) as file:
                 size = os.fstat(file.fileno()).st_size
                 self._room = UNPACKED_BYTES + UNPACKED_RATIO * size
                 if size == 0:

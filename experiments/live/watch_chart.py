@@ -67,13 +67,15 @@ def read_marks(folder: Path) -> tuple[Mark, ...]:
     documents: list[tuple[float, _Watch]] = []
     for path in folder.glob("*.json"):
         with suppress(msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError):
+            if not path.is_file():  # a pipe is read for ever
+                continue
             data = path.read_bytes()
             if msgspec.json.decode(data, type=_Any).schema == WATCH_SCHEMA:
                 documents.append((path.stat().st_mtime, msgspec.json.decode(data, type=_Watch)))
     marks: dict[str, Mark] = {}
     for _, document in sorted(documents, key=lambda one: one[0]):
         for one in document.watched:
-            if one.blocks and one.recorded is not None:
+            if one.blocks and one.recorded is not None and 1970 < one.recorded.year < 9999:
                 worst = min(one.blocks, key=lambda block: block.per_hour)
                 change = worst.effect if worst.joint is None else f"{worst.effect}@{worst.joint}"
                 marks[one.run] = Mark(one.run, one.recorded.astimezone(UTC), worst.per_hour,
