@@ -30,6 +30,8 @@ from .rig_devices import PivotDevice as PivotDevice
 from .rig_devices import ShuntDevice as ShuntDevice
 from .rig_limits import Limits as Limits
 from .rig_text import ASSUMED as ASSUMED
+from .rig_text import comment as comment
+from .rig_text import quoted as quoted
 from .rig_text import set_values as set_values
 from .rig_types import Matrix3 as Matrix3
 from .rig_types import Vector3 as Vector3

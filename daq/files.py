@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
@@ -97,7 +98,7 @@ def new_run(path: Path | str) -> Iterator[BinaryIO]:
     _sync_folder(path.parent)
 
 
-def open_regular(path: Path | str) -> BinaryIO:
+def open_regular(path: Path | str) -> BufferedReader:
     """The file at `path`, open to read. Raises `InputError` for a pipe, a device or a folder, which may have no end;
     `OSError` where there is nothing, or nothing may be read."""
     _check_regular(path, os.stat(path).st_mode)  # before it is opened: opening a device can do something

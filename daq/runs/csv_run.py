@@ -26,6 +26,7 @@ CLOCK_BOUND = "clock_bound_s"
 MOST, MOST_OF_OTHERS = 1e12, 1e100
 """Largest magnitude of a reading, and of what stands in a column of the user's own (counts, times since 1970 in ns)."""
 LEAST_STEP_S = 1e-9
+MOST_COLUMNS = 4096
 _GZIP_MAGIC = b"\x1f\x8b"
 SUFFIXES = (".csv", ".csv.gz")
 UNPACKED_BYTES, UNPACKED_RATIO = 16 << 20, 30
@@ -131,6 +132,8 @@ def _header_names(path: Path, header: str) -> list[str]:
     names = [cell.strip() for cell in _cells(where, header)]
     if len(names) == 1 and any(mark in header for mark in ";\t"):
         raise InputError(where, "is not comma separated", "write the file with commas between columns")
+    if len(names) > MOST_COLUMNS:
+        raise InputError(where, f"names {len(names)} columns, {MOST_COLUMNS} are read", "keep those of the run alone")
     for name in names:
         if not name:
             raise InputError(where, "has an unnamed column", "name every column")

@@ -42,6 +42,8 @@ FACTS = "legid"
 RECOVERED = "legid.recovered"
 """Of the one with what was missing within a run before `recover` made a clean file of it."""
 PROFILE = "ros2"
+MOST_DIGITS = 19
+"""Of nanoseconds since 1970, until the year 2286; a number of more is no time."""
 _GONE = "is not in its place any more; leave the file alone while it is recorded"
 
 
@@ -296,7 +298,8 @@ def started_at(path: Path | str) -> datetime | None:
 def start_of(facts: Mapping[str, str]) -> datetime | None:
     """When a recording with these `facts` began [UTC]."""
     started = facts.get("started_unix_ns", "")
-    return datetime.fromtimestamp(int(started) / 1e9, UTC) if started.isdecimal() else None
+    known = started.isascii() and started.isdecimal() and len(started) <= MOST_DIGITS
+    return datetime.fromtimestamp(int(started) / 1e9, UTC) if known else None
 
 
 @dataclass(frozen=True)

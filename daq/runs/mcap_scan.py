@@ -10,6 +10,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,13 +20,14 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from daq.errors import InputError
 from daq.files import open_regular
 
 WINDOW_BYTES = 1 << 27
+MOST_HEADER_BYTES = 1 << 20
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _KINDS: dict[int, Any] = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Channel, int(Opcode.ATTACHMENT): Attachment,
@@ -33,6 +35,16 @@ _KINDS: dict[int, Any] = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Chann
 UNPACKED_BYTES, UNPACKED_RATIO = 64 << 20, 20
 """A file's compressed chunks may unpack to so much, and so many times the file's own size more: readings of sensors
 pack to a half or a tenth, and what packs to a thousandth is made to fill the memory."""
+
+
+def written_by(path: Path) -> str | None:
+    """The library that the file's MCAP header names; None where it has none that is whole."""
+    with suppress(OSError, InputError, struct.error, McapError, ValueError), open_regular(path) as file:
+        if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+            opcode, length = _RECORD.unpack(file.read(_RECORD.size))
+            if opcode == Opcode.HEADER and length <= MOST_HEADER_BYTES:
+                return Header.read(ReadDataStream(BytesIO(file.read(length)))).library
+    return None
 
 
 class Scan:

@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from daq import InputError, read_bytes
 from experiments.live import children
 
 Kind = Literal["fit", "diagnose", "doctor", "clear"]
@@ -173,8 +174,8 @@ def past_jobs(rig: Path, out: Path) -> list[Job]:
                                                 ("diagnose", "diagnosis", "legid.diagnosis/1"))
     for kind, stem, schema in kinds:
         for path in out.glob(f"{stem}-*.json"):
-            with suppress(OSError, ValueError, KeyError, TypeError, msgspec.MsgspecError):
-                document = msgspec.json.decode(path.read_bytes(), type=_Past)
+            with suppress(OSError, ValueError, KeyError, TypeError, RecursionError, msgspec.MsgspecError, InputError):
+                document = msgspec.json.decode(read_bytes(path), type=_Past)
                 if document.schema == schema:
                     runs = [out / source.file for source in document.provenance.runs]
                     found.append((path.stat().st_mtime, Job.past(kind, rig, path, runs)))

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from daq import InputError
+from daq import InputError, read_bytes
 from daq.runs import RawRun, read_run, start_of
 from daq.timing import recorded_rig
 from experiments.console import progress, text_table
@@ -20,6 +20,8 @@ from experiments.reports.diagnosis_json import SCHEMA
 from experiments.reports.run_info import BOUND_S, clock_bound_s, lost_frames
 from experiments.reports.watch import WATCH_SCHEMA as WATCH
 
+MOST_BYTES = 1 << 26
+"""Of a JSON that is looked into."""
 RAIL_COUNTS = 32760
 """Of 16 bits: from here on a reading is at its rail."""
 
@@ -184,11 +186,11 @@ def _documents(folder: Path) -> list[tuple[Path, _Diagnosis | _Watch]]:
     found: list[tuple[float, Path, _Diagnosis | _Watch]] = []
     for path in folder.rglob("*.json"):
         try:
-            data = path.read_bytes()
+            data = read_bytes(path, MOST_BYTES)
             schema = msgspec.json.decode(data, type=_Any).schema
             document = msgspec.json.decode(data, type=_Watch) if schema == WATCH else \
                 msgspec.json.decode(data, type=_Diagnosis)
-        except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError):
+        except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError, InputError):
             continue
         if schema in (SCHEMA, WATCH):
             found.append((path.stat().st_mtime, path, document))
