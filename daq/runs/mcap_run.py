@@ -61,6 +61,8 @@ class RunWriter:
         self.messages = 0
         self.saved_ns = 0
         """Host time of the newest message that is on the disk [ns], all before it too; 0 before the first."""
+        self.failed = ""
+        """Why something could not be written; empty while all was."""
         self._newest_ns = 0
         self._handed_bytes = 0
         self._watch_due = 0.0
@@ -169,7 +171,8 @@ class RunWriter:
 
     def _refused(self, error: OSError) -> WorkError:
         kept = ", then repair the file with legid recover" if self.messages else ""
-        return WorkError(f"{self.path}: cannot be written ({error.strerror or error}); free space on the disk{kept}")
+        self.failed = f"{self.path}: cannot be written ({error.strerror or error}); free space on the disk{kept}"
+        return WorkError(self.failed)
 
     def close(self) -> None:
         """Finish the file: index, footer, disk; then see that it is there, whole. May be called twice.

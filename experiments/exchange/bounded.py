@@ -170,7 +170,8 @@ def _checked(imported: ImportedFile, path: Path) -> ImportedFile:
 def _packed(imported: ImportedFile) -> list[bytes]:
     """A line of JSON, and the numbers behind it."""
     head = _Head(imported.name, [_Table(list(t.columns), _rows(t), t.time_s is not None) for t in imported.tables],
-                 dict(imported.facts), dict(imported.left_out), [(w.place, w.column, w.why) for w in imported.wrong[:MOST_WRONG]])
+                 dict(imported.facts), dict(imported.left_out),
+                 [(w.place, w.column, w.why) for w in imported.wrong[:MOST_WRONG]])
     arrays = [array for table in imported.tables for array in
               (*table.columns.values(), *(() if table.time_s is None else (table.time_s,)))]
     return [_line(head), *(np.ascontiguousarray(a, dtype="<f8").tobytes() for a in arrays)]

@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from daq import InputError, read_bytes
 from daq.runs import RawRun, read_run, start_of
-from daq.timing import recorded_rig
+from daq.timing import find_clock_faults, recorded_rig
 from experiments.console import progress, text_table
 from experiments.reports.diagnosis_json import SCHEMA
 from experiments.reports.run_info import BOUND_S, clock_bound_s, lost_frames
@@ -70,6 +70,8 @@ class RunLine:
     imu_gaps: int = 0
     clipped: int = 0
     """IMU samples with an axis at its rail: the true reading is beyond."""
+    clock_faults: tuple[str, ...] = ()
+    """Steps, freezes and rate changes of the controller's clock."""
     ended: str = ""
     """Why the run ended early, or what is missing of its file; empty if nothing is known."""
     verdict: str | None = None
@@ -83,7 +85,7 @@ class RunLine:
     @property
     def faulty(self) -> bool:
         """Something was lost, or it ended early."""
-        return bool(self.frames_lost or self.imu_gaps or self.ended)
+        return bool(self.frames_lost or self.imu_gaps or self.clock_faults or self.ended)
 
     @property
     def flaws(self) -> tuple[str, ...]:
@@ -94,6 +96,7 @@ class RunLine:
             (f"{self.imu_gaps} gaps of the IMU", self.imu_gaps),
             (f"{self.frames_lost} frames lost", self.frames_lost),
             (f"{self.clipped} IMU samples at their rail", self.clipped),
+            (f"faults of the controller's clock: {'; '.join(self.clock_faults)}", self.clock_faults),
             (f"clock known to {(bound or 0.0) * 1e3:.1f} ms only", bound is not None and bound > BOUND_S)) if bad)
 
 
@@ -128,7 +131,8 @@ def runs_text(lines: Sequence[RunLine]) -> str:
     rows = [[line.file, f"{line.recorded:%Y-%m-%d %H:%M:%S}" if line.recorded else "-", f"{line.seconds:.1f}",
              line.model or "-", "-" if line.clock_bound_s is None else f"{line.clock_bound_s * 1e6:.0f}",
              str(line.frames_lost), str(line.imu_gaps), str(line.clipped),
-             " ".join([line.verdict or "-", *line.causes]), line.ended]
+             " ".join([line.verdict or "-", *line.causes]),
+             "; ".join(filter(None, [line.ended, "clock fault" * bool(line.clock_faults)]))]
             for line in lines]
     header = ["run", "recorded [UTC]", "seconds", "rig", "clock [us]", "lost", "gaps", "clipped", "verdict",
               "ended early"]
@@ -155,7 +159,8 @@ def _line(path: Path, folder: Path) -> RunLine:
     return RunLine(
         name, start_of(raw.facts), seconds, _model(raw),
         clock_bound_s(raw) if probes.size else None, lost_frames(telemetry) if telemetry.size else 0,
-        int(raw.streams["/imu"]["gap_before"].sum()), _clipped(raw), _ended(raw))
+        int(raw.streams["/imu"]["gap_before"].sum()), _clipped(raw),
+        tuple(find_clock_faults(raw)), _ended(raw))
 
 
 def _clipped(raw: RawRun) -> int:
