@@ -47,7 +47,7 @@ class TickWatch:
         self._least = self._sound = float("inf")
 
     def frame(self, frame: Telemetry, host_ns: int) -> str:
-        """What this sample says of the clock; empty where nothing is wrong."""
+        """A line on the clock by this sample; empty where nothing is wrong."""
         last, self._last = self._last, frame
         if last is None:
             return ""

@@ -27,7 +27,7 @@ from daq.errors import InputError, WorkError
 from daq.files import new_run
 from daq.findings import Damage
 from daq.runs.damage import damage_of, holes
-from daq.runs.mcap_scan import Scan
+from daq.runs.mcap_scan import SUM, Scan, sum_of
 from daq.runs.streams import CDR_HEADER, NOTE_SCHEMA, NOTE_TEXT, NOTE_TOPICS, STREAMS, Note, pack_note, read_notes
 
 FLUSH_MESSAGES = 75
@@ -86,7 +86,7 @@ class RunWriter:
     def _begin(self, files: Mapping[str, str], facts: Mapping[str, str]) -> None:
         """Everything that stands before the first message, onto the disk."""
         self._writer = new_writer(self._file)
-        self._writer.add_metadata(FACTS, {"format": "legid.run/1", "version": _version(), **facts})
+        _add_metadata(self._writer, FACTS, {"format": "legid.run/1", "version": _version(), **facts})
         for name, text in files.items():
             self._writer.add_attachment(time.time_ns(), time.time_ns(), name, "text/plain", text.encode())
         self._channels: dict[str, int] = {}
@@ -263,9 +263,9 @@ def read_run(path: Path | str) -> RawRun:
         elif isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Metadata) and record.name == FACTS:
-            facts.update(record.metadata)
+            facts.update(_entries(record))
         elif isinstance(record, Metadata) and record.name == RECOVERED:
-            lost += record.metadata.values()
+            lost += _entries(record).values()
         elif isinstance(record, Attachment):
             files[record.name] = record.data.decode("utf-8", "replace")
     streams = {topic: stream.unpack(payloads[topic]) for topic, stream in STREAMS.items()}
@@ -345,9 +345,18 @@ def recover(path: Path | str, out: Path | str) -> RecoverReport:
                 writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
         lost = holes(scan, messages)
         if lost:
-            writer.add_metadata(RECOVERED, {str(k): damage.text for k, damage in enumerate(lost)})
+            _add_metadata(writer, RECOVERED, {str(k): damage.text for k, damage in enumerate(lost)})
         writer.finish()  # type: ignore[no-untyped-call]
     return RecoverReport(messages, scan.damaged_chunks, scan.complete)
+
+
+def _add_metadata(writer: Writer, name: str, entries: Mapping[str, str]) -> None:
+    """A record of metadata with a check sum of its own."""
+    writer.add_metadata(name, {**entries, SUM: sum_of(name, entries)})
+
+
+def _entries(record: Metadata) -> dict[str, str]:
+    return {key: value for key, value in record.metadata.items() if key != SUM}
 
 
 def new_writer(file: BinaryIO) -> Writer:

@@ -40,17 +40,19 @@ class Piece(NamedTuple):
     probes: NDArray[np.intp]
 
 
-def signed_us(difference: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Differences of wrapped 32-bit ticks, of the sign that makes them smallest [us]."""
-    return np.asarray((difference + WRAP_US // 2) % WRAP_US - WRAP_US // 2)
+def signed_us(ticks: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(n - 1,) differences of (n,) wrapped 32-bit ticks, of the sign that makes them smallest [us]."""
+    half = WRAP_US // 2
+    return (ticks[1:] - ticks[:-1] + half) % WRAP_US - half
 
 
 def tick_steps(telemetry: NDArray[np.void]) -> tuple[NDArray[np.intp], FloatArray]:
     """Rows whose tick did not advance from the row before as the sequence did, and by how much too far [us]."""
     if telemetry.size < 2:
         return np.empty(0, np.intp), np.empty(0)
-    ticks = signed_us(np.diff(telemetry["tick_us"].astype(np.int64)))
-    ahead = np.diff(telemetry["seq"].astype(np.int64)) % 65536
+    ticks = signed_us(telemetry["tick_us"].astype(np.int64))
+    seq: NDArray[np.int64] = telemetry["seq"].astype(np.int64)
+    ahead = (seq[1:] - seq[:-1]) % 65536
     next_ones = ticks[(ahead == 1) & (ticks > 0)]
     if not next_ones.size:
         return np.empty(0, np.intp), np.empty(0)

@@ -56,7 +56,7 @@ class _Head(Struct):
 
 
 class Reader(NamedTuple):
-    """What reads one kind of file."""
+    """The function that reads one kind of file, and what it needs."""
 
     read: Callable[[Path], ImportedFile]
     kind: str = ""

@@ -19,8 +19,8 @@ from tests.support.nth_fault import DRIVES, FAULTS, SECONDS, Ended, strike
 DISK = ("write", "flush", "sync")
 TARGET_MS = 110.0
 EVIDENCE = (
-    Evidence("The Nth write, flush, sync, read or allocation of a recording fails", "make nth-fault", "nth-fault.md", 40,
-             f"zero torque within {TARGET_MS:g} ms, file readable to its last flush, cause named",
+    Evidence("The Nth write, flush, sync, read or allocation of a recording fails", "make nth-fault", "nth-fault.md",
+             180, f"zero torque within {TARGET_MS:g} ms, file readable to its last flush, cause named",
              (r"[\d,]+ faults", r"worst time to zero torque [\d.]+ ms", r"\d+ not named, \d+ not readable")),)
 
 
@@ -30,10 +30,11 @@ def page(found: Sequence[Ended], counts: dict[str, Counter[str]], every: int) ->
     unnamed, unreadable = sum(not one.named for one in found), sum(not one.readable for one in found)
     lines = [
         f"# Faults by counting, {datetime.now(UTC):%Y-%m-%d}", "",
-        f"By `make nth-fault`: a recording of {SECONDS:g} s on virtual time, its lead-in and end included, is forked at one "
-        "operation after the other. In the copy that operation fails, and the copy records to its end.", "",
-        f"- {len(found):,} faults: worst time to zero torque {worst:.2f} ms; {unnamed} not named, {unreadable} not readable "
-        "to the last flush.",
+        f"By `make nth-fault{f' EVERY={every}' * (every > 1)}`: a recording of {SECONDS:g} s on virtual time, its "
+        "lead-in and end included, is forked at one operation after the other. In the copy that operation fails, and "
+        "the copy records to its end.", "",
+        f"- {len(found):,} faults: worst time to zero torque {worst:.2f} ms; {unnamed} not named, {unreadable} not "
+        "readable to the last flush.",
         "- Every write, flush and sync of the file fails once. " + (
             "So does every read and allocation." if every == 1 else
             f"Of the reads and allocations (a message that finds no memory) every {every}th does."),
@@ -41,14 +42,16 @@ def page(found: Sequence[Ended], counts: dict[str, Counter[str]], every: int) ->
         "gone for good. `read of the IMU`: one I2C transfer without an acknowledge, which the driver may repeat.",
         "- A fault is named where the message holds its cause, or where the recording goes on because a read was "
         "repeated.", "",
-        "| drive | operation | how many | failed | went on | worst time to zero torque [ms] | not named | not readable |",
+        "| drive | operation | how many | failed | went on | worst time to zero torque [ms] | not named | "
+        "not readable |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |"]
     for drive, of in counts.items():
         for kind in FAULTS:
             mine = [one for one in found if one.drive == drive and one.kind == kind]
-            lines.append(f"| {drive} | {kind} | {of[kind]} | {len(mine)} | {sum(not one.said for one in mine)} | "
-                         f"{max((one.zero_ms for one in mine), default=0.0):.2f} | {sum(not one.named for one in mine)} | "
-                         f"{sum(not one.readable for one in mine)} |")
+            cells = (drive, kind, of[kind], len(mine), sum(not one.said for one in mine),
+                     f"{max((one.zero_ms for one in mine), default=0.0):.2f}", sum(not one.named for one in mine),
+                     sum(not one.readable for one in mine))
+            lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines) + "\n"
 
 

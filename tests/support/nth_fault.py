@@ -32,6 +32,10 @@ from tests.evidence.drive_faults import RIG as DRIVE_RIG
 from tests.evidence.drive_faults import DriveFaultBench
 from tests.support.fault_bench import RIG, FaultBench
 
+RECORDER: Any = recorder
+RUNS: Any = mcap_run
+SYSTEM: Any = os
+"""Modules of which a function is replaced."""
 DRIVES = ("legid", "moteus", "odrive", "dynamixel")
 SECONDS, AFTER_S = 2.0, 0.4
 EIO = OSError(errno.EIO, os.strerror(errno.EIO))
@@ -74,6 +78,7 @@ class NthBench:
         self._writer: RunWriter | None = None
         self._struck_ns = 0
         self._busy = False
+        self._controller: Any
         if drive == "legid":
             own = FaultBench(lambda bench: None, "never")
             self.clock, link, bus, self._controller = own.clock, own.link, own.bus, own.controller
@@ -151,15 +156,14 @@ class NthBench:
                 if not self._unflushed:
                     bench._flushed = self.messages
 
-        create, sync, whole = mcap_run._create, os.fdatasync, recorder.RunWriter
+        create, sync = mcap_run._create, os.fdatasync
 
         def synced(descriptor: int) -> None:
             self._operation("sync")
             sync(descriptor)
 
-        mcap_run._create = lambda path: CountedFile(create(path), self)  # type: ignore[assignment,return-value]
-        os.fdatasync = synced
-        recorder.RunWriter = Counted  # type: ignore[misc]
+        RUNS._create, SYSTEM.fdatasync = lambda path: CountedFile(create(path), self), synced
+        RECORDER.RunWriter = Counted
         try:
             recorder.record_run(self.path, parse_rig(self._text), self._text, plan, self._imu, self._controller,
                                 self.clock.now_ns, threaded=False)
@@ -168,7 +172,7 @@ class NthBench:
         except BaseException as error:
             said = f"internal error: {error!r}"
         finally:
-            mcap_run._create, os.fdatasync, recorder.RunWriter = create, sync, whole  # type: ignore[misc]
+            RUNS._create, SYSTEM.fdatasync, RECORDER.RunWriter = create, sync, RunWriter
         if self._child is not None:
             self._answer_and_end(said)
         if said:
