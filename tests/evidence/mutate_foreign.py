@@ -10,6 +10,7 @@ import io
 import json
 import pickle
 import sqlite3
+import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -80,7 +81,9 @@ def make_npz(rng: np.random.Generator, path: Path) -> None:
 def make_mat(rng: np.random.Generator, path: Path) -> None:
     from scipy.io import savemat
     try:
-        savemat(path, named(rng), do_compression=bool(rng.random() < 0.5), long_field_names=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of names that it leaves out
+            savemat(path, named(rng), do_compression=bool(rng.random() < 0.5), long_field_names=True)
     except Exception:  # a tree that the format does not know
         savemat(path, {"t": np.arange(60.0)})
 
@@ -131,11 +134,15 @@ def make_text(rng: np.random.Generator, path: Path) -> None:
 
 
 def make_can(rng: np.random.Generator, path: Path) -> None:
-    lines = []
+    """Frames of an ODrive; a few of other drives, lengths and kinds, and in a third of the files lines that are none."""
+    lines, odd = [], 0.1 if rng.random() < 0.3 else 0.0
     for k in range(int(2 ** rng.uniform(1, 8))):
-        data = rng.bytes(int(rng.integers(0, 65))).hex().upper()
-        number, mark = int(2 ** rng.uniform(0, 33)), str(rng.choice(["#", "##1", "#R", "##", ""]))
-        lines.append(f"({1e9 * rng.random() + k:.6f}) can{int(rng.integers(3))} {number:03X}{mark}{data}")
+        number = int(rng.choice([0x09, 0x14, 0x1C, 0x29, 0x10000])) if rng.random() < 0.9 else int(rng.integers(2**29))
+        size = 8 if rng.random() < 0.9 else int(rng.integers(0, 9))
+        mark = str(rng.choice(["##1", "#R", "##", ""])) if rng.random() < odd else "#"
+        code = f"{number:03X}" if number < 0x800 else f"{number:08X}"
+        data = rng.bytes(size).hex().upper()
+        lines.append(f"({1e9 + k * 0.01:.6f}) can{int(rng.integers(3))} {code}{mark}{data}")
     path.write_text("\n".join(lines) + "\n")
 
 
@@ -196,6 +203,8 @@ def foreign(folder: Path) -> dict[str, tuple[str, list[bytes], Callable[[Path], 
     run = Dataset("run", 10.0, t, {name: np.sin(t + k) for k, name in enumerate(
         ("q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2"))})
     bag = next(ros2_bag(run, folder / "bag", StoragePlugin.MCAP).glob("*.mcap"))
+    base = next(ros2_bag(run, folder / "base", StoragePlugin.SQLITE3).glob("*.db3"))
+    out["db3"] = (*out["db3"][:1], [base.read_bytes()], *out["db3"][2:])
     columns = map_text({"q2_rad": Column(name="knee", unit="deg")}).encode()
     out["torch"] = (".pt", [(folder / "w.pt").read_bytes()], read_imported, None)
     out["bag"] = (".mcap", [bag.read_bytes()], read_imported, None)
