@@ -13,7 +13,7 @@ KEEP   := PYTHONDONTWRITEBYTECODE=
 # Makes lock files and the bill of materials; apart, so that neither lists its own tools.
 TOOLS  := build/tools
 
-.PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults kills mutate coverage runs prior untuned \
+.PHONY: install demo drives test test-slow lint test-kernel soak live-soak fixtures faults nth-fault clock-faults attacks kills mutate coverage runs prior untuned \
 	table5 replication seven-links imu-links walker bench evidence port port-faults fuzz tutorial screenshots changed watch separate structure investigate payloads changed-families trust wheel arm64 \
 	lock sbom docs clean
 
@@ -83,6 +83,20 @@ drives: $(STAMP)
 faults: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence faults --out docs/evidence/faults.md
 
+# The Nth write, flush, sync, read and allocation of a recording fails, for every N, on four drives. EVERY=50: of reads and
+# allocations every 50th, ten minutes.
+EVERY ?= 1
+nth-fault: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence nth-fault --every $(EVERY) --out docs/evidence/nth-fault.md
+
+# The controller's clock steps, wraps, freezes or runs at another rate while a leg is recorded: ten minutes.
+clock-faults: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence clock-faults --out docs/evidence/clock-faults.md
+
+# Forty files made to hang, to fill the memory, to crash a reader or to lead elsewhere, through the commands.
+attacks: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence attacks --out docs/evidence/attacks.md
+
 # An hour and a half of real time: recordings killed at any moment, and others with a second process at their devices and file.
 # A fifth have ended before their kill. Called again it goes on where it stopped; after a change of the program give it a
 # new KILLS_OUT.
@@ -92,10 +106,10 @@ kills: $(STAMP)
 	mkdir -p $(dir $(KILLS_OUT))
 	$(BIN)/python -m tests.evidence kills --kills $(KILLS) --disturbed 1000 --keep $(KILLS_OUT) --out docs/evidence/kills.md
 
-# An hour or two: 10^5 broken files of each of five formats through their readers.
+# Files broken in bytes and in structure through every reader; MINUTES=20 ends it.
 FILES ?= 100000
 mutate: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence mutate --files $(FILES)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence mutate --files $(FILES) $(if $(MINUTES),--minutes $(MINUTES))
 
 # 200 fits a row take hours; FITS=10 RATES=100 a few minutes.
 FITS  ?= 200

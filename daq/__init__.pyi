@@ -5,6 +5,8 @@ from .errors import WorkError as WorkError
 from .errors import did_you_mean as did_you_mean
 from .files import check_place as check_place
 from .files import kind_of as kind_of
+from .files import open_regular as open_regular
+from .files import read_bytes as read_bytes
 from .files import replacing_anything as replacing_anything
 from .files import write_file as write_file
 from .findings import Damage as Damage
@@ -16,9 +18,11 @@ from .rig import Column as Column
 from .rig import Disturbance as Disturbance
 from .rig import Mechanism as Mechanism
 from .rig import Rig as Rig
+from .rig import RigFile as RigFile
 from .rig import joint_count as joint_count
 from .rig import load_rig as load_rig
 from .rig import parse_rig as parse_rig
+from .rig import read_rig_file as read_rig_file
 from .rig_devices import ControllerDevice as ControllerDevice
 from .rig_devices import Devices as Devices
 from .rig_devices import ImuDevice as ImuDevice
@@ -26,6 +30,8 @@ from .rig_devices import PivotDevice as PivotDevice
 from .rig_devices import ShuntDevice as ShuntDevice
 from .rig_limits import Limits as Limits
 from .rig_text import ASSUMED as ASSUMED
+from .rig_text import comment as comment
+from .rig_text import quoted as quoted
 from .rig_text import set_values as set_values
 from .rig_types import Matrix3 as Matrix3
 from .rig_types import Vector3 as Vector3

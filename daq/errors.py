@@ -12,8 +12,8 @@ class InputError(Exception):
     """Bad input: one line naming the file, the place and the remedy. The command line exits with 2."""
 
     def __init__(self, where: str, what: str, remedy: str = "") -> None:
-        where, what, remedy = (text if len(text) <= LONGEST else f"{text[:LONGEST]} ..." for text in
-                               (where, what, remedy))  # a file's own words may be of any length
+        where, what, remedy = (" ".join((text if len(text) <= LONGEST else f"{text[:LONGEST]} ...").splitlines())
+                               for text in (where, what, remedy))  # a file's own words may be of any length
         self.where, self.what, self.remedy = where, what, remedy
         line = f"{where}: {what}" if where else what
         super().__init__(f"{line}; {remedy}" if remedy else line)

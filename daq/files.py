@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,6 +23,8 @@ from daq.errors import InputError
 RUN = "run"
 """What `kind_of` calls a measurement."""
 PLAN_HEADER = "time_s,tau2_cmd_nm"
+MOST_BYTES = 1 << 29
+"""Of a file that is read whole: half a gigabyte."""
 HEAD, TAIL = 1 << 16, 1 << 16
 _RUN_MAGIC = (b"\x89MCAP0\r\n", b"MATLAB 5.0", b"\x89HDF\r\n\x1a\n", b"SQLite format 3\0", b"#ROSBAG")
 _GZIP, _PARQUET = b"\x1f\x8b", b"PAR1"
@@ -93,6 +96,38 @@ def new_run(path: Path | str) -> Iterator[BinaryIO]:
     except OSError as error:
         raise _refused(path, error) from None
     _sync_folder(path.parent)
+
+
+def open_regular(path: Path | str) -> BufferedReader:
+    """The file at `path`, open to read. Raises `InputError` for a pipe, a device or a folder, which may have no end;
+    `OSError` where there is nothing, or nothing may be read."""
+    _check_regular(path, os.stat(path).st_mode)  # before it is opened: opening a device can do something
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
+    file = os.fdopen(descriptor, "rb")
+    try:
+        _check_regular(path, os.fstat(descriptor).st_mode)  # of what is open now
+    except InputError:
+        file.close()
+        raise
+    return file
+
+
+def _check_regular(path: Path | str, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        raise InputError(str(path), "is a directory" if stat.S_ISDIR(mode) else "is no regular file",
+                         "give a file on a disk, no pipe and no device")
+
+
+def read_bytes(path: Path | str, most: int = MOST_BYTES) -> bytes:
+    """The whole content of the regular file at `path`. Raises `InputError` for more than `most` bytes, and like
+    `open_regular`."""
+    with open_regular(path) as file:
+        if os.fstat(file.fileno()).st_size > most:
+            raise InputError(str(path), f"holds more than {most / 1e6:g} MB", "give a smaller part of it")
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise InputError(str(path), f"holds more than {most / 1e6:g} MB", "give a smaller part of it")
+    return data
 
 
 def check_place(path: Path | str, kind: str) -> None:

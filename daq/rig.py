@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_type_hints
 
 import msgspec
 from msgspec import Meta, Struct, structs
 
 from daq.errors import InputError, did_you_mean
+from daq.files import read_bytes
 from daq.imu_mount import check_accelerometer, check_mount
 from daq.mechanisms import check_mechanism, joints_of
 from daq.rig_devices import NODES, Devices
@@ -30,6 +32,9 @@ from daq.rig_types import (
     Vector3,
 )
 from daq.servo import Servo, faults
+
+MOST_BYTES = 1 << 20
+"""Of a rig file."""
 
 
 class Mechanism(Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -228,14 +233,36 @@ def joint_count(mechanism: Mechanism) -> int:
 
 def load_rig(path: Path | str) -> Rig:
     """Read and check rig.toml. Raises `InputError` naming the file and the key."""
+    return read_rig_file(path).rig
+
+
+class RigFile(NamedTuple):
+    """A rig file as it was when it was read, once: its text and what it says belong together."""
+
+    path: Path
+    text: str
+    rig: Rig
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 sum of the text, in hexadecimal digits."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+
+def read_rig_file(path: Path | str, sha256: str = "") -> RigFile:
+    """The rig file at `path`. Raises `InputError` naming the file and the key, and where it is not the one with
+    `sha256` any more."""
     where = str(path)
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = read_bytes(path, MOST_BYTES).decode("utf-8")
     except OSError as error:
         raise InputError(where, error.strerror or str(error), "give the rig's TOML file with --rig") from None
     except UnicodeDecodeError:
         raise InputError(where, "is not UTF-8 text", "save the rig file as UTF-8") from None
-    return parse_rig(text, where)
+    file = RigFile(Path(path), text.replace("\r\n", "\n"), parse_rig(text, where))
+    if sha256 and file.sha256 != sha256:
+        raise InputError(where, "was edited after legid live had read it", "start legid live again")
+    return file
 
 
 def _suggestion(message: str) -> str:

@@ -12,6 +12,25 @@ from daq.rig import Rig, parse_rig
 
 ASSUMED = "ASSUMED, please measure"
 """What `legid init` writes behind a value that nobody gave; it goes when the value is set."""
+MOST_WORDS = 200
+"""Characters of somebody else's name that are written."""
+
+
+def comment(text: str) -> str:
+    """`text` as the words of a TOML comment: on one line, whatever name of a file or a link is in it."""
+    short = text if len(text) <= MOST_WORDS else f"{text[:MOST_WORDS]} ..."
+    return "".join(c if c.isprintable() else " " for c in short)
+
+
+def quoted(text: str) -> str:
+    """`text` as a TOML string."""
+    return f'"{"".join(map(_escaped, text))}"'
+
+
+def _escaped(char: str) -> str:
+    if char.isprintable() and char not in '"\\':
+        return char
+    return "?" if 0xD800 <= ord(char) < 0xE000 else f"\\U{ord(char):08x}"  # half of a character is none
 
 
 def set_values(text: str, tables: Mapping[str, Mapping[str, object]], where: str = "rig.toml") -> str:
@@ -88,4 +107,4 @@ def _inside_array(lines: list[str]) -> bool:
 def _toml(value: object) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_toml(item) for item in value) + "]"
-    return repr(value)
+    return quoted(value) if isinstance(value, str) else repr(value)

@@ -7,6 +7,7 @@ from .fitting.fit import fit as fit
 from .methods import METHODS as METHODS
 from .methods import Method as Method
 from .options import FitOptions as FitOptions
+from .parallel import SAFE_PATH as SAFE_PATH
 from .parallel import cores as cores
 from .parallel import worker_pool as worker_pool
 from .result import MOST_DISAGREEMENT as MOST_DISAGREEMENT

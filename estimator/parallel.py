@@ -7,13 +7,15 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+SAFE_PATH = {"PYTHONSAFEPATH": "1"}
+"""A new Python process with this imports nothing from the folder it is started in, which may be anybody's."""
 _work: Callable[[int], Any] | None = None
 """What a pool is for while it lasts: forked processes inherit it, for functions within functions cannot be sent."""
 
@@ -44,21 +46,39 @@ def parallel_map(work: Callable[[int], T], count: int, workers: int) -> list[T]:
 
 
 @contextmanager
-def worker_pool(workers: int, start: str | None = None) -> Iterator[ProcessPoolExecutor]:
+def worker_pool(workers: int, start: str | None = None, environment: Mapping[str, str] | None = None
+                ) -> Iterator[ProcessPoolExecutor]:
     """Processes that end with this one, however it ends, and leave the terminal's Ctrl-C to it.
 
     Left by an exception, Ctrl-C among them, what they are at is not waited for: they are killed. `start` is a start
-    method of `multiprocessing`, the platform's by default.
+    method of `multiprocessing`, the platform's by default. `environment` is added to theirs; they import nothing from
+    the folder they are started in.
     """
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context(start), _belong_to_parent)
+    with _environment(SAFE_PATH | dict(environment or {})):
+        pool = ProcessPoolExecutor(workers, multiprocessing.get_context(start), _belong_to_parent)
+        try:
+            yield pool
+        except BaseException:
+            for process in list((getattr(pool, "_processes", None) or {}).values()):  # kill_workers, of Python 3.14
+                process.kill()
+            raise
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _environment(added: Mapping[str, str]) -> Iterator[None]:
+    """Environment variables that new processes find when they start."""
+    before = {name: os.environ.get(name) for name in added}
+    os.environ.update(added)
     try:
-        yield pool
-    except BaseException:
-        for process in list((getattr(pool, "_processes", None) or {}).values()):  # kill_workers, of Python 3.14
-            process.kill()
-        raise
+        yield
     finally:
-        pool.shutdown(cancel_futures=True)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def _belong_to_parent() -> None:

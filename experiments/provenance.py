@@ -21,11 +21,14 @@ from typing import Literal
 import msgspec
 from msgspec import Struct
 
-from daq import InputError
+from daq import InputError, open_regular, read_bytes
 
 META = "legid-provenance"
 """Name of the element in a page's head that holds it as JSON."""
 GIT_TIMEOUT_S = 5.0
+MOST_BYTES = 1 << 28
+"""Of a document, which a page with its figures can be, too."""
+LONGEST_NAME = 255
 
 
 class Source(Struct, frozen=True, kw_only=True):
@@ -71,7 +74,7 @@ def origin_of(runs: Sequence[Path | str] = (), rig: Source | None = None, model:
 def source_of(path: Path | str) -> Source:
     """One file with its hash. Raises `InputError`."""
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             return Source(file=Path(path).name, sha256=hashlib.file_digest(file, "sha256").hexdigest())
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "give a file that can be read") from None
@@ -113,7 +116,7 @@ def read_origin(path: Path | str) -> Origin:
     """Origin of a document, a model or a report page. Raises `InputError` for a file that carries none."""
     where = str(path)
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = read_bytes(path, MOST_BYTES).decode("utf-8")
     except OSError as error:
         raise InputError(where, error.strerror or str(error), "give a JSON, model or report of legid") from None
     except UnicodeDecodeError:
@@ -137,20 +140,29 @@ class Checked:
     where: str = ""
 
 
-def verify(origin: Origin, folders: Sequence[Path]) -> list[Checked]:
-    """Every file of `origin` looked for by its name in `folders` and below them."""
+def verify(origin: Origin, folders: Sequence[Path], where: str = "provenance") -> list[Checked]:
+    """Every file of `origin` looked for by its name in `folders` and below them.
+
+    A link that leads out of its folder is not followed. Raises `InputError` for a source of the file `where` that has
+    no plain name.
+    """
+    for source in origin.sources:
+        name = source.inside or source.file
+        if not 0 < len(name) <= LONGEST_NAME or name != Path(name).name or not name.isprintable():
+            raise InputError(where, f"names {name[:40]!r}, which is no name of a file",
+                             "give a JSON, model or report of legid")
     return [_check(source, folders) for source in origin.sources]
 
 
 def _check(source: Source, folders: Sequence[Path]) -> Checked:
     from daq.runs import read_run
 
-    other = ""
+    other, name = "", source.inside or source.file
     for folder in folders:
-        for path in sorted(folder.rglob(source.inside or source.file)):
-            if not path.is_file():
+        for path in sorted(found for found in folder.rglob("*") if found.name == name):
+            if not path.resolve().is_relative_to(folder.resolve()):
                 continue
-            with suppress(InputError):
+            with suppress(InputError, OSError):
                 if source.inside:
                     text = read_run(path).files.get(source.file, "")
                     same = text_source(text, source.file, source.inside).sha256 == source.sha256

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.recording.tick_watch import TickWatch
 from daq.rig import Calibration
 from daq.si_units import imu_columns, joint_torque, knee_angle
 from drivers import (
@@ -85,6 +86,9 @@ class ControllerIntake:
         self._polled = controller.capabilities.polled
         self._waits: deque[int] = deque(maxlen=WAITS_KEPT)
         self._knee: deque[tuple[int, float]] = deque(maxlen=_KEPT)
+        self._ticks = TickWatch(self.hello.telemetry_hz)
+        self.clock_faults = 0
+        """Events of the controller's clock."""
 
     def poll(self) -> None:
         """One read of the link, everything in it stamped and written. Raises `LinkLost`."""
@@ -150,6 +154,8 @@ class ControllerIntake:
 
     def _on_telemetry(self, t: Telemetry, host_ns: int) -> None:
         self.telemetry = t
+        if not self._polled:
+            self._clock_event(self._ticks.frame(t, host_ns), host_ns)
         self.fresh.append((t, host_ns))
         with self._lock:
             self._knee.append((t.tick_us, knee_angle(t.knee_rad, self._calibration)))
@@ -174,13 +180,20 @@ class ControllerIntake:
             self._trips.append((host_rx_ns, host_rx_ns - host_tx_ns - turnaround_ns))
             while host_rx_ns - self._trips[0][0] > TRIPS_KEPT_NS:
                 self._trips.popleft()
+        self._clock_event(self._ticks.probe(host_tx_ns, host_rx_ns, pong.rx_tick_us, pong.tx_tick_us), host_rx_ns)
         self._sink.add("/leg/clock", host_rx_ns, host_tx_ns, host_rx_ns, pong.rx_tick_us, pong.tx_tick_us,
                        self.boot_id, pong.ping_id, sequence=pong.ping_id)
+
+    def _clock_event(self, what: str, host_ns: int) -> None:
+        if what:
+            self.clock_faults += 1
+            self._sink.event(host_ns, "clock", what)
 
     def _on_hello(self, hello: Hello, host_ns: int) -> None:
         if hello.boot_id == self.boot_id:
             return
         self.boot_id = hello.boot_id
+        self._ticks.restart()
         with self._lock:
             self._knee.clear()
             self._pings.clear()

@@ -110,8 +110,8 @@ class Recorder:
                 self._sink.config(self._now_ns(), "priority", msgspec.json.encode({"real_time": granted}).decode())
                 self._start_threads()
                 self._run(plan)
-        except (WorkError, DriverError, KeyboardInterrupt) as error:
-            why = "stopped by Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
+        except (WorkError, DriverError, KeyboardInterrupt, MemoryError) as error:
+            why = _words(error)
             kind = self._kind(error)
             busy = busy_words(self._load.stalled_s(self._now_ns()))
             if busy and kind in ("lost", "failed") and not isinstance(error, LOST):  # these are certain
@@ -246,6 +246,8 @@ class Recorder:
                 self._writer.event(self._now_ns(), f"limit {trip.limit}" if trip else "abort", f"{why}; {stopped}")
         finally:
             self._writer.close()
+        if self._writer.failed and not why:  # while the stop was being confirmed, when nothing may break that off
+            raise WorkError(self._writer.failed)
 
     # -- what goes on all the time -------------------------------------------------------------------------
 
@@ -378,10 +380,19 @@ def record_run(path: Path | str, rig: Rig, rig_text: str, plan: Plan, imu: Lsm9d
         if remark:
             writer.event(now_ns(), "remark", remark)
         recorder = Recorder(rig, imu, controller, writer, None, now_ns, threaded, progress, remote, sensors)
-    except BaseException:
+    except BaseException as error:
         writer.close()
+        if isinstance(error, MemoryError):
+            raise WorkError(_words(error)) from None
         raise
     return recorder.record(plan)  # which closes the file, whatever happens
+
+
+def _words(error: BaseException) -> str:
+    """What ended a recording."""
+    if isinstance(error, MemoryError):
+        return "no memory is left; close other programs"
+    return "stopped by Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
 
 
 class _Tripped(Exception):

@@ -17,7 +17,7 @@ import numpy as np
 
 from daq.dataset import Dataset, FloatArray
 from daq.errors import InputError
-from daq.files import write_file
+from daq.files import read_bytes, write_file
 from daq.rig import Rig
 from daq.runs.columns import known, missing
 
@@ -26,6 +26,7 @@ CLOCK_BOUND = "clock_bound_s"
 MOST, MOST_OF_OTHERS = 1e12, 1e100
 """Largest magnitude of a reading, and of what stands in a column of the user's own (counts, times since 1970 in ns)."""
 LEAST_STEP_S = 1e-9
+MOST_COLUMNS = 4096
 _GZIP_MAGIC = b"\x1f\x8b"
 SUFFIXES = (".csv", ".csv.gz")
 UNPACKED_BYTES, UNPACKED_RATIO = 16 << 20, 30
@@ -99,7 +100,7 @@ def _split(path: Path) -> tuple[str, str]:
     """Header line and the rest, as text with plain newlines."""
     where = str(path)
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         raise InputError(where, error.strerror or str(error), "give a readable CSV file") from None
     if not data:
@@ -131,6 +132,8 @@ def _header_names(path: Path, header: str) -> list[str]:
     names = [cell.strip() for cell in _cells(where, header)]
     if len(names) == 1 and any(mark in header for mark in ";\t"):
         raise InputError(where, "is not comma separated", "write the file with commas between columns")
+    if len(names) > MOST_COLUMNS:
+        raise InputError(where, f"names {len(names)} columns, {MOST_COLUMNS} are read", "keep those of the run alone")
     for name in names:
         if not name:
             raise InputError(where, "has an unnamed column", "name every column")

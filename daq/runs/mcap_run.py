@@ -27,7 +27,7 @@ from daq.errors import InputError, WorkError
 from daq.files import new_run
 from daq.findings import Damage
 from daq.runs.damage import damage_of, holes
-from daq.runs.mcap_scan import Scan
+from daq.runs.mcap_scan import SUM, Scan, sum_of
 from daq.runs.streams import CDR_HEADER, NOTE_SCHEMA, NOTE_TEXT, NOTE_TOPICS, STREAMS, Note, pack_note, read_notes
 
 FLUSH_MESSAGES = 75
@@ -42,6 +42,8 @@ FACTS = "legid"
 RECOVERED = "legid.recovered"
 """Of the one with what was missing within a run before `recover` made a clean file of it."""
 PROFILE = "ros2"
+MOST_DIGITS = 19
+"""Of nanoseconds since 1970, until the year 2286; a number of more is no time."""
 _GONE = "is not in its place any more; leave the file alone while it is recorded"
 
 
@@ -59,6 +61,8 @@ class RunWriter:
         self.messages = 0
         self.saved_ns = 0
         """Host time of the newest message that is on the disk [ns], all before it too; 0 before the first."""
+        self.failed = ""
+        """Why something could not be written; empty while all was."""
         self._newest_ns = 0
         self._handed_bytes = 0
         self._watch_due = 0.0
@@ -82,7 +86,7 @@ class RunWriter:
     def _begin(self, files: Mapping[str, str], facts: Mapping[str, str]) -> None:
         """Everything that stands before the first message, onto the disk."""
         self._writer = new_writer(self._file)
-        self._writer.add_metadata(FACTS, {"format": "legid.run/1", "version": _version(), **facts})
+        _add_metadata(self._writer, FACTS, {"format": "legid.run/1", "version": _version(), **facts})
         for name, text in files.items():
             self._writer.add_attachment(time.time_ns(), time.time_ns(), name, "text/plain", text.encode())
         self._channels: dict[str, int] = {}
@@ -167,7 +171,8 @@ class RunWriter:
 
     def _refused(self, error: OSError) -> WorkError:
         kept = ", then repair the file with legid recover" if self.messages else ""
-        return WorkError(f"{self.path}: cannot be written ({error.strerror or error}); free space on the disk{kept}")
+        self.failed = f"{self.path}: cannot be written ({error.strerror or error}); free space on the disk{kept}"
+        return WorkError(self.failed)
 
     def close(self) -> None:
         """Finish the file: index, footer, disk; then see that it is there, whole. May be called twice.
@@ -258,9 +263,9 @@ def read_run(path: Path | str) -> RawRun:
         elif isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Metadata) and record.name == FACTS:
-            facts.update(record.metadata)
+            facts.update(_entries(record))
         elif isinstance(record, Metadata) and record.name == RECOVERED:
-            lost += record.metadata.values()
+            lost += _entries(record).values()
         elif isinstance(record, Attachment):
             files[record.name] = record.data.decode("utf-8", "replace")
     streams = {topic: stream.unpack(payloads[topic]) for topic, stream in STREAMS.items()}
@@ -296,7 +301,8 @@ def started_at(path: Path | str) -> datetime | None:
 def start_of(facts: Mapping[str, str]) -> datetime | None:
     """When a recording with these `facts` began [UTC]."""
     started = facts.get("started_unix_ns", "")
-    return datetime.fromtimestamp(int(started) / 1e9, UTC) if started.isdecimal() else None
+    known = started.isascii() and started.isdecimal() and len(started) <= MOST_DIGITS
+    return datetime.fromtimestamp(int(started) / 1e9, UTC) if known else None
 
 
 @dataclass(frozen=True)
@@ -339,9 +345,18 @@ def recover(path: Path | str, out: Path | str) -> RecoverReport:
                 writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
         lost = holes(scan, messages)
         if lost:
-            writer.add_metadata(RECOVERED, {str(k): damage.text for k, damage in enumerate(lost)})
+            _add_metadata(writer, RECOVERED, {str(k): damage.text for k, damage in enumerate(lost)})
         writer.finish()  # type: ignore[no-untyped-call]
     return RecoverReport(messages, scan.damaged_chunks, scan.complete)
+
+
+def _add_metadata(writer: Writer, name: str, entries: Mapping[str, str]) -> None:
+    """A record of metadata with a check sum of its own."""
+    writer.add_metadata(name, {**entries, SUM: sum_of(name, entries)})
+
+
+def _entries(record: Metadata) -> dict[str, str]:
+    return {key: value for key, value in record.metadata.items() if key != SUM}
 
 
 def new_writer(file: BinaryIO) -> Writer:

@@ -6,10 +6,12 @@ for data and spends nine tenths of its time on message indices that a sequential
 
 from __future__ import annotations
 
+import json
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,12 +21,16 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from daq.errors import InputError
+from daq.files import open_regular
 
 WINDOW_BYTES = 1 << 27
+MOST_HEADER_BYTES = 1 << 20
+SUM = "crc32"
+"""Entry of a metadata record with its check sum, which MCAP has for chunks and attachments alone."""
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _KINDS: dict[int, Any] = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Channel, int(Opcode.ATTACHMENT): Attachment,
@@ -32,6 +38,22 @@ _KINDS: dict[int, Any] = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Chann
 UNPACKED_BYTES, UNPACKED_RATIO = 64 << 20, 20
 """A file's compressed chunks may unpack to so much, and so many times the file's own size more: readings of sensors
 pack to a half or a tenth, and what packs to a thousandth is made to fill the memory."""
+
+
+def sum_of(name: str, metadata: Mapping[str, str]) -> str:
+    """CRC-32 of a metadata record's name and entries but for its own, as 8 hexadecimal digits."""
+    entries = json.dumps([name, sorted((key, value) for key, value in metadata.items() if key != SUM)])
+    return f"{zlib.crc32(entries.encode()):08x}"
+
+
+def written_by(path: Path) -> str | None:
+    """The library that the file's MCAP header names; None where it has none that is whole."""
+    with suppress(OSError, InputError, struct.error, McapError, ValueError), open_regular(path) as file:
+        if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+            opcode, length = _RECORD.unpack(file.read(_RECORD.size))
+            if opcode == Opcode.HEADER and length <= MOST_HEADER_BYTES:
+                return Header.read(ReadDataStream(BytesIO(file.read(length)))).library
+    return None
 
 
 class Scan:
@@ -55,7 +77,7 @@ class Scan:
 
     def __iter__(self) -> Iterator[McapRecord]:
         try:
-            with open(self.path, "rb") as file:
+            with open_regular(self.path) as file:
                 size = os.fstat(file.fileno()).st_size
                 self._room = UNPACKED_BYTES + UNPACKED_RATIO * size
                 if size == 0:
@@ -84,6 +106,9 @@ class Scan:
                     for record in _parsed(opcode, content):
                         if isinstance(record, Attachment) and not _is_sound(content):
                             self.damaged_files.append(record.name)
+                        if isinstance(record, Metadata) and \
+                                record.metadata.get(SUM, "") not in ("", sum_of(record.name, record.metadata)):
+                            self.damaged_files.append(f"the metadata {record.name!r}")
                         yield record
             except (McapError, struct.error, ValueError, OverflowError):
                 return  # bytes that are no record: what came before is whole

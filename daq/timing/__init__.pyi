@@ -1,6 +1,7 @@
 from .align import Decoded as Decoded
 from .align import align as align
 from .align import decode as decode
+from .align import find_clock_faults as find_clock_faults
 from .align import is_polled as is_polled
 from .align import recorded_rig as recorded_rig
 from .clock import fit_answers as fit_answers

@@ -16,6 +16,7 @@ from daq.rig import Rig, parse_rig
 from daq.runs import MIN_SAMPLES, RawRun
 from daq.si_units import imu_columns, joint_torque, knee_angle
 from daq.timing.clock import ImuClock, TickClock, fit_answers, fit_samples, fit_ticks
+from daq.timing.clock_faults import LEAST_PROBES, LEAST_ROWS, Piece, contradicting, pieces_of
 from daq.timing.flags import flag_run
 from daq.timing.held_torque import split_torque
 from daq.timing.notes import configured, increasing, unusable
@@ -27,6 +28,8 @@ RAIL = 32_767
 LEAST_SHARE = 0.05
 """An axis of the chip with less in the link's plane than this has no part in what is fitted."""
 LEAST_IMU_HZ, MOST_IMU_HZ = 1.0, 1e5
+MOST_FAULTS = 4
+"""Faults of a clock that are named one by one."""
 MOST = 1e9
 """Largest magnitude of a reading [rad, N m, A, degC]; beyond it is a broken record."""
 
@@ -61,7 +64,8 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
         raise unusable(raw, f"holds {telemetry.size} telemetry samples, at least {MIN_SAMPLES} are needed")
     epoch_ns = int(telemetry["host_ns"][0])
     asked = is_polled(raw)
-    time_ns, clocks = _telemetry_times(raw, telemetry, epoch_ns, asked)
+    times = _telemetry_times(raw, telemetry, epoch_ns, asked)
+    time_ns, clocks = times.time_ns, times.clocks
     if asked:
         time_ns = np.where(_sure(raw, telemetry, rig), time_ns, np.nan)
     instant = configured(raw, "drive").get("current") == "instant"
@@ -70,7 +74,7 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
     if distance.size:
         channels.append(_distance_channel(distance, epoch_ns))
     bound_s, words = 0.0, {"controller clock": _clock_words(clocks, time_ns if asked else None)}
-    flagged: tuple[Flag, ...] = ()
+    flagged: tuple[Flag, ...] = tuple(_clock_flag(times))
     if raw.streams["/pivot"].size:
         pivot, late_s = pivot_channel(raw, rig, epoch_ns)
         channels = [TimedColumns(c.time_s, {n: v for n, v in c.columns.items() if n != "q1_rad"}) for c in channels]
@@ -84,7 +88,7 @@ def decode(raw: RawRun, rig: Rig) -> Decoded:
         clock = fit_samples(samples, epoch_ns)
         bound_s = clock.bound_s + max(other.bound_s for other in clocks)
         channels.append(_imu_channel(raw, samples, clock, rig))
-        flagged = tuple(flag_run(raw, rig, configured(raw, "imu")))
+        flagged = (*flagged, *flag_run(raw, rig, configured(raw, "imu")))
         words["IMU clock"] = f"{clock.rate_hz:.3f} Hz, within {clock.bound_s * 1e6:.0f} us"
     if any(channel.time_s.size < 2 for channel in channels):
         raise unusable(raw, "is too short for its clocks to be put together")
@@ -132,25 +136,68 @@ def is_polled(raw: RawRun) -> bool:
     return configured(raw, "drive").get("polled") is True
 
 
-def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int,
-                     asked: bool) -> tuple[FloatArray, list[TickClock]]:
-    """Host times [ns after epoch] of telemetry ticks, NaN for a boot without probes; one clock a boot."""
+class _Times(NamedTuple):
+    """Host times of telemetry."""
+
+    time_ns: FloatArray
+    """(n,) [ns after epoch], NaN for samples that cannot be timed."""
+    clocks: list[TickClock]
+    """One a boot, and one a piece between faults of the clock."""
+    faults: list[str]
+    """Faults of the clock, in words."""
+
+
+def _telemetry_times(raw: RawRun, telemetry: NDArray[np.void], epoch_ns: int, asked: bool) -> _Times:
     probes = raw.streams["/leg/clock"]
     time_ns = np.full(telemetry.shape, np.nan)
     arrived = (telemetry["host_ns"] - epoch_ns).astype(float)
-    clocks = []
+    clocks: list[TickClock] = []
+    faults: list[str] = []
     fit = fit_answers if asked else fit_ticks
     for boot in np.unique(telemetry["boot_id"]):
-        mine = probes[probes["boot_id"] == boot]
+        mine, rows = probes[probes["boot_id"] == boot], np.flatnonzero(telemetry["boot_id"] == boot)
         if mine.size == 0:
             continue
-        clock = fit(mine, epoch_ns)
-        rows = telemetry["boot_id"] == boot
-        time_ns[rows] = clock.host_ns(telemetry["tick_us"][rows], arrived[rows])
-        clocks.append(clock)
+        pieces, found = [Piece(np.arange(rows.size), np.arange(mine.size))], list[str]()
+        if not asked:
+            pieces, found = pieces_of(telemetry[rows], mine, epoch_ns)
+        pieces = [Piece(rows[piece.rows], piece.probes) for piece in pieces]
+        faults += found
+        number, bound_ns = np.zeros(telemetry.size, np.int64), 0.0
+        for k, piece in enumerate(pieces):
+            if len(pieces) > 1 and (piece.rows.size < LEAST_ROWS or piece.probes.size < LEAST_PROBES):
+                continue
+            clock = fit(mine[piece.probes], epoch_ns)
+            time_ns[piece.rows] = clock.host_ns(telemetry["tick_us"][piece.rows], arrived[piece.rows])
+            number[piece.rows], bound_ns = k, max(bound_ns, 1e9 * clock.bound_s)
+            clocks.append(clock)
+        if not asked:
+            wrong = contradicting(arrived[rows], time_ns[rows], number[rows], bound_ns)
+            time_ns[rows[wrong]] = np.nan
+            faults += ["telemetry and probes contradict each other"] * bool(wrong.any() and not found)
     if not clocks:
         raise unusable(raw, "holds no clock probe, so its clocks cannot be put together")
-    return time_ns, clocks
+    return _Times(time_ns, clocks, faults)
+
+
+def find_clock_faults(raw: RawRun) -> list[str]:
+    """Faults of the controller's clock in words; empty for none, and for a run that cannot be timed at all."""
+    telemetry = raw.streams["/leg/telemetry"]
+    try:
+        return _telemetry_times(raw, telemetry, int(telemetry["host_ns"][0]), False).faults \
+            if telemetry.size and not is_polled(raw) else []
+    except InputError:
+        return []
+
+
+def _clock_flag(times: _Times) -> list[Flag]:
+    """One where the controller's clock failed, with what became of the samples."""
+    if not times.faults:
+        return []
+    lost, all_ = int(np.isnan(times.time_ns).sum()), times.time_ns.size
+    done = f"{lost} of {all_} samples are set aside" if lost else "corrected by the clock probes"
+    more = f" and {len(times.faults) - MOST_FAULTS} more" * (len(times.faults) > MOST_FAULTS)
+    return [Flag("clock", f"the controller's clock failed: {'; '.join(times.faults[:MOST_FAULTS])}{more}; {done}")]
 
 
 def _sure(raw: RawRun, telemetry: NDArray[np.void], rig: Rig) -> NDArray[np.bool_]:

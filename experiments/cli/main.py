@@ -138,6 +138,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Whoever read the output has left (`legid info x | head`); nothing may be flushed into the pipe now.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except MemoryError:
+        return _fail(name, "no memory is left; close other programs, or give less at a time", 1)
     except Exception as error:
         if os.environ.get(TRACEBACK):
             raise

@@ -12,50 +12,53 @@ import json
 import pickle
 import zipfile
 from collections.abc import Callable
+from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
-from daq import InputError
+from daq import InputError, read_bytes
 from experiments.exchange.imported import ImportedFile, by_length
 from experiments.exchange.nested import vectors
 
 SUFFIXES = (".npz", ".npy", ".pt", ".pth", ".pkl", ".pickle", ".json", ".h5", ".hdf5")
-MOST_PARTS = 1_000_000
-"""Containers in one file; a pickle of a hundred bytes can hold more."""
+MOST_PARTS, DEEPEST = 100_000, 64
+"""Containers in one file, and within each other; a pickle of a hundred bytes can hold more."""
+MOST_BYTES = 1 << 29
+"""Of one dataset, which can be declared and not be there."""
 STORAGES = {"DoubleStorage": "f8", "FloatStorage": "f4", "HalfStorage": "f2", "LongStorage": "i8", "IntStorage": "i4",
             "ShortStorage": "i2", "CharStorage": "i1", "ByteStorage": "u1", "BoolStorage": "?"}
 """PyTorch's names of the kinds of numbers."""
 
 
 def read_archive(path: Path) -> ImportedFile:
-    """Vectors of a file that its name's ending says the kind of, called as in `nested`. Raises `InputError`."""
+    """Vectors of a file that its name's ending says the kind of, called as in `nested`. Raises `InputError`, and what
+    the kind's library raises."""
     name = path.name.lower()
     read, joint = next((how for suffixes, how in _READERS if name.endswith(suffixes)), (_json, "."))
     try:
         columns = dict(vectors(read(path), joint=joint))
-    except InputError:
-        raise
     except ImportError:
         raise InputError(str(path), "needs the package h5py", 'install it: pip install "legid[hdf5]"') from None
-    except Exception as error:  # readers raise what their format makes of a damaged file
-        raise InputError(str(path), f"cannot be read as {path.suffix} ({type(error).__name__}: {error})",
-                         "give a whole file") from None
     return ImportedFile(path.name, by_length(columns))
 
 
 def _numpy(path: Path) -> Any:
     found = np.load(path, allow_pickle=False)
-    return {"column": found} if isinstance(found, np.ndarray) else {name: found[name] for name in found.files}
+    if isinstance(found, np.ndarray):
+        return {"column": found}
+    if len(found.files) > MOST_PARTS:
+        raise ValueError(f"more than {MOST_PARTS} arrays")
+    return {name: found[name] for name in found.files}
 
 
 def _json(path: Path) -> Any:
-    return json.loads(path.read_bytes())
+    return json.loads(read_bytes(path))
 
 
 def _pickle(path: Path) -> Any:
-    return _plain(_Machine(io.BytesIO(path.read_bytes()), {}).load())
+    return _plain(_Machine(io.BytesIO(read_bytes(path)), {}).load())
 
 
 def _torch(path: Path) -> Any:
@@ -69,18 +72,44 @@ def _torch(path: Path) -> Any:
 
 
 def _hdf5(path: Path) -> Any:
+    """Groups and datasets, each once. Soft links are not followed: what they lead to is read at its own place."""
     import h5py  # type: ignore[import-untyped,import-not-found,unused-ignore]
 
-    def content(item: Any) -> Any:
+    seen: set[int] = set()
+
+    def refuse(name: str) -> NoReturn:
+        raise InputError(f"{path}, {name}", "is kept in another file", "copy it into this file, as h5repack does")
+
+    def content(item: Any, depth: int) -> Any:
+        known = h5py.h5o.get_info(item.id).addr
+        if known in seen:
+            return None
+        seen.add(known)
+        if len(seen) > MOST_PARTS or depth > DEEPEST:
+            raise ValueError(f"more than {MOST_PARTS} parts, or {DEEPEST} levels")
         if isinstance(item, h5py.Group):
-            return {name: content(inner) for name, inner in item.items() if not name.startswith("#")}
+            return {name: content(item[name], depth + 1) for name in item if not name.startswith("#")
+                    and inside(item, name)}
+        return dataset(item, depth) if isinstance(item, h5py.Dataset) else None
+
+    def inside(group: Any, name: str) -> bool:
+        link = group.get(name, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            refuse(f"{group.name.rstrip('/')}/{name}")
+        return isinstance(link, h5py.HardLink)
+
+    def dataset(item: Any, depth: int) -> Any:
+        if item.external or item.is_virtual:
+            refuse(item.name)
+        if item.size and item.size * max(item.dtype.itemsize, 1) > MOST_BYTES:
+            raise InputError(f"{path}, {item.name}", f"declares {item.size:.3g} values", "give a smaller part of it")
         values = item[()]
         if isinstance(values, np.ndarray) and values.dtype == h5py.ref_dtype:
-            return [content(file[one]) for one in values.ravel()]  # cells, as MATLAB 7.3 keeps them
+            return [content(file[one], depth + 1) for one in values.ravel() if one]  # cells, as MATLAB 7.3 keeps them
         return values
 
     with h5py.File(path, "r") as file:
-        return content(file)
+        return content(file, 0)
 
 
 class _Inert:
@@ -138,7 +167,7 @@ class _Array:
 
 def _from_buffer(data: Any, kind: _Dtype, shape: Any, order: str = "C") -> _Array:
     array = _Array()
-    array.state = (1, shape, kind, order == "F", bytes(data))
+    array.state = (1, shape, kind, order == "F", _bytes(data))
     return array
 
 
@@ -147,7 +176,11 @@ def _scalar(kind: _Dtype, data: Any = b"") -> Any:
 
 
 def _bytes(data: Any) -> bytes:
-    return data.encode("latin1") if isinstance(data, str) else bytes(data)
+    if isinstance(data, str):
+        return data.encode("latin1")
+    if not isinstance(data, bytes | bytearray):  # a number would be a count of zeros
+        raise ValueError("an array without its bytes")
+    return bytes(data)
 
 
 def _encode(text: str, code: str = "latin1") -> bytes:
@@ -157,6 +190,8 @@ def _encode(text: str, code: str = "latin1") -> bytes:
 def _tensor(storage: Any, offset: int, size: Any, stride: Any, *_: Any) -> np.ndarray:
     """(size) of a storage's numbers; NumPy refuses what does not lie within."""
     width = storage.itemsize
+    if prod(size) > storage.size:
+        raise ValueError("a tensor of more numbers than it holds")
     return np.ndarray(tuple(size), storage.dtype, storage.data, offset * width, [s * width for s in stride])
 
 
@@ -193,18 +228,18 @@ def _plain(value: Any) -> Any:
     """`value` of mappings, lists and arrays alone."""
     left = MOST_PARTS
 
-    def walk(item: Any) -> Any:
+    def walk(item: Any, depth: int = 0) -> Any:
         nonlocal left
         if isinstance(item, int | float | str | bytes | np.ndarray | None):
             return item
         left -= 1
-        if left < 0:
-            raise ValueError(f"more than {MOST_PARTS} parts")
+        if left < 0 or depth > DEEPEST:
+            raise ValueError(f"more than {MOST_PARTS} parts, or {DEEPEST} levels")
         if isinstance(item, _Array):
-            return walk(item.plain)
+            return walk(item.plain, depth + 1)
         if isinstance(item, dict):
-            return {key: walk(inner) for key, inner in item.items()}
-        return [walk(inner) for inner in item] if isinstance(item, list | tuple) else None
+            return {key: walk(inner, depth + 1) for key, inner in item.items()}
+        return [walk(inner, depth + 1) for inner in item] if isinstance(item, list | tuple) else None
 
     return walk(value)
 

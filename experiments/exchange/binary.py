@@ -18,7 +18,7 @@ OWN_FACTS = ("rate_hz", "clock_bound_s")
 
 
 def read_mat(path: Path) -> ImportedFile:
-    """Vectors of a .mat file, called as in `nested`. Raises `InputError`."""
+    """Vectors of a .mat file, called as in `nested`. Raises `InputError`, and what SciPy raises."""
     from scipy.io import loadmat
 
     try:
@@ -27,8 +27,6 @@ def read_mat(path: Path) -> ImportedFile:
             content = loadmat(str(path), simplify_cells=True)
     except NotImplementedError:  # version 7.3
         return read_archive(path)
-    except Exception as error:
-        raise InputError(str(path), f"cannot be read as a MATLAB file ({error})", "give a whole .mat file") from None
     columns = dict(vectors({k: v for k, v in content.items() if not k.startswith("__")}))
     facts = {name: repr(float(content[name])) for name in OWN_FACTS if np.ndim(content.get(name, [])) == 0}
     facts |= {"run": str(content["run"])} if isinstance(content.get("run"), str) else {}
@@ -38,15 +36,13 @@ def read_mat(path: Path) -> ImportedFile:
 
 
 def read_parquet(path: Path) -> ImportedFile:
-    """Columns of numbers of a Parquet file; null is NaN. Raises `InputError`."""
+    """Columns of numbers of a Parquet file; null is NaN. Raises `InputError`, and what PyArrow raises."""
     try:
-        from pyarrow import parquet
+        from pyarrow import parquet, set_memory_pool, system_memory_pool
     except ImportError:
         raise InputError(str(path), "needs the package pyarrow", 'install it: pip install "legid[parquet]"') from None
-    try:
-        table = parquet.read_table(str(path))
-    except Exception as error:
-        raise InputError(str(path), f"cannot be read as Parquet ({error})", "give a whole Parquet file") from None
+    set_memory_pool(system_memory_pool())  # another reserves more than the reader's bound before it reads
+    table = parquet.read_table(str(path), use_threads=False)
     columns: dict[str, FloatArray] = {}
     for name in table.column_names:
         numbers = as_floats(table[name].to_numpy())

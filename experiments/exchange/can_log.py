@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq import InputError
+from daq import InputError, open_regular
 from experiments.exchange.imported import ImportedFile, Table
 
 SUFFIXES = (".asc", ".blf", ".trc")
@@ -38,28 +38,25 @@ REPLY, NOP = 0x20, 0x50
 def is_candump(path: Path) -> bool:
     """A text that begins as `candump -l` writes: (time) interface identifier#data."""
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             head = file.readline(200)
-    except OSError:
+    except (OSError, InputError):
         return False
     return head.startswith(b"(") and b"#" in head and b")" in head
 
 
 def read_can_log(path: Path) -> ImportedFile:
-    """One table a node and message, `odrive0/pos_estimate [turn]`, times from the log's first. Raises `InputError`."""
+    """One table a node and message, `odrive0/pos_estimate [turn]`, times from the log's first. Raises `InputError`,
+    and what python-can raises for a damaged line."""
     import can
 
     tables: dict[tuple[str, int], list[tuple[float, tuple[float, ...]]]] = defaultdict(list)
-    try:
-        with can.LogReader(path) as log:
-            for message in log:
-                if message.is_error_frame or message.is_remote_frame:
-                    continue
-                for key, values in _decoded(message.arbitration_id, bytes(message.data), bool(message.is_fd)):
-                    tables[key].append((message.timestamp, values))
-    except Exception as error:  # readers raise what their format makes of a damaged line
-        raise InputError(str(path), f"cannot be read as a CAN log ({type(error).__name__}: {error})",
-                         "give a whole log of candump, or .asc, .blf, .trc") from None
+    with can.LogReader(path) as log:
+        for message in log:
+            if message.is_error_frame or message.is_remote_frame:
+                continue
+            for key, values in _decoded(message.arbitration_id, bytes(message.data), bool(message.is_fd)):
+                tables[key].append((message.timestamp, values))
     if not tables:
         raise InputError(str(path), "holds no message of an ODrive or a moteus with an angle, a current or a torque",
                          "log the bus while the drive reports")

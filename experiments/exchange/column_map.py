@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import Column, Dataset, Flag, FloatArray, InputError
+from daq import Column, Dataset, Flag, FloatArray, InputError, comment, quoted, read_bytes
 from daq.runs import MIN_SAMPLES, MOST, is_contract_column
 from daq.timing import TimedColumns, align_channels
 from experiments.exchange.expression import ANY, names_in, with_computed
@@ -30,6 +30,8 @@ MOST_REPEATED = 0.01
 """Share of rows whose time does not increase that is left out in silence."""
 MOST_TOLD = 4
 """Wrong rows that are named one by one."""
+MOST_BYTES = 1 << 20
+"""Of a map of columns."""
 Key = tuple[int, float]
 
 
@@ -37,11 +39,11 @@ def load_map(path: Path | str) -> dict[str, Column]:
     """The map in a COLUMNS.toml, or in the `[columns]` of a rig file. Raises `InputError` naming file and key."""
     where = str(path)
     try:
-        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        document = tomllib.loads(read_bytes(path, MOST_BYTES).decode("utf-8"))
         return check_map(msgspec.convert(document.get("columns", {}), dict[str, Column]), where)
     except OSError as error:
         raise InputError(where, error.strerror or str(error), "give the map, or let --guess write it") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(where, f"not valid TOML: {error}", "correct that line") from None
     except msgspec.ValidationError as error:
         raise InputError(where, str(error).replace("`$", "`columns"), "see docs/exchange.md") from None
@@ -67,12 +69,13 @@ def map_text(columns: ColumnMap, notes: Mapping[str, str] | None = None) -> str:
     parts = ["# Which column of a file is which of a run: value = sign * scale * unit * reading + offset, and a",
              "# reading is stamped `delay` seconds late. For legid import --map, or in a rig.toml for all.", ""]
     for name, column in columns.items():
-        parts += [f"# {line}" for line in (notes or {}).get(name, "").splitlines()]
+        parts += [f"# {comment(line)}" for line in (notes or {}).get(name, "").splitlines()]
         parts.append(f"[columns.{name}]")
         for key in column.__struct_fields__:
             value = getattr(column, key)
             if key == "name" or value != getattr(blank, key):
-                parts.append(f"{key} = {msgspec.json.encode(value).decode()}")
+                written = quoted(value) if isinstance(value, str) else msgspec.json.encode(value).decode()
+                parts.append(f"{key} = {written}")
         parts.append("")
     return "\n".join(parts)
 
@@ -88,7 +91,7 @@ def guess_text(columns: ColumnMap, notes: Mapping[str, str]) -> str:
 
 def is_guess(path: Path) -> bool:
     """The file is a map that a guess wrote, and nobody has changed it since."""
-    head, _, text = path.read_bytes().partition(b"\n")
+    head, _, text = read_bytes(path, MOST_BYTES).partition(b"\n")
     return head == f"{MARK}{crc32(text):08x}".encode()
 
 

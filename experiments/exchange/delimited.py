@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq import FloatArray, InputError
+from daq import FloatArray, InputError, read_bytes
 from experiments.exchange.imported import ImportedFile, Table, Wrong
 from experiments.exchange.units import UNITS
 
 SEPARATORS = (",", ";", "\t", "|", " ")
-SNIFFED_LINES = 200
+SNIFFED_LINES, MOST_COLUMNS = 200, 4096
 MOST_WRONG = 0.05
 """Share of rows that may hold a word where a number belongs; a column with more is one of words."""
 BLANK = {"", "nan", "na", "n/a", "null", "none", "-"}
@@ -44,7 +44,7 @@ def read_delimited(path: Path) -> ImportedFile:
     dialect = _sniff(lines)
     if dialect is None:
         raise InputError(str(path), "holds no table of numbers",
-                         "give a text file with a header line and one row a sample")
+                         f"give a text file with a header line, at most {MOST_COLUMNS} columns and one row a sample")
     names = _names(lines, dialect)
     columns: list[list[float]] = [[] for _ in names]
     bad: dict[int, list[Wrong]] = defaultdict(list)
@@ -72,12 +72,10 @@ def read_delimited(path: Path) -> ImportedFile:
 
 
 def _lines(path: Path) -> list[str]:
-    try:
-        data = path.read_bytes()
-        if path.suffix == ".gz":
-            data = gzip.decompress(data)
-    except (OSError, EOFError) as error:
-        raise InputError(str(path), str(error), "give a readable file") from None
+    """Lines of the file, unpacked. Raises `OSError` and what gzip raises."""
+    data = read_bytes(path)
+    if path.suffix == ".gz":
+        data = gzip.decompress(data)
     for encoding in ("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", "cp1252", "latin-1"):
         try:
             return data.decode(encoding).replace("\r\n", "\n").replace("\r", "\n").split("\n")
@@ -127,18 +125,21 @@ def _block(lines: list[str], separator: str, decimal: str) -> tuple[Dialect, int
     for k, line in enumerate(lines):
         if line.strip():
             try:
-                rows.append((k, [_number(cell, decimal) for cell in _split(line, separator)]))
+                cells = _split(line, separator)
+                if len(cells) > MOST_COLUMNS:
+                    return None
+                rows.append((k, [_number(cell, decimal) for cell in cells]))
             except csv.Error:
                 return None
     numbers = [sum(value is not None and math.isfinite(value) for value in row) for _, row in rows]
     begin = len(rows)
-    cells = len(rows[-1][1]) if rows else 0
-    while begin > 0 and numbers[begin - 1] >= 1 and len(rows[begin - 1][1]) >= cells > 1 \
-            and sum(value is None for value in rows[begin - 1][1]) <= cells // 2:
+    width = len(rows[-1][1]) if rows else 0
+    while begin > 0 and numbers[begin - 1] >= 1 and len(rows[begin - 1][1]) >= width > 1 \
+            and sum(value is None for value in rows[begin - 1][1]) <= width // 2:
         begin -= 1
     if len(rows) - begin < 2:
         return None
-    return Dialect(separator, decimal, rows[begin][0], cells), sum(numbers[begin:])
+    return Dialect(separator, decimal, rows[begin][0], width), sum(numbers[begin:])
 
 
 def _names(lines: list[str], dialect: Dialect) -> list[str]:
@@ -154,11 +155,14 @@ def _names(lines: list[str], dialect: Dialect) -> list[str]:
     names = heads[-1]
     if len(heads) > 1 and all(_bare(cell) in _UNIT_WORDS or not cell for cell in names):
         names = [f"{name} [{_bare(unit)}]" if unit else name for name, unit in zip(heads[-2], names)]
-    out: list[str] = []
+    out: dict[str, None] = {}
     for name, number in zip(names, plain):
         name = name or number
-        out.append(name if name not in out else f"{name} ({number})")
-    return out
+        name = name if name not in out else f"{name} ({number})"
+        while name in out:
+            name += "'"
+        out[name] = None
+    return list(out)
 
 
 def _bare(cell: str) -> str:

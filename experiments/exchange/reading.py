@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import struct
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from daq import Column, Dataset, InputError, Rig, load_rig
-from daq.runs import SUFFIXES, missing, read_csv
+from daq import Column, Dataset, InputError, Rig, load_rig, open_regular
+from daq.runs import SUFFIXES, missing, read_csv, written_by
 from daq.timing import align_table
 from experiments.exchange.archives import SUFFIXES as ARCHIVES
 from experiments.exchange.archives import read_archive
 from experiments.exchange.binary import read_mat, read_parquet
+from experiments.exchange.bounded import Reader, read_bounded
 from experiments.exchange.can_log import SUFFIXES as CAN_LOGS
 from experiments.exchange.can_log import is_candump, read_can_log
 from experiments.exchange.column_map import ColumnMap, applies, apply_map, check_map, identity
@@ -39,24 +40,38 @@ SOME_KINDS = (".mcap, .csv, .csv.gz, .txt, .tsv, .parquet, .mat, .npz, .npy, .h5
               "folder, or a CAN log (.log, .asc, .blf)")
 
 
+_BAG = Reader(read_bag, "a ROS bag", "rosbags.highlevel")
+_READERS: tuple[tuple[tuple[str, ...], Reader], ...] = (
+    ((".mcap", ".db3", ".bag"), _BAG), ((".mat",), Reader(read_mat, "a MATLAB file", "scipy.io")),
+    ((".h5", ".hdf5"), Reader(read_archive, library="h5py")), (ARCHIVES, Reader(read_archive)),
+    ((".parquet",), Reader(read_parquet, "Parquet", "pyarrow.parquet")),
+    (CAN_LOGS, Reader(read_can_log, "a CAN log", "can")), (TEXT, Reader(read_delimited, "a table of text")))
+"""Ending of the name -> what reads it."""
+
+
 def read_imported(path: Path | str) -> ImportedFile:
-    """The samples of a file of any program, by its name's ending. Raises `InputError`."""
+    """The samples of a file of any program, by its name's ending. Raises `InputError`, beyond the bounds of memory and
+    time that a file has, too."""
     path, name = Path(path), str(path).lower()
-    if not path.exists():
-        raise InputError(str(path), "No such file or directory", "give a file that is there")
-    if path.is_dir() or name.endswith((".mcap", ".db3", ".bag")):
-        return read_bag(path)
-    if name.endswith(".mat"):
-        return read_mat(path)
-    if name.endswith(ARCHIVES):
-        return read_archive(path)
-    if name.endswith(".parquet"):
-        return read_parquet(path)
-    if name.endswith(CAN_LOGS) or (name.endswith(".log") and is_candump(path)):
-        return read_can_log(path)
-    if name.endswith(TEXT):
-        return read_delimited(path)
-    raise InputError(str(path), "is of no kind that is known", f"give {SOME_KINDS}")
+    try:
+        if path.is_dir():
+            inside = [inner for inner in path.rglob("*") if not inner.is_dir()]
+            return read_bounded(_BAG, path, sum(map(_size, inside)))
+        size = _size(path)
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "give a file that is there") from None
+    reader = next((reader for endings, reader in _READERS if name.endswith(endings)), None)
+    if name.endswith(".log") and is_candump(path):
+        reader = Reader(read_can_log, "a CAN log", "can")
+    if reader is None:
+        raise InputError(str(path), "is of no kind that is known", f"give {SOME_KINDS}")
+    return read_bounded(reader, path, size)
+
+
+def _size(path: Path) -> int:
+    """Bytes of a regular file. Raises `InputError` for any other, `OSError` for none."""
+    with open_regular(path) as file:
+        return os.fstat(file.fileno()).st_size
 
 
 def is_native(path: Path | str) -> bool:
@@ -66,16 +81,8 @@ def is_native(path: Path | str) -> bool:
     """
     if not str(path).lower().endswith(".mcap") or Path(path).is_dir():
         return False
-    from mcap.exceptions import McapError
-    from mcap.records import Header
-    from mcap.stream_reader import StreamReader
-
-    try:
-        with open(path, "rb") as file:
-            header = next(StreamReader(file).records)
-    except (OSError, McapError, StopIteration, struct.error):
-        return True
-    return not isinstance(header, Header) or header.library.startswith(NATIVE)
+    library = written_by(Path(path))
+    return library is None or library.startswith(NATIVE)
 
 
 def load_any_run(path: Path | str, rig: Rig, rate_hz: float | None = None) -> Dataset:

@@ -25,7 +25,8 @@ LONGEST = 64
 
 
 def read_bag(path: Path) -> ImportedFile:
-    """One table a topic. `path` is a bag's folder, or its .mcap, .db3 or .bag file. Raises `InputError`."""
+    """One table a topic. `path` is a bag's folder, or its .mcap, .db3 or .bag file. Raises `InputError`, and what
+    the library raises for a file that is damaged or of another kind."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -33,15 +34,11 @@ def read_bag(path: Path) -> ImportedFile:
         raise InputError(str(path), "needs the package rosbags", 'install it: pip install "legid[ros]"') from None
     rows: dict[str, list[dict[str, float]]] = defaultdict(list)
     times: dict[str, list[int]] = defaultdict(list)
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            for connection, received_ns, data in reader.messages():
-                message = reader.deserialize(data, connection.msgtype)
-                rows[connection.topic].append(dict(_numbers(message, connection.topic)))
-                times[connection.topic].append(_stamp_ns(message) or received_ns)
-    except Exception as error:  # the library raises many kinds for files that are damaged or of another kind
-        raise InputError(str(path), f"cannot be read as a ROS bag ({type(error).__name__}: {error})",
-                         "give a bag's folder, or its whole .mcap or .db3 file") from None
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        for connection, received_ns, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            rows[connection.topic].append(dict(_numbers(message, connection.topic)))
+            times[connection.topic].append(_stamp_ns(message) or received_ns)
     if not times:
         raise InputError(str(path), "holds no message", "record again")
     first = min(min(stamps) for stamps in times.values())

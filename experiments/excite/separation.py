@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 from scipy.special import logsumexp, ndtri
 
-from daq import Dataset, FloatArray, InputError, WorkError
+from daq import Dataset, FloatArray, InputError, WorkError, read_bytes
 from estimator import FitError, FitOptions
 from estimator.change import known_reference, score_run
 from estimator.effects import Effect, placed
@@ -124,7 +124,7 @@ def question_of(path: Path | str) -> Question:
     """The rivals of a diagnosis JSON. Raises `InputError` where it leaves nothing to separate."""
     where = str(path)
     try:
-        found = msgspec.json.decode(Path(path).read_bytes())
+        found = msgspec.json.decode(read_bytes(path))
     except OSError as error:
         raise InputError(where, error.strerror or str(error), REMEDY) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from daq import FloatArray, InputError, WorkError
+from daq import FloatArray, InputError, WorkError, read_bytes
 from daq.recording import write_plan
 from estimator import CAUSED
 from estimator.effects import Effect, PlanKind
@@ -82,7 +82,7 @@ def next_choice(path: Path | str) -> Choice:
     """The kinds that the causes of a diagnosis call for. Raises `InputError` where the file is no diagnosis."""
     where = str(path)
     try:
-        found = msgspec.json.decode(Path(path).read_bytes())
+        found = msgspec.json.decode(read_bytes(path))
     except OSError as error:
         raise InputError(where, error.strerror or str(error), "give the JSON of legid diagnose") from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):

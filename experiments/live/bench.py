@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import stat
 import time
 from collections.abc import Coroutine, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daq import InputError, Rig
+from daq import InputError, RigFile
 from daq.recording import read_plan
 from experiments.live.jobs import Job, Kind, past_jobs
 from experiments.live.quality import Quality, look_at
@@ -38,10 +40,11 @@ class PlanChoice:
 class Bench:
     """One rig, one folder of plans, one of runs."""
 
-    def __init__(self, path: Path, rig: Rig, plans: Path, out: Path) -> None:
-        self.path, self.rig, self.out = path, rig, out
-        self.session = Session(path, out)
-        self.jobs: list[Job] = past_jobs(path, out)[:JOBS_KEPT]
+    def __init__(self, file: RigFile, plans: Path, out: Path) -> None:
+        self.path, self.rig, self.out = file.path, file.rig, out
+        self._sha256 = file.sha256
+        self.session = Session(file.path, out, file.sha256)
+        self.jobs: list[Job] = past_jobs(file.path, out)[:JOBS_KEPT]
         self.quality: dict[Path, Quality] = {}
         """What is known of runs by now; `look_at_runs` finds out."""
         self.marks: tuple[Mark, ...] = ()
@@ -64,17 +67,24 @@ class Bench:
 
     def _scan(self) -> list[PlanChoice]:
         found = []
-        for path in sorted(self._plans_folder.glob("*.csv"), key=lambda p: (len(p.name), p.name)):
+        named = (path for path in self._plans_folder.glob("*.csv") if _is_text(path.name))
+        for path in sorted(named, key=lambda p: (len(p.name), p.name)):
             try:
                 plan = read_plan(path)
-            except (InputError, ValueError):
+            except (InputError, ValueError, OSError):
                 continue
             found.append(PlanChoice(path, plan.duration_s, plan.peak_nm))
         return found
 
     def runs(self) -> list[Path]:
-        """Recorded runs, newest first."""
-        return sorted(self.out.glob("*.mcap"), key=lambda p: p.stat().st_mtime, reverse=True)[:RUNS_SHOWN]
+        """Recorded runs, newest first; what is no file, or goes while it is looked at, is none."""
+        found = []
+        for path in self.out.glob("*.mcap"):
+            with suppress(OSError):
+                status = path.stat()
+                if stat.S_ISREG(status.st_mode) and _is_text(path.name):
+                    found.append((status.st_mtime, path))
+        return [path for _, path in sorted(found, reverse=True)[:RUNS_SHOWN]]
 
     def look_at_runs(self) -> None:
         """Have every run looked at that was not yet: one after the other, each by a process behind everything else."""
@@ -105,7 +115,10 @@ class Bench:
             for path in paths:
                 if self.session.running:
                     return
-                self.quality[path] = await look_at(path)
+                try:
+                    self.quality[path] = await look_at(path)
+                except OSError as error:
+                    self.quality[path] = Quality(False, f"could not be looked at: {error}")
         finally:
             if self._looking is asyncio.current_task():
                 self._looking = None
@@ -141,14 +154,17 @@ class Bench:
         """Start a job unless something else is on."""
         if self.why_not():
             return
-        job = Job(kind, self.path, runs, self.out)
+        job = Job(kind, self.path, runs, self.out, self._sha256)
         self.jobs = [job, *self.jobs][:JOBS_KEPT]
         self._keep(job.run())
 
     def report(self, name: str) -> Path | None:
-        """A report page of the runs' folder by its file name."""
+        """A report page of the runs' folder by its file name; a link is none: it may lead out of the folder."""
         path = self.out / name
-        return path if path.parent == self.out and path.suffix == ".html" and path.is_file() else None
+        with suppress(OSError, ValueError):
+            if path.parent == self.out and path.suffix == ".html" and stat.S_ISREG(path.lstat().st_mode):
+                return path
+        return None
 
     async def close(self) -> None:
         """Stop the recorder, end the job."""
@@ -156,3 +172,8 @@ class Bench:
         if self.busy is not None:
             self.busy.cancel()
         await self.session.close()
+
+
+def _is_text(name: str) -> bool:
+    """The name can be sent to a browser."""
+    return name.isprintable()

@@ -9,8 +9,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
+from estimator import SAFE_PATH
+
 ROOT = Path(__file__).parents[2]
 NICE = 5
+
+
+def command(arguments: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """(arguments, environment) of `legid ARGUMENTS` as a process: it imports nothing from the folder it is started
+    in, which may be anybody's."""
+    path = os.pathsep.join([str(ROOT), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))])
+    return ([sys.executable, "-P", "-m", "experiments.cli", *arguments],
+            os.environ | SAFE_PATH | {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1"})
 
 
 async def start(arguments: Sequence[str], *, pass_fds: Sequence[int] = (), stderr: int | IO[bytes] | None = None,
@@ -20,11 +30,10 @@ async def start(arguments: Sequence[str], *, pass_fds: Sequence[int] = (), stder
 
     `nice` puts it behind everything else on the machine, a recorder above all.
     """
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    words, environment = command(arguments)
     child = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "experiments.cli", *arguments, stdin=asyncio.subprocess.DEVNULL, stdout=stdout,
-        stderr=asyncio.subprocess.PIPE if stderr is None else stderr, pass_fds=pass_fds, start_new_session=True,
-        env=os.environ | {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1"})
+        *words, stdin=asyncio.subprocess.DEVNULL, stdout=stdout, env=environment,
+        stderr=asyncio.subprocess.PIPE if stderr is None else stderr, pass_fds=pass_fds, start_new_session=True)
     if nice:
         os.setpriority(os.PRIO_PROCESS, child.pid, NICE)
     return child

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import select
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from daq import WorkError
 from experiments.emulation import DEFAULT
-from experiments.live.children import ROOT
+from experiments.live.children import command
 
 STARTED_S = 30.0
 
@@ -20,11 +18,10 @@ STARTED_S = 30.0
 @contextmanager
 def started_demo_rig(folder: Path, drive: str = "legid") -> Iterator[Path]:
     """The rig file of an emulated rig with this `drive`, while it is served. Raises `WorkError` where none starts."""
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
-    child = subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli", "emulate", "--out", str(folder), "--effect", DEFAULT,
-         "--drive", drive, "--until-eof"],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, env=os.environ | {"PYTHONPATH": path})
+    words, environment = command(["emulate", "--out", str(folder), "--effect", DEFAULT, "--drive", drive,
+                                  "--until-eof"])
+    child = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
+                             env=environment)
     assert child.stdin is not None and child.stdout is not None
     try:
         ready, _, _ = select.select([child.stdout], [], [], STARTED_S)

@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from daq import InputError, read_bytes
 from experiments.live import children
 
 Kind = Literal["fit", "diagnose", "doctor", "clear"]
@@ -25,7 +26,7 @@ _BAR = re.compile(r"^(?P<what>.*?)\s+(?P<percent>\d{1,3})%\|")
 class Job:
     """One command. `progress` and `verdict` are for a person; `report` is the page it wrote."""
 
-    def __init__(self, kind: Kind, rig: Path, runs: Sequence[Path], out: Path) -> None:
+    def __init__(self, kind: Kind, rig: Path, runs: Sequence[Path], out: Path, rig_sha256: str = "") -> None:
         self.kind, self.runs = kind, list(runs)
         self.state: Literal["running", "done", "failed"] = "running"
         self.progress = "starting"
@@ -43,7 +44,7 @@ class Job:
         self._child: asyncio.subprocess.Process | None = None
         stem = out / f"{'diagnosis' if kind == 'diagnose' else kind}-{datetime.now():%Y%m%d-%H%M%S}"
         if self.on_devices:
-            self._arguments = ["doctor", "--rig", str(rig), "--out", str(out)]
+            self._arguments = ["doctor", "--rig", str(rig), "--rig-sha256", rig_sha256, "--out", str(out)]
             self._arguments += ["--clear-faults"] if kind == "clear" else []
         else:
             self._arguments = [kind, *map(str, runs), "--rig", str(rig)]
@@ -68,7 +69,21 @@ class Job:
         return (time.monotonic() - self._began_s) if self._took_s is None else self._took_s
 
     async def run(self) -> None:
-        """Run to its end. Its progress bar is drawn on a pseudo-terminal and read from there."""
+        """Run to its end; one that cannot even be started has failed, and says why."""
+        try:
+            code, output, said = await self._command()
+            self.lines = output.strip().splitlines()
+            self.verdict = self._judge(code, said)
+            if self._json is not None and self._page.exists():
+                self.report = self._page
+        except Exception as error:
+            code, self.verdict = 1, f"could not be run: {error}"
+        self._took_s = time.monotonic() - self._began_s
+        self.state = "done" if code == 0 else "failed"
+
+    async def _command(self) -> tuple[int, str, str]:
+        """(exit status, standard output, last words). The progress bar is drawn on a pseudo-terminal and read from
+        there."""
         near, far = os.openpty()
         try:
             termios.tcsetwinsize(far, (24, 100))
@@ -85,12 +100,7 @@ class Job:
             self._read(near, said, None)
         finally:
             os.close(near)
-        self._took_s = time.monotonic() - self._began_s
-        self.lines = output.strip().splitlines()
-        self.state = "done" if code == 0 else "failed"
-        self.verdict = self._judge(code, said.line)
-        if self._json is not None and self._page.exists():
-            self.report = self._page
+        return code, output, said.line
 
     def cancel(self) -> None:
         """End it early."""
@@ -164,8 +174,8 @@ def past_jobs(rig: Path, out: Path) -> list[Job]:
                                                 ("diagnose", "diagnosis", "legid.diagnosis/1"))
     for kind, stem, schema in kinds:
         for path in out.glob(f"{stem}-*.json"):
-            with suppress(OSError, ValueError, KeyError, TypeError, msgspec.MsgspecError):
-                document = msgspec.json.decode(path.read_bytes(), type=_Past)
+            with suppress(OSError, ValueError, KeyError, TypeError, RecursionError, msgspec.MsgspecError, InputError):
+                document = msgspec.json.decode(read_bytes(path), type=_Past)
                 if document.schema == schema:
                     runs = [out / source.file for source in document.provenance.runs]
                     found.append((path.stat().st_mtime, Job.past(kind, rig, path, runs)))

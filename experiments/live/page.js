@@ -2,7 +2,7 @@
 (() => {
   const WINDOW_S = 20, ACK_MS = 1000, STALE_MS = 2000, HERE_MS = 250;
   const by = (id) => document.getElementById(id);
-  let running = false, latched = false, run = -1, lastShown = 0, rows = [], due = false, pressed = 0;
+  let running = false, latched = false, run = -1, lastShown = 0, lastHeard = performance.now(), rows = [], due = false, pressed = 0;
 
   const keyboard = !matchMedia("(pointer: coarse)").matches;
 
@@ -32,8 +32,29 @@
     }
   }
 
+  // -- Stop is always there; Release where the emergency stop is latched. Neither waits for the rest of the page
+  function control(s) {
+    lastHeard = performance.now();
+    running = s.running;
+    latched = s.latched;
+    if (by("release")) by("release").hidden = !latched || running;
+  }
+
   // -- a page in front of somebody says so: a run that nobody watches stops
-  setInterval(() => { if (!document.hidden) fetch("/here", { method: "POST" }).catch(() => {}); }, HERE_MS);
+  setInterval(async () => {
+    if (document.hidden) return;
+    try { control(await (await fetch("/here", { method: "POST" })).json()); } catch { /* `cut` says it */ }
+  }, HERE_MS);
+
+  async function stop() {
+    try {
+      const answer = await fetch("/stop", { method: "POST", keepalive: true, signal: AbortSignal.timeout(ACK_MS) });
+      if (!answer.ok) throw new Error(answer.status);
+    } catch {
+      by("estop-said").className = "said failed";
+      put(by("estop-said"), "Stop NOT SENT. Use the switch on the rig!");
+    }
+  }
 
   // -- emergency stop: a plain request, independent of the page's socket and of the plots
   async function emergency() {
@@ -53,7 +74,8 @@
   }
 
   function keyed(event) {
-    if (event.repeat || !running) return;
+    const unclear = performance.now() - lastHeard >= STALE_MS;
+    if (event.repeat || !(running || unclear)) return;
     const typing = event.target.matches?.("input:not([type=checkbox]), textarea, select");
     if (event.key === "Escape" || (event.key === " " && !typing)) {
       event.preventDefault();
@@ -67,13 +89,12 @@
   document.addEventListener("click", (event) => {
     if (event.target.closest?.("#estop")) emergency();
     if (event.target.closest?.("#release")) release();
+    if (event.target.closest?.("#stop")) stop();
   }, true);
 
   // -- readings
   function show(s) {
     lastShown = performance.now();
-    running = s.running;
-    latched = s.latched;
     const state = by("state");
     if (state.dataset.tone !== s.tone) state.dataset.tone = s.tone;
     if (by("drive").dataset.drive !== s.drive) by("drive").dataset.drive = s.drive;
@@ -180,5 +201,5 @@
   }
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", paint);
 
-  window.legid = { show, paint };
+  window.legid = { control, show, paint };
 })();

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
@@ -26,6 +27,11 @@ CUT = ("No connection to legid live: the values shown are old, and the emergency
        "switch on the rig.")
 
 
+STOP = '<button id="stop" type="button" class="live-button">Stop</button>'
+RELEASE = '<button id="release" type="button" class="live-button" hidden>Release the emergency stop</button>'
+"""Plain buttons, like the emergency stop: page.js sends their requests. Stop is enabled in every state."""
+
+
 class Page:
     """Built once for each browser; afterwards only what changed is sent."""
 
@@ -34,6 +40,8 @@ class Page:
         self._run = -1
         self._shown_rows = 0
         self._drawn = (-1, Phase.IDLE, False, "")
+        self._failed: dict[str, str] = {}
+        """Part of the page that could not be drawn the last time -> why."""
         self._checked: dict[Path, bool] = {}
         self._judged = 0
         self._listed: list[tuple[Path, Quality | None]] = []
@@ -48,14 +56,10 @@ class Page:
         ui.add_body_html(f"{ESTOP}<script>{(here / 'page.js').read_text(encoding='utf-8')}</script>")
         self._top()
         with ui.element("main").classes("live-grid"):
-            with ui.element("div").classes("live-column"):
-                self._experiment()
-                self._devices()
-                self._limits()
-            with ui.element("div").classes("live-column"):
-                self._plots()
-                self._watch()
-                self._analysis()
+            for parts in ((self._experiment, self._devices, self._limits), (self._plots, self._watch, self._analysis)):
+                with ui.element("div").classes("live-column"):
+                    for part in parts:
+                        self._attempt(part.__name__.strip("_"), part)
         self._client = ui.context.client
         self._client.run_javascript("legid.paint()")
         ui.timer(SHOW_EVERY_S, self._tick)
@@ -71,6 +75,8 @@ class Page:
                   '<span class="shape" aria-hidden="true"></span><span id="drive-words">NOT DRIVEN</span></div>'
                   '<div class="state-words"><span id="phase">Idle</span> '
                   f'<span id="words"></span></div></div><div id="cut" role="alert" hidden>{CUT}</div>')
+            self._trouble = ui.label().classes("trouble").props('role="alert"')
+            self._trouble.set_visibility(False)
 
     def _experiment(self) -> None:
         with _card("Experiment"):
@@ -79,8 +85,8 @@ class Page:
             self._plan.value = next(iter(self._plan.options), None)
             with ui.element("div").classes("live-buttons"):
                 self._start = _button("Start", self._on_start, "start", "go")
-                self._stop = _button("Stop", lambda: self._session.stop(), "stop")
-                self._release = _button("Release the emergency stop", None, "release")
+                for button in STOP, RELEASE:
+                    _html(button)
             self._unattended = ui.checkbox("Continue when no page is open (nobody watches the leg)").props(
                 "for=unattended")
             _html('<progress id="progress" max="1" value="0" aria-label="share of the plan that is done"></progress>'
@@ -144,26 +150,52 @@ class Page:
             self._unattended.value = False  # for this run, not for the next
 
     def _tick(self) -> None:
+        """What stops and releases first."""
+        self._client.run_javascript(f"legid.control({msgspec.json.encode(self._session.control).decode()})")
+        for name, part in (("buttons", self._enable_buttons), ("readings", self._show),
+                           ("list of runs", self._follow_runs), ("chart over the weeks", self._follow_watch),
+                           ("list of jobs", self._draw_jobs)):
+            self._attempt(name, part)
+
+    def _attempt(self, name: str, draw: Callable[[], None]) -> None:
+        """Draw a part of the page. One that fails, by whatever file or disk, is named and keeps no other from being
+        drawn."""
+        try:
+            draw()
+        except Exception as error:
+            self._failed[name] = str(error)
+        else:
+            self._failed.pop(name, None)
+        words = "; ".join(f"{part}: {why}" for part, why in self._failed.items())
+        self._trouble.set_text(f"Not shown: {words}")
+        self._trouble.set_visibility(bool(words))
+
+    def _show(self) -> None:
         session = self._session
         if session.run_number != self._run:
             self._run, self._shown_rows = session.run_number, 0
         document = readings(session, self._bench.rig, self._shown_rows)
         self._shown_rows = session.rows_seen
         self._client.run_javascript(f"legid.show({msgspec.json.encode(document).decode()})")
+
+    def _follow_runs(self) -> None:
+        session = self._session
         drawn = (session.run_number, session.phase, session.latched, self._bench.why_not())
         if drawn != self._drawn:
+            if session.phase is Phase.FINISHED:
+                self._next_plan()
+            self._draw_runs()
             self._drawn = drawn
-            self._draw_controls()
         self._bench.look_at_runs()
         if len(self._bench.quality) != self._judged:
             self._judged = len(self._bench.quality)
             self._draw_runs()
-            self._enable_analysis()
+
+    def _follow_watch(self) -> None:
         self._bench.look_for_marks()
         if self._bench.marks != self._marks:
             self._marks = self._bench.marks
             self._draw_watch()
-        self._draw_jobs()
 
     def _draw_watch(self) -> None:
         self._watch_card.set_visibility(bool(self._marks))
@@ -171,20 +203,12 @@ class Page:
             self._watch_chart.set_content(draw_marks(self._marks))
             self._watch_words.set_text(explain_marks(self._marks))
 
-    def _draw_controls(self) -> None:
-        session, why_not = self._session, self._bench.why_not()
-        if session.phase is Phase.FINISHED:
-            self._next_plan()
-        self._draw_runs()
+    def _enable_buttons(self) -> None:
+        """By what is in memory alone."""
+        why_not, chosen = self._bench.why_not(), len(self._chosen())
         self._start.set_enabled(not self._bench.why_not_record() and self._plan.value is not None)
-        self._stop.set_enabled(session.running and session.phase is not Phase.STOPPING)
-        self._release.set_visibility(session.latched and not session.running)
         self._doctor.set_enabled(not why_not)
         self._clear.set_enabled(not why_not)
-        self._enable_analysis()
-
-    def _enable_analysis(self) -> None:
-        why_not, chosen = self._bench.why_not(), len(self._chosen())
         self._fit.set_enabled(not why_not and chosen > 0)
         self._diagnose.set_enabled(not why_not and chosen > 0)
         count = f"{chosen} run{'s' * (chosen != 1)} chosen." if chosen else "Choose the runs to fit or diagnose."
@@ -196,7 +220,6 @@ class Page:
         labels = self._plan_labels()
         chosen = self._plan.value if self._plan.value in labels else next(iter(labels), None)
         self._plan.set_options(labels, value=chosen)
-        self._draw_controls()
 
     def _next_plan(self) -> None:
         """The first plan that this session has not recorded to its end."""
@@ -220,7 +243,6 @@ class Page:
         listed = [(path, known.get(path)) for path in runs]
         if listed == self._listed:
             return
-        self._listed = listed
         self._runs_box.clear()
         with self._runs_box:
             for path, quality in listed:
@@ -229,11 +251,11 @@ class Page:
                             on_change=lambda e, p=path: self._check(p, e.value))
                 look, words = _judgement(quality)
                 _html(f'<div class="quality {look}" id="{html.escape(anchor(path.name))}">{html.escape(words)}</div>')
+        self._listed = listed
 
     def _check(self, path: Path, chosen: bool) -> None:
         self._checked[path] = chosen
         self._touched.add(path)
-        self._enable_analysis()
 
     def _chosen(self) -> list[Path]:
         """Oldest first, as a diagnosis wants them."""

@@ -15,7 +15,7 @@ from fastapi import FastAPI, HTTPException, Request
 from fastapi.responses import FileResponse
 from nicegui import ui
 
-from daq import InputError, Rig
+from daq import InputError, RigFile
 from experiments.live.access import SANDBOX, Access, is_loopback, new_token
 from experiments.live.bench import Bench
 from experiments.live.page import Page
@@ -28,15 +28,15 @@ WHO = "x-legid-who"
 """Header with the random name that a browser gave itself: another browser cannot release its emergency stop."""
 
 
-def serve(path: Path, rig: Rig, plans: Path, out: Path, host: str, port: int, with_token: bool = False) -> None:
-    """Serve the dashboard of the rig at `path` until a signal. Raises `InputError` when the port cannot be had.
+def serve(rig: RigFile, plans: Path, out: Path, host: str, port: int, with_token: bool = False) -> None:
+    """Serve the dashboard of the rig until a signal. Raises `InputError` when the port cannot be had.
 
     A token is asked for on any host but this machine's own, and there with `with_token`.
     """
     listener = listen(host, port)
     bound = listener.getsockname()[1]
     token = new_token() if with_token or not is_loopback(host) else None
-    bench = Bench(path, rig, plans, out)
+    bench = Bench(rig, plans, out)
     app = Access(build_app(bench), token, bound)
     config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=LEAVE_S, ws_ping_interval=5.0)
     where = _address(host) + f":{bound}/" + (f"?token={token}" if token else "")
@@ -79,10 +79,17 @@ def build_app(bench: Bench) -> FastAPI:
             raise HTTPException(403, "only who pressed the emergency stop, or somebody at the machine, can release it")
         return {"phase": bench.session.phase.value}
 
-    @app.post("/here", status_code=204)
-    async def here() -> None:
-        """A page that somebody can see says so, four times a second."""
+    @app.post("/stop")
+    async def stop() -> dict[str, str]:
+        """A controlled stop, by a plain request like the emergency stop."""
+        bench.session.stop()
+        return {"phase": bench.session.phase.value}
+
+    @app.post("/here")
+    async def here() -> dict[str, bool]:
+        """A page that somebody can see says so, four times a second, and hears which buttons it needs."""
         bench.session.page_heard()
+        return bench.session.control
 
     @app.get("/report/{name}")
     async def report(name: str) -> FileResponse:

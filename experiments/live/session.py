@@ -55,8 +55,10 @@ READY = "No recording is running."
 class Session:
     """The recorder's other end. Belongs to one event loop; pages read its fields."""
 
-    def __init__(self, rig: Path, out: Path) -> None:
+    def __init__(self, rig: Path, out: Path, rig_sha256: str = "") -> None:
         self.rig, self.out = rig, out
+        self._rig_sha256 = rig_sha256
+        """Of the rig file as this program has read it: a recorder refuses another."""
         self.phase = Phase.IDLE
         self.words = READY
         """One line next to the phase."""
@@ -96,6 +98,11 @@ class Session:
         return bool(self._pressed_by)
 
     @property
+    def control(self) -> dict[str, bool]:
+        """State of the buttons that stop and release, for page.js."""
+        return {"running": self.running, "latched": self.latched}
+
+    @property
     def flaw(self) -> str:
         """Losses of the current or last run; empty without any."""
         s = self.status
@@ -124,33 +131,47 @@ class Session:
         self.run_number += 1
         stamp = f"{datetime.now():%Y%m%d-%H%M%S}"
         path = self.run_path = self.out / f"run-{stamp}-{plan.stem}.mcap"
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        ours.setblocking(False)
-        with theirs:
-            arguments = ["record", "--rig", str(self.rig), "--plan", str(plan), "--out", str(path),
-                         "--watched-by", str(theirs.fileno()), "--estop-at-hand"]  # legid live has asked
-            self._line = ours
-            try:
-                self._child = await children.start(arguments, pass_fds=[theirs.fileno()])
-            except OSError as error:
-                self._line = None
-                ours.close()
-                self.phase, self.words = Phase.FAILED, f"The recorder could not be started: {error.strerror}."
-                return
+        try:
+            child, ours = await self._start_recorder(plan, path)
+        except Exception as error:  # whatever it is, nothing runs
+            self._line = None
+            self.phase, self.words = Phase.FAILED, f"The recorder could not be started: {error}."
+            return
         if self.latched:  # pressed while the process was being made
             self._send(EMERGENCY)
-            self._keep(self._kill_late(self._child))
-        self._keep(self._follow(self._child, ours, path))
+            self._keep(self._kill_late(child))
+        self._keep(self._follow(child, ours, path))
         self._keep(self._beat(ours))
         if not unattended:
             self._keep(self._watch_pages(ours))
 
+    async def _start_recorder(self, plan: Path, path: Path) -> tuple[asyncio.subprocess.Process, socket.socket]:
+        """A recorder of `plan` into `path`, and this end of the line to it. Raises what keeps it from starting."""
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.setblocking(False)
+        self._line = ours
+        with theirs:
+            arguments = ["record", "--rig", str(self.rig), "--rig-sha256", self._rig_sha256, "--plan", str(plan),
+                         "--out", str(path), "--watched-by", str(theirs.fileno()),
+                         "--estop-at-hand"]  # legid live has asked
+            try:
+                self._child = await children.start(arguments, pass_fds=[theirs.fileno()])
+            except BaseException:
+                ours.close()
+                raise
+        return self._child, ours
+
     def stop(self, why: str = "") -> None:
-        """Ask for a controlled stop: the torque ramps down in a tenth of a second. `why`: if nobody asked for it."""
-        if self.running and self.phase is not Phase.STOPPING:
+        """Ask for a controlled stop: the torque ramps down in a tenth of a second. `why`: if nobody asked for it.
+
+        Asked again it sends again.
+        """
+        if not self.running:
+            return
+        self._send(STOP)
+        if self.phase is not Phase.STOPPING:
             self._why = why
             self.phase, self.words = Phase.STOPPING, "The torque ramps down."
-            self._send(STOP)
 
     def emergency(self, who: str = "") -> None:
         """Torque off at once; nothing starts until `release` by whoever pressed, a random name or empty."""
@@ -204,7 +225,8 @@ class Session:
         loop = asyncio.get_running_loop()
         with suppress(OSError):
             while packet := await loop.sock_recv(line, PACKET_BYTES):
-                self._hear(packet)
+                with suppress(msgspec.MsgspecError):  # the next one is heard all the same
+                    self._hear(packet)
         await child.wait()
         self._line = None
         line.close()

@@ -13,8 +13,11 @@ from typing import NamedTuple
 import msgspec
 from msgspec import Struct
 
+from daq import InputError, read_bytes
 from experiments.reports import WATCH_SCHEMA
 
+MOST_BYTES = 1 << 26
+"""Of a document of `legid watch`."""
 LEAST, MOST = 1e-9, 1e4
 """Ends of the axis [false alarms per hour]."""
 WIDE, HIGH, LEFT, RIGHT, TOP, BOTTOM = 560, 240, 52, 14, 14, 50
@@ -66,14 +69,14 @@ def read_marks(folder: Path) -> tuple[Mark, ...]:
     counts."""
     documents: list[tuple[float, _Watch]] = []
     for path in folder.glob("*.json"):
-        with suppress(msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError):
-            data = path.read_bytes()
+        with suppress(msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError, InputError):
+            data = read_bytes(path, MOST_BYTES)
             if msgspec.json.decode(data, type=_Any).schema == WATCH_SCHEMA:
                 documents.append((path.stat().st_mtime, msgspec.json.decode(data, type=_Watch)))
     marks: dict[str, Mark] = {}
     for _, document in sorted(documents, key=lambda one: one[0]):
         for one in document.watched:
-            if one.blocks and one.recorded is not None:
+            if one.blocks and one.recorded is not None and 1970 < one.recorded.year < 9999:
                 worst = min(one.blocks, key=lambda block: block.per_hour)
                 change = worst.effect if worst.joint is None else f"{worst.effect}@{worst.joint}"
                 marks[one.run] = Mark(one.run, one.recorded.astimezone(UTC), worst.per_hour,

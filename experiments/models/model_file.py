@@ -8,10 +8,13 @@ from typing import Any
 
 import msgspec
 
-from daq import InputError
+from daq import InputError, read_bytes
 from experiments.console import write_json
 from experiments.models.mechanism_settings import build_mechanism
 from experiments.models.schema import SCHEMA, Model
+
+MOST_BYTES = 1 << 28
+"""Of a model."""
 
 
 def values_of(model: Model) -> dict[str, tuple[float, float]]:
@@ -32,7 +35,7 @@ def load_model(path: Path | str) -> Model:
     """Read and check MODEL.json. Raises `InputError` naming the file and the place in it."""
     where = str(path)
     try:
-        data = Path(path).read_bytes()
+        data = read_bytes(path, MOST_BYTES)
     except OSError as error:
         raise InputError(where, error.strerror or str(error), "give a model written by legid fit") from None
     try:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import Dataset, FloatArray, InputError, Rig
-from daq.runs import Note, RawRun, RawTable
+from daq.runs import Note, RawRun, RawTable, start_of
 from daq.timing import (
     HOLE_PERIODS,
     align,
@@ -62,9 +61,8 @@ def describe_csv(table: RawTable) -> str:
 
 
 def _recorded(raw: RawRun) -> str:
-    started = raw.facts.get("started_unix_ns", "")
-    when = (f", recorded {datetime.fromtimestamp(int(started) / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
-            if started.isdecimal() else "")
+    started = start_of(raw.facts)
+    when = f", recorded {started:%Y-%m-%d %H:%M:%S} UTC" if started else ""
     replay = f"; a REPLAY of {raw.facts['replay_of']}, nothing was measured" if "replay_of" in raw.facts else ""
     return f"{when}, by legid {raw.facts.get('version', 'unknown')}{replay}"
 

@@ -12,14 +12,16 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from daq import InputError
+from daq import InputError, read_bytes
 from daq.runs import RawRun, read_run, start_of
-from daq.timing import recorded_rig
+from daq.timing import find_clock_faults, recorded_rig
 from experiments.console import progress, text_table
 from experiments.reports.diagnosis_json import SCHEMA
 from experiments.reports.run_info import BOUND_S, clock_bound_s, lost_frames
 from experiments.reports.watch import WATCH_SCHEMA as WATCH
 
+MOST_BYTES = 1 << 26
+"""Of a JSON that is looked into."""
 RAIL_COUNTS = 32760
 """Of 16 bits: from here on a reading is at its rail."""
 
@@ -68,6 +70,8 @@ class RunLine:
     imu_gaps: int = 0
     clipped: int = 0
     """IMU samples with an axis at its rail: the true reading is beyond."""
+    clock_faults: tuple[str, ...] = ()
+    """Steps, freezes and rate changes of the controller's clock."""
     ended: str = ""
     """Why the run ended early, or what is missing of its file; empty if nothing is known."""
     verdict: str | None = None
@@ -81,7 +85,7 @@ class RunLine:
     @property
     def faulty(self) -> bool:
         """Something was lost, or it ended early."""
-        return bool(self.frames_lost or self.imu_gaps or self.ended)
+        return bool(self.frames_lost or self.imu_gaps or self.clock_faults or self.ended)
 
     @property
     def flaws(self) -> tuple[str, ...]:
@@ -92,6 +96,7 @@ class RunLine:
             (f"{self.imu_gaps} gaps of the IMU", self.imu_gaps),
             (f"{self.frames_lost} frames lost", self.frames_lost),
             (f"{self.clipped} IMU samples at their rail", self.clipped),
+            (f"faults of the controller's clock: {'; '.join(self.clock_faults)}", self.clock_faults),
             (f"clock known to {(bound or 0.0) * 1e3:.1f} ms only", bound is not None and bound > BOUND_S)) if bad)
 
 
@@ -126,7 +131,8 @@ def runs_text(lines: Sequence[RunLine]) -> str:
     rows = [[line.file, f"{line.recorded:%Y-%m-%d %H:%M:%S}" if line.recorded else "-", f"{line.seconds:.1f}",
              line.model or "-", "-" if line.clock_bound_s is None else f"{line.clock_bound_s * 1e6:.0f}",
              str(line.frames_lost), str(line.imu_gaps), str(line.clipped),
-             " ".join([line.verdict or "-", *line.causes]), line.ended]
+             " ".join([line.verdict or "-", *line.causes]),
+             "; ".join(filter(None, [line.ended, "clock fault" * bool(line.clock_faults)]))]
             for line in lines]
     header = ["run", "recorded [UTC]", "seconds", "rig", "clock [us]", "lost", "gaps", "clipped", "verdict",
               "ended early"]
@@ -153,7 +159,8 @@ def _line(path: Path, folder: Path) -> RunLine:
     return RunLine(
         name, start_of(raw.facts), seconds, _model(raw),
         clock_bound_s(raw) if probes.size else None, lost_frames(telemetry) if telemetry.size else 0,
-        int(raw.streams["/imu"]["gap_before"].sum()), _clipped(raw), _ended(raw))
+        int(raw.streams["/imu"]["gap_before"].sum()), _clipped(raw),
+        tuple(find_clock_faults(raw)), _ended(raw))
 
 
 def _clipped(raw: RawRun) -> int:
@@ -184,11 +191,11 @@ def _documents(folder: Path) -> list[tuple[Path, _Diagnosis | _Watch]]:
     found: list[tuple[float, Path, _Diagnosis | _Watch]] = []
     for path in folder.rglob("*.json"):
         try:
-            data = path.read_bytes()
+            data = read_bytes(path, MOST_BYTES)
             schema = msgspec.json.decode(data, type=_Any).schema
             document = msgspec.json.decode(data, type=_Watch) if schema == WATCH else \
                 msgspec.json.decode(data, type=_Diagnosis)
-        except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError):
+        except (msgspec.DecodeError, UnicodeDecodeError, OSError, RecursionError, InputError):
             continue
         if schema in (SCHEMA, WATCH):
             found.append((path.stat().st_mtime, path, document))

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from daq import ASSUMED, FloatArray, InputError
+from daq import ASSUMED, FloatArray, InputError, comment, read_bytes
 
 SHARE = 0.05
 """Standard deviation that is written for a value of the file, which gives none, as a share of it."""
 OFF_LINE = 0.02
 """Distance of a centre of mass from the line between joints, as a share of its length, that is mentioned."""
-MOST_BYTES = 10_000_000
+MOST_BYTES, MOST_LINKS = 10_000_000, 64
 PLANAR = "give a serial chain of hinges with parallel axes, each with its <inertial>, without rpy, quat or euler"
 
 
@@ -38,22 +38,24 @@ class Link:
 def read_robot(path: Path) -> list[Link]:
     """Links from the base outwards. Raises `InputError` naming the file and the element."""
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, MOST_BYTES)
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "give a URDF or MJCF file") from None
-    if len(data) > MOST_BYTES or b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise InputError(str(path), "is too large, or declares entities", "give a plain URDF or MJCF file")
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+        raise InputError(str(path), "declares entities", "give a plain URDF or MJCF file")
     try:
-        root = ET.fromstring(data)
+        root = ET.fromstring(data.decode("utf-8-sig"))  # of no other encoding: what it declares was looked for above
         links = {"robot": _urdf, "mujoco": _mjcf}[root.tag](root, str(path))
     except ET.ParseError as error:
         raise InputError(str(path), f"is not XML: {error}", "give a URDF or MJCF file; run xacro first") from None
     except KeyError:
         raise InputError(str(path), f"begins with <{root.tag}>", "give a URDF or MJCF file; run xacro first") from None
+    except UnicodeDecodeError:
+        raise InputError(str(path), "is not UTF-8 text", "save it as UTF-8") from None
     except ValueError as error:
         raise InputError(str(path), f"has an element that is no number: {error}", "correct it") from None
-    if not links:
-        raise InputError(str(path), "has no hinge", PLANAR)
+    if not 0 < len(links) <= MOST_LINKS:
+        raise InputError(str(path), f"has more than {MOST_LINKS} hinges" if links else "has no hinge", PLANAR)
     for link in links:
         if abs(abs(float(link.axis @ links[0].axis)) - 1.0) > 1e-3:
             raise InputError(str(path), f"turns {link.name} about another axis than {links[0].name}", PLANAR)
@@ -62,9 +64,11 @@ def read_robot(path: Path) -> list[Link]:
 
 def prior_table(links: list[Link], source: str) -> str:
     """The table [prior] of a rig file, with what it leaves out as comments."""
+    source = comment(source)
     lines = ["", f"[prior]                          # of {source}; {ASSUMED}: standard deviations are {SHARE:.0%}"]
     across = np.eye(3) - np.outer(links[0].axis, links[0].axis)
     for i, link in enumerate(links, 1):
+        name = comment(link.name)
         centre = across @ link.centre
         end = across @ links[i].at if i < len(links) else centre
         length = float(np.linalg.norm(end))
@@ -77,10 +81,10 @@ def prior_table(links: list[Link], source: str) -> str:
                          f"# {kind}{i} is 0 in the file: give it with its standard deviation")
         off = float(np.linalg.norm(centre - lc * along))
         if off > OFF_LINE * max(length, 1e-9):
-            lines.append(f"# the centre of mass of {link.name} is {off:.3g} m off the line between its joints, which "
+            lines.append(f"# the centre of mass of {name} is {off:.3g} m off the line between its joints, which "
                          "is left out")
         if length and abs(float(along[2]) + 1.0) > 1e-3:
-            lines.append(f"# where the file's angles are zero, {link.name} points along {np.round(along, 3).tolist()}, "
+            lines.append(f"# where the file's angles are zero, {name} points along {np.round(along, 3).tolist()}, "
                          "not down: add that angle as offset under [columns]")
     return "\n".join(lines) + "\n"
 
@@ -97,13 +101,17 @@ def _urdf(root: ET.Element, where: str) -> list[Link]:
     base = next((name for name in bodies if name not in children), "")
     driven = {joint.get("name") for joint in root.findall("transmission/joint")}
     found: list[Link] = []
-    while own := [joint for joint in joints if _named(joint, "parent") == base]:
+    seen = {base}
+    while len(found) <= MOST_LINKS and (own := [joint for joint in joints if _named(joint, "parent") == base]):
         joint, base = own[0], _named(own[0], "child")
         inertial = bodies[base].find("inertial") if base in bodies else None
         mass, tensor = (None if inertial is None else inertial.find(tag) for tag in ("mass", "inertia"))
         turned = any(_vector(e, "rpy").any() for e in (joint.find("origin"), None if inertial is None else
                                                        inertial.find("origin")))
         hinge = joint.get("type") in ("revolute", "continuous")
+        if base in seen:
+            raise InputError(where, f"joint {joint.get('name')} leads back to {base}", PLANAR)
+        seen.add(base)
         if len(own) > 1 or turned or not hinge or mass is None or tensor is None or inertial is None:
             raise InputError(where, f"joint {joint.get('name')} or its link {base} is none that can be read", PLANAR)
         i = {key: float(tensor.get(key, "0")) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")}
@@ -124,7 +132,7 @@ def _named(joint: ET.Element, tag: str) -> str:
 def _mjcf(root: ET.Element, where: str) -> list[Link]:
     driven = {motor.get("joint") for motor in root.findall("actuator/*")}
     parent, found = root.find("worldbody"), list[Link]()
-    while parent is not None and (own := parent.findall("body")):
+    while parent is not None and len(found) <= MOST_LINKS and (own := parent.findall("body")):
         body = own[0]
         joints, inertial = body.findall("joint"), body.find("inertial")
         turned = any(key in e.attrib for e in (body, inertial) if e is not None

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq import ASSUMED, JOINTS, InputError, parse_rig, write_file
+from daq import ASSUMED, JOINTS, InputError, parse_rig, quoted, write_file
 
 Line = Callable[..., str]
 
@@ -59,7 +59,7 @@ def rig_toml(facts: RigFacts) -> str:
 
     then = ", then run: legid doctor --rig this file" if facts.records else ""
     parts = [f"# A rig of legid, written by legid init. Check every line marked ASSUMED{then}", "", "[mechanism]",
-             line("model", f'"{facts.model}"', "leg2 | biped3 | joint1 | chain")]
+             line("model", quoted(facts.model), "leg2 | biped3 | joint1 | chain")]
     if facts.model == "chain":
         parts.append(line("links", str(facts.links), "number of links"))
     parts += [line("actuated", str(list(facts.actuated)), "joints whose torque is measured; the others carry none"),
@@ -105,7 +105,7 @@ def _imu(facts: RigFacts, line: Line) -> list[str]:
     if facts.bus is None:
         return ["# [devices.imu]                  # none found; uncomment when it is there", '# bus = "/dev/i2c-1"',
                 "# address = 0x6B"]
-    found = ["[devices.imu]", line("bus", f'"{facts.bus}"', "I2C bus"),
+    found = ["[devices.imu]", line("bus", quoted(facts.bus), "I2C bus"),
              line("address", f"0x{facts.address:02X}", "0x6B or 0x6A"),
              line("rate_hz", "238.0", "14.9, 59.5, 119, 238, 476 or 952 [Hz]"),
              line("accel_range_g", "4", "2, 4, 8 or 16"), line("gyro_range_dps", "500", "245, 500 or 2000"),
@@ -119,14 +119,15 @@ def _imu(facts: RigFacts, line: Line) -> list[str]:
 def _controller(facts: RigFacts, line: Line) -> list[str]:
     settings = [line("rate_hz", _number(facts.rate_hz), "telemetry [Hz]", "rate_hz"),
                 line("watchdog_ms", str(facts.watchdog_ms), "torque ends after this silence [ms]")]
-    drive = [line("kind", f'"{facts.kind}"', "which drive")] if facts.kind != "legid" else []
+    drive = [line("kind", quoted(facts.kind), "which drive")] if facts.kind != "legid" else []
     if facts.can_channel is not None:
         return ["[devices.controller]", *drive,
-                line("can", f'{{interface = "socketcan", channel = "{facts.can_channel}"}}', "python-can's settings"),
+                line("can", f'{{interface = "socketcan", channel = {quoted(facts.can_channel)}}}',
+                     "python-can's settings"),
                 line("node", str(facts.node), "the controller's node"), *settings]
     if facts.port is not None:
         node = [line("node", str(facts.node), "the drive's node")] if drive else []
-        return ["[devices.controller]", *drive, line("port", f'"{facts.port}"', "serial port"),
+        return ["[devices.controller]", *drive, line("port", quoted(facts.port), "serial port"),
                 line("baud", "1000000", "bits per second"), *node, *settings]
     return ["# [devices.controller]           # none found; uncomment when it is there", '# port = "/dev/ttyACM0"']
 

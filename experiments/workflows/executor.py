@@ -6,7 +6,6 @@ one picklable argument.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -47,22 +46,14 @@ class LocalExecutor:
 
     def run(self, function: Callable[[T], R], pieces: Sequence[T]) -> Iterator[tuple[int, R]]:
         """Raises `WorkError` when a process dies."""
-        before = {name: os.environ.get(name) for name in ONE_THREAD}
-        os.environ.update(ONE_THREAD)  # read by the libraries of the new processes when they start
         try:
-            with worker_pool(min(self.workers, max(len(pieces), 1)), "spawn") as pool:
+            with worker_pool(min(self.workers, max(len(pieces), 1)), "spawn", ONE_THREAD) as pool:
                 futures = {pool.submit(function, piece): k for k, piece in enumerate(pieces)}
                 for future in as_completed(futures):
                     yield futures[future], future.result()
         except BrokenProcessPool:
             raise WorkError("a worker process died (out of memory?); run again to go on from where it stopped, with "
                             "fewer --workers") from None
-        finally:
-            for name, value in before.items():
-                if value is None:
-                    os.environ.pop(name, None)
-                else:
-                    os.environ[name] = value
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from daq import InputError, load_rig
+from daq import InputError, RigFile, read_rig_file
 from daq.recording import Plan, Progress, RecordReport, Remote, record_run
 from experiments.emulation import Replayed
 from experiments.reports import clock_warnings
@@ -20,26 +20,27 @@ class Recorded(NamedTuple):
     """One line for each thing about the link that makes the clock less certain than it could be."""
 
 
-def record_plan(rig_path: Path | str, plan: Plan, out: Path | str, emulate: str | None = None, seed: int = 1,
+def record_plan(rig_path: Path | str | RigFile, plan: Plan, out: Path | str, emulate: str | None = None, seed: int = 1,
                 progress: Progress | None = None, remote: Remote | None = None) -> Recorded:
-    """Record `plan` into the new file `out`; a copy of the rig file goes into it.
+    """Record `plan` into the new file `out`; a copy of the rig file, which may have been read already, goes into it.
 
     `emulate` names what is hidden in an emulated leg (`none`: nothing), whose noise is drawn from `seed`; None means
     the real devices, which `remote` can watch and stop. Raises `InputError`, `WorkError` or a `DriverError`.
     """
-    rig = load_rig(rig_path)
+    file = rig_path if isinstance(rig_path, RigFile) else read_rig_file(rig_path)
+    rig, where = file.rig, str(file.path)
     if not str(out).lower().endswith(".mcap"):
         raise InputError("--out", f"{out} does not end in .mcap", "name a native run file")
-    rig_text = Path(rig_path).read_text(encoding="utf-8")
     if emulate is not None:
         from experiments.emulation import LegBody, find_hidden, record_emulated
 
         if rig.mechanism.model != "leg2":
-            raise InputError(str(rig_path), f"describes a {rig.mechanism.model}", "only a leg2 can be emulated")
+            raise InputError(where, f"describes a {rig.mechanism.model}", "only a leg2 can be emulated")
         body = LegBody(gravity=rig.mechanism.gravity_mps2)
-        return Recorded(record_emulated(Path(out), rig, rig_text, plan, seed, body, find_hidden(emulate), progress), [])
-    with open_devices(rig, str(rig_path)) as (imu, controller, sensors):
-        done = record_run(out, rig, rig_text, plan, imu, controller, progress=progress, remote=remote,
+        hidden = find_hidden(emulate)
+        return Recorded(record_emulated(Path(out), rig, file.text, plan, seed, body, hidden, progress), [])
+    with open_devices(rig, where) as (imu, controller, sensors):
+        done = record_run(out, rig, file.text, plan, imu, controller, progress=progress, remote=remote,
                           sensors=sensors)
         return Recorded(done, clock_warnings(done.clock_bound_s, controller.link_facts))
 
@@ -56,5 +57,4 @@ def replay_recording(run: Path | str, out: Path | str, rig_path: Path | str | No
             raise InputError(flag, f"{path} does not end in .mcap", "name a native run file")
     if rig_path is None:
         return replay_run(Path(out), run)
-    load_rig(rig_path)  # refused under its own name
-    return replay_run(Path(out), run, Path(rig_path).read_text(encoding="utf-8"))
+    return replay_run(Path(out), run, read_rig_file(rig_path).text)  # refused under its own name

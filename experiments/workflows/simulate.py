@@ -21,6 +21,7 @@ from estimator.signals import (
 )
 from experiments.models import Model, build_mechanism, simulate_extended
 
+MOST_SAMPLES = 10_000_000
 CHANNELS = {"gyro": ("gyro_radps",), "accel_x": ("accel_x_mps2", "accel_mps2"),
             "accel_y": ("accel_y_mps2", "accel_mps2"), "tau": ("torque_nm",),
             "voltage": ("torque_nm",), "q": ("encoder_rad",)}
@@ -44,14 +45,21 @@ def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = N
     if q0.shape != (mechanism.n,) or not np.isfinite(q0).all():
         raise InputError("--start", f"needs {mechanism.n} finite angles", "give one for every joint")
     rate = rate_hz or round(1.0 / float(np.median(np.diff(plan.time_s))), 6)
+    if not plan.duration_s * rate <= MOST_SAMPLES:
+        raise InputError("--rate", f"{rate:g} Hz gives {plan.duration_s * rate:.3g} samples of this plan",
+                         f"give a rate of at most {MOST_SAMPLES / plan.duration_s:.3g} Hz, or a shorter plan")
     time_s = np.arange(max(round(plan.duration_s * rate), 2)) / rate
     command = plan.torque_nm[np.searchsorted(plan.time_s - plan.time_s[0], time_s + 1e-9, side="right") - 1]
     tau = np.zeros((time_s.size, mechanism.n))
     tau[:, mechanism.actuated[0]] = command
-    if model.effects or model.structure:
-        columns = _extended_columns(model, mechanism, time_s, tau, q0)
-    else:
-        columns = _nominal_columns(model, mechanism, tau, q0, rate)
+    try:
+        with np.errstate(all="ignore"):  # what comes of it is looked at below
+            columns = _extended_columns(model, mechanism, time_s, tau, q0) if model.effects or model.structure else \
+                _nominal_columns(model, mechanism, tau, q0, rate)
+    except (np.linalg.LinAlgError, ArithmeticError):  # a mass matrix without an inverse
+        columns = {"": np.array([np.nan])}
+    if not all(np.isfinite(values).all() for values in columns.values()):
+        raise WorkError("the simulated motion diverges; check the model's parameters and the plan's torque")
     if noise_seed is not None:
         columns = _noisy(columns, model.noise, noise_seed)
     columns["tau2_cmd_nm"] = command
@@ -61,8 +69,6 @@ def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = N
 def _nominal_columns(model: Model, mechanism: Mechanism, tau: FloatArray, q0: FloatArray, rate: float
                      ) -> dict[str, FloatArray]:
     q, qd, qdd = simulate(mechanism, np.array(model.beta), q0, np.zeros(mechanism.n), tau, 1.0 / rate, model.hold)
-    if not np.isfinite(q).all():
-        raise WorkError("the simulated motion diverges; check the model's parameters and the plan's torque")
     readings = {encoder_of(j): q[:, j] for j in range(mechanism.n)}
     readings |= {torque_of(j): tau[:, j] for j in mechanism.actuated}
     if model.mechanism.has_imu:

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_broken_files_are_read_or_refused_within_their_bounds() -> None:
-    done = subprocess.run([sys.executable, "-m", "tests.evidence", "mutate", "--files", "60"], cwd=ROOT, text=True,
-                          capture_output=True, check=False)
+    done = subprocess.run([sys.executable, "-m", "tests.evidence", "mutate", "--files", "60", "--chunk", "60"],
+                          cwd=ROOT, text=True, capture_output=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("60 files") == 5 and done.stdout.count(" 0 faults") == 5
+    assert done.stdout.count("60 files") == 18 and done.stdout.count(" 0 faults") == 18

@@ -150,10 +150,10 @@ class Browser:
 class Live:
     """`legid live` as a process of its own."""
 
-    def __init__(self, *arguments: str) -> None:
+    def __init__(self, *arguments: str, module: str = "experiments.cli") -> None:
         with favoured():
             self.child = subprocess.Popen(
-                [sys.executable, "-m", "experiments.cli", "live", *arguments, "--port", "0"], cwd=ROOT,
+                [sys.executable, "-m", module, "live", *arguments, "--port", "0"], cwd=ROOT,
                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
         assert self.child.stdout is not None
         line = self.child.stdout.readline()

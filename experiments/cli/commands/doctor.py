@@ -17,6 +17,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--clear-faults", action="store_true",
                         help="have the controller forget the faults it has latched, once their cause is removed")
     parser.add_argument("--out", metavar="DIR", default=".", help="where runs will be recorded (default: here)")
+    parser.add_argument("--rig-sha256", metavar="HEX", default="", help=argparse.SUPPRESS)  # legid live: as it was read
     parser.set_defaults(run=run)
 
 
@@ -35,11 +36,11 @@ def run(args: argparse.Namespace) -> int:
     import shlex
     from pathlib import Path
 
-    from daq import WorkError, load_rig
+    from daq import WorkError, read_rig_file
     from experiments.doctor import checks_text, default_rig, examine
 
-    rig = load_rig(args.rig) if args.rig else default_rig()
-    text = Path(args.rig).read_text(encoding="utf-8") if args.rig else ""
+    file = read_rig_file(args.rig, args.rig_sha256) if args.rig else None
+    rig, text = (file.rig, file.text) if file else (default_rig(), "")
     checks = examine(rig, text, args.rig or "the usual places", Path(args.out), args.move, args.clear_faults)
     print(checks_text(checks))
     failed = [check.name for check in checks if check.status == "FAIL"]

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from importlib.util import find_spec
     from pathlib import Path
 
-    from daq import WorkError, load_rig
+    from daq import WorkError, read_rig_file
     from experiments.console import make_directory
 
     if find_spec("nicegui") is None:
@@ -54,9 +54,9 @@ def run(args: argparse.Namespace) -> int:
     make_directory(out)
     with ExitStack() as stack:
         path = stack.enter_context(started_demo_rig(out / "rig")) if args.demo else Path(args.rig).absolute()
-        rig = load_rig(path)
+        rig = read_rig_file(path)
         if not args.demo:
-            confirm_estop(rig, args.estop_at_hand)
-        serve(path, rig, Path(args.plans).absolute() if args.plans else path.parent, out, args.host, args.port,
+            confirm_estop(rig.rig, args.estop_at_hand)
+        serve(rig, Path(args.plans).absolute() if args.plans else path.parent, out, args.host, args.port,
               args.token)
     return 0

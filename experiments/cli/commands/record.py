@@ -27,6 +27,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="on a drive other than our own firmware: a hard-wired emergency stop is within reach, so "
                              "do not ask")
     parser.add_argument("--watched-by", metavar="FD", type=int, help=argparse.SUPPRESS)  # legid live: see daq.remote
+    parser.add_argument("--rig-sha256", metavar="HEX", default="", help=argparse.SUPPRESS)  # legid live: as it was read
     parser.add_argument("--emulate", metavar="NAME", nargs="?", const="none", choices=HIDEABLE,
                         help="record an emulated leg of the rig's kind instead, with this hidden in it: "
                              f"{', '.join(HIDEABLE)} (the default)")
@@ -41,18 +42,18 @@ def run(args: argparse.Namespace) -> int:
         return _replay(args)
     import sys
 
-    from daq import load_rig
+    from daq import read_rig_file
     from daq.recording import read_plan, watched_by
     from experiments.console import progress_to
     from experiments.rig import MOVES, confirm_estop, rig_path
     from experiments.workflows import record_plan
 
-    plan = read_plan(args.plan)
-    if args.emulate is None:
-        confirm_estop(load_rig(rig_path(args.rig)), args.estop_at_hand)
-        print(MOVES, flush=True)
     with watched_by(args.watched_by) as remote, progress_to("recording") as report:
-        done, warnings = record_plan(rig_path(args.rig), plan, args.out, args.emulate, args.seed, report, remote)
+        rig, plan = read_rig_file(rig_path(args.rig), args.rig_sha256), read_plan(args.plan)
+        if args.emulate is None:
+            confirm_estop(rig.rig, args.estop_at_hand)
+            print(MOVES, flush=True)
+        done, warnings = record_plan(rig, plan, args.out, args.emulate, args.seed, report, remote)
     print(f"{args.out}: {done.duration_s:.1f} s, {done.messages} messages, {done.imu_samples} IMU samples, "
           f"{done.commands} torque commands ({done.late_commands} left out as late), "
           f"controller clock known to {done.clock_bound_s * 1e6:.0f} us")

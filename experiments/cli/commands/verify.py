@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     for folder in folders:
         if not folder.is_dir():
             raise InputError(str(folder), "is no folder", "name one that holds the runs")
-    checked = verify(origin, folders)
+    checked = verify(origin, folders, args.file)
     print(f"{args.file}: made by legid {origin.version}, commit {origin.commit}")
     rows = [[c.state, c.source.file + (f" in {c.source.inside}" if c.source.inside else ""), c.source.sha256[:16],
              c.where or "-"] for c in checked]

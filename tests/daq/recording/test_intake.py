@@ -18,7 +18,7 @@ class Probed:
 
     def __init__(self, rx_tick_us: int, tx_tick_us: int) -> None:
         self.capabilities = Capabilities()
-        self.hello = SimpleNamespace(boot_id=1)
+        self.hello = SimpleNamespace(boot_id=1, telemetry_hz=500.0)
         self.answer = Pong(7, rx_tick_us, tx_tick_us)
 
     def ping(self) -> tuple[int, int]:
@@ -31,7 +31,7 @@ class Probed:
 @pytest.mark.parametrize("ticks, bound_s", [((500, 600), 250e-6), ((2**32 - 50, 50), 250e-6), ((600, 500), math.inf)])
 def test_an_answer_that_left_before_it_came_leaves_the_clock_unknown(ticks: tuple[int, int], bound_s: float) -> None:
     """A tick that stood still gave an uncertainty of -2147 s."""
-    sink = SimpleNamespace(add=lambda *_, **__: None)
+    sink = SimpleNamespace(add=lambda *_, **__: None, event=lambda *_: None)
     intake = ControllerIntake(cast(Any, Probed(*ticks)), cast(Any, sink), cast(Any, None), lambda: 0)
     assert intake.clock_bound_s() is None
     intake.ping()

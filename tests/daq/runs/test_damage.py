@@ -118,3 +118,18 @@ def test_a_small_file_that_unpacks_to_a_gigabyte_is_refused(compression: Compres
     at = a + 9 + 16  # behind the chunk's times stands the size that it claims
     path.write_bytes(data[:at] + struct.pack("<Q", 1000) + data[at + 8:])
     assert read_run(path).damaged_chunks == 1  # it claims less than it holds, and no more is unpacked
+
+
+def test_a_flipped_digit_of_the_metadata_is_damage(tmp_path: Path) -> None:
+    """Facts such as the start time have a check sum of their own; an earlier version's file, without it, is sound."""
+    path = tmp_path / "run.mcap"
+    RunWriter(path, {}, {"started_unix_ns": "1760000000000000000"}).close()
+    assert read_run(path).damage == () and "crc32" not in read_run(path).facts
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"1760000000000000000", b"1760000000000000001"))
+    (found,) = read_run(path).damage
+    assert found.kind == "check_sum" and "metadata 'legid'" in found.text
+    recover(path, tmp_path / "saved.mcap")
+    assert "metadata 'legid'" in read_run(tmp_path / "saved.mcap").damage[0].text
+    path.write_bytes(data.replace(b"crc32", b"crc00"))
+    assert read_run(path).damage == ()

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.errors import InputError
 from daq.recording.plan import Plan, write_plan
+from daq.rig import read_rig_file
 from daq.runs.mcap_run import read_run
 from experiments.live.demo_rig import started_demo_rig
+from experiments.live.jobs import Job
 from experiments.live.session import PAGE_SILENT_S, Phase, Session
 from tests.support.processes import REAL_CLOCK
 
@@ -110,3 +113,29 @@ def test_a_bought_drive_is_driven_from_the_dashboard(kind: str, tmp_path: Path) 
     assert session.run_path is not None
     frames = read_run(session.run_path).streams["/leg/telemetry"]
     assert np.max(np.abs(frames["torque_cmd_nm"])) == pytest.approx(0.2, rel=0.1)
+
+
+def test_a_rig_edited_after_the_page_read_it_is_not_driven(rig: Path, tmp_path: Path) -> None:
+    """Page and recorder would hold it to different limits, and nobody be asked for the E-stop of another drive."""
+    async def run() -> Session:
+        session = Session(rig, tmp_path, read_rig_file(rig).sha256)
+        rig.write_text(rig.read_text() + "# edited\n")
+        await session.start(rig.parent / "steady.csv")
+        await ended(session)
+        return session
+
+    before = rig.read_text()
+    try:
+        session = asyncio.run(run())
+    finally:
+        rig.write_text(before)
+    assert session.phase is Phase.FAILED and session.run_path is not None and not session.run_path.exists()
+    assert session.words == f"{rig}: was edited after legid live had read it; start legid live again."
+    with pytest.raises(InputError, match="was edited"):
+        read_rig_file(rig, "0" * 64)
+
+
+def test_a_check_of_an_edited_rig_is_refused(rig: Path, tmp_path: Path) -> None:
+    job = Job("doctor", rig, [], tmp_path, "0" * 64)
+    asyncio.run(job.run())
+    assert job.state == "failed" and "was edited after legid live had read it" in job.verdict

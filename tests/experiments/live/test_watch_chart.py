@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from daq.rig import parse_rig
+from daq.rig import read_rig_file
 from daq.runs import RunWriter, started_at
 from estimator.change import Block, WatchedRun
 from experiments.live.bench import Bench
@@ -84,7 +84,7 @@ def test_one_run_and_a_strange_name_can_be_drawn() -> None:
 
 def test_the_bench_reads_new_documents_unless_it_records(tmp_path: Path) -> None:
     async def look() -> tuple[Mark, ...]:
-        bench = Bench(DEMO_RIG, parse_rig(DEMO_RIG.read_text(), "rig.toml"), tmp_path, tmp_path)
+        bench = Bench(read_rig_file(DEMO_RIG), tmp_path, tmp_path)
         bench.look_for_marks()
         bench.look_for_marks()  # not again so soon
         assert len(bench._tasks) == 1

@@ -1,0 +1,103 @@
+"""Kinds of clock faults, in telemetry, probes or both, at four moments of a recording: what is said, what is used.
+
+    python -m tests.evidence clock-faults --out docs/evidence/clock-faults.md   # what `make clock-faults` does
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.errors import InputError
+from daq.runs import read_run
+from daq.timing import decode, recorded_rig
+from experiments.reports import list_runs
+from tests.evidence.kept import kept
+from tests.evidence.registry import Evidence
+from tests.support.clock_bench import KINDS, MOMENTS_S, SECONDS, WHICH, strike
+
+EVIDENCE = (
+    Evidence("Steps, wraps, freezes and rate changes of the controller's clock", "make clock-faults", "clock-faults.md",
+             15, "none unsaid", (r"\d+ of \d+ faults are said by all three", r"\d+ unsaid")),)
+
+
+class Cell(NamedTuple):
+    """One fault at one moment."""
+
+    kind: str
+    which: str
+    moment: str
+    events: int
+    """While recording."""
+    flag: str
+    """Of the file; empty for none."""
+    listed: bool
+    """`legid runs` says it."""
+    used: float
+    """Share of the samples that a fit gets."""
+    off_ms: float
+    """Largest error of a used sample's time against its arrival [ms]."""
+    ended: str
+
+
+def measure(kind: str, which: str, moment: str) -> Cell:
+    """Record and read one."""
+    with tempfile.TemporaryDirectory() as folder:
+        path, said = strike(kind, which, moment, Path(folder))
+        raw = read_run(path)
+        events = sum(note.kind == "clock" for note in raw.events)
+        (line,) = list_runs(path)
+        telemetry = raw.streams["/leg/telemetry"]
+        try:
+            found = decode(raw, recorded_rig(raw))
+        except InputError as error:
+            return Cell(kind, which, moment, events, str(error), bool(line.flaws), 0.0, 0.0, said)
+        flag = " ".join(str(one) for one in found.flags if one.kind == "clock")
+        times = found.channels[0].time_s
+        arrived = (telemetry["host_ns"] - found.epoch_ns) * 1e-9
+        off = np.abs(times - arrived[np.searchsorted(arrived, times).clip(0, arrived.size - 1)])
+        return Cell(kind, which, moment, events, flag, any("clock" in flaw for flaw in line.flaws),
+                    times.size / telemetry.size, 1e3 * float(off.max(initial=0.0)), said)
+
+
+def page(cells: Sequence[Cell]) -> str:
+    """The dated page."""
+    said = [cell for cell in cells if cell.events and cell.flag and cell.listed]
+    unsaid = [cell for cell in cells if not (cell.events or cell.flag or cell.listed)]
+    lines = [
+        f"# Faults of the controller's clock, {datetime.now(UTC):%Y-%m-%d}", "",
+        f"By `make clock-faults`: {len(cells)} recordings of {SECONDS:g} s of the emulated leg with legid's own "
+        "controller on virtual time. From one moment on the ticks of its telemetry, of its answers to clock probes, or "
+        "of both are off. moteus, ODrive and Dynamixel keep no time: the host stamps their samples, so these faults do "
+        "not exist there.", "",
+        f"- {len(said)} of {len(cells)} faults are said by all three: an event while recording, a warning of `legid "
+        f"info` and `legid fit`, and `legid runs`; {len(unsaid)} unsaid.",
+        "- `used`: share of the samples that a fit gets. The others are set aside, with their number in the warning.",
+        "- `off`: largest difference between a used sample's time and the arrival of the first sample after it.", "",
+        "| fault | ticks of | at | events | runs | used | off [ms] | what the file says |",
+        "| --- | --- | --- | ---: | --- | ---: | ---: | --- |"]
+    for c in cells:
+        words = c.flag.removeprefix("the controller's clock failed: ") or "nothing"
+        listed = "yes" if c.listed else "no"
+        found = (c.kind, c.which, c.moment, c.events, listed, f"{c.used:.0%}", f"{c.off_ms:.1f}", words)
+        lines.append(f"| {' | '.join(map(str, found))} |")
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run, print or write; 1 where a fault is unsaid."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--moments", nargs="*", default=list(MOMENTS_S), choices=list(MOMENTS_S))
+    parser.add_argument("--out", type=Path, help="the page to write; printed without it")
+    args = parser.parse_args(arguments)
+    cell = kept(measure)
+    cells = [cell(kind, which, moment) for kind in KINDS for which in WHICH for moment in args.moments]
+    text = page(cells)
+    args.out.write_text(text, encoding="utf-8") if args.out else print(text)
+    return int(any(not (c.events or c.flag or c.listed) for c in cells))

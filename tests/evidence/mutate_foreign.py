@@ -1,0 +1,212 @@
+"""Files of other programs for the study of broken files: whole ones, and others that are broken in structure.
+
+A file broken in structure is valid in its format: a tree of mappings, lists and arrays of any depth, shape, type and
+name, links in circles and out of the file, counts that do not fit.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import sqlite3
+import warnings
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin
+
+from daq import Column, Dataset, parse_rig
+from experiments.exchange import load_map, map_text, read_imported
+from experiments.rig import prior_table, read_robot
+from tests.support.imported_files import ros2_bag
+from tests.support.nested_files import torch_archive
+
+Make = Callable[[np.random.Generator, Path], None]
+TYPES = ("f8", "f4", "f2", "i8", "i4", "i2", "u1", "?", "c16", "S3", "U3", "M8[ns]", "m8[s]", ">f8")
+NAMES = ("t", "time", "q1", "q2", "log", "", "a.b", "a/b", "#refs#", "__x", "\n[limits]", "é", "x" * 300, "0")
+NUMBERS = (0, -1, 1, 2**31, 2**63 - 1, 10**30, 0.0, -0.0, 1e308, 1e-320, float("nan"), float("inf"))
+
+
+def array(rng: np.random.Generator) -> np.ndarray:
+    """Of any type and shape, empty ones too."""
+    shape = tuple(int(2 ** rng.uniform(0, 7)) if rng.random() < 0.9 else 0 for _ in range(int(rng.integers(0, 4))))
+    kind = str(rng.choice(TYPES))
+    values = rng.standard_normal(shape) * 10.0 ** rng.integers(-3, 4)
+    with np.errstate(all="ignore"):
+        return np.asarray(values).astype("i8").astype(kind) if kind[0] in "mMSU" else np.asarray(values).astype(kind)
+
+
+def tree(rng: np.random.Generator, depth: int = 0) -> Any:
+    """Mappings, lists, arrays, texts and numbers within each other."""
+    kind = int(rng.integers(7)) if depth < 6 else 6
+    count = int(2 ** rng.uniform(0, 4))
+    if kind < 2:
+        return {str(rng.choice(NAMES)): tree(rng, depth + 1) for _ in range(count)}
+    if kind == 2:
+        return [tree(rng, depth + 1) for _ in range(count)]
+    if kind == 3:
+        return [{str(name): float(rng.choice([0.1, 1e308])) for name in rng.choice(NAMES, 3)} for _ in range(count * 3)]
+    if kind < 6:
+        return array(rng)
+    return [None, "text", *NUMBERS][int(rng.integers(len(NUMBERS) + 2))]
+
+
+def named(rng: np.random.Generator) -> dict[str, Any]:
+    """Trees, with two columns of numbers."""
+    t = np.arange(60.0)
+    return {f"v{k}": tree(rng) for k in range(int(rng.integers(1, 5)))} | {"t": t, "q2": np.sin(t)}
+
+
+def make_json(rng: np.random.Generator, path: Path) -> None:
+    path.write_text(json.dumps(named(rng), default=lambda value: (
+        value.astype(str) if value.dtype.kind in "cMmS" else value).tolist()))
+
+
+def make_pickle(rng: np.random.Generator, path: Path) -> None:
+    path.write_bytes(pickle.dumps(named(rng), protocol=int(rng.integers(0, 6))))
+
+
+def make_npz(rng: np.random.Generator, path: Path) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED if rng.random() < 0.5 else zipfile.ZIP_STORED) as archive:
+        for k in range(int(rng.integers(1, 6))):
+            data = io.BytesIO()
+            np.lib.format.write_array(data, array(rng), allow_pickle=False)
+            archive.writestr(str(rng.choice(NAMES)) + f"{k}.npy", data.getvalue())
+
+
+def make_mat(rng: np.random.Generator, path: Path) -> None:
+    from scipy.io import savemat
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of names that it leaves out
+            savemat(path, named(rng), do_compression=bool(rng.random() < 0.5), long_field_names=True)
+    except Exception:  # a tree that the format does not know
+        savemat(path, {"t": np.arange(60.0)})
+
+
+def make_hdf5(rng: np.random.Generator, path: Path) -> None:
+    import h5py  # type: ignore[import-untyped,import-not-found,unused-ignore]
+    with h5py.File(path, "w") as file:
+        groups = [file]
+        for k in range(int(rng.integers(1, 12))):
+            group, name = groups[int(rng.integers(len(groups)))], f"n{k}"
+            match int(rng.integers(8)):
+                case 0 | 1:
+                    groups.append(group.create_group(name))
+                case 2:
+                    group[name] = groups[int(rng.integers(len(groups)))]  # circles, too
+                case 3:
+                    group[name] = h5py.SoftLink(str(rng.choice(["/", "/n0", "..", "/nothing", "."])))
+                case 4:
+                    group[name] = h5py.ExternalLink(str(rng.choice(["other.h5", "/etc/passwd", path.name])), "/n0")
+                case 5:
+                    group.create_dataset(name, (int(2 ** rng.uniform(0, 40)),), "f8", chunks=(1024,), maxshape=(None,))
+                case _:
+                    values = array(rng)
+                    group.create_dataset(name, data=values if values.dtype.kind in "fiub" else np.arange(5.0))
+
+
+def make_parquet(rng: np.random.Generator, path: Path) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+    n = int(2 ** rng.uniform(0, 10))
+    columns = {}
+    for k in range(int(rng.integers(1, 8))):
+        values = np.resize(array(rng).ravel(), n) if rng.random() < 0.8 else np.zeros(n)
+        plain = values.real.astype("f8") if values.dtype.kind == "c" else values.tolist()
+        columns[str(rng.choice(NAMES)) + str(k)] = pa.array(plain)
+    parquet.write_table(pa.table(columns), path, compression=str(rng.choice(["none", "zstd", "snappy", "gzip"])))
+
+
+def make_text(rng: np.random.Generator, path: Path) -> None:
+    separator = str(rng.choice([",", ";", "\t", "|", " "]))
+    odd = ["1", "1,5", "2.5e300", "", "nan", '"', "'", "word", "-", "1_0", "é", "0x1"]
+    rows = [[str(rng.choice(odd)) if rng.random() < 0.1 else f"{rng.standard_normal():.4f}"
+             for _ in range(int(rng.integers(1, 9)) if rng.random() < 0.05 else 5)]
+            for _ in range(int(2 ** rng.uniform(1, 8)))]
+    head = [separator.join(str(rng.choice(NAMES)) for _ in range(5)) for _ in range(int(rng.integers(0, 4)))]
+    text = "\n".join([*head, *(separator.join(row) for row in rows)])
+    path.write_bytes(text.encode(str(rng.choice(["utf-8", "utf-16", "cp1252"])), "replace"))
+
+
+def make_can(rng: np.random.Generator, path: Path) -> None:
+    """Frames of an ODrive; a few of other drives, lengths and kinds, and in a third of the files lines that are none."""
+    lines, odd = [], 0.1 if rng.random() < 0.3 else 0.0
+    for k in range(int(2 ** rng.uniform(1, 8))):
+        number = int(rng.choice([0x09, 0x14, 0x1C, 0x29, 0x10000])) if rng.random() < 0.9 else int(rng.integers(2**29))
+        size = 8 if rng.random() < 0.9 else int(rng.integers(0, 9))
+        mark = str(rng.choice(["##1", "#R", "##", ""])) if rng.random() < odd else "#"
+        code = f"{number:03X}" if number < 0x800 else f"{number:08X}"
+        data = rng.bytes(size).hex().upper()
+        lines.append(f"({1e9 + k * 0.01:.6f}) can{int(rng.integers(3))} {code}{mark}{data}")
+    path.write_text("\n".join(lines) + "\n")
+
+
+def make_db3(rng: np.random.Generator, path: Path) -> None:
+    path.unlink(missing_ok=True)
+    base = sqlite3.connect(path)
+    base.execute("create table topics(id integer primary key, name text, type text, serialization_format text, "
+                 "offered_qos_profiles text, type_description_hash text)")
+    base.execute("create table messages(id integer primary key, topic_id integer, timestamp integer, data blob)")
+    base.execute("create table schema(schema_version integer, ros_distro text)")
+    for k in range(int(rng.integers(0, 4))):
+        kind = rng.choice(["sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "std_msgs/msg/Float64", "no/msg/Such"])
+        name = f"/{rng.choice(NAMES)}{k}"
+        base.execute("insert into topics values(?,?,?,?,?,?)", (k, name, str(kind), "cdr", "", ""))
+    for k in range(int(2 ** rng.uniform(0, 6))):
+        base.execute("insert into messages values(?,?,?,?)", (k, int(rng.integers(5)), int(2 ** rng.uniform(0, 63)),
+                                                              b"\0\1\0\0" + rng.bytes(int(2 ** rng.uniform(0, 9)))))
+    base.commit()
+    base.close()
+
+
+def make_urdf(rng: np.random.Generator, path: Path) -> None:
+    """Joints between any links: chains, trees, circles."""
+    n = int(rng.integers(1, 6))
+    odd = ["1", "0", "-1", "1e308", "nan", "x", "0.1 0.2 0.3", ""]
+    names = [str(rng.choice(NAMES)) if rng.random() < 0.2 else f"l{k}" for k in range(n + 1)]
+    quoted = [name.replace("\n", "&#10;").replace("<", "") for name in names]
+    links = "".join(f'<link name="{q}"><inertial><mass value="{rng.choice(odd)}"/><inertia ixx="1" izz="1" '
+                    f'iyy="{rng.choice(odd)}"/></inertial></link>' for q in quoted)
+    ends = [(quoted[k], quoted[k + 1]) if rng.random() < 0.8 else (str(rng.choice(quoted)), str(rng.choice(quoted)))
+            for k in range(n)]
+    joints = "".join(f'<joint name="j{k}" type="revolute"><parent link="{a}"/><child link="{b}"/><axis xyz="0 1 0"/>'
+                     f'<origin xyz="0 0 -0.3"/></joint>' for k, (a, b) in enumerate(ends))
+    path.write_text(f'<robot name="r">{links}{joints}</robot>')
+
+
+def read_urdf(path: Path) -> None:
+    parse_rig('[mechanism]\nmodel = "chain"\nlinks = 5\nactuated = [1]\n' + prior_table(read_robot(path), path.name))
+
+
+MAKERS: dict[str, tuple[str, Make]] = {
+    "json": (".json", make_json), "pickle": (".pkl", make_pickle), "npz": (".npz", make_npz), "mat": (".mat", make_mat),
+    "hdf5": (".h5", make_hdf5), "parquet": (".parquet", make_parquet), "text": (".txt", make_text),
+    "can": (".log", make_can), "db3": (".db3", make_db3), "urdf": (".urdf", make_urdf)}
+
+
+def foreign(folder: Path) -> dict[str, tuple[str, list[bytes], Callable[[Path], object], Make | None]]:
+    """Name of a format -> ending, whole files, what reads them, what makes files broken in structure."""
+    out: dict[str, tuple[str, list[bytes], Callable[[Path], object], Make | None]] = {}
+    for name, (ending, make) in MAKERS.items():
+        whole = []
+        for seed in range(4):
+            make(np.random.default_rng(seed), folder / f"w{ending}")
+            whole.append((folder / f"w{ending}").read_bytes())
+        out[name] = (ending, whole, read_urdf if name == "urdf" else read_imported, make)
+    t = np.arange(60.0)
+    torch_archive({"t": t, "q2": np.sin(t)}, folder / "w.pt")
+    run = Dataset("run", 10.0, t, {name: np.sin(t + k) for k, name in enumerate(
+        ("q2_rad", "tau2_nm", "gyro_radps", "accel_x_mps2", "accel_y_mps2"))})
+    bag = next(ros2_bag(run, folder / "bag", StoragePlugin.MCAP).glob("*.mcap"))
+    base = next(ros2_bag(run, folder / "base", StoragePlugin.SQLITE3).glob("*.db3"))
+    out["db3"] = (*out["db3"][:1], [base.read_bytes()], *out["db3"][2:])
+    columns = map_text({"q2_rad": Column(name="knee", unit="deg")}).encode()
+    out["torch"] = (".pt", [(folder / "w.pt").read_bytes()], read_imported, None)
+    out["bag"] = (".mcap", [bag.read_bytes()], read_imported, None)
+    out["map"] = (".toml", [columns], load_map, None)
+    return out

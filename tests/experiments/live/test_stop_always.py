@@ -1,0 +1,205 @@
+"""Stop and Release in a real browser while folder, disk, network, files and parts of the page fail."""
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.recording.plan import Plan, write_plan
+from daq.recording.workers import real_time
+from experiments.emulation.served_rig import ServedRig
+from tests.support.failing_live import ENTRY, PARTS
+from tests.support.live_browser import CHROMIUM, DRIVER, Browser, Live, open_page
+from tests.support.processes import REAL_CLOCK
+
+pytestmark = [REAL_CLOCK, pytest.mark.slow]
+
+pytest.importorskip("nicegui")
+pytest.importorskip("selenium")
+needs_browser = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium with its chromedriver here")
+ENABLED = "(e => e !== null && !e.disabled && e.offsetParent !== null)(document.getElementById('stop'))"
+
+
+class FailingRig:
+    """An emulated rig with a dashboard of which parts fail."""
+
+    def __init__(self, folder: Path) -> None:
+        with real_time():
+            self.served = ServedRig(folder / "rig")
+        self.out, self.switch = folder / "out", folder / "failing"
+        self.switch.write_text("")
+        t = np.arange(0.0, 60.0, 0.01)
+        write_plan(Plan(t, 0.3 * np.sin(7.0 * t)), folder / "rig" / "plan.csv")
+        for path in (folder / "rig").glob("plan?.csv"):
+            path.unlink()
+        os.environ[ENTRY] = str(self.switch)
+        self.live = Live("--rig", str(self.served.rig_path), "--out", str(self.out),
+                         module="tests.support.failing_live")
+
+    def drives(self) -> bool:
+        return abs(self.served.mock.firmware.drive.torque_nm) > 0.01
+
+    def close(self) -> None:
+        self.live.end()
+        self.served.close()
+        del os.environ[ENTRY]
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FailingRig]:
+    rig = FailingRig(tmp_path_factory.mktemp("stop"))
+    yield rig
+    rig.close()
+
+
+@pytest.fixture(scope="module")
+def page(rig: FailingRig) -> Iterator[Browser]:
+    with open_page(rig.live) as browser:
+        yield browser
+
+
+@contextmanager
+def in_the_folder(make: Callable[[Path], None], out: Path) -> Iterator[None]:
+    before = set(out.iterdir())
+    make(out)
+    try:
+        yield
+    finally:
+        for path in set(out.iterdir()) - before:
+            if not (path.name.startswith("run-2") and path.suffix == ".mcap"):
+                path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
+
+
+def dangling(out: Path) -> None:
+    (out / "run-0.mcap").symlink_to(out / "nothing")
+
+
+def circular(out: Path) -> None:
+    (out / "run-0.mcap").symlink_to(out / "run-1.mcap")
+    (out / "run-1.mcap").symlink_to(out / "run-0.mcap")
+
+
+def pipes(out: Path) -> None:
+    for name in ("run-0.mcap", "watch.json", "fit-0.json"):
+        os.mkfifo(out / name)
+
+
+def folders(out: Path) -> None:
+    for name in ("run-0.mcap", "watch.json"):
+        (out / name).mkdir()
+
+
+def names(out: Path) -> None:
+    (Path(os.fsdecode(bytes(out) + b"/\xff\n<b>.mcap"))).write_bytes(b"")
+    (out / '"><img src=x onerror=alert(1)>.mcap').write_bytes(b"")
+
+
+def documents(out: Path) -> None:
+    (out / "watch.json").write_text(
+        '{"schema": "legid.watch/1", "false_alarms_per_hour": 1, "watched": [{"run": "a", "state": "ok", '
+        '"blocks": [{"per_hour": 1e308}], "recorded": "0001-01-01T00:00:00Z"}]}')
+    (out / "watch2.json").write_text("[" * 100_000)
+
+
+REAL: dict[str, Callable[[Path], None]] = {
+    "dangling link": dangling, "circular links": circular, "pipes": pipes, "folders": folders,
+    "names": names, "documents": documents}
+
+
+@contextmanager
+def vanishing(out: Path) -> Iterator[None]:
+    """Run files that come and go all the time."""
+    ended = threading.Event()
+
+    def come_and_go() -> None:
+        while not ended.is_set():
+            for k in range(20):
+                (out / f"gone{k}.mcap").write_bytes(b"")
+            for k in range(20):
+                with suppress(OSError):
+                    (out / f"gone{k}.mcap").unlink()
+    thread = threading.Thread(target=come_and_go)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+@contextmanager
+def failing(rig: FailingRig, page: Browser, name: str) -> Iterator[None]:
+    """This condition, as long as the block lasts."""
+    if name in REAL:
+        with in_the_folder(REAL[name], rig.out):
+            yield
+    elif name == "vanishing files":
+        with vanishing(rig.out):
+            yield
+    elif name == "socket of the page":
+        page.js("(window.socket.io.reconnection(false), window.socket.io.engine.close(), null)")
+        try:
+            yield
+        finally:
+            page.driver.refresh()
+            page.wait(lambda: page.text("controller"), "the page comes up")
+    else:
+        rig.switch.write_text(name)
+        try:
+            yield
+        finally:
+            rig.switch.write_text("")
+
+
+def stop_works(rig: FailingRig, page: Browser) -> None:
+    """Stop is enabled in every phase from here to the end of the torque, and ends it."""
+    deadline = time.monotonic() + 20.0
+    while not rig.drives():
+        assert page.js(ENABLED) and time.monotonic() < deadline
+        time.sleep(0.02)
+    time.sleep(0.6)  # some turns of the page
+    assert page.js(ENABLED)
+    page.mouse("stop")
+    deadline = time.monotonic() + 5.0
+    while rig.served.mock.firmware.drive.torque_nm != 0.0 or rig.drives():
+        assert page.js(ENABLED) and time.monotonic() < deadline, "still driven after Stop"
+    idle(rig)
+
+
+def idle(rig: FailingRig) -> None:
+    deadline = time.monotonic() + 10.0
+    while rig.served.mock.firmware.drive.state.name == "ARMED":
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@needs_browser
+@pytest.mark.parametrize("name", [*REAL, "vanishing files", "socket of the page", *PARTS])
+def test_stop_is_enabled_and_stops_while_something_fails(rig: FailingRig, page: Browser, name: str) -> None:
+    page.wait(lambda: not page.js("document.getElementById('start').disabled"), "Start is enabled")
+    page.click("start")
+    with failing(rig, page, name):
+        stop_works(rig, page)
+    page.wait(lambda: page.text("phase") not in ("Opening devices", "Recording", "Stopping"), "the run has ended")
+
+
+@needs_browser
+@pytest.mark.parametrize("name", ["dangling link", "runs: file vanished", "readings", "buttons", "list of runs"])
+def test_a_page_opened_while_something_fails_stops_and_releases(rig: FailingRig, page: Browser, name: str) -> None:
+    page.wait(lambda: not page.js("document.getElementById('start').disabled"), "Start is enabled")
+    page.click("start")
+    with failing(rig, page, name):
+        page.wait(rig.drives, "the motor is driven")
+        page.driver.refresh()
+        page.wait(lambda: page.js(ENABLED), "Stop is enabled")
+        page.mouse("estop")
+        page.wait(lambda: not rig.drives(), "the torque is off")
+        page.wait(lambda: page.js("(e => e && !e.hidden)(document.getElementById('release'))"), "Release is shown")
+        page.mouse("release")
+        page.wait(lambda: page.js("document.getElementById('release').hidden"), "released")
+    page.wait(lambda: page.text("phase") == "Idle", "the page is idle")
