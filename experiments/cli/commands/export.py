@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from experiments.cli.arguments import add_force, add_output
 
-KINDS = ("csv", "parquet", "mat", "ros2", "mjcf", "urdf")
+if TYPE_CHECKING:
+    from experiments.simulators import Start
+
+KINDS = ("csv", "parquet", "mat", "ros2", "mjcf", "urdf", "mujoco")
+OF_MODELS = ("mjcf", "urdf", "mujoco")
 ENDINGS = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mat": "mat", ".mcap": "ros2",
            ".xml": "mjcf", ".mjcf": "mjcf", ".urdf": "urdf"}
 
@@ -14,14 +19,17 @@ ENDINGS = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mat": "mat"
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
     parser = subparsers.add_parser(
-        "export", help="convert a run to CSV, Parquet, MATLAB or ROS 2, a model to MJCF or URDF",
+        "export", help="convert a run to CSV, Parquet, MATLAB or ROS 2, a model for MuJoCo or as URDF",
         description="Align a run to a uniform grid and write it in another format, one column a signal, SI units. "
                     "A native run carries its rig; --rig overrides it. With --to ros2 it becomes an MCAP of "
                     "sensor_msgs, every sample at its own wall-clock time; with --to mjcf or urdf a MODEL.json becomes "
-                    "a simulator's model.")
+                    "a simulator's model, with --to mujoco a folder with leg.xml and leg.py, which need no legid.")
     parser.add_argument("run_file", metavar="RUN", help="run file of any kind that is read; or MODEL.json")
     parser.add_argument("--to", choices=KINDS, help="the format; default: by the ending of FILE")
-    add_output(parser, "--out", None, required=True, help="the file to write; a run that is there is never overwritten")
+    add_output(parser, "--out", None, required=True,
+               help="the file to write, with --to mujoco a folder; a run that is there is never overwritten")
+    parser.add_argument("--starts", metavar="RUN", nargs="+", default=[],
+                        help="with --to mujoco: runs whose first states leg.xml keeps, by name")
     add_force(parser)
     parser.add_argument("--rig", help="the rig's TOML file; default: the one inside the run")
     parser.add_argument("--damaged", action="store_true", help="export a run of whose file something is missing, too")
@@ -37,7 +45,11 @@ def run(args: argparse.Namespace) -> int:
         args.to = next((kind for ending, kind in ENDINGS.items() if args.out.lower().endswith(ending)), None)
     if args.to is None:
         raise InputError(args.out, "has no ending that tells a format", f"give --to {'|'.join(KINDS)}")
-    if args.to in ("mjcf", "urdf"):
+    if args.starts and args.to != "mujoco":
+        raise InputError("--starts", "is for --to mujoco", "leave it out")
+    if args.to == "mujoco":
+        return _export_folder(args)
+    if args.to in OF_MODELS:
         return _export_model(args)
     from experiments.console import warn
     from experiments.exchange import export_run, load_to_convert
@@ -75,7 +87,8 @@ def _export_model(args: argparse.Namespace) -> int:
 
     from daq import InputError
     from experiments.console import write_text
-    from experiments.models import export_model, load_model
+    from experiments.models import load_model
+    from experiments.simulators import export_model
 
     if args.rig is not None or args.rate is not None:
         raise InputError(f"--to {args.to}", "takes neither --rig nor --rate", "leave them out: they belong to runs")
@@ -85,3 +98,42 @@ def _export_model(args: argparse.Namespace) -> int:
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
     return 0
+
+
+def _export_folder(args: argparse.Namespace) -> int:
+    """Write leg.xml and leg.py; what they hold otherwise than the model goes to stderr."""
+    import shlex
+    from pathlib import Path
+
+    from experiments.console import command_line, note
+    from experiments.models import load_model
+    from experiments.simulators import write_simulator
+
+    model, starts = load_model(args.run_file), _starts(args)
+    notes = write_simulator(model, args.run_file, Path(args.out), command_line() or "legid export", starts)
+    kept = f" with the first states of {len(starts)} runs" if starts else ""
+    print(f"{args.out}: leg.xml{kept} and leg.py of {args.run_file}")
+    for line in notes:
+        note(f"note: {line}")
+    print(f"Next: python {shlex.quote(str(Path(args.out) / 'leg.py'))} RUN.csv")
+    return 0
+
+
+def _starts(args: argparse.Namespace) -> list[Start]:
+    """First states of the runs that were named."""
+    from daq import InputError
+
+    if args.rate is not None or (args.rig is not None and not args.starts):
+        raise InputError("--to mujoco", "takes no --rate, and --rig with --starts alone", "leave it out")
+    if not args.starts:
+        return []
+    import numpy as np
+
+    from experiments.cli.arguments import chosen_rig
+    from experiments.models import load_model
+    from experiments.session import prepare
+    from experiments.workflows import starts_of
+
+    model = load_model(args.run_file)
+    prepared = prepare(args.starts, chosen_rig(args, args.starts).rig, beta=np.array(model.beta), damaged=args.damaged)
+    return starts_of(model, prepared)

@@ -9,7 +9,8 @@ import pytest
 from daq import load_rig
 from estimator.model import leg2, rigid_parameters
 from experiments.cli.main import main
-from experiments.models import export_model, load_model
+from experiments.models import load_model
+from experiments.simulators import export_model
 from tests.support.models import LEG, write_model
 from tests.support.mujoco_leg import Leg
 

@@ -1,0 +1,9 @@
+from .folder import simulator_files as simulator_files
+from .folder import write_simulator as write_simulator
+from .mjcf import Start as Start
+from .mujoco_runs import ExportedLeg as ExportedLeg
+from .mujoco_runs import Piece as Piece
+from .mujoco_runs import Record as Record
+from .mujoco_runs import require_mujoco as require_mujoco
+from .mujoco_runs import rows_of as rows_of
+from .single_file import export_model as export_model
