@@ -29,3 +29,4 @@ from .structure import structure_values as structure_values
 from .with_effects import effect_value as effect_value
 from .with_effects import predictor_of as predictor_of
 from .with_effects import simulate_extended as simulate_extended
+from .with_effects import widening_of as widening_of

@@ -1,9 +1,17 @@
 from .folder import simulator_files as simulator_files
 from .folder import write_simulator as write_simulator
+from .learning import SIMULATORS as SIMULATORS
+from .learning import learning_files as learning_files
+from .learning import reduced as reduced
 from .mjcf import Start as Start
 from .mujoco_runs import ExportedLeg as ExportedLeg
 from .mujoco_runs import Piece as Piece
 from .mujoco_runs import Record as Record
 from .mujoco_runs import require_mujoco as require_mujoco
 from .mujoco_runs import rows_of as rows_of
+from .robot import Link as Link
+from .robot import read_robot as read_robot
+from .samples import Samples as Samples
+from .samples import draw_models as draw_models
+from .samples import write_samples as write_samples
 from .single_file import export_model as export_model

@@ -23,6 +23,7 @@ from .fit_each import refits_document as refits_document
 from .fit_each import refits_text as refits_text
 from .fit_each import verdict as verdict
 from .in_mujoco import compared_text as compared_text
+from .in_mujoco import reduction_errors as reduction_errors
 from .in_mujoco import starts_of as starts_of
 from .in_mujoco import validate_in_mujoco as validate_in_mujoco
 from .investigate import Asked as Asked

@@ -18,7 +18,7 @@ from tests.support.mujoco_leg import random_leg
 
 RATE_HZ = 500.0
 START = [0.4, -0.3]
-REACH = ((-1.0, 1.0), (-1.2, 1.2))
+REACH = ((-1.0, 1.0), (-0.6, 0.6))
 
 
 class Case(NamedTuple):

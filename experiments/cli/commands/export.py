@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from experiments.cli.arguments import add_force, add_output
+from experiments.cli.arguments import add_force, add_output, whole_number
 
 if TYPE_CHECKING:
-    from experiments.simulators import Start
+    from experiments.session import Prepared
 
-KINDS = ("csv", "parquet", "mat", "ros2", "mjcf", "urdf", "mujoco")
+KINDS = ("csv", "parquet", "mat", "ros2", "mjcf", "urdf", "mujoco", "learning")
 OF_MODELS = ("mjcf", "urdf", "mujoco")
 ENDINGS = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mat": "mat", ".mcap": "ros2",
            ".xml": "mjcf", ".mjcf": "mjcf", ".urdf": "urdf"}
@@ -23,13 +23,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Align a run to a uniform grid and write it in another format, one column a signal, SI units. "
                     "A native run carries its rig; --rig overrides it. With --to ros2 it becomes an MCAP of "
                     "sensor_msgs, every sample at its own wall-clock time; with --to mjcf or urdf a MODEL.json becomes "
-                    "a simulator's model, with --to mujoco a folder with leg.xml and leg.py, which need no legid.")
+                    "a simulator's model. --to mujoco writes a folder with leg.xml and leg.py, which need no legid; "
+                    "--to learning one with modules for Isaac Lab, mjlab, Newton and Genesis.")
     parser.add_argument("run_file", metavar="RUN", help="run file of any kind that is read; or MODEL.json")
     parser.add_argument("--to", choices=KINDS, help="the format; default: by the ending of FILE")
     add_output(parser, "--out", None, required=True,
-               help="the file to write, with --to mujoco a folder; a run that is there is never overwritten")
+               help="the file to write, with --to mujoco or learning a folder; a run that is there is never "
+                    "overwritten")
     parser.add_argument("--starts", metavar="RUN", nargs="+", default=[],
-                        help="with --to mujoco: runs whose first states leg.xml keeps, by name")
+                        help="with --to mujoco: runs whose first states leg.xml keeps, by name; with --to learning: "
+                             "runs whose free-run error says what a simulator's joint lacks")
+    parser.add_argument("--samples", metavar="N", type=whole_number(1, 10_000), default=0,
+                        help="with --to mujoco: N models more, drawn by the joint covariance of parameters and sizes")
+    parser.add_argument("--seed", type=whole_number(0, 2**32), default=1, help="of --samples (default 1)")
     add_force(parser)
     parser.add_argument("--rig", help="the rig's TOML file; default: the one inside the run")
     parser.add_argument("--damaged", action="store_true", help="export a run of whose file something is missing, too")
@@ -45,10 +51,12 @@ def run(args: argparse.Namespace) -> int:
         args.to = next((kind for ending, kind in ENDINGS.items() if args.out.lower().endswith(ending)), None)
     if args.to is None:
         raise InputError(args.out, "has no ending that tells a format", f"give --to {'|'.join(KINDS)}")
-    if args.starts and args.to != "mujoco":
-        raise InputError("--starts", "is for --to mujoco", "leave it out")
-    if args.to == "mujoco":
-        return _export_folder(args)
+    for flag, given, kinds in (("--starts", args.starts, ("mujoco", "learning")),
+                               ("--samples", args.samples, ("mujoco",))):
+        if given and args.to not in kinds:
+            raise InputError(flag, f"is for --to {' or '.join(kinds)}", "leave it out")
+    if args.to in ("mujoco", "learning"):
+        return _export_folder(args) if args.to == "mujoco" else _export_learning(args)
     if args.to in OF_MODELS:
         return _export_model(args)
     from experiments.console import warn
@@ -107,33 +115,60 @@ def _export_folder(args: argparse.Namespace) -> int:
 
     from experiments.console import command_line, note
     from experiments.models import load_model
-    from experiments.simulators import write_simulator
+    from experiments.simulators import draw_models, write_samples, write_simulator
+    from experiments.workflows import starts_of
 
-    model, starts = load_model(args.run_file), _starts(args)
+    model, prepared = load_model(args.run_file), _prepared(args)
+    starts = [] if prepared is None else starts_of(model, prepared)
     notes = write_simulator(model, args.run_file, Path(args.out), command_line() or "legid export", starts)
     kept = f" with the first states of {len(starts)} runs" if starts else ""
     print(f"{args.out}: leg.xml{kept} and leg.py of {args.run_file}")
     for line in notes:
         note(f"note: {line}")
+    if args.samples:
+        samples = draw_models(model, args.run_file, args.samples, args.seed)
+        write_samples(samples, args.run_file, Path(args.out), command_line() or "legid export")
+        again = f", {samples.redrawn} draws that no leg can have left out" if samples.redrawn else ""
+        print(f"{args.out}: samples.csv, {args.samples} models below samples, batch.py{again}")
+        if samples.held:
+            note(f"note: not determined, kept at the model's value: {', '.join(samples.held)}")
     print(f"Next: python {shlex.quote(str(Path(args.out) / 'leg.py'))} RUN.csv")
     return 0
 
 
-def _starts(args: argparse.Namespace) -> list[Start]:
-    """First states of the runs that were named."""
+def _export_learning(args: argparse.Namespace) -> int:
+    """Write modules for simulators of policy learning, and the table of what they hold."""
+    from pathlib import Path
+
+    from experiments.console import make_directory, write_text
+    from experiments.models import load_model
+    from experiments.simulators import learning_files
+    from experiments.workflows import reduction_errors
+
+    model, prepared = load_model(args.run_file), _prepared(args)
+    errors = None if prepared is None else reduction_errors(model, prepared)
+    texts = learning_files(model, args.run_file, errors)
+    make_directory(Path(args.out))
+    for name, text in texts.items():
+        write_text(Path(args.out) / name, text)
+    print(f"{args.out}: {', '.join(sorted(texts))} of {args.run_file}\n")
+    print(texts["README.md"].split("\n\n", 2)[2].rstrip())
+    return 0
+
+
+def _prepared(args: argparse.Namespace) -> Prepared | None:
+    """The runs of --starts, ready; None without any."""
     from daq import InputError
 
     if args.rate is not None or (args.rig is not None and not args.starts):
-        raise InputError("--to mujoco", "takes no --rate, and --rig with --starts alone", "leave it out")
+        raise InputError(f"--to {args.to}", "takes no --rate, and --rig with --starts alone", "leave it out")
     if not args.starts:
-        return []
+        return None
     import numpy as np
 
     from experiments.cli.arguments import chosen_rig
     from experiments.models import load_model
     from experiments.session import prepare
-    from experiments.workflows import starts_of
 
-    model = load_model(args.run_file)
-    prepared = prepare(args.starts, chosen_rig(args, args.starts).rig, beta=np.array(model.beta), damaged=args.damaged)
-    return starts_of(model, prepared)
+    beta = np.array(load_model(args.run_file).beta)
+    return prepare(args.starts, chosen_rig(args, args.starts).rig, beta=beta, damaged=args.damaged)
