@@ -11,6 +11,7 @@ from .mujoco_runs import require_mujoco as require_mujoco
 from .mujoco_runs import rows_of as rows_of
 from .robot import Link as Link
 from .robot import read_robot as read_robot
+from .robot_model import model_of_robot as model_of_robot
 from .samples import Samples as Samples
 from .samples import draw_models as draw_models
 from .samples import write_samples as write_samples

@@ -30,6 +30,8 @@ from .investigate import Asked as Asked
 from .investigate import investigate_rig as investigate_rig
 from .record import record_plan as record_plan
 from .record import replay_recording as replay_recording
+from .robot import RobotReport as RobotReport
+from .robot import judge_robot as judge_robot
 from .simulate import simulate_run as simulate_run
 from .tune import Tuning as Tuning
 from .tune import tune_runs as tune_runs
