@@ -56,7 +56,7 @@ def comment_of(model: Model, notes: Sequence[str]) -> str:
     words = ["Written by legid from an identified model. Base parameters kept exactly: "
              + ", ".join(f"{p.name} = {p.value:.9g} {p.unit}" for p in model.parameters) + ".",
              "Masses and centres are one choice of many that move alike about a fixed pivot.",
-             *(note[0].upper() + note[1:] + "." for note in notes)]
+             *(note if note.startswith("leg.py") else note[0].upper() + note[1:] for note in notes)]
     return " " + "\n       ".join(words).replace("--", "- -") + " "
 
 

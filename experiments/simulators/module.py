@@ -120,9 +120,13 @@ def _act(code: Code) -> list[str]:
                                                   else ""))
         lines += code.torque.get(j, [])
         lines.append(f"d.ctrl[{k}] = u{j + 1}" + (f" + {joint.offset!r}" if joint.offset else ""))
-        if joint.delay_s and (code.level.get(j) or code.taken.get(j)):
+        laws = " ".join(term for terms in (*code.level.values(), *code.taken.values()) for term in terms)
+        through = f"through{j + 1}" in " ".join(code.read.get(j, []))
+        if joint.delay_s and (f"u{j + 1}" in laws or through):
             lines.append(f"u{j + 1} = mujoco.mj_readCtrl(m, d, {k}, d.time, self.buffer, 1).item()"
                          + (f" - {joint.offset!r}" if joint.offset else ""))
+        if through:
+            lines.append(f"self.acting{j + 1} = u{j + 1}")
     used = "\n".join(line for group in (code.level, code.taken) for terms in group.values() for line in terms)
     for j, joint in enumerate(parts.joints):
         dof = _dof(parts, j)
@@ -163,12 +167,12 @@ def _encoders(code: Code, angles: tuple[str, ...]) -> list[str]:
         if f"q{j + 1}" in used or f"through{j + 1}" in used:
             lines.append(f"q{j + 1} = d.qpos[{dof}]")
         if f"through{j + 1}" in used:
-            k, b = parts.mechanism.actuated.index(j), joint
+            b = joint
             inertia = sum(e.sizes.get("motor_inertia", 0.0) for e in parts.left if e.joint == j + 1)
             friction = f"{b.viscous!r} * v + {b.coulomb + sum(level for level, *_ in b.bristles)!r} * " \
                        + _sign("v", b.smoothing)
-            lines += [f"v, given = d.qvel[{dof}], self.given[-1][1][{k}]",
-                      f"through{j + 1} = given - ({friction}) - {inertia!r} * d.qacc[{dof}]  # torque in the gear"]
+            lines += [f"v = d.qvel[{dof}]", f"friction = {friction}",
+                      f"through{j + 1} = self.acting{j + 1} - friction - {inertia!r} * d.qacc[{dof}]  # in the gear"]
     cells = ", ".join(f'"{column}": float({" + ".join([f"d.sensordata[{j}]", *code.read.get(j, [])])})'
                       for j, column in enumerate(angles))
     return [*lines, f"row = {{{cells}}}"]

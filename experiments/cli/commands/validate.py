@@ -75,7 +75,8 @@ def run(args: argparse.Namespace) -> int:
     if steps is not None:
         print(walk_text(steps))
     if args.json:
-        write_json(args.json, with_origin(found.document, origin, setup.datasets))
+        told = {"simulator": args.simulator} if args.simulator != "legid" else {}
+        write_json(args.json, with_origin(found.document | told, origin, setup.datasets))
     if args.html:
         from experiments.reports import origin_section, write_page
 

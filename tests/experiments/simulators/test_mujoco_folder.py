@@ -46,6 +46,12 @@ def test_an_export_moves_as_the_simulation_does(names: Sequence[str], tmp_path: 
     assert angle_error(model_of(tmp_path, 2, names), 1e-3) < WITHIN_RAD
 
 
+@pytest.mark.parametrize("names", [("joint_elasticity", "torque_saturation"), ("backlash", "torque_offset"),
+                                   ("joint_elasticity", "torque_delay")], ids="+".join)
+def test_a_gear_twists_under_the_torque_that_acts(names: Sequence[str], tmp_path: Path) -> None:
+    assert angle_error(model_of(tmp_path, 2, names), 1e-3) < WITHIN_RAD
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("names", [(), *((name,) for name in EFFECTS), *PAIRS], ids="+".join)
