@@ -177,6 +177,10 @@ changed-families: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence changed-families --minutes $(or $(MINUTES),45) \
 		--out docs/evidence/changed-families.md
 
+# Exported models in MuJoCo against `legid simulate`, on records next to the checkout against legid's own, and their speed.
+simulators: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence simulators --legs $(or $(SIMULATED),3) --out docs/evidence/simulators.md
+
 # Fits of legs with known parameters, then of real records next to the checkout: an hour. SNAPSHOTS: see `machines`.
 trust: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.evidence trust --minutes $(or $(MINUTES),60) \

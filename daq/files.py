@@ -34,6 +34,8 @@ _MARKS = ((r'^\s*\{\s*"schema":\s*"(legid\.[\w-]+/\d+)"', r"\1"),
           (r"\A<!DOCTYPE html>[\s\S]*(Made by legid|content=\"legid )", "page"),
           (r"<!-- Written by legid from an identified model[\s\S]*<(mujoco|robot)\b", r"\1"),
           (r"<(mujoco|robot)\b[\s\S]*<!-- Written by legid from an identified model", r"\1"),
+          (r'\A"""[^"]*Written by `legid export', "simulator"),
+          (r"\Amodel,beta1,", "samples"), (r"\A# A leg for policy learning", "learning page"),
           (r"<svg[^>]*><style>svg\{color:", "picture"), (r"<!-- written by legid -->", "text page"),
           (r"\A# An emulated rig served by", "emulated rig"))
 _force: ContextVar[bool] = ContextVar("force", default=False)

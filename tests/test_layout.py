@@ -20,8 +20,9 @@ ROOMS = {
     "estimator": [["errors", "methods", "parallel", "verdicts"], ["numerics"], ["model"], ["options", "result"],
                   ["signals"], ["effects"], ["likelihood"], ["score", "free_runs"], ["fitting"], ["prediction"],
                   ["diagnosis", "calibration", "change"]],
-    "experiments": [["console", "provenance"], ["models"], ["exchange"], ["rig", "excite", "emulation", "session"],
-                    ["reports"], ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
+    "experiments": [["console", "provenance"], ["models"], ["exchange", "simulators"],
+                    ["rig", "excite", "emulation", "session"], ["reports"],
+                    ["workflows", "doctor", "calibrate", "live"], ["studies"], ["cli"]],
     "legid": [["tables", "figures"], ["results", "listings", "changes"], ["api", "tools"]],
 }
 """The rooms of a floor from the ground up; those of one row may know each other as far as they make no circle."""

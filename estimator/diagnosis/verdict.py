@@ -172,7 +172,7 @@ def without_answer(table: ErrorTable, family: Family, material: float) -> Decisi
     if whole <= EDGE:
         return Decision("none", terms=terms)
     why = f"the free-run error is {whole:.1f} times that of noise alone" if family.closest is None else NOT_PRESENT
-    return Decision("unexplained", why=why, terms="nominal" if family.own else "")
+    return Decision("unexplained", why=why, terms="nominal" if family.own else "", open=True)
 
 
 def judge(table: ErrorTable, family: Family, answer: Answer, material: float) -> Decision:

@@ -1,4 +1,4 @@
-"""Model files, models extended by effects, exports to MJCF and URDF."""
+"""Model files, models extended by effects, gains."""
 
 import lazy_loader
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,17 @@ def origin_section(origin: Origin, runs: Sequence[Dataset] = ()) -> Section:
             for source in origin.sources]
     how = ["Command:"] if origin.command else []
     seed = [] if origin.seed is None else [f"Random numbers are drawn from seed {origin.seed}."]
+    model = _model_of(origin)
+    use = [f"This model in MuJoCo: legid export {shlex.quote(model)} --to mujoco --out leg"] if model else []
     return Section("Where this comes from",
                    [f"legid {origin.version}, commit {origin.commit}. legid verify checks these files against this "
                     "page.", *seed, *how], [Table(["file", "SHA-256"], rows)], command=origin.command,
-                   notes=[f"{d['run']} is damaged: {d['what']}" for d in damaged_runs(runs)], folded=True)
+                   notes=[*(f"{d['run']} is damaged: {d['what']}" for d in damaged_runs(runs)), *use], folded=True)
+
+
+def _model_of(origin: Origin) -> str:
+    """Name of the model file that the command read or wrote; empty without one."""
+    if origin.model is not None:
+        return origin.model.file
+    words = shlex.split(origin.command)
+    return words[words.index("--model-out") + 1] if "--model-out" in words[:-1] else ""

@@ -22,10 +22,16 @@ from .fit_each import refit_all as refit_all
 from .fit_each import refits_document as refits_document
 from .fit_each import refits_text as refits_text
 from .fit_each import verdict as verdict
+from .in_mujoco import compared_text as compared_text
+from .in_mujoco import reduction_errors as reduction_errors
+from .in_mujoco import starts_of as starts_of
+from .in_mujoco import validate_in_mujoco as validate_in_mujoco
 from .investigate import Asked as Asked
 from .investigate import investigate_rig as investigate_rig
 from .record import record_plan as record_plan
 from .record import replay_recording as replay_recording
+from .robot import RobotReport as RobotReport
+from .robot import judge_robot as judge_robot
 from .simulate import simulate_run as simulate_run
 from .tune import Tuning as Tuning
 from .tune import tune_runs as tune_runs

@@ -19,13 +19,9 @@ from estimator.signals import (
     torque_column,
     torque_of,
 )
-from experiments.models import Model, build_mechanism, simulate_extended
+from experiments.models import Model, build_mechanism, noise_level, simulate_extended
 
 MOST_SAMPLES = 10_000_000
-CHANNELS = {"gyro": ("gyro_radps",), "accel_x": ("accel_x_mps2", "accel_mps2"),
-            "accel_y": ("accel_y_mps2", "accel_mps2"), "tau": ("torque_nm",),
-            "voltage": ("torque_nm",), "q": ("encoder_rad",)}
-"""How a column's name begins, and the noise levels that may belong to it, the closest first."""
 
 
 def simulate_run(model: Model, plan: Plan, where: str, rate_hz: float | None = None,
@@ -98,9 +94,4 @@ def _noisy(columns: dict[str, FloatArray], noise: dict[str, float], seed: int) -
     draws = {name: rng.standard_normal(values.shape) for name, values in columns.items()}
     for name in [name for name in draws if rho and name.startswith("accel") and name.endswith("_y_mps2")]:
         draws[name] = rho * draws[name.replace("_y_", "_x_")] + np.sqrt(1.0 - rho**2) * draws[name]
-    return {name: values + _level(noise, name) * draws[name] for name, values in columns.items()}
-
-
-def _level(noise: dict[str, float], column: str) -> float:
-    keys = next((keys for begin, keys in CHANNELS.items() if column.startswith(begin)), ())
-    return next((noise[key] for key in (column, *keys) if key in noise), 0.0)
+    return {name: values + noise_level(noise, name) * draws[name] for name, values in columns.items()}

@@ -44,6 +44,10 @@ class ValidationReport:
     seen: tuple[str, ...]
     """Runs that the model was fitted to."""
     trust: Trust
+    smoothed: tuple[SmoothedRun, ...] = ()
+    """Each run as the model's smoother has it."""
+    told: tuple[str, ...] = ()
+    """What else contradicts the rig or the model."""
 
     @property
     def validations(self) -> list[Validation]:
@@ -64,9 +68,9 @@ def validate_prepared(model: Model, prepared: Prepared, where: str, files: Seque
                       ) -> ValidationReport:
     """Report like that of `validate_model`, on the runs of `prepared`, which were read from `files`, with its trust."""
     setup, seen = prepared.setup, seen_in_fit(model, files)
-    table, steps, notes = validate_model(model, setup, where, against, horizons_s, bands)
-    against_rig = [*contradictions(prepared.flags), *model_contradictions(model.mechanism, setup.settings), *notes]
-    return ValidationReport(prepared, table, steps, seen, validation_trust(table, seen, against_rig))
+    table, steps, notes, smoothed = validate_model(model, setup, where, against, horizons_s, bands)
+    told = (*contradictions(prepared.flags), *model_contradictions(model.mechanism, setup.settings), *notes)
+    return ValidationReport(prepared, table, steps, seen, validation_trust(table, seen, told), smoothed, told)
 
 
 class Validated(NamedTuple):
@@ -78,6 +82,8 @@ class Validated(NamedTuple):
     """Of a walker"""
     notes: tuple[str, ...] = ()
     """Runs that leave the range of the model's structure"""
+    smoothed: tuple[SmoothedRun, ...] = ()
+    """Each run as the model's smoother has it"""
 
 
 def validate_model(model: Model, setup: Setup, where: str, against: Model | None = None,
@@ -94,7 +100,8 @@ def validate_model(model: Model, setup: Setup, where: str, against: Model | None
     table = predict_setup(models, setup, horizons_s, bands, walked)
     steps = walk_ahead(walked) if models[0].mechanism.exchanged and not models[0].effects else None
     notes = [(data.name, range_note(model, one.state.x.q, one.state.x.v, one.drive)) for data, one in walked]
-    return Validated(table, steps, tuple(f"{run}: {note}" for run, note in notes if note))
+    return Validated(table, steps, tuple(f"{run}: {note}" for run, note in notes if note),
+                     tuple(one for _, one in walked))
 
 
 def predict_setup(models: Sequence[FittedModel], setup: Setup, horizons_s: Sequence[float] = HORIZONS_S,

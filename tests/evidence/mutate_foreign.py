@@ -21,7 +21,8 @@ from rosbags.rosbag2 import StoragePlugin
 
 from daq import Column, Dataset, parse_rig
 from experiments.exchange import load_map, map_text, read_imported
-from experiments.rig import prior_table, read_robot
+from experiments.rig import prior_table
+from experiments.simulators import read_robot
 from tests.support.imported_files import ros2_bag
 from tests.support.nested_files import torch_archive
 
@@ -134,7 +135,7 @@ def make_text(rng: np.random.Generator, path: Path) -> None:
 
 
 def make_can(rng: np.random.Generator, path: Path) -> None:
-    """Frames of an ODrive; a few of other drives, lengths and kinds, and in a third of the files lines that are none."""
+    """Frames of an ODrive; a few of other drives, lengths and kinds; in a third of the files lines that are none."""
     lines, odd = [], 0.1 if rng.random() < 0.3 else 0.0
     for k in range(int(2 ** rng.uniform(1, 8))):
         number = int(rng.choice([0x09, 0x14, 0x1C, 0x29, 0x10000])) if rng.random() < 0.9 else int(rng.integers(2**29))

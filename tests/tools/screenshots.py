@@ -19,36 +19,60 @@ from PIL import Image
 from estimator.model import leg2
 from experiments import cli
 from experiments.console import write_text
-from experiments.reports import standalone, trace_plot
+from experiments.models import load_model
+from experiments.reports import Line, plot_lines, standalone, trace_plot, window
+from experiments.reports.figures import BLUE, GREEN, ORANGE
 from experiments.reports.sketch import draw_mechanism
-from experiments.workflows import run_demo
+from experiments.rig import choose_rig
+from experiments.session import prepare
+from experiments.workflows import run_demo, validate_in_mujoco, validate_prepared
 from tests.support.live_browser import Browser, Live, open_page
 from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
 PICTURES = DOCS / "pictures"
 WIDE, HIGH = 1100, 900
+SECONDS = 10.0
 COLOURS = 128
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Take all, or those asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=("why", "pages", "live"), action="append", help="default: all")
-    wanted = parser.parse_args(arguments).only or ["why", "pages", "live"]
+    parser.add_argument("--only", choices=("why", "pages", "mujoco", "live"), action="append", help="default: all")
+    wanted = parser.parse_args(arguments).only or ["why", "pages", "mujoco", "live"]
     PICTURES.mkdir(exist_ok=True)
     with TemporaryDirectory() as folder:
         demo = Path(folder) / "demo"
-        if "why" in wanted or "pages" in wanted:
+        if {"why", "pages", "mujoco"} & set(wanted):
             found = run_demo(demo).diagnosis
             trace = next(t for t in found.traces if "q2_rad" in t.after)
-            write_text(DOCS / "why.svg", standalone(trace_plot(trace, "q2_rad")))
-            write_text(DOCS / "leg.svg", standalone(draw_mechanism(leg2(lever_arm=0.2), np.array([1.4, -0.9]))))
+            if "why" in wanted:
+                write_text(DOCS / "why.svg", standalone(trace_plot(trace, "q2_rad")))
+                write_text(DOCS / "leg.svg", standalone(draw_mechanism(leg2(lever_arm=0.2), np.array([1.4, -0.9]))))
+        if "mujoco" in wanted:
+            write_text(DOCS / "mujoco.svg", standalone(mujoco_plot(demo)))
         if "pages" in wanted:
             take_pages(demo)
         if "live" in wanted:
             take_live(Path(folder) / "live")
     return 0
+
+
+def mujoco_plot(demo: Path) -> str:
+    """The knee of a demo's last run: measured, the nominal model as plain MJCF, the extended one as exported."""
+    held = str(sorted(demo.glob("demo-run*.mcap"))[-1])
+    rig, found = choose_rig(None, [held]).rig, {}
+    for name, label in (("model", "plain MJCF"), ("extended", "exported, with the spring")):
+        model = load_model(demo / f"{name}.json")
+        prepared = prepare([held], rig, beta=np.array(model.beta))
+        run = validate_in_mujoco(model, validate_prepared(model, prepared, name), name).table.runs[0]
+        found[label] = run.trace("q2_rad")
+    part = window(run.time_s, SECONDS)
+    measured = run.measured[run.channels.index("q2_rad")]
+    lines = [Line("measured", measured[part], BLUE, 2.4)]
+    lines += [Line(label, values[part], colour) for (label, values), colour in zip(found.items(), (GREEN, ORANGE))]
+    return plot_lines(run.time_s[part] - run.time_s[0], lines, "knee [rad], in MuJoCo")
 
 
 def take_pages(demo: Path) -> None:

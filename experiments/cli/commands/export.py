@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
-from experiments.cli.arguments import add_force, add_output
+from experiments.cli.arguments import add_force, add_output, whole_number
 
-KINDS = ("csv", "parquet", "mat", "ros2", "mjcf", "urdf")
+if TYPE_CHECKING:
+    from experiments.session import Prepared
+
+KINDS = ("csv", "parquet", "mat", "ros2", "mjcf", "urdf", "mujoco", "learning")
+OF_MODELS = ("mjcf", "urdf", "mujoco")
 ENDINGS = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mat": "mat", ".mcap": "ros2",
            ".xml": "mjcf", ".mjcf": "mjcf", ".urdf": "urdf"}
 
@@ -14,14 +19,23 @@ ENDINGS = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mat": "mat"
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
     parser = subparsers.add_parser(
-        "export", help="convert a run to CSV, Parquet, MATLAB or ROS 2, a model to MJCF or URDF",
+        "export", help="convert a run to CSV, Parquet, MATLAB or ROS 2, a model for MuJoCo or as URDF",
         description="Align a run to a uniform grid and write it in another format, one column a signal, SI units. "
                     "A native run carries its rig; --rig overrides it. With --to ros2 it becomes an MCAP of "
                     "sensor_msgs, every sample at its own wall-clock time; with --to mjcf or urdf a MODEL.json becomes "
-                    "a simulator's model.")
+                    "a simulator's model. --to mujoco writes a folder with leg.xml and leg.py, which need no legid; "
+                    "--to learning one with modules for Isaac Lab, mjlab, Newton and Genesis.")
     parser.add_argument("run_file", metavar="RUN", help="run file of any kind that is read; or MODEL.json")
     parser.add_argument("--to", choices=KINDS, help="the format; default: by the ending of FILE")
-    add_output(parser, "--out", None, required=True, help="the file to write; a run that is there is never overwritten")
+    add_output(parser, "--out", None, required=True,
+               help="the file to write, with --to mujoco or learning a folder; a run that is there is never "
+                    "overwritten")
+    parser.add_argument("--starts", metavar="RUN", nargs="+", default=[],
+                        help="with --to mujoco: runs whose first states leg.xml keeps, by name; with --to learning: "
+                             "runs whose free-run error says what a simulator's joint lacks")
+    parser.add_argument("--samples", metavar="N", type=whole_number(1, 10_000), default=0,
+                        help="with --to mujoco: N models more, drawn by the joint covariance of parameters and sizes")
+    parser.add_argument("--seed", type=whole_number(0, 2**32), default=1, help="of --samples (default 1)")
     add_force(parser)
     parser.add_argument("--rig", help="the rig's TOML file; default: the one inside the run")
     parser.add_argument("--damaged", action="store_true", help="export a run of whose file something is missing, too")
@@ -37,7 +51,13 @@ def run(args: argparse.Namespace) -> int:
         args.to = next((kind for ending, kind in ENDINGS.items() if args.out.lower().endswith(ending)), None)
     if args.to is None:
         raise InputError(args.out, "has no ending that tells a format", f"give --to {'|'.join(KINDS)}")
-    if args.to in ("mjcf", "urdf"):
+    for flag, given, kinds in (("--starts", args.starts, ("mujoco", "learning")),
+                               ("--samples", args.samples, ("mujoco",))):
+        if given and args.to not in kinds:
+            raise InputError(flag, f"is for --to {' or '.join(kinds)}", "leave it out")
+    if args.to in ("mujoco", "learning"):
+        return _export_folder(args) if args.to == "mujoco" else _export_learning(args)
+    if args.to in OF_MODELS:
         return _export_model(args)
     from experiments.console import warn
     from experiments.exchange import export_run, load_to_convert
@@ -75,7 +95,8 @@ def _export_model(args: argparse.Namespace) -> int:
 
     from daq import InputError
     from experiments.console import write_text
-    from experiments.models import export_model, load_model
+    from experiments.models import load_model
+    from experiments.simulators import export_model
 
     if args.rig is not None or args.rate is not None:
         raise InputError(f"--to {args.to}", "takes neither --rig nor --rate", "leave them out: they belong to runs")
@@ -85,3 +106,69 @@ def _export_model(args: argparse.Namespace) -> int:
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
     return 0
+
+
+def _export_folder(args: argparse.Namespace) -> int:
+    """Write leg.xml and leg.py; what they hold otherwise than the model goes to stderr."""
+    import shlex
+    from pathlib import Path
+
+    from experiments.console import command_line, note
+    from experiments.models import load_model
+    from experiments.simulators import draw_models, write_samples, write_simulator
+    from experiments.workflows import starts_of
+
+    model, prepared = load_model(args.run_file), _prepared(args)
+    starts = [] if prepared is None else starts_of(model, prepared)
+    notes = write_simulator(model, args.run_file, Path(args.out), command_line() or "legid export", starts)
+    kept = f" with the first states of {len(starts)} runs" if starts else ""
+    print(f"{args.out}: leg.xml{kept} and leg.py of {args.run_file}")
+    for line in notes:
+        note(f"note: {line}")
+    if args.samples:
+        samples = draw_models(model, args.run_file, args.samples, args.seed)
+        write_samples(samples, args.run_file, Path(args.out), command_line() or "legid export")
+        again = f", {samples.redrawn} draws that no leg can have left out" if samples.redrawn else ""
+        print(f"{args.out}: samples.csv, {args.samples} models below samples, batch.py{again}")
+        if samples.held:
+            note(f"note: not determined, kept at the model's value: {', '.join(samples.held)}")
+    print(f"Next: python {shlex.quote(str(Path(args.out) / 'leg.py'))} RUN.csv")
+    return 0
+
+
+def _export_learning(args: argparse.Namespace) -> int:
+    """Write modules for simulators of policy learning, and the table of what they hold."""
+    from pathlib import Path
+
+    from experiments.console import make_directory, write_text
+    from experiments.models import load_model
+    from experiments.simulators import learning_files
+    from experiments.workflows import reduction_errors
+
+    model, prepared = load_model(args.run_file), _prepared(args)
+    errors = None if prepared is None else reduction_errors(model, prepared)
+    texts = learning_files(model, args.run_file, errors)
+    make_directory(Path(args.out))
+    for name, text in texts.items():
+        write_text(Path(args.out) / name, text)
+    print(f"{args.out}: {', '.join(sorted(texts))} of {args.run_file}\n")
+    print(texts["README.md"].split("\n\n", 2)[2].rstrip())
+    return 0
+
+
+def _prepared(args: argparse.Namespace) -> Prepared | None:
+    """The runs of --starts, ready; None without any."""
+    from daq import InputError
+
+    if args.rate is not None or (args.rig is not None and not args.starts):
+        raise InputError(f"--to {args.to}", "takes no --rate, and --rig with --starts alone", "leave it out")
+    if not args.starts:
+        return None
+    import numpy as np
+
+    from experiments.cli.arguments import chosen_rig
+    from experiments.models import load_model
+    from experiments.session import prepare
+
+    beta = np.array(load_model(args.run_file).beta)
+    return prepare(args.starts, chosen_rig(args, args.starts).rig, beta=beta, damaged=args.damaged)

@@ -36,9 +36,9 @@ def run(args: argparse.Namespace) -> int:
         default_actuated,
         prior_table,
         probe,
-        read_robot,
         write_rig,
     )
+    from experiments.simulators import read_robot
 
     path = Path(args.rig)
     if path.exists():

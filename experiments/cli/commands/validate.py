@@ -20,6 +20,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="what the pivot's angle is compared with; default: imu where all runs have its columns")
     parser.add_argument("--against", metavar="MODEL.json",
                         help="another model, such as a published one, to compare the errors with")
+    parser.add_argument("--simulator", choices=("legid", "mujoco"), default="legid",
+                        help="what simulates: legid, or MuJoCo with what legid export --to mujoco writes")
     add_horizons(parser)
     add_output(parser, "--json", "legid.validation/1", help="write the errors as JSON (schema legid.validation/1)")
     add_output(parser, "--html", "page", help="write a report page")
@@ -63,12 +65,18 @@ def run(args: argparse.Namespace) -> int:
     if seen:
         warn(f"{args.model} was fitted to {', '.join(seen)}, which therefore do not validate it; give other runs")
     found = validate_prepared(model, prepared, args.model, origin.runs, against, args.horizons or HORIZONS_S, True)
+    if args.simulator == "mujoco":
+        from experiments.workflows import compared_text, validate_in_mujoco
+
+        own, found = found, validate_in_mujoco(model, found, args.model)
+        print(compared_text(own, found) + "\n")
     table, steps, trust = found.table, found.steps, found.trust
     print("\n".join([trust.sentence, *trust.reasons, "", validation_text(table), horizons_text(table)]))
     if steps is not None:
         print(walk_text(steps))
     if args.json:
-        write_json(args.json, with_origin(found.document, origin, setup.datasets))
+        told = {"simulator": args.simulator} if args.simulator != "legid" else {}
+        write_json(args.json, with_origin(found.document | told, origin, setup.datasets))
     if args.html:
         from experiments.reports import origin_section, write_page
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from daq import load_rig
 from estimator.model import leg2, rigid_parameters
 from experiments.cli.main import main
-from experiments.models import export_model, load_model
+from experiments.models import load_model
+from experiments.simulators import export_model, read_robot
 from tests.support.models import LEG, write_model
 from tests.support.mujoco_leg import Leg
 
@@ -33,11 +35,15 @@ def test_the_bodies_of_an_exported_leg_make_its_parameters(kind: str, tmp_path: 
 @pytest.mark.parametrize(("text", "told"), [
     ("<robot", "is not XML"), ("<sdf/>", "begins with <sdf>"), ("<robot/>", "has no hinge"),
     ("<!DOCTYPE x><robot/>", "declares entities"),
-    ('<mujoco><worldbody><body name="a" quat="1 0 0 0"><joint/></body></worldbody></mujoco>', "body a is none that"),
+    ('<mujoco><worldbody><body name="a"><joint/></body></worldbody></mujoco>', "MuJoCo cannot read it"),
     ('<mujoco><worldbody><body name="a" pos="0 0 x"><joint/><inertial mass="1"/></body></worldbody></mujoco>',
-     "no number"),
-    ('<robot name="r"><link name="b"/><link name="c"/><joint name="j" type="prismatic"><parent link="b"/>'
-     '<child link="c"/></joint></robot>', "joint j or its link c")])
+     "MuJoCo cannot read it"),
+    ('<mujoco><worldbody><body name="a"><joint type="slide"/><geom size="1"/></body></worldbody></mujoco>',
+     "is no hinge"),
+    ('<mujoco><worldbody><body name="a"><joint/><geom size="1"/><body name="b"><joint/><geom size="1"/></body>'
+     '<body name="c"><joint/><geom size="1"/></body></body></worldbody></mujoco>', "body c branches off"),
+    ('<mujoco><worldbody><body name="a"><joint/><geom size="1"/><body name="b"><joint axis="1 0 0"/><geom size="1"/>'
+     '</body></body></worldbody></mujoco>', "turns b about another axis than a")])
 def test_what_cannot_be_read_is_one_line(text: str, told: str, tmp_path: Path,
                                          capsys: pytest.CaptureFixture[str]) -> None:
     source = tmp_path / "robot.xml"
@@ -45,3 +51,21 @@ def test_what_cannot_be_read_is_one_line(text: str, told: str, tmp_path: Path,
     assert main(["init", str(tmp_path / "rig.toml"), "--from", str(source)]) == 2
     said = capsys.readouterr().err
     assert told in said and said.count("\n") == 1 and not (tmp_path / "rig.toml").exists()
+
+
+def test_rotations_defaults_and_shapes_are_compiled(tmp_path: Path) -> None:
+    """A leg whose frames are turned, whose inertias come of shapes, and a foot without a joint of its own."""
+    source = tmp_path / "leg.xml"
+    source.write_text('''<mujoco><compiler angle="degree"/>
+      <default><joint axis="0 0 1" damping="0.02" armature="0.003"/>
+        <geom type="capsule" size="0.01" mass="0.5"/></default>
+      <worldbody><body name="thigh" euler="90 0 0"><joint name="hip"/><geom fromto="0 0 0 0 -0.3 0"/>
+        <body name="shank" pos="0 -0.3 0" euler="0 0 0"><joint name="knee"/><geom fromto="0 0 0 0 -0.25 0"/>
+          <body name="foot" pos="0 -0.25 0" quat="0 1 0 0"><geom type="sphere" size="0.02" mass="0.1"/></body></body>
+      </body></worldbody><actuator><motor joint="knee"/></actuator></mujoco>''')
+    thigh, shank = read_robot(source)
+    assert (thigh.driven, shank.driven, shank.viscous, shank.armature) == (False, True, 0.02, 0.003)
+    assert shank.mass == pytest.approx(0.6) and np.abs(shank.at) == pytest.approx([0, 0, 0.3], abs=1e-12)
+    assert shank.centre == pytest.approx([0, 0, -(0.5 * 0.125 + 0.1 * 0.25) / 0.6])
+    assert main(["init", str(tmp_path / "rig.toml"), "--from", str(source)]) == 0
+    assert load_rig(tmp_path / "rig.toml").prior["l1"][0] == pytest.approx(0.3)

@@ -22,8 +22,7 @@ import math
 from dataclasses import dataclass
 
 from daq import InputError
-from experiments.models.mechanism_settings import build_mechanism
-from experiments.models.schema import Model
+from experiments.models import Model, build_mechanism
 
 Inertial = tuple[float, float, float, float]
 """Mass, centre, inertia, length."""

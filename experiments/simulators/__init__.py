@@ -1,0 +1,5 @@
+"""An identified model in other people's simulators, and their models read."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,24 @@
+"""`export_model`: a model as one file of MuJoCo or URDF, and in words what that file does not hold."""
+
+from __future__ import annotations
+
+from experiments.models import Model
+from experiments.simulators.mjcf import mjcf_notes, mjcf_of
+from experiments.simulators.parts import parts_of
+from experiments.simulators.urdf import urdf_notes, urdf_of
+
+KINDS = ("mjcf", "urdf")
+
+
+def export_model(model: Model, kind: str, where: str) -> tuple[str, list[str]]:
+    """(XML text, what of the model it does not hold or holds otherwise). Raises `InputError`."""
+    parts = parts_of(model, where)
+    if kind == "urdf":
+        notes = urdf_notes(parts)
+        return urdf_of(parts, notes), notes
+    notes = mjcf_notes(parts)
+    lost = [effect.name for effect in parts.left] + (["structure"] if model.structure else [])
+    if lost:
+        notes.append(f"MJCF cannot hold these effects of the model, they are left out: {', '.join(lost)}; "
+                     "--to mujoco adds a module with them")
+    return mjcf_of(parts, notes), notes

@@ -1,0 +1,105 @@
+"""A validation whose free runs are MuJoCo's: what was exported against what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from daq import FloatArray
+from estimator.prediction import PredictedRun, SmoothedRun, smooth, tabulate
+from experiments.console import progress
+from experiments.models import Model, fitted_model_of
+from experiments.reports import validation_trust
+from experiments.session import Prepared
+from experiments.simulators import SIMULATORS, ExportedLeg, Piece, Record, Start, reduced, rows_of
+from experiments.workflows.validate import ValidationReport, predict_setup
+
+STEP_S = 0.0005
+LOST_RAD = 50.0
+"""A simulation this far from the smoothed motion is lost, as in the estimator's free runs."""
+
+
+def validate_in_mujoco(model: Model, report: ValidationReport, where: str) -> ValidationReport:
+    """`report` with the free runs of the exported model in MuJoCo, from the same states, under the measured torques.
+
+    Raises `InputError` where the model cannot be exported, or MuJoCo is absent.
+    """
+    leg, runs, session_s = ExportedLeg(model, where), [], 0.0
+    pairs = list(zip(report.table.runs, report.smoothed, strict=True))
+    for run, smoothed in progress(pairs, "simulating in MuJoCo", unit="run"):
+        runs.append(_rerun(leg, run, smoothed, session_s))
+        session_s += smoothed.problem.total * smoothed.problem.dt
+    table = tabulate(runs, report.table.smoother)
+    return replace(report, table=table, trust=validation_trust(table, report.seen, report.told))
+
+
+def compared_text(own: ValidationReport, other: ValidationReport) -> str:
+    """Lines: each sensor's error in MuJoCo over that of legid's simulation."""
+    lines = [f"MuJoCo's free runs against legid's own, whole runs, {other.table.runs[0].run} and on:"
+             if len(other.table.runs) > 1 else "MuJoCo's free runs against legid's own, the whole run:"]
+    for channel in own.table.judged:
+        errors = [one.table.rms(0, channel, np.inf) for one in (own, other)]
+        lines.append(f"  {channel}: {errors[1]:.4g} against {errors[0]:.4g} rms, "
+                     f"{100.0 * (errors[1] / errors[0] - 1.0):+.2f} %")
+    return "\n".join(lines)
+
+
+def starts_of(model: Model, prepared: Prepared) -> list[Start]:
+    """First state of each prepared run by the model's smoother. Raises `FitError`."""
+    found, session_s, predictor = [], 0.0, fitted_model_of(model)
+    for data in progress(prepared.setup.datasets, "smoothing", unit="run"):
+        one = smooth(predictor, data, prepared.setup.options, session_s)
+        session_s += one.problem.total * one.problem.dt
+        found.append(Start(data.name.split(".")[0], one.state.x.q[0].tolist(), one.state.x.v[0].tolist()))
+    return found
+
+
+def reduction_errors(model: Model, prepared: Prepared) -> dict[str, dict[str, float]]:
+    """Simulator of policy learning, and "model", to the rms free-run error of each sensor over whole runs, by legid's
+    simulation of what that simulator holds of the model. Raises `FitError`."""
+    models = [model, *(reduced(model, simulator).model for simulator in SIMULATORS)]
+    table = predict_setup([fitted_model_of(one) for one in models], prepared.setup, (np.inf,))
+    names = ["model", *(simulator.name for simulator in SIMULATORS)]
+    return {name: {channel: table.rms(k, channel, np.inf) for channel in table.judged} for k, name in enumerate(names)}
+
+
+def _rerun(leg: ExportedLeg, run: PredictedRun, smoothed: SmoothedRun, session_s: float) -> PredictedRun:
+    """The run with MuJoCo's free runs at every horizon in place of the first model's."""
+    simulated, lost = run.simulated.copy(), run.lost.copy()
+    known: dict[int, tuple[FloatArray, int]] = {}
+    for h, (horizon, starts) in enumerate(zip(run.horizons_s, run.starts)):
+        firsts = np.unique(starts)
+        if firsts.size not in known:
+            known[firsts.size] = _pieces(leg, run, smoothed, firsts, session_s)
+        simulated[0, h], gone = known[firsts.size]
+        lost[0, h] = gone
+        if np.isfinite(horizon) and gone:  # a piece that diverges is replaced by its first state
+            bad = np.isnan(simulated[0, h]).any(axis=0)
+            simulated[0, h][:, bad] = run.smoothed[0][:, starts[bad]]
+    return replace(run, simulated=simulated, lost=lost)
+
+
+def _pieces(leg: ExportedLeg, run: PredictedRun, smoothed: SmoothedRun, firsts: Sequence[int] | FloatArray,
+            session_s: float) -> tuple[FloatArray, int]:
+    """(C, N) readings of all pieces, NaN from where one diverges, and how many do."""
+    problem, x = smoothed.problem, smoothed.state.x
+    out, lost = np.full((len(run.channels), problem.total), np.nan), 0
+    begins = [0, *(int(end) for end in run.ends)]
+    edges = [*(int(first) for first in firsts), problem.total]
+    for first, last in pairwise(edges):
+        segment = int(np.searchsorted(run.ends, first, side="right"))
+        begin, end = begins[segment], begins[segment + 1]
+        record = Record(run.time_s[begin:end], problem.torque[begin:end][:, list(problem.mechanism.actuated)],
+                        float(run.time_s[begin] - run.time_s[0]), session_s)
+        piece = Piece(first - begin, last - begin, x.q[first], x.v[first])
+        with np.errstate(all="ignore"):
+            rows = rows_of(leg.run(record, piece, STEP_S), run.channels)
+        gone = ~np.isfinite(rows).all(axis=0) | (np.abs(rows[: problem.n] - x.q[first:last].T) > LOST_RAD).any(axis=0)
+        if gone.any():
+            lost += 1
+            rows[:, int(np.argmax(gone)) :] = np.nan
+        out[:, first:last] = rows
+    return out, lost

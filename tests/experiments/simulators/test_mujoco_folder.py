@@ -1,0 +1,193 @@
+"""The folder that `legid export --to mujoco` writes: it moves as `legid simulate` does, and needs no legid."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from msgspec import structs
+
+from daq import InputError
+from experiments.cli import main
+from experiments.models import load_model, save_model
+from experiments.models.schema import JointTorque, StructureValues, TableInput, TorqueTable
+from experiments.simulators import ExportedLeg, simulator_files
+from experiments.simulators.mujoco_runs import require_mujoco
+from experiments.simulators.parts import HELD, LEFT
+from tests.support.exported_models import (
+    EFFECTS,
+    OPPOSITE,
+    PAIRS,
+    START,
+    angle_error,
+    in_mujoco,
+    model_of,
+    simulated,
+)
+from tests.support.paths import REAL
+
+WITHIN_RAD = 1e-3
+
+
+def test_every_effect_of_the_library_is_held_or_left() -> None:
+    from estimator.effects.registry import library_classes
+
+    names = {kind.name for kind in library_classes()}
+    assert names == set(EFFECTS) == set(HELD) | set(LEFT)
+
+
+@pytest.mark.parametrize("names", [(), *((name,) for name in EFFECTS), *PAIRS], ids="+".join)
+def test_an_export_moves_as_the_simulation_does(names: Sequence[str], tmp_path: Path) -> None:
+    """Five seconds in steps of a millisecond, from the same state, under the torque as it was measured."""
+    assert angle_error(model_of(tmp_path, 2, names), 1e-3) < WITHIN_RAD
+
+
+@pytest.mark.parametrize("names", [("joint_elasticity", "torque_saturation"), ("backlash", "torque_offset"),
+                                   ("joint_elasticity", "torque_delay")], ids="+".join)
+def test_a_gear_twists_under_the_torque_that_acts(names: Sequence[str], tmp_path: Path) -> None:
+    assert angle_error(model_of(tmp_path, 2, names), 1e-3) < WITHIN_RAD
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("names", [(), *((name,) for name in EFFECTS), *PAIRS], ids="+".join)
+def test_an_export_moves_alike_in_short_steps(names: Sequence[str], seed: int, tmp_path: Path) -> None:
+    model = model_of(tmp_path, seed, names)
+    assert max(angle_error(model, step) for step in (1e-3, 2.5e-4)) < WITHIN_RAD
+
+
+@pytest.mark.parametrize("names", [("torque_delay",), ("sensor_time_skew",), ("torque_delay", "sensor_time_skew")],
+                         ids="+".join)
+def test_delays_of_the_other_sign(names: Sequence[str], tmp_path: Path) -> None:
+    assert angle_error(model_of(tmp_path, 2, names, OPPOSITE), 1e-3) < WITHIN_RAD
+
+
+@pytest.mark.parametrize("name", ["stribeck_friction", "load_dependent_friction", "presliding_friction"])
+def test_friction_with_a_broad_smoothing_velocity(name: str, tmp_path: Path) -> None:
+    assert angle_error(model_of(tmp_path, 2, (name,), smoothing=0.1), 1e-3) < WITHIN_RAD
+
+
+@pytest.mark.parametrize("names", [(), ("imu_misalignment",), ("sensor_time_skew",), ("gyro_bias", "gyro_scale"),
+                                   ("accelerometer_bias",), ("base_compliance",)], ids="+".join)
+def test_an_imu_reads_as_the_simulation_says(names: Sequence[str], tmp_path: Path) -> None:
+    model = model_of(tmp_path, 2, names)
+    run = simulated(model)
+    found = in_mujoco(model, run, 1e-3)
+    assert np.abs(found["gyro_radps"] - run["gyro_radps"]).max() < 3e-3
+    for column in ("accel_x_mps2", "accel_y_mps2"):  # where dry friction turns over it differs for one sample
+        assert np.quantile(np.abs(found[column] - run[column]), 0.99) < 0.02
+
+
+def test_a_structure_is_held(tmp_path: Path) -> None:
+    tables = (TorqueTable(inputs=(TableInput(variable="angle", joint=2),), knots=((-1.0, 0.0, 1.0),),
+                          values=(0.1, -0.05, 0.08), std=(0.0,) * 3),
+              TorqueTable(inputs=(TableInput(variable="angle", joint=1), TableInput(variable="rate", joint=2)),
+                          knots=((-0.5, 0.5), (-3.0, 0.0, 3.0)), values=(0.0, 0.05, 0.02, -0.03, 0.0, 0.04),
+                          std=(0.0,) * 6),
+              TorqueTable(inputs=(TableInput(variable="motor torque", joint=2),), directed=True, knots=((-0.5, 0.5),),
+                          values=(0.01, 0.03), std=(0.0,) * 2))
+    structure = StructureValues(torques=(JointTorque(joint=2, constant=0.01, tables=tables, noise_nm=0.01),),
+                                removed=0.5, removed_ci95=(0.4, 0.6))
+    model = model_of(tmp_path, 2, (), structure=structure)
+    plain = model_of(tmp_path, 2, ())
+    assert np.abs(simulated(model)["q2_rad"] - simulated(plain)["q2_rad"]).max() > 0.05  # it does something
+    assert angle_error(model, 1e-3) < WITHIN_RAD
+
+
+def test_the_file_alone_says_what_it_needs_and_leaves(tmp_path: Path) -> None:
+    files = simulator_files(model_of(tmp_path, 1, ("torque_ripple", "torque_saturation")), "m.json", "legid export")
+    assert files.needs == (3, 7) and any("leg.py applies torque_saturation" in note for note in files.notes)
+    assert "torque_saturation" in files.texts["leg.py"] and "cogging" in files.texts["leg.xml"]
+    with pytest.raises(InputError, match=r"MuJoCo .* is older than 99\.0"):
+        require_mujoco((99, 0))
+
+
+def test_noise_is_seeded_and_has_the_model_s_levels(tmp_path: Path) -> None:
+    noise = {"gyro_radps": 0.01, "accel_x_mps2": 0.05, "accel_y_mps2": 0.4, "accel_correlation": 0.8}
+    module = ExportedLeg(model_of(tmp_path, 1, (), noise=noise), "m.json").module
+    files = simulator_files(model_of(tmp_path, 1, (), noise=noise), "m.json", "legid export").texts
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    module.__dict__["__file__"] = str(tmp_path / "leg.py")
+    legs = [module.Leg(seed=seed) for seed in (1, 1, 2)]
+    rows = [[leg.observe() for _ in range(4000)] for leg in legs]
+    assert rows[0] == rows[1] and rows[0] != rows[2]
+    read = np.array([[row[c] for c in ("gyro_radps", "accel_x_mps2", "accel_y_mps2")] for row in rows[0]])
+    assert read.std(axis=0) == pytest.approx([0.01, 0.05, 0.4], rel=0.05)
+    assert np.corrcoef(read.T)[1, 2] == pytest.approx(0.8, abs=0.03)
+
+
+def test_the_folder_runs_without_legid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`python -I` in another folder, where legid's packages cannot be imported."""
+    model = model_of(tmp_path, 1, ("stribeck_friction", "torque_saturation", "gyro_bias"))
+    save_model(model, tmp_path / "m.json")
+    run = simulated(model)
+    rows = np.column_stack([run.time_s, *run.columns.values()])
+    np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header=",".join(["time_s", *run.columns]), comments="")
+    assert main(["export", str(tmp_path / "m.json"), "--to", "mujoco", "--out", str(tmp_path / "sim")]) == 0
+    assert "leg.py applies gyro_bias, stribeck_friction, torque_saturation" in capsys.readouterr().err
+    hide = ("import sys, runpy; sys.modules.update(dict.fromkeys(('legid', 'estimator', 'experiments', 'daq', "
+            "'drivers'))); sys.argv = ['leg.py', sys.argv[1]]; runpy.run_path({!r}, run_name='__main__')")
+    done = subprocess.run([sys.executable, "-I", "-c", hide.format(str(tmp_path / "sim" / "leg.py")),
+                           str(tmp_path / "run.csv")], cwd="/", capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    errors = {line.split()[0]: float(line.split()[1]) for line in done.stdout.splitlines()[1:]}
+    assert set(errors) == {"q1_rad", "q2_rad", "gyro_radps", "accel_x_mps2", "accel_y_mps2"}
+    assert max(errors["q1_rad"], errors["q2_rad"]) < 5e-3  # its start is by the first tenth of a second
+    lost = subprocess.run([sys.executable, "-I", str(tmp_path / "sim" / "leg.py"), str(tmp_path / "m.json")],
+                          capture_output=True, text=True, check=False)
+    assert lost.returncode == 1 and lost.stderr.count("\n") == 1 and "is no table" in lost.stderr
+
+
+def test_the_same_folder_may_be_written_again(tmp_path: Path) -> None:
+    save_model(model_of(tmp_path, 1, ()), tmp_path / "m.json")
+    for _ in range(2):
+        assert main(["export", str(tmp_path / "m.json"), "--to", "mujoco", "--out", str(tmp_path / "sim")]) == 0
+    mujoco.MjModel.from_xml_path(str(tmp_path / "sim" / "leg.xml"))
+
+
+def test_what_no_export_can_hold_is_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cases = {"presliding_friction": ({"presliding_friction": EFFECTS["presliding_friction"]._replace(
+        sizes={"level": 0.3, "bristle_damping": 0.0})}, "more than the Coulomb friction"),
+        "base_compliance": ({"base_compliance": EFFECTS["base_compliance"]._replace(sizes={"mobility": 2.0})},
+                            "the leg alone has")}
+    for name, (changed, words) in cases.items():
+        save_model(model_of(tmp_path, 1, (name,), changed), tmp_path / "m.json")
+        assert main(["export", str(tmp_path / "m.json"), "--to", "mujoco", "--out", str(tmp_path / "x")]) == 2
+        error = capsys.readouterr().err
+        assert name in error and words in error and "take it out of `effects`" in error and error.count("\n") == 1
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (REAL / "dfki_c0").is_dir(), reason="no real records next to the checkout")
+def test_a_real_arm_errs_alike_in_mujoco(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Free runs of the exported model err as legid's own do, within 2 %; leg.xml keeps the first states by run."""
+    folder, model = REAL / "dfki_c0", str(tmp_path / "m.json")
+    rig, held = ["--rig", str(folder / "rig.toml")], str(folder / "02.csv.gz")
+    assert main(["fit", *(str(folder / f"{k}.csv.gz") for k in ("00", "01", "04")), *rig, "--model-out", model]) == 0
+    capsys.readouterr()
+    errors = {}
+    for simulator in ("legid", "mujoco"):
+        out = tmp_path / f"{simulator}.json"
+        assert main(["validate", model, held, *rig, "--simulator", simulator, "--json", str(out)]) == 0
+        segments = [one["summed_squared_error"] for one in json.loads(out.read_text())["runs"]]
+        errors[simulator] = {name: np.sqrt(sum(one[name] for one in segments)) for name in segments[0]}
+    assert errors["mujoco"] == pytest.approx(errors["legid"], rel=0.02)
+    assert "MuJoCo's free runs against legid's own" in capsys.readouterr().out
+    assert main(["export", model, "--to", "mujoco", "--out", str(tmp_path / "sim"), "--starts", held, *rig]) == 0
+    loaded = mujoco.MjModel.from_xml_path(str(tmp_path / "sim" / "leg.xml"))
+    assert loaded.key("02").qpos.shape == (2,) and np.abs(loaded.key("02").qvel).max() > 0.0
+    with_run = structs.replace(load_model(model), noise={})
+    assert len(START) == ExportedLeg(with_run, "m").leg.model.nq
+
+
+def test_options_that_belong_elsewhere_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_model(model_of(tmp_path, 1, ()), tmp_path / "m.json")
+    for words in (["mjcf", "--starts", "run.csv"], ["mujoco", "--rate", "100"], ["mujoco", "--rig", "rig.toml"]):
+        assert main(["export", str(tmp_path / "m.json"), "--out", str(tmp_path / "x"), "--to", *words]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 3
