@@ -18,7 +18,7 @@ from estimator.effects.friction import QuadraticDrag, StribeckFriction
 from estimator.errors import FitError
 from estimator.prediction import PredictedRun
 from tests.support.driven_pendulum import searched
-from tests.support.stated_fits import Named, explained, foreseen
+from tests.support.stated_fits import Named, explained, predicted_by_scores
 
 DRAG, SPRING = 0.03, 0.4
 
@@ -106,7 +106,7 @@ def test_sets_that_cannot_be_answers_are_not_assessed() -> None:
         best = explained(2000.0, "play", error=0.5, further=[160.0], size=size)
         sets = [explained(100.0, "drag", "skew", error=0.9), explained(800.0, "skew", error=0.4),
                 explained(900.0, "drag", error=0.7), explained(1850.0, "gear", error=0.6, size=size)]
-        return [e.gain for e in assess_answers(foreseen({Named("play"): 1.0})[0], sets, [best])]
+        return [e.gain for e in assess_answers(predicted_by_scores({Named("play"): 1.0})[0], sets, [best])]
 
     assert found(9.0) == [2000.0, 1850.0, 800.0, 100.0]
     assert found(1.0) == [2000.0, 1850.0, 900.0, 800.0, 100.0]
@@ -114,7 +114,7 @@ def test_sets_that_cannot_be_answers_are_not_assessed() -> None:
 
 def test_sets_grow_by_what_each_leaves_and_each_set_once() -> None:
     effects = [Named(f"e{k:02}") for k in range(GROWN + 4)]
-    context, left = foreseen({effect: 100.0 - k for k, effect in enumerate(effects)})
+    context, left = predicted_by_scores({effect: 100.0 - k for k, effect in enumerate(effects)})
     parents = [replace(explained(gain, name), left=left) for gain, name in ((50.0, "e00"), (10.0, "e01"))]
     starts = search.grown(context, parents)
     sets = [frozenset(keys_of(start)) for _, start in starts]
@@ -122,16 +122,16 @@ def test_sets_grow_by_what_each_leaves_and_each_set_once() -> None:
     assert starts[0][0] is parents[0].model  # the likelier
 
 
-def test_every_effect_is_foreseen_at_the_nominal_model_and_other_first_sizes_too() -> None:
-    context, left = foreseen({Named("skew", starts=((0.02,), (-0.02,))): 4.0, Named("drag"): 9.0})
+def test_every_effect_is_predicted_at_the_nominal_model_and_other_first_sizes_too() -> None:
+    context, left = predicted_by_scores({Named("skew", starts=((0.02,), (-0.02,))): 4.0, Named("drag"): 9.0})
     starts = search.grown(context, [Explanation(context.nominal, 0.0, left)])
     assert [(keys_of(s), float(s[0][1][0])) for _, s in starts] == [
         (["drag"], 3.0), (["skew"], 2.0), (["skew"], 0.02), (["skew"], -0.02)]
 
 
-def promised(errors: dict[int, float], louder: float = 1.0) -> search.Promise:
+def promised(errors: dict[int, float], noisier: float = 1.0) -> search.Promise:
     """Of the pendulum's drag, and of it with the spring, whose free runs, by the number of effects, err by so many
-    floors of the noise that they have; in units of one that is so much `louder`."""
+    floors of the noise that they have; in units of one that is so much `noisier`."""
     one = searched(drag=DRAG, spring=SPRING)
     of_count = {len(e.keys): e for e in one.found if "quadratic_drag@1" in e.keys}
     found = [replace(of_count[count], error=error) for count, error in errors.items() if count]
@@ -148,8 +148,8 @@ def promised(errors: dict[int, float], louder: float = 1.0) -> search.Promise:
 
     context = replace(one.context, rng=np.random.default_rng(0))
     context.predicted = erring(errors[0])
-    loud = replace(noise.noise, torque=louder * noise.noise.torque, encoder=louder * noise.noise.encoder)
-    return search.promise(context, [replace(e, predicted=erring(e.error)) for e in found], noise._replace(noise=loud))
+    noisy = replace(noise.noise, torque=noisier * noise.noise.torque, encoder=noisier * noise.noise.encoder)
+    return search.promise(context, [replace(e, predicted=erring(e.error)) for e in found], noise._replace(noise=noisy))
 
 
 @pytest.mark.parametrize("errors, promising", [
@@ -164,7 +164,7 @@ def test_more_effects_are_tried_where_the_last_lowers_the_error(errors: dict[int
 
 def test_noise_that_counts_what_is_missing_promises_nothing() -> None:
     """An IMU 3.5 ms late: under the floor of a tilted IMU the error was 1.001, under that of generic terms 1.51."""
-    assert promised({0: 1.9, 1: 1.4}).better and not promised({0: 1.9, 1: 1.4}, louder=1.5).better
+    assert promised({0: 1.9, 1: 1.4}).better and not promised({0: 1.9, 1: 1.4}, noisier=1.5).better
 
 
 def test_where_nothing_can_be_simulated_more_is_tried() -> None:
