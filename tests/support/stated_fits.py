@@ -97,7 +97,7 @@ def explained(gain: float, *effects: str | Named, size: float = SIGNIFICANT, fur
                        error, np.ones(count), np.ones(count, dtype=bool), np.array(further, dtype=float))
 
 
-def foreseen(gains: Mapping[Named, float]) -> tuple[DiagnosisContext, ScoreTests]:
+def predicted_by_scores(gains: Mapping[Named, float]) -> tuple[DiagnosisContext, ScoreTests]:
     """A context with these effects for candidates, and scores that foresee these gains of each, alone."""
     candidates = [Candidate(cast(Any, effect)) for effect in gains]
     count = len(candidates)

@@ -55,9 +55,9 @@ def test_a_run_that_errs_more_with_a_cause_speaks_against_it() -> None:
 
 def test_it_is_inconclusive_whether_an_error_falls_where_one_run_diverges() -> None:
     table = table_of(1.5, 1.0, agreement=[[0, 0], [900, 300]])
-    stray = scaled(table, 1, 8.0, 9)
-    assert is_material(table, 1, 0, MATERIAL) and not is_material(stray, 1, 0, MATERIAL)
-    assert stray.error(1) > stray.error(0) and is_open(stray, 1, 0, MATERIAL)
+    diverging = scaled(table, 1, 8.0, 9)
+    assert is_material(table, 1, 0, MATERIAL) and not is_material(diverging, 1, 0, MATERIAL)
+    assert diverging.error(1) > diverging.error(0) and is_open(diverging, 1, 0, MATERIAL)
     assert not is_open(table_of(1.5, 1.48), 1, 0, MATERIAL)  # surely not material
     assert not is_open(table_of(1.5, 1.2, agreement=[[0, 0], [20, -90]]), 1, 0, MATERIAL)
 

@@ -11,12 +11,12 @@ from estimator.diagnosis.data_split import folds
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.family import imitates, present_too
 from estimator.diagnosis.search import with_one_more
-from tests.support.stated_fits import Named, explained, fitted, foreseen
+from tests.support.stated_fits import Named, explained, fitted, predicted_by_scores
 
 
 def context() -> DiagnosisContext:
     """Gains of less than 120 are not looked at; the nominal model's deviance is 0."""
-    return foreseen({Named("delay"): 4230.0})[0]
+    return predicted_by_scores({Named("delay"): 4230.0})[0]
 
 
 def more_than(spring: Explanation, gains: dict[str, float], further: dict[str, float] | None = None,
@@ -64,7 +64,7 @@ def test_what_one_further_effect_explains_more_than_is_an_imitation() -> None:
     assert imitates(asked, spring, [])
 
 
-def test_nothing_is_sought_beside_what_leaves_nothing() -> None:
+def test_nothing_is_sought_in_addition_to_what_leaves_nothing() -> None:
     assert with_one_more(context(), explained(9.0, "spring")) == []
 
 

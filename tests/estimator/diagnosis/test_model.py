@@ -250,9 +250,9 @@ def test_a_replicate_that_the_model_fits_worse_than_the_run_is_left_out() -> Non
         others = pooled_bias([one for n, one in enumerate(own) if n not in (k, quiet)], scores[k])
         assert np.allclose(found[k], others, rtol=1e-12) is (k == quiet)
     noise = nominal.state.noise
-    loud = replace(nominal.state, noise=replace(noise, torque=9.0 * noise.torque, encoder=9.0 * noise.encoder))
+    noisy = replace(nominal.state, noise=replace(noise, torque=9.0 * noise.torque, encoder=9.0 * noise.encoder))
     with pytest.raises(FitError, match="replicate"):
-        bootstrap_scores(replace(nominal, state=loud), candidates, scores, np.random.default_rng(3))
+        bootstrap_scores(replace(nominal, state=noisy), candidates, scores, np.random.default_rng(3))
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -17,7 +17,7 @@ from estimator.effects.stribeck_friction import StribeckFriction
 from estimator.effects.torque_delay import TorqueDelay
 from estimator.errors import FitError
 from tests.support.driven_pendulum import searched
-from tests.support.stated_fits import Named, explained, foreseen
+from tests.support.stated_fits import Named, explained, predicted_by_scores
 from tests.support.stated_tables import table_of
 
 DRAG, SPRING = 0.03, 0.4
@@ -106,7 +106,7 @@ def test_sets_that_cannot_be_answers_are_not_assessed() -> None:
         best = explained(2000.0, "play", error=0.5, further=[160.0], size=size)
         sets = [explained(100.0, "drag", "skew", error=0.9), explained(800.0, "skew", error=0.4),
                 explained(900.0, "drag", error=0.7), explained(1850.0, "gear", error=0.6, size=size)]
-        return [e.gain for e in assess_answers(foreseen({Named("play"): 1.0})[0], sets, [best])]
+        return [e.gain for e in assess_answers(predicted_by_scores({Named("play"): 1.0})[0], sets, [best])]
 
     assert found(9.0) == [2000.0, 1850.0, 800.0, 100.0]
     assert found(1.0) == [2000.0, 1850.0, 900.0, 800.0, 100.0]
@@ -114,7 +114,7 @@ def test_sets_that_cannot_be_answers_are_not_assessed() -> None:
 
 def test_sets_grow_by_what_each_leaves_and_each_set_once() -> None:
     effects = [Named(f"e{k:02}") for k in range(GROWN + 4)]
-    context, left = foreseen({effect: 100.0 - k for k, effect in enumerate(effects)})
+    context, left = predicted_by_scores({effect: 100.0 - k for k, effect in enumerate(effects)})
     parents = [replace(explained(gain, name), left=left) for gain, name in ((50.0, "e00"), (10.0, "e01"))]
     starts = search.grown(context, parents)
     sets = [frozenset(keys_of(start)) for _, start in starts]
@@ -122,8 +122,8 @@ def test_sets_grow_by_what_each_leaves_and_each_set_once() -> None:
     assert starts[0][0] is parents[0].model  # the likelier
 
 
-def test_every_effect_is_foreseen_at_the_nominal_model_and_other_first_sizes_too() -> None:
-    context, left = foreseen({Named("skew", starts=((0.02,), (-0.02,))): 4.0, Named("drag"): 9.0})
+def test_every_effect_is_predicted_at_the_nominal_model_and_other_first_sizes_too() -> None:
+    context, left = predicted_by_scores({Named("skew", starts=((0.02,), (-0.02,))): 4.0, Named("drag"): 9.0})
     starts = search.grown(context, [Explanation(context.nominal, 0.0, left)])
     assert [(keys_of(s), float(s[0][1][0])) for _, s in starts] == [
         (["drag"], 3.0), (["skew"], 2.0), (["skew"], 0.02), (["skew"], -0.02)]

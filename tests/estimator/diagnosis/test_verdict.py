@@ -165,8 +165,8 @@ def test_a_second_cause_is_named_where_it_lowers_what_the_first_leaves(errors: t
 def test_a_second_cause_asks_all_runs_only_where_it_may_be_material() -> None:
     """Beside a spring a late torque lowered the error by 15 %, in 80 % of the resamplings by what matters."""
     table, family = with_second(9.0, 1.5, 1.25)
-    stray = scaled(scaled(table, 2, 4.0, 4), 1, 3.5, 4)  # one piece strays with both, and makes the fall unsure
-    assert decided(stray, family).open and decided(stray, family).answer is family.answer
+    diverging = scaled(scaled(table, 2, 4.0, 4), 1, 3.5, 4)  # one piece strays with both, and makes the fall unsure
+    assert decided(diverging, family).open and decided(diverging, family).answer is family.answer
     for errors, agreement, is_open in (((9.0, 1.5, 1.25), None, True), ((9.0, 1.5, 1.4), None, False),
                                        ((9.0, 1.5, 1.25), [[0, 0], [900, 900], [700, 800]], False)):
         assert decided(*with_second(*errors, agreement)).open is is_open
